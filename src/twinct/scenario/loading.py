@@ -1,0 +1,300 @@
+"""From YAML files and overrides to a valid scenario, or to one clear message for each problem."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import typing
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from twinct.errors import ScenarioError
+from twinct.scenario.sections import Scenario
+
+Key = tuple[str | int, ...]
+
+
+@dataclass
+class _Draft:
+    """Merged raw data, and for each key the place that set it."""
+
+    data: dict[str, Any] = field(default_factory=dict)
+    origins: dict[Key, str] = field(default_factory=dict)
+
+    def origin(self, key: Key) -> str:
+        """The place that set a key, or the nearest key around it."""
+        while key and key not in self.origins:
+            key = key[:-1]
+        return self.origins.get(key, "")
+
+
+def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
+    """Read, extend, override and validate a scenario.
+
+    Args:
+        path: YAML file; its key ``extends`` names the file it builds on, relative to itself.
+        overrides: ``KEY=VALUE`` with a dotted key and a YAML value, as ``--set`` takes them.
+
+    Raises:
+        ScenarioError: with one sentence for each problem, naming key, value and origin.
+    """
+    draft = _read(Path(path), ())
+    for override in overrides:
+        _apply_override(draft, override)
+    scenario = _validate(draft)
+    missing = [
+        f"{_place(draft, tuple(key.split('.')))}no file at {file}"
+        for key, file in scenario.files().items()
+        if not file.exists()
+    ]
+    if missing:
+        raise ScenarioError(missing)
+    return scenario
+
+
+def parse_scenario(data: Mapping[str, Any]) -> Scenario:
+    """Validate a scenario given as plain data, such as from a notebook or a scan store.
+
+    Raises:
+        ScenarioError: with one sentence for each problem.
+    """
+    return _validate(_Draft(dict(data)))
+
+
+def scenario_schema() -> dict[str, Any]:
+    """JSON Schema of the scenario file, for editors."""
+    schema = Scenario.model_json_schema()
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "twinct scenario"
+    schema["properties"]["extends"] = {
+        "type": "string",
+        "description": "Scenario file this one builds on, relative to it.",
+    }
+    schema.pop("required", None)  # a file that extends another may leave out any key
+    return schema
+
+
+def _read(path: Path, chain: tuple[Path, ...]) -> _Draft:
+    path = path.expanduser()
+    if path.resolve() in chain:
+        raise ScenarioError(f"{path}: extends itself: " + " -> ".join(p.name for p in chain))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise ScenarioError(f"{path}: cannot read the scenario: {reason}") from None
+    try:
+        loader = yaml.SafeLoader(text)
+        node = loader.get_single_node()
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not valid YAML"
+        raise ScenarioError(f"{path}{line}: not valid YAML: {problem}") from None
+    own = _Draft()
+    if node is not None:
+        if not isinstance(node, yaml.MappingNode):
+            raise ScenarioError(f"{path}: a scenario is a mapping of keys to values")
+        own.data = _construct(loader, node, (), path, own.origins)
+    parent = own.data.pop("extends", None)
+    if parent is None:
+        return own
+    if not isinstance(parent, str):
+        raise ScenarioError(f"{own.origin(('extends',))}: extends: {parent!r} is not a file name")
+    base_path = path.parent / parent
+    if not base_path.is_file():
+        raise ScenarioError(f"{own.origin(('extends',))}: extends: no file at {base_path}")
+    base = _read(base_path, (*chain, path.resolve()))
+    _merge(base, own.data, own.origins, ())
+    return base
+
+
+def _construct(
+    loader: yaml.SafeLoader, node: yaml.Node, key: Key, path: Path, origins: dict[Key, str]
+) -> Any:
+    """Plain data of a node; notes the line of each key and makes each ``path`` absolute."""
+    origins[key] = f"{path}:{node.start_mark.line + 1}"
+    if isinstance(node, yaml.MappingNode):
+        data: dict[Any, Any] = {}
+        for key_node, value_node in node.value:
+            name = loader.construct_object(key_node, deep=True)
+            if name in data:
+                line = key_node.start_mark.line + 1
+                raise ScenarioError(f"{path}:{line}: the key {name!r} stands twice")
+            data[name] = _construct(loader, value_node, (*key, name), path, origins)
+            if name == "path" and isinstance(data[name], str):
+                data[name] = str((path.parent / Path(data[name]).expanduser()).resolve())
+        return data
+    if isinstance(node, yaml.SequenceNode):
+        return [
+            _construct(loader, item, (*key, i), path, origins) for i, item in enumerate(node.value)
+        ]
+    return loader.construct_object(node, deep=True)
+
+
+def _merge(base: _Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key) -> None:
+    """Lay data over the draft: mappings merge, all else is replaced, a new ``kind`` starts afresh."""
+    here = base.data
+    for step in key:
+        here = here[step]
+    for name, value in data.items():
+        inner = (*key, name)
+        old = here.get(name)
+        same_kind = isinstance(old, dict) and isinstance(value, dict)
+        same_kind = same_kind and value.get("kind", old.get("kind")) == old.get("kind")
+        if same_kind:
+            _merge(base, value, origins, inner)
+            continue
+        here[name] = value
+        stale = [k for k in base.origins if k[: len(inner)] == inner]
+        for k in stale:
+            del base.origins[k]
+        base.origins |= {k: v for k, v in origins.items() if k[: len(inner)] == inner}
+
+
+def _apply_override(draft: _Draft, override: str) -> None:
+    key_text, equals, value_text = override.partition("=")
+    place = f"--set {override}"
+    if not equals or not key_text.strip():
+        raise ScenarioError(f"{place}: expected KEY=VALUE, such as detector.columns=320")
+    try:
+        value = yaml.safe_load(value_text)
+    except yaml.YAMLError:
+        raise ScenarioError(f"{place}: {value_text!r} is not a YAML value") from None
+    steps = key_text.strip().split(".")
+    if steps[-1] == "path" and isinstance(value, str):
+        value = str(Path(value).expanduser().resolve())
+    here: Any = draft.data
+    for depth, step in enumerate(steps):
+        last = depth == len(steps) - 1
+        if isinstance(here, list):
+            if not step.isdigit() or int(step) >= len(here):
+                raise ScenarioError(
+                    f"{place}: {'.'.join(steps[:depth])} is a list of {len(here)}: "
+                    f"{step!r} is not one of its indices"
+                )
+            index: Any = int(step)
+        elif isinstance(here, dict):
+            index = step
+        else:
+            raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
+        if last:
+            here[index] = value
+        elif isinstance(here, dict):
+            here = here.setdefault(index, {})
+        else:
+            here = here[index]
+    key: Key = tuple(int(s) if s.isdigit() else s for s in steps)
+    draft.origins = {k: v for k, v in draft.origins.items() if k[: len(key)] != key}
+    draft.origins[key] = place
+
+
+def _validate(draft: _Draft) -> Scenario:
+    try:
+        # JSON mode is the strict one that still takes lists for tuples and text for paths.
+        return Scenario.model_validate_json(json.dumps(draft.data, default=str), strict=True)
+    except ValidationError as error:
+        raise ScenarioError(_problems(draft, error)) from None
+
+
+def _problems(draft: _Draft, error: ValidationError) -> list[str]:
+    """One sentence a problem; the branches of a plain union are one problem, not several."""
+    sentences: dict[Key, list[str]] = {}
+    for detail in error.errors():
+        location, model = _plain_key(detail["loc"], draft.data)
+        sentences.setdefault(location, []).append(_sentence(detail, location, model))
+    return [
+        f"{_place(draft, key)}{' or '.join(dict.fromkeys(parts))}"
+        for key, parts in sentences.items()
+    ]
+
+
+def _place(draft: _Draft, key: Key) -> str:
+    key = tuple(int(s) if isinstance(s, str) and s.isdigit() else s for s in key)
+    origin = draft.origin(key)
+    return (f"{origin}: " if origin else "") + (".".join(map(str, key)) + ": " if key else "")
+
+
+def _sentence(detail: Any, key: Key, model: type[BaseModel] | None) -> str:
+    kind, given = detail["type"], detail["input"]
+    if kind == "extra_forbidden":
+        known = list(model.model_fields) if model else []
+        near = difflib.get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
+    if kind == "missing":
+        return "this key is needed and missing"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        allowed = detail["ctx"].get("expected_tags", "")
+        given = given.get("kind") if isinstance(given, dict) else given
+        return f"kind {given!r} is not one of {allowed}" if allowed else "this key needs a 'kind'"
+    message = detail["msg"].removeprefix("Value error, ")
+    message = message.replace("Input should be", "must be")
+    return message if kind == "value_error" else f"{message}, but is {given!r}"
+
+
+def _plain_key(location: tuple[str | int, ...], data: Any) -> tuple[Key, type[BaseModel] | None]:
+    """Drop from a pydantic location what is no key of the file: tags and names of union branches."""
+    key: list[str | int] = []
+    annotation: Any = Scenario
+    model: type[BaseModel] | None = Scenario
+    for step in location:
+        models = _models(annotation)
+        tag = next((m for m in models if _tag(m) == step), None)
+        if tag is not None and len(models) > 1:
+            annotation = model = tag
+            continue
+        if isinstance(step, int):
+            key.append(step)
+            annotation = _item(annotation)
+            continue
+        owner = models[0] if models else None
+        if owner is not None and step in owner.model_fields:
+            key.append(step)
+            model, annotation = owner, owner.model_fields[step].annotation
+            continue
+        if owner is not None and _exists(data, [*key, step]):
+            key.append(step)
+            model = owner
+            continue
+        if step in _names(annotation):
+            annotation = next(m for m in models if m.__name__ == step)
+            model = annotation
+    return tuple(key), model
+
+
+def _exists(data: Any, key: list[str | int]) -> bool:
+    for step in key:
+        try:
+            data = data[step]
+        except (KeyError, IndexError, TypeError):
+            return False
+    return True
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for arg in typing.get_args(annotation) for m in _models(arg)]
+
+
+def _names(annotation: Any) -> list[str]:
+    return [m.__name__ for m in _models(annotation)]
+
+
+def _item(annotation: Any) -> Any:
+    for arg in typing.get_args(annotation):
+        if arg is not Ellipsis and _models(arg):
+            return arg
+    return None
+
+
+def _tag(model: type[BaseModel]) -> str | None:
+    kind = model.model_fields.get("kind")
+    tags = typing.get_args(kind.annotation) if kind else ()
+    return tags[0] if tags else None

@@ -1,0 +1,450 @@
+"""The sections of a scenario: what each key means, its unit, its default and its bounds.
+
+A function elsewhere takes its own section, never the whole scenario. Units stand in the key names.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from twinct.geometry import Panel, Pose, VolumeGrid
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Lengths = tuple[Positive, Positive, Positive]
+
+
+class Section(BaseModel):
+    """Frozen; an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Source(Section):
+    """The X-ray source: a monochromatic point."""
+
+    energy_kev: float = Field(
+        80.0, ge=5, le=500, description="Photon energy of the monochromatic source."
+    )
+
+
+class Detector(Section):
+    """The flat panel: a lattice of ideal pixels."""
+
+    columns: int = Field(640, ge=1, le=8192, description="Pixels along u.")
+    rows: int = Field(480, ge=1, le=8192, description="Pixels along v.")
+    pixel_pitch_mm: Positive | tuple[Positive, Positive] = Field(
+        0.5, description="Pixel pitch; two numbers for (u, v)."
+    )
+
+    @property
+    def panel(self) -> Panel:
+        """The pixel lattice."""
+        pitch = self.pixel_pitch_mm
+        pitch_u, pitch_v = pitch if isinstance(pitch, tuple) else (pitch, pitch)
+        return Panel(self.rows, self.columns, pitch_u, pitch_v)
+
+
+class _Orbit(Section):
+    views: int = Field(ge=1, le=100_000, description="Number of projections.")
+    isocentre_mm: Vector = Field((0.0, 0.0, 0.0), description="Centre of the orbit.")
+    sod_mm: Positive = Field(300.0, description="Distance from source to isocentre.")
+    sdd_mm: Positive = Field(600.0, description="Distance from source to panel centre.")
+    centre_longitude_deg: Finite = Field(
+        0.0, description="Longitude of the source in the middle of the path; 0 is +x, 90 is +y."
+    )
+
+    @model_validator(mode="after")
+    def _isocentre_between(self) -> _Orbit:
+        if self.sdd_mm <= self.sod_mm:
+            raise ValueError(
+                f"sdd_mm ({self.sdd_mm:g}) must exceed sod_mm ({self.sod_mm:g}): "
+                "the isocentre lies between source and panel"
+            )
+        return self
+
+
+class SinusoidTrajectory(_Orbit):
+    """The paper's path: a sine of latitude over an arc of longitude, on a sphere."""
+
+    kind: Literal["sinusoid"]
+    longitude_range_deg: float = Field(210.0, gt=0, le=360)
+    latitude_amplitude_deg: float = Field(30.0, ge=0, lt=90)
+    periods: Positive = Field(1.0, description="Sine periods over the range.")
+
+
+class CircleTrajectory(_Orbit):
+    """A full circle; the first and last view are one step apart."""
+
+    kind: Literal["circle"]
+    tilt_deg: Finite = Field(0.0, description="Tilt of the circle about the x axis.")
+
+
+class ArcTrajectory(_Orbit):
+    """Part of a circle of constant latitude, both ends included."""
+
+    kind: Literal["arc"]
+    longitude_range_deg: float = Field(210.0, gt=0, le=360)
+    latitude_deg: float = Field(0.0, gt=-90, lt=90)
+
+
+class HelixTrajectory(_Orbit):
+    """A helix about z: source and panel rise together."""
+
+    kind: Literal["helix"]
+    turns: Positive = 2.0
+    pitch_mm: Finite = Field(50.0, description="Rise for each turn.")
+
+
+class FileTrajectory(Section):
+    """Views from a CSV file: S and D, or S, D, u, v for each row, mm."""
+
+    kind: Literal["file"]
+    path: Path
+
+
+Trajectory = Annotated[
+    SinusoidTrajectory | CircleTrajectory | ArcTrajectory | HelixTrajectory | FileTrajectory,
+    Field(discriminator="kind"),
+]
+
+
+class Composition(Section):
+    """A material by its elements."""
+
+    formula: str | None = Field(None, description="Chemical formula, such as Ca10(PO4)6(OH)2.")
+    mass_fractions: dict[str, Positive] | None = Field(
+        None, description="Element symbol to share of mass; the shares add up to 1."
+    )
+    density_g_cm3: Positive
+
+    @model_validator(mode="after")
+    def _one_description(self) -> Composition:
+        if (self.formula is None) == (self.mass_fractions is None):
+            raise ValueError("give either formula or mass_fractions")
+        return self
+
+
+class Skull(Section):
+    """The built-in adult skull from implicit surfaces."""
+
+    kind: Literal["skull"]
+    scale: Positive = Field(1.0, description="1 is adult size.")
+    mesh_resolution_mm: Positive = Field(
+        1.0, description="Cell of the lattice on which the surface mesh is extracted."
+    )
+
+
+class Sphere(Section):
+    """A sphere about the part's origin."""
+
+    kind: Literal["sphere"]
+    radius_mm: Positive
+
+
+class Ellipsoid(Section):
+    """An ellipsoid along the part's axes."""
+
+    kind: Literal["ellipsoid"]
+    semi_axes_mm: Lengths
+
+
+class Cylinder(Section):
+    """A cylinder along the part's z axis, centred."""
+
+    kind: Literal["cylinder"]
+    radius_mm: Positive
+    height_mm: Positive
+
+
+class Box(Section):
+    """A box along the part's axes, centred."""
+
+    kind: Literal["box"]
+    size_mm: Lengths
+
+
+class MeshFile(Section):
+    """A watertight triangle mesh: STL, PLY, OBJ or what else trimesh reads."""
+
+    kind: Literal["mesh"]
+    path: Path
+    unit_mm: Positive = Field(1.0, description="Length of the file's unit.")
+    centre: bool = Field(False, description="Move the middle of its bounds to the part's origin.")
+
+
+class CtVolume(Section):
+    """A CT volume, segmented at a threshold into a closed surface."""
+
+    kind: Literal["ct"]
+    path: Path = Field(description="NIfTI file, folder of one DICOM series, or InVesalius .inv3.")
+    threshold_hu: Finite = 300.0
+    smoothing_mm: NonNegative = Field(
+        0.0, description="Sigma of a Gaussian filter before the threshold."
+    )
+    smallest_part_cm3: NonNegative = Field(
+        0.0, description="Connected pieces below this volume are left out."
+    )
+    centre: bool = Field(True, description="Move the middle of its bounds to the part's origin.")
+
+
+Shape = Annotated[
+    Skull | Sphere | Ellipsoid | Cylinder | Box | MeshFile | CtVolume, Field(discriminator="kind")
+]
+
+
+class Part(Section):
+    """One body of one material. Where parts overlap the later one wins."""
+
+    name: str = Field("", description="Shown in messages; the kind of shape where empty.")
+    shape: Shape
+    material: str | Composition = "bone"
+    position_mm: Vector = Field((0.0, 0.0, 0.0), description="Origin in the specimen's frame.")
+    rotation_deg: Vector = Field((0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z.")
+
+    @property
+    def specimen_from_part(self) -> Pose:
+        """Pose of the part in the specimen's frame."""
+        return Pose.from_euler(self.position_mm, self.rotation_deg)
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return self.name or self.shape.kind
+
+
+class Specimen(Section):
+    """What is imaged, and where it stands."""
+
+    parts: tuple[Part, ...] = Field(min_length=1)
+    position_mm: Vector = Field((0.0, 0.0, 0.0), description="Origin in the world.")
+    rotation_deg: Vector = Field((0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z.")
+
+    @property
+    def world_from_specimen(self) -> Pose:
+        """Pose of the specimen where it stands."""
+        return Pose.from_euler(self.position_mm, self.rotation_deg)
+
+
+class Arm(Section):
+    """One arm and what it carries."""
+
+    model: str = Field(
+        "ur10e",
+        pattern=r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$",
+        description="ur10e, lbr_iiwa14, or menagerie:NAME.",
+    )
+    base_position_mm: Vector
+    base_rotation_deg: Vector = (0.0, 0.0, 0.0)
+    standoff_mm: Positive = Field(
+        150.0, description="From flange to focal spot, or to panel centre, along the flange axis."
+    )
+    tool_rotation_deg: Finite = Field(
+        0.0, description="Turn of the tool about the flange axis when it was mounted."
+    )
+    tool_mass_kg: Positive
+    torque_scale: float = Field(
+        1.0, gt=0, le=1, description="Share of the published torque limits that may be used."
+    )
+    speed_scale: float = Field(
+        0.5, gt=0, le=1, description="Share of the published joint speeds that a move may use."
+    )
+
+
+class SourceArm(Arm):
+    """The arm with the X-ray source."""
+
+    base_position_mm: Vector = (850.0, 0.0, -400.0)
+    base_rotation_deg: Vector = (0.0, 0.0, 180.0)
+    tool_mass_kg: Positive = 8.0
+
+
+class DetectorArm(Arm):
+    """The arm with the panel."""
+
+    base_position_mm: Vector = (-850.0, 0.0, -400.0)
+    tool_mass_kg: Positive = 4.0
+
+
+class Table(Section):
+    """The table and the post that carries the specimen."""
+
+    present: bool = True
+    size_mm: Lengths = Field((500.0, 900.0, 50.0), description="Top plate along x, y, z.")
+    top_z_mm: Finite = Field(-450.0, description="Height of the upper face of the plate.")
+    holder_radius_mm: Positive = Field(30.0, description="Radius of the specimen holder's post.")
+
+
+class Cell(Section):
+    """The operating room: two arms, table, floor."""
+
+    source_arm: SourceArm = Field(default_factory=SourceArm)
+    detector_arm: DetectorArm = Field(default_factory=DetectorArm)
+    table: Table = Field(default_factory=Table)
+    floor_z_mm: Finite = Field(-1200.0, description="Height of the floor.")
+    timestep_ms: float = Field(2.0, gt=0, le=10, description="Step of the dynamic simulation.")
+
+
+class InverseKinematics(Section):
+    """When a joint configuration counts as solved."""
+
+    position_tolerance_mm: Positive = 0.1
+    rotation_tolerance_deg: Positive = 0.05
+    max_iterations: int = Field(200, ge=1)
+
+
+class Motion(Section):
+    """How the arms get from view to view, and when the image is taken."""
+
+    ik: InverseKinematics = Field(default_factory=InverseKinematics)
+    trigger: Literal["on_entry", "settled"] = Field(
+        "on_entry",
+        description="on_entry: first step with both end-effectors within the tolerance, still "
+        "moving; settled: at rest.",
+    )
+    tolerance_mm: Positive = Field(1.0, description="Distance at which a target counts as reached.")
+    clearance_mm: NonNegative = Field(
+        10.0, description="Smallest gap between bodies that a plan may have."
+    )
+    acceleration_deg_s2: Positive = Field(300.0, description="Largest joint acceleration.")
+    jerk_deg_s3: Positive = Field(5000.0, description="Largest joint jerk.")
+    settle_speed_mm_s: Positive = Field(
+        0.05, description="Speed of both end-effectors below which they count as at rest."
+    )
+    timeout_s: Positive = Field(10.0, description="Simulated time in which a move must arrive.")
+
+
+class PositionNoise(Section):
+    """Normal noise for each axis, redrawn beyond the cut-off."""
+
+    sigma_mm: NonNegative = 0.1
+    cutoff_mm: Positive = 0.15
+
+
+class Uncertainty(Section):
+    """What separates the believed poses from the executed ones."""
+
+    source: PositionNoise = Field(default_factory=PositionNoise)
+    detector: PositionNoise = Field(default_factory=PositionNoise)
+
+
+class Grid(Section):
+    """The voxels of the reconstruction."""
+
+    voxels: Annotated[int, Field(ge=2, le=4096)] | tuple[int, int, int] = Field(
+        512, description="Voxels along each axis; three numbers for (x, y, z)."
+    )
+    voxel_mm: Positive | Lengths = Field(0.31, description="Voxel edge; three for (x, y, z).")
+    centre_mm: Vector = (0.0, 0.0, 0.0)
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _some_voxels(self) -> Grid:
+        if isinstance(self.voxels, tuple) and min(self.voxels) < 2:
+            raise ValueError(f"voxels {self.voxels} must be at least 2 along each axis")
+        return self
+
+    @property
+    def volume_grid(self) -> VolumeGrid:
+        """The voxel lattice."""
+        nx, ny, nz = self.voxels if isinstance(self.voxels, tuple) else (self.voxels,) * 3
+        return VolumeGrid(
+            (nz, ny, nx), self.voxel_mm, Pose.from_euler(self.centre_mm, self.rotation_deg)
+        )
+
+
+GeometryName = Literal["commanded", "executed", "believed"]
+
+
+class Reconstruction(Section):
+    """From projections to a volume."""
+
+    algorithm: Literal["sart"] = "sart"
+    engine: Literal["twinct", "rtk"] = Field(
+        "twinct", description="rtk is the independent cross-check; it needs the extra rtk."
+    )
+    iterations: int = Field(10, ge=1, le=10_000)
+    relaxation: float = Field(0.3, gt=0, lt=2)
+    geometry: GeometryName | tuple[GeometryName, ...] = Field(
+        "believed",
+        description="Geometry to reconstruct from; several are judged side by side, and the first "
+        "one's volume is kept.",
+    )
+    grid: Grid = Field(default_factory=Grid)
+
+    @model_validator(mode="after")
+    def _distinct_geometries(self) -> Reconstruction:
+        if not self.geometries or len(set(self.geometries)) != len(self.geometries):
+            raise ValueError("geometry must name at least one geometry, each once")
+        return self
+
+    @property
+    def geometries(self) -> tuple[GeometryName, ...]:
+        """Always a tuple."""
+        return self.geometry if isinstance(self.geometry, tuple) else (self.geometry,)
+
+
+class Scenario(Section):
+    """Everything one simulation needs."""
+
+    name: str = Field("scan", min_length=1)
+    description: str = ""
+    seed: int = Field(0, ge=0, lt=2**63, description="Every random draw is keyed by it.")
+    source: Source = Field(default_factory=Source)
+    detector: Detector = Field(default_factory=Detector)
+    trajectory: Trajectory
+    specimen: Specimen
+    cell: Cell = Field(default_factory=Cell)
+    motion: Motion = Field(default_factory=Motion)
+    uncertainty: Uncertainty = Field(default_factory=Uncertainty)
+    reconstruction: Reconstruction = Field(default_factory=Reconstruction)
+
+    def resolved(self) -> str:
+        """The whole scenario, defaults included, as canonical JSON."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+
+    def digest(self) -> str:
+        """SHA-256 of what the scan depends on; a file counts by its content, not by its place.
+
+        Name, description and reconstruction are left out: they may change without a new scan.
+        """
+        data = self.model_dump(mode="json", exclude={"name", "description", "reconstruction"})
+        text = json.dumps(_with_contents(data), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def files(self) -> dict[str, Path]:
+        """Files and folders the scenario names, by key."""
+        files = {}
+        if isinstance(self.trajectory, FileTrajectory):
+            files["trajectory.path"] = self.trajectory.path
+        for i, part in enumerate(self.specimen.parts):
+            if isinstance(part.shape, MeshFile | CtVolume):
+                files[f"specimen.parts.{i}.shape.path"] = part.shape.path
+        return files
+
+
+def _with_contents(data: object) -> object:
+    if isinstance(data, dict):
+        return {
+            key: _content_digest(Path(value)) if key == "path" else _with_contents(value)
+            for key, value in data.items()
+        }
+    if isinstance(data, list):
+        return [_with_contents(value) for value in data]
+    return data
+
+
+def _content_digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    for file in files:
+        with file.open("rb") as stream:
+            digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()

@@ -1,0 +1,131 @@
+"""What passes between the simulations for one view, in the numbers they speak.
+
+MuJoCo and ROS 2 speak metres and quaternions. Both links carry these very numbers and turn them into
+poses with the same function, so that they give bit-identical geometries and so bit-identical images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+
+SevenNumbers = tuple[float, float, float, float, float, float, float]
+"""A pose as (x, y, z) in metres and a quaternion (x, y, z, w)."""
+
+
+def to_seven(pose: Pose) -> SevenNumbers:
+    """The wire form of a pose."""
+    position_m, quat = pose.to_metres()
+    return (*position_m.tolist(), *quat.tolist())
+
+
+def from_seven(numbers: Sequence[float]) -> Pose:
+    """The pose of a wire form."""
+    return Pose.from_metres(numbers[:3], numbers[3:])
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where the end-effectors shall go.
+
+    Attributes:
+        source_m: commanded ``world_from_source``.
+        detector_m: commanded ``world_from_detector``.
+    """
+
+    source_m: SevenNumbers
+    detector_m: SevenNumbers
+
+    @classmethod
+    def from_poses(cls, source: Pose, detector: Pose) -> Target:
+        """Build from two poses."""
+        return cls(to_seven(source), to_seven(detector))
+
+    @property
+    def source(self) -> Pose:
+        """``world_from_source``, mm."""
+        return from_seven(self.source_m)
+
+    @property
+    def detector(self) -> Pose:
+        """``world_from_detector``, mm."""
+        return from_seven(self.detector_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """What the robot simulation has at the step that triggers the image.
+
+    Attributes:
+        source_m: executed ``world_from_source``.
+        object_m: executed ``world_from_object``: the specimen.
+        detector_m: executed ``world_from_detector``.
+        joint_names: prefixed ``source_`` and ``detector_``, source first.
+        position: joint positions, (joints,), rad.
+        velocity: joint speeds, (joints,), rad/s.
+        effort: joint torques, (joints,), N m.
+        state: the full simulator state (``mjSTATE_INTEGRATION``), (n,).
+        time_s: simulated time.
+        clearance_mm: smallest gap between non-adjacent bodies at any step of the move.
+    """
+
+    source_m: SevenNumbers
+    object_m: SevenNumbers
+    detector_m: SevenNumbers
+    joint_names: tuple[str, ...]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    effort: NDArray[np.float64]
+    state: NDArray[np.float64]
+    time_s: float
+    clearance_mm: float
+
+    @property
+    def source(self) -> Pose:
+        """``world_from_source``, mm."""
+        return from_seven(self.source_m)
+
+    @property
+    def object(self) -> Pose:
+        """``world_from_object``, mm."""
+        return from_seven(self.object_m)
+
+    @property
+    def detector(self) -> Pose:
+        """``world_from_detector``, mm."""
+        return from_seven(self.detector_m)
+
+
+@dataclass(frozen=True, eq=False)
+class PosePairs:
+    """Source and detector poses of all views: one of commanded, executed, believed.
+
+    Attributes:
+        source: ``world_from_source`` of each view.
+        detector: ``world_from_detector`` of each view.
+    """
+
+    source: tuple[Pose, ...]
+    detector: tuple[Pose, ...]
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return len(self.source)
+
+    def __getitem__(self, view: int) -> tuple[Pose, Pose]:
+        """(``world_from_source``, ``world_from_detector``) of one view."""
+        return self.source[view], self.detector[view]
+
+    def geometry(self, panel: Panel) -> ScanGeometry:
+        """The scan geometry these poses make."""
+        return ScanGeometry.from_poses(self.source, self.detector, panel)
+
+    @classmethod
+    def from_geometry(cls, geometry: ScanGeometry) -> PosePairs:
+        """The poses of a geometry."""
+        return cls(tuple(geometry.source_poses()), tuple(geometry.detector_poses()))
