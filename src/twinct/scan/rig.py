@@ -1,0 +1,82 @@
+"""The rig: what moves to a view and takes its image, whatever links the two simulations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Panel, ScanGeometry
+from twinct.views import Reached, Target
+
+if TYPE_CHECKING:
+    from twinct.motion import RobotSimulation
+    from twinct.xray import Imager
+
+
+class Rig(Protocol):
+    """Takes one view after the other.
+
+    ``move`` and ``expose`` alternate, views in rising order. A rig gives the same images as every
+    other rig of the same scenario, to the last bit.
+    """
+
+    def move(self, view: int, target: Target) -> Reached:
+        """Bring both end-effectors to a target.
+
+        Raises:
+            TargetRefusedError: the target is out of reach, would collide, or was not reached.
+            LinkError: a simulation is gone.
+        """
+        ...
+
+    def expose(self, view: int) -> NDArray[np.float32]:
+        """Transmission I/I0 of the view just reached, (rows, columns).
+
+        Raises:
+            LinkError: a simulation is gone.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give everything back; a second call does nothing."""
+        ...
+
+
+class LocalRig:
+    """Both simulations in this process."""
+
+    def __init__(self, robots: RobotSimulation, imager: Imager, panel: Panel) -> None:
+        """Take over both simulations; ``close`` ends them."""
+        self._robots = robots
+        self._imager = imager
+        self._panel = panel
+        self._reached: tuple[int, Reached] | None = None
+
+    def move(self, view: int, target: Target) -> Reached:
+        """See ``Rig.move``."""
+        reached = self._robots.move(target)
+        self._reached = view, reached
+        return reached
+
+    def expose(self, view: int) -> NDArray[np.float32]:
+        """See ``Rig.expose``."""
+        if self._reached is None or self._reached[0] != view:
+            raise ValueError(f"view {view} was not reached: move before you expose")
+        reached = self._reached[1]
+        geometry = ScanGeometry.from_poses([reached.source], [reached.detector], self._panel)
+        return self._imager.render(geometry, reached.object)
+
+    def close(self) -> None:
+        """See ``Rig.close``."""
+        self._robots.close()
+        self._imager.close()
+
+    def __enter__(self) -> Self:
+        """Use as a context."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close, whatever happened."""
+        self.close()

@@ -1,0 +1,52 @@
+"""What separates the believed poses from the executed ones.
+
+The paper's model: the positions that a system reports carry normal noise for each axis, redrawn beyond
+a cut-off; orientations stay exact. A draw depends on (seed, purpose, view) alone, so that a resumed
+scan believes what an undisturbed one believes.
+"""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+
+from twinct.geometry import Floats, Pose
+from twinct.scenario import PositionNoise, Uncertainty
+
+
+def view_rng(seed: int, purpose: str, view: int) -> np.random.Generator:
+    """The generator of one purpose in one view, whatever was drawn before."""
+    return np.random.default_rng([seed, zlib.crc32(purpose.encode()), view])
+
+
+def truncated_normal(rng: np.random.Generator, noise: PositionNoise) -> Floats:
+    """Three draws from N(0, sigma^2), each redrawn until it lies within the cut-off, mm."""
+    draws = rng.normal(0.0, noise.sigma_mm, 3)
+    while (beyond := np.abs(draws) > noise.cutoff_mm).any():
+        draws[beyond] = rng.normal(0.0, noise.sigma_mm, int(beyond.sum()))
+    return draws
+
+
+def believed_poses(
+    source: Pose, detector: Pose, uncertainty: Uncertainty, seed: int, view: int
+) -> tuple[Pose, Pose]:
+    """What the system reports of an executed view.
+
+    Args:
+        source: executed ``world_from_source``.
+        detector: executed ``world_from_detector``.
+        uncertainty: noise of both arms.
+        seed: the scenario's seed.
+        view: index of the view.
+
+    Returns:
+        Believed ``world_from_source`` and ``world_from_detector``.
+    """
+    pairs = (("source", source, uncertainty.source), ("detector", detector, uncertainty.detector))
+    believed = [
+        Pose(pose.position + truncated_normal(view_rng(seed, f"believed {name}", view), noise),
+             pose.quat)
+        for name, pose, noise in pairs
+    ]
+    return believed[0], believed[1]
