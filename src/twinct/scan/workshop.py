@@ -1,0 +1,99 @@
+"""Builds the two simulations of a scenario; every link and every command builds them here.
+
+The engines are imported only where they are used, so that a process loads no more than it needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from twinct.geometry import ScanGeometry
+from twinct.scenario import Scenario
+from twinct.specimen import BuiltSpecimen, build_specimen
+from twinct.trajectory import commanded_views
+from twinct.views import PosePairs, Target
+
+if TYPE_CHECKING:
+    from twinct.cell import CellModel
+    from twinct.motion import MotionPlan, RobotSimulation
+    from twinct.xray import Imager
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """What a scenario describes, each part built once, when it is first asked for."""
+
+    scenario: Scenario
+
+    @cached_property
+    def specimen(self) -> BuiltSpecimen:
+        """Meshes, materials and truth of what is imaged."""
+        return build_specimen(self.scenario.specimen)
+
+    @cached_property
+    def commanded(self) -> ScanGeometry:
+        """The geometry the trajectory commands."""
+        return commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
+
+    @cached_property
+    def commanded_poses(self) -> PosePairs:
+        """The same, as poses of the two end-effectors."""
+        return PosePairs.from_geometry(self.commanded)
+
+    @cached_property
+    def targets(self) -> list[Target]:
+        """The same, in the numbers that the links carry."""
+        poses = self.commanded_poses
+        return [Target.from_poses(*poses[view]) for view in range(len(poses))]
+
+    @cached_property
+    def cell(self) -> CellModel:
+        """The operating room."""
+        from twinct.cell import build_cell
+
+        return build_cell(
+            self.scenario.cell,
+            self.specimen.hull(),
+            self.specimen.world_from_specimen,
+            self.scenario.detector.panel,
+        )
+
+    @cached_property
+    def plan(self) -> MotionPlan:
+        """Joint configurations of all views.
+
+        Raises:
+            TrajectoryError: views that cannot be reached, or would collide.
+        """
+        from twinct.motion import plan_motion
+
+        return plan_motion(self.cell, self.scenario.motion, self.targets)
+
+    def robots(self) -> RobotSimulation:
+        """A robot simulation at rest in the plan's home."""
+        from twinct.motion import RobotSimulation
+
+        return RobotSimulation(self.cell, self.scenario.motion, self.plan.home)
+
+    def imager(self) -> Imager:
+        """An X-ray simulation of the specimen."""
+        from twinct.xray import Imager
+
+        return Imager(self.scenario.source, self.scenario.detector, self.specimen)
+
+
+def commanded_targets(scenario: Scenario) -> list[Target]:
+    """The targets of a scenario, without building anything."""
+    return Workshop(scenario).targets
+
+
+def build_robots(scenario: Scenario) -> RobotSimulation:
+    """A robot simulation at rest in its planned home."""
+    return Workshop(scenario).robots()
+
+
+def build_imager(scenario: Scenario) -> Imager:
+    """An X-ray simulation of the scenario's specimen."""
+    return Workshop(scenario).imager()
