@@ -1,0 +1,23 @@
+"""Acquisition: the rig contract, the rig in one process, the scan and its store."""
+
+from twinct.scan.acquire import Stopwatch, acquire
+from twinct.scan.data import Scan, View
+from twinct.scan.rig import LocalRig, Rig
+from twinct.scan.store import ScanStore, check_space, storage_errors
+from twinct.scan.workshop import Workshop, build_imager, build_robots, commanded_targets
+
+__all__ = [
+    "LocalRig",
+    "Rig",
+    "Scan",
+    "ScanStore",
+    "Stopwatch",
+    "View",
+    "Workshop",
+    "acquire",
+    "build_imager",
+    "build_robots",
+    "check_space",
+    "commanded_targets",
+    "storage_errors",
+]
