@@ -1,0 +1,61 @@
+# Everything a newcomer needs; `make` alone lists it.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+PYTHON ?= python3
+# Test processes. Each file stays in one process, and gVXR allows one context a process.
+JOBS ?= 2
+PYTEST_ARGS ?=
+LOCK_ARGS ?=
+VENV := .venv/bin
+
+# Render without a display.
+export MUJOCO_GL ?= egl
+export PYTHON
+
+.PHONY: help setup demo paper test check lint format bench docs lock clean
+
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+
+setup: ## Install system libraries and the locked packages into .venv
+	@tools/setup
+
+demo: setup ## Run the small example (scenarios/demo.yaml)
+	@$(VENV)/twinct run scenarios/demo.yaml --out out/demo $$([ ! -e out/demo ] || echo --resume)
+	@echo "Report: $(CURDIR)/out/demo/report.html"
+
+paper: setup ## Fetch a real skull and run the paper's experiment (long)
+	@tools/fetch-cranium
+	@$(VENV)/twinct run scenarios/paper_cranium.yaml --out out/paper $$([ ! -e out/paper ] || echo --resume)
+	@echo "Report: $(CURDIR)/out/paper/report.html"
+
+test: setup ## Run the tests; PYTEST_ARGS="-k sart" chooses, JOBS=0 uses one process
+	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
+
+check: lint ## Same as lint
+
+lint: setup ## Check style, formatting, types and layers
+	@$(VENV)/ruff check
+	@$(VENV)/ruff format --check
+	@$(VENV)/pyright
+	@$(VENV)/lint-imports --no-cache
+
+format: setup ## Format the code and fix what can be fixed
+	@$(VENV)/ruff check --fix --exit-zero
+	@$(VENV)/ruff format
+
+bench: setup ## Time the parts of the simulation (benchmarks/)
+	@shopt -s nullglob; scripts=(benchmarks/*.py); \
+	[ $${#scripts[@]} -gt 0 ] || { echo "No benchmarks yet: put scripts into benchmarks/"; exit 0; }; \
+	for script in "$${scripts[@]}"; do echo "== $$script"; $(VENV)/python "$$script" || exit 1; done
+
+docs: setup ## Regenerate the pictures of the documentation, check its links
+	@[ ! -e tools/gallery.py ] || $(VENV)/python tools/gallery.py
+	@$(VENV)/python tools/check_links.py
+
+lock: ## Refresh constraints.txt; LOCK_ARGS=--upgrade takes the newest versions
+	@tools/lock $(LOCK_ARGS)
+
+clean: ## Remove results, caches and builds (keeps .venv and data/)
+	rm -rf out build dist .pytest_cache .ruff_cache .import_linter_cache
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

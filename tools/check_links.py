@@ -1,0 +1,45 @@
+"""Checks that the relative links and pictures in the Markdown pages lead somewhere."""
+
+import re
+import sys
+from pathlib import Path
+
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)[^)]*\)|<img[^>]+src=\"([^\"]+)\"")
+FENCE = re.compile(r"^(```|~~~).*?^\1", re.MULTILINE | re.DOTALL)
+
+
+def anchors(page: Path) -> set[str]:
+    """Returns the anchors that a page's headings make."""
+    headings = re.findall(r"^#+\s+(.+?)\s*$", FENCE.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken_links(page: Path) -> list[str]:
+    """Returns the links of one page that lead nowhere."""
+    broken = []
+    for groups in LINK.findall(FENCE.sub("", page.read_text())):
+        link = groups[0] or groups[1]
+        if re.match(r"[a-z]+:", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = page.parent / name if name else page
+        if not target.exists() or (
+            anchor and target.suffix == ".md" and anchor not in anchors(target)
+        ):
+            broken.append(link)
+    return broken
+
+
+def main() -> int:
+    """Checks the pages of the repository and returns the exit status."""
+    root = Path(__file__).resolve().parent.parent
+    pages = sorted([*root.glob("*.md"), *root.glob("docs/**/*.md"), *root.glob("examples/**/*.md")])
+    failures = [(page, link) for page in pages for link in broken_links(page)]
+    for page, link in failures:
+        print(f"{page.relative_to(root)}: broken link {link}")
+    print(f"{len(pages)} pages, {len(failures)} broken links")
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
