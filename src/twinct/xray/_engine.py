@@ -1,0 +1,189 @@
+"""The one gVXR scene of this process, and the thread it lives in.
+
+gVXR is a process-wide scene behind module functions. Three of its habits are dealt with here, so that
+nobody else needs to know them:
+
+- It draws in whatever OpenGL context is current in the calling thread. A call from another thread
+  fails, and the views after it are wrong without an error; MuJoCo leaves its own context current after
+  it renders. So every call runs in one thread of its own, which holds the gVXR context for good.
+- A context that was destroyed and made again gives wrong images. So the context is made once and
+  kept until the process ends; only the meshes come and go.
+- It writes to the C-level stdout and stderr. Its log goes to a memory file, and so does what it
+  writes past the log while it is being imported and set up.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from types import ModuleType
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import InputError, MissingExtraError, TwinctError
+from twinct.geometry import Floats, Panel
+
+Result = TypeVar("Result")
+Body = tuple[Floats, NDArray[np.integer], float]
+"""Vertices (n, 3) in mm, triangles (m, 3) wound outwards, attenuation in 1/mm."""
+
+DEBIAN_PACKAGES = (
+    "libegl1 libgl1 libgl1-mesa-dri libx11-6 libxcb-composite0 libxcb-ewmh2 libxcb-icccm4 "
+    "libxcb-keysyms1 libxcb-res0 libxcb-xinerama0"
+)
+
+
+class Engine:
+    """gVXR in a thread of its own, used by one owner at a time."""
+
+    def __init__(self) -> None:
+        """Start nothing yet: gVXR is imported when the first owner comes."""
+        self._thread: ThreadPoolExecutor | None = None
+        self._gvxr: ModuleType | None = None
+        self._log = -1
+        self._owned = threading.Lock()
+
+    def acquire(self, bodies: Sequence[Body], energy_kev: float, panel: Panel) -> None:
+        """Fill the scene. The caller owns it until ``release``.
+
+        Raises:
+            TwinctError: somebody else owns the scene, or gVXR failed.
+            InputError: gVXR or a system library it needs is not installed.
+        """
+        if not self._owned.acquire(blocking=False):
+            raise TwinctError(
+                "another X-ray imager is still open in this process, and gVXR has one scene for "
+                "each process: close() that imager first, or use a process for each"
+            )
+        try:
+            self._call(self._fill, bodies, energy_kev, panel)
+        except BaseException:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Remove all meshes, so that the next owner finds an empty scene."""
+        try:
+            if self._gvxr is not None:
+                self._call(self._gvxr.removePolygonMeshesFromSceneGraph)
+        finally:
+            self._owned.release()
+
+    def expose(
+        self, source: Floats, detector: Floats, u: Floats, v: Floats, image: NDArray[np.float32]
+    ) -> None:
+        """Take one view in the frame of the meshes.
+
+        Args:
+            source: focal spot, (3,), mm.
+            detector: panel centre, (3,), mm.
+            u: unit vector along +column, (3,).
+            v: unit vector along +row, (3,).
+            image: receives photons for each one that left the source, (rows, columns). gVXR writes
+                as many pixels as its panel has, whatever the size of this array.
+        """
+        self._call(self._shoot, source, detector, u, v, image)
+
+    def _call(self, function: Callable[..., Result], *args: object) -> Result:
+        if self._thread is None:
+            self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="gvxr")
+        try:
+            return self._thread.submit(function, *args).result()
+        except (RuntimeError, ValueError, TypeError, OverflowError) as error:
+            # What SWIG makes of C++ exceptions.
+            raise TwinctError(f"gVXR failed: {str(error).strip()}{self._complaints()}") from error
+
+    def _fill(self, bodies: Sequence[Body], energy_kev: float, panel: Panel) -> None:
+        if self._gvxr is None:
+            self._start()
+        gvxr = self._gvxr
+        assert gvxr is not None
+        with self._quiet():
+            gvxr.removePolygonMeshesFromSceneGraph()
+            gvxr.usePointSource()
+            # One photon for each pixel: the photon count of a pixel is the transmission.
+            gvxr.setMonoChromaticPerPixelAtSDD(energy_kev, "keV", 1)
+            gvxr.setDetectorNumberOfPixels(panel.columns, panel.rows)
+            gvxr.setDetectorPixelSize(panel.pitch_u, panel.pitch_v, "mm")
+            for index, (vertices, faces, mu_per_mm) in enumerate(bodies):
+                label = f"part-{index}"
+                gvxr.makeTriangularMesh(
+                    label, vertices.ravel().tolist(), faces.ravel().tolist(), "mm"
+                )
+                gvxr.setLinearAttenuationCoefficient(label, 10.0 * mu_per_mm, "cm-1")
+                gvxr.addPolygonMeshAsInnerSurface(label)
+
+    def _shoot(
+        self, source: Floats, detector: Floats, u: Floats, v: Floats, image: NDArray[np.float32]
+    ) -> None:
+        gvxr = self._gvxr
+        assert gvxr is not None
+        gvxr.setSourcePosition(*source.tolist(), "mm")
+        gvxr.setDetectorPosition(*detector.tolist(), "mm")
+        gvxr.setDetectorRightVector(*u.tolist())
+        gvxr.setDetectorUpVector(*v.tolist())
+        gvxr.computeXRayImage(image, False)  # False: photons, not energy
+
+    def _start(self) -> None:
+        if self._log < 0:
+            self._log = os.memfd_create("gvxr-log")
+        with self._quiet():
+            gvxr = _import_gvxr()
+            gvxr.useLogFile(f"/proc/self/fd/{self._log}")
+            gvxr.createOpenGLContext()
+            renderer = gvxr.getOpenGlRenderer()
+        if not renderer:
+            raise InputError(
+                "gVXR found no OpenGL to draw with: install the system libraries with 'make setup' "
+                f"(on Debian: apt-get install {DEBIAN_PACKAGES}){self._complaints()}"
+            )
+        self._gvxr = gvxr
+
+    @contextmanager
+    def _quiet(self) -> Iterator[None]:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        kept = [os.dup(1), os.dup(2)]
+        try:
+            os.dup2(self._log, 1)
+            os.dup2(self._log, 2)
+            yield
+        finally:
+            ctypes.CDLL(None).fflush(None)  # what C and C++ still hold back
+            for descriptor, stream in zip(kept, (1, 2), strict=True):
+                os.dup2(descriptor, stream)
+                os.close(descriptor)
+
+    def _complaints(self) -> str:
+        if self._log < 0:
+            return ""
+        size = os.fstat(self._log).st_size
+        text = os.pread(self._log, 4000, max(0, size - 4000)).decode(errors="replace")
+        lines = [line.split(") ", 1)[1] for line in text.splitlines() if "(EE) " in line]
+        return "".join(f"\n{line}" for line in lines[-3:])
+
+
+def _import_gvxr() -> ModuleType:
+    try:
+        from gvxrPython3 import gvxr
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "gvxrPython3":
+            raise
+        raise MissingExtraError("gvxr", "xray") from error
+    except ImportError as error:
+        raise InputError(
+            f"gVXR cannot be loaded: {error}. Install the system libraries with 'make setup' "
+            f"(on Debian: apt-get install {DEBIAN_PACKAGES})"
+        ) from error
+    return gvxr
+
+
+ENGINE = Engine()
+"""The scene of this process."""
