@@ -1,0 +1,64 @@
+"""The command line: ``twinct check | run | render | node | schema | specimen | report``."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from types import FrameType
+
+from twinct.errors import InputError, TwinctError
+
+EXIT_DONE, EXIT_OTHER, EXIT_BAD_INPUT = 0, 1, 2
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run one command and end the process: 0 done, 2 bad input, 1 anything else."""
+    sys.exit(run_command(argv))
+
+
+def run_command(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; errors go to stderr, without a traceback."""
+    from twinct.cli.commands import app
+
+    signal.signal(signal.SIGTERM, _as_interrupt)
+    try:
+        app.cli(
+            prog="twinct",
+            description="Simulates a twin robotic CT system: two arms, X-ray projections, ROS 2, "
+            "reconstruction and its judgement, from one scenario file.",
+            args=None if argv is None else list(argv),
+        )
+    except SystemExit as stop:  # tyro: 0 after --help, 2 after arguments it cannot take
+        return stop.code if isinstance(stop.code, int) else EXIT_OTHER
+    except TwinctError as error:
+        problems = error.problems if isinstance(error, InputError) else (str(error),)
+        for problem in problems:
+            _say(f"twinct: {problem}")
+        return error.exit_code
+    except KeyboardInterrupt:
+        _say("twinct: interrupted; every acquired view is kept, --resume goes on")
+        return EXIT_OTHER
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_OTHER
+    except Exception as error:
+        if os.environ.get("TWINCT_DEBUG"):
+            traceback.print_exc()
+        _say(
+            f"twinct: unexpected {type(error).__name__}: {error}\n"
+            "twinct: this is a bug of twinct; TWINCT_DEBUG=1 shows where"
+        )
+        return EXIT_OTHER
+    return EXIT_DONE
+
+
+def _say(message: str) -> None:
+    sys.stderr.write(message + "\n")
+    sys.stderr.flush()
+
+
+def _as_interrupt(signum: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

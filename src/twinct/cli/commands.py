@@ -1,0 +1,190 @@
+"""What each command takes, and which functions it calls; the work is done elsewhere."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from twinct.scenario import load_scenario, scenario_schema
+
+app = tyro.extras.SubcommandApp()
+
+ScenarioFile = Annotated[
+    tyro.conf.Positional[Path],
+    tyro.conf.arg(metavar="SCENARIO", help="Scenario file (YAML), such as scenarios/demo.yaml."),
+]
+Overrides = Annotated[
+    tyro.conf.UseAppendAction[tuple[str, ...]],
+    tyro.conf.arg(
+        name="set",
+        metavar="KEY=VALUE",
+        help="Override a key of the scenario, such as --set detector.columns=320.",
+    ),
+]
+Flag = tyro.conf.FlagCreatePairsOff[bool]
+
+
+@app.command
+def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
+    """Validate a scenario, build its specimen and plan its motion, without running it.
+
+    Names every view that an arm cannot reach or that would collide.
+    """
+    from twinct.cli.run import summary
+    from twinct.pipeline import require_extras
+    from twinct.scan import Workshop
+
+    loaded = load_scenario(scenario, set_)
+    require_extras(loaded, ros=False)
+    Console().print(summary(Workshop(loaded)))
+
+
+@app.command
+def run(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    link: Literal["ros2", "local"] = "ros2",
+    resume: Flag = False,
+    set_: Overrides = (),
+) -> None:
+    """Run a scenario: plan, move, expose, reconstruct, judge, report.
+
+    Writes scan.zarr, volume.nii, metrics.json, report.html and twinct.log into DIR.
+
+    Args:
+        out: Folder for the results; a scan that is there is never touched without --resume.
+        link: ros2 starts both simulations as processes; local runs them in this one.
+        resume: Go on with a scan that was interrupted.
+    """
+    from twinct.cli.run import run_job
+
+    run_job(load_scenario(scenario, set_), out, link, resume=resume)
+
+
+@app.command
+def render(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("room.png"),
+    view: int = 0,
+    width: int = 1600,
+    height: int = 1000,
+    set_: Overrides = (),
+) -> None:
+    """Picture of the operating room, with the arms at one view.
+
+    Args:
+        out: File to write.
+        view: Which view the arms shall be at.
+        width: Width of the picture in pixels.
+        height: Height of the picture in pixels.
+    """
+    from twinct.cell import render_cell
+    from twinct.errors import InputError
+    from twinct.scan import Workshop
+    from twinct.scan.store import storage_errors
+
+    workshop = Workshop(load_scenario(scenario, set_))
+    if not 0 <= view < len(workshop.targets):
+        raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
+    with storage_errors(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        render_cell(workshop.cell, out, workshop.plan.joints[view], width=width, height=height)
+    Console().print(f"wrote {out}", highlight=False)
+
+
+@app.command
+def node(
+    which: Annotated[
+        tyro.conf.Positional[Literal["robots", "xray"]], tyro.conf.arg(metavar="{robots,xray}")
+    ],
+    scenario: ScenarioFile,
+    *,
+    epoch: str | None = None,
+    restore: Path | None = None,
+    set_: Overrides = (),
+) -> None:
+    """Start one simulation as a ROS 2 node of its own, until it is interrupted.
+
+    The robots node takes targets on /scan/target and answers on /scan/reached; the xray node takes
+    /scan/reached and answers on /xray/image.
+
+    Args:
+        which: The robot simulation or the X-ray simulation.
+        epoch: Stamp of the scan this node belongs to; other targets are then refused.
+        restore: Simulator state to start from (a .npy file).
+    """
+    from twinct.ros import spin_robots, spin_xray
+
+    loaded = load_scenario(scenario, set_)
+    if which == "robots":
+        code = spin_robots(loaded, epoch=epoch, restore=restore)
+    else:
+        code = spin_xray(loaded)
+    if code:
+        sys.exit(code)
+
+
+@app.command
+def schema() -> None:
+    """Print the JSON Schema of the scenario file, for editors."""
+    sys.stdout.write(json.dumps(scenario_schema(), indent=2) + "\n")
+
+
+@app.command
+def specimen(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    set_: Overrides = (),
+) -> None:
+    """Build the specimen only: a mesh for each part, the voxel truth and a picture.
+
+    Args:
+        out: Folder for PART.stl, truth.nii and specimen.png.
+    """
+    from twinct.scan import Workshop
+    from twinct.scan.store import storage_errors
+    from twinct.specimen.preview import preview_specimen
+    from twinct.volume import write_volume
+
+    loaded = load_scenario(scenario, set_)
+    built = Workshop(loaded).specimen
+    grid, energy = loaded.reconstruction.grid.volume_grid, loaded.source.energy_kev
+    table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+        for index, part in enumerate(built.parts):
+            part.mesh.export(out / f"{index}-{part.name}.stl")
+            table.add_row(
+                part.name,
+                part.material.name,
+                f"{part.material.mu_per_mm(energy):.5f}",
+                str(len(part.mesh.faces)),
+                f"{part.mesh.volume / 1000:.1f}",
+            )
+        preview_specimen(built, out / "specimen.png", title=loaded.name)
+        write_volume(out / "truth.nii", built.truth(grid, energy), grid, "twinct truth, 1/mm")
+    Console().print(table)
+
+
+@app.command
+def report(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+) -> None:
+    """Judge a finished run again and rewrite its metrics.json and report.html.
+
+    Args:
+        folder: What ``twinct run --out`` wrote.
+    """
+    from twinct.cli.run import report_again
+
+    report_again(folder)
+

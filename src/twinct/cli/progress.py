@@ -1,0 +1,60 @@
+"""Progress bars on stderr; plain lines where there is no terminal."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+_LINE_EVERY_S = 30.0
+
+
+class TerminalProgress:
+    """One bar for each stage; in a log file, a line every half a minute."""
+
+    def __init__(self) -> None:
+        """Look whether stderr is a terminal."""
+        self._console = Console(stderr=True)
+
+    @contextmanager
+    def stage(self, name: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
+        """See ``twinct.pipeline.Progress.stage``."""
+        if self._console.is_terminal:
+            with self._bar() as bar:
+                task = bar.add_task(name, total=total, completed=done)
+                yield lambda: bar.advance(task)
+            return
+        count, start = done, time.monotonic()
+        shown = start
+
+        def step() -> None:
+            nonlocal count, shown
+            count += 1
+            now = time.monotonic()
+            if now - shown > _LINE_EVERY_S and count < total:
+                shown = now
+                self._console.print(f"{name}: {count} of {total}", highlight=False)
+
+        yield step
+        seconds = time.monotonic() - start
+        self._console.print(f"{name}: {count} of {total}, {seconds:.1f} s", highlight=False)
+
+    def _bar(self) -> Progress:
+        return Progress(
+            TextColumn("{task.description:<28}"),
+            BarColumn(bar_width=None),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self._console,
+        )

@@ -1,0 +1,324 @@
+"""From scenario to scan to volume to figures, in memory or on disk.
+
+``simulate`` and ``reconstruct`` serve a notebook. The command line takes the same steps and keeps each
+on disk: ``acquire_to_store`` and ``reconstruct`` with a folder for checkpoints.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import logging
+from collections.abc import Callable
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import MissingExtraError
+from twinct.evaluate import ImageFigures, image_figures, region_of_interest
+from twinct.geometry import Pose, ScanGeometry, VolumeGrid
+from twinct.scan import LocalRig, Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire
+from twinct.scan.store import storage_errors
+from twinct.scenario import Scenario
+from twinct.views import Reached
+
+log = logging.getLogger(__name__)
+
+DARKEST = 1e-7
+"""Transmission taken for anything darker, so that a line integral stays finite (16.1)."""
+
+
+class Progress(Protocol):
+    """Where long work says how far it is."""
+
+    def stage(self, name: str, total: int, done: int = 0) -> AbstractContextManager[Callable[[], None]]:
+        """A stage of ``total`` steps; the context's value is called after each step."""
+        ...
+
+
+class _Silent:
+    def stage(
+        self, name: str, total: int, done: int = 0
+    ) -> AbstractContextManager[Callable[[], None]]:
+        from contextlib import nullcontext
+
+        return nullcontext(lambda: None)
+
+
+SILENT: Progress = _Silent()
+
+
+def simulate(
+    scenario: Scenario, *, workshop: Workshop | None = None, progress: Progress = SILENT
+) -> Scan:
+    """Plan, move and expose every view in this process, without files and without ROS.
+
+    Args:
+        scenario: what to scan and how.
+        workshop: parts already built of this scenario.
+        progress: told of each view.
+
+    Raises:
+        TrajectoryError: views that cannot be reached, or would collide; before anything moves.
+        MotionError: the arms did not arrive.
+    """
+    workshop = workshop or Workshop(scenario)
+    views: list[View] = []
+    names: tuple[str, ...] = ()
+    with local_rig(workshop) as rig, progress.stage("views", len(workshop.targets)) as step:
+
+        def keep(_: int, view: View, reached: Reached) -> None:
+            nonlocal names
+            names = reached.joint_names
+            views.append(view)
+            step()
+
+        acquire(rig, scenario, workshop.targets, keep)
+    return Scan.from_views(scenario, workshop.commanded_poses, names, views)
+
+
+def local_rig(workshop: Workshop, start_state: NDArray[np.float64] | None = None) -> LocalRig:
+    """Both simulations in this process, at home or in a state they had before."""
+    robots = workshop.robots()
+    if start_state is not None:
+        robots.restore(start_state)
+    return LocalRig(robots, workshop.imager(), workshop.scenario.detector.panel)
+
+
+def acquire_to_store(
+    workshop: Workshop,
+    path: Path,
+    make_rig: Callable[[int, NDArray[np.float64] | None], Rig],
+    *,
+    resume: bool,
+    progress: Progress = SILENT,
+) -> tuple[ScanStore, Stopwatch]:
+    """Take the views that the store does not have yet; each is on disk before the next is requested.
+
+    Args:
+        workshop: the scenario's parts.
+        path: the store.
+        make_rig: gives a rig for the first view to take and the simulator state before it.
+        resume: go on with a store that is there.
+        progress: told of each view.
+
+    Raises:
+        ScanExistsError: there is a scan and ``resume`` is false, or it is another scenario's.
+    """
+    scenario, targets = workshop.scenario, workshop.targets
+    store = ScanStore.resume(path, scenario) if resume and path.exists() else None
+    first = store.acquired if store else 0
+    if store and first == len(targets):
+        return store, Stopwatch()
+    state = store.state(first - 1) if store and first else None
+    with (
+        progress.stage("views", len(targets), first) as step,
+        closing(make_rig(first, state)) as rig,
+    ):
+
+        def keep(index: int, view: View, reached: Reached) -> None:
+            nonlocal store
+            if store is None:
+                store = ScanStore.create(
+                    path, scenario, workshop.commanded_poses, reached.joint_names, len(view.state)
+                )
+            store.write(index, view)
+            log.info(
+                "view %d: t %.3f s, clearance %.1f mm",
+                index,
+                view.simulated_s,
+                view.clearance_mm,
+            )
+            step()
+
+        watch = acquire(rig, scenario, targets, keep, first=first)
+    assert store is not None
+    return store, watch
+
+
+def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
+    """-ln(I/I0) of each pixel, float32, same shape."""
+    darkest = np.float32(DARKEST)
+    integrals = np.maximum(transmission, darkest)
+    np.log(integrals, out=integrals)
+    return np.negative(integrals, out=integrals)
+
+
+def reconstruct(
+    scan: Scan,
+    *,
+    geometry: str | None = None,
+    checkpoints: Path | None = None,
+    progress: Progress = SILENT,
+) -> NDArray[np.float32]:
+    """Reconstruct a scan as its scenario says.
+
+    Args:
+        scan: projections and poses.
+        geometry: ``commanded``, ``executed`` or ``believed``; the scenario's first where None.
+        checkpoints: folder in which each iteration is kept, and from which a later call goes on.
+        progress: told of each view update.
+
+    Returns:
+        Attenuation, (z, y, x), 1/mm.
+
+    Raises:
+        MissingExtraError: the engine is not installed.
+    """
+    section = scan.scenario.reconstruction
+    which = geometry or section.geometries[0]
+    poses = scan.poses(which).geometry(scan.scenario.detector.panel)
+    grid = section.grid.volume_grid
+    integrals = line_integrals(scan.transmission)
+    if section.engine == "rtk":
+        return _rtk(integrals, poses, grid, section.iterations, section.relaxation, which, progress)
+
+    from twinct.recon import Projector, sart
+
+    projector = Projector(poses, grid)
+    kept = _Checkpoints(checkpoints, f"{which}-{reconstruction_digest(scan.scenario)[:16]}")
+    done, volume = kept.newest(grid)
+    with progress.stage(
+        f"SART, {which} geometry", section.iterations * len(scan), done * len(scan)
+    ) as step:
+        for iteration in range(done, section.iterations):
+            volume = sart(
+                projector,
+                integrals,
+                iterations=1,
+                relaxation=section.relaxation,
+                x0=volume,
+                callback=lambda *_: step(),
+            )
+            kept.keep(iteration + 1, volume)
+            log.info("SART from %s geometry: iteration %d", which, iteration + 1)
+    assert volume is not None
+    return volume
+
+
+def _rtk(
+    integrals: NDArray[np.float32],
+    geometry: ScanGeometry,
+    grid: VolumeGrid,
+    iterations: int,
+    relaxation: float,
+    which: str,
+    progress: Progress,
+) -> NDArray[np.float32]:
+    from twinct.recon import rtk_sart
+
+    with progress.stage(f"RTK SART, {which} geometry", 1) as step:
+        volume = rtk_sart(integrals, geometry, grid, iterations=iterations, relaxation=relaxation)
+        step()
+    return volume
+
+
+def reconstruction_digest(scenario: Scenario) -> str:
+    """SHA-256 of what the volumes depend on: the scan, and how it is reconstructed."""
+    text = scenario.digest() + scenario.reconstruction.model_dump_json()
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class _Checkpoints:
+    """The newest iteration of a reconstruction, on disk."""
+
+    folder: Path | None
+    name: str
+
+    def newest(self, grid: VolumeGrid) -> tuple[int, NDArray[np.float32] | None]:
+        """Iterations done, and their volume."""
+        for file in self._files():
+            volume = np.load(file)
+            if volume.shape == grid.shape:
+                return int(file.stem.rpartition("-")[2]), volume
+        return 0, None
+
+    def keep(self, iterations: int, volume: NDArray[np.float32]) -> None:
+        """Write a checkpoint, then remove the ones before it."""
+        if self.folder is None:
+            return
+        with storage_errors(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            older = self._files()
+            final = self.folder / f"{self.name}-{iterations:04d}.npy"
+            draft = final.with_suffix(".partial")
+            with draft.open("wb") as stream:
+                np.save(stream, volume)
+            draft.replace(final)
+            for file in older:
+                if file != final:
+                    file.unlink()
+
+    def _files(self) -> list[Path]:
+        return sorted(self.folder.glob(f"{self.name}-*.npy"), reverse=True) if self.folder else []
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a reconstruction is judged against.
+
+    Attributes:
+        volume: attenuation of the specimen, (z, y, x), 1/mm, float32.
+        region: voxels that every view sees, (z, y, x), bool.
+        mu_reference: attenuation to which figures are relative, 1/mm.
+    """
+
+    volume: NDArray[np.float32]
+    region: NDArray[np.bool_]
+    mu_reference: float
+
+
+def truth_of(scan: Scan, workshop: Workshop, progress: Progress = SILENT) -> Truth:
+    """The truth of a scan, where the specimen really was, and the region every view sees."""
+    scenario = scan.scenario
+    grid = scenario.reconstruction.grid.volume_grid
+    energy = scenario.source.energy_kev
+    with progress.stage("truth", 2) as step:
+        volume = workshop.specimen.truth(grid, energy, mean_pose(scan.executed_object))
+        step()
+        region = region_of_interest(scan.executed.geometry(scenario.detector.panel), grid)
+        step()
+    return Truth(volume, region, workshop.specimen.reference_mu(energy))
+
+
+def mean_pose(poses: tuple[Pose, ...]) -> Pose:
+    """The pose halfway: the specimen stands still, so any view's would do but for rounding."""
+    return poses[len(poses) // 2]
+
+
+def judge(scan: Scan, volume: NDArray[np.float32], truth: Truth) -> ImageFigures:
+    """The image figures of a reconstruction."""
+    return image_figures(
+        volume,
+        truth.volume,
+        truth.region,
+        truth.mu_reference,
+        scan.scenario.reconstruction.grid.volume_grid,
+    )
+
+
+def require_extras(scenario: Scenario, *, ros: bool) -> None:
+    """Refuse before any work what is not installed.
+
+    Raises:
+        MissingExtraError: naming the extra that brings it.
+    """
+    if ros and importlib.util.find_spec("rclpy") is None:
+        raise MissingExtraError("rclpy", "ros", "or use --link local")
+    if importlib.util.find_spec("mujoco") is None:
+        raise MissingExtraError("mujoco", "robots")
+    if importlib.util.find_spec("gvxrPython3") is None:
+        raise MissingExtraError("gvxr", "xray")
+    if scenario.reconstruction.engine == "rtk" and importlib.util.find_spec("itk") is None:
+        raise MissingExtraError("itk-rtk", "rtk", "or use reconstruction.engine: twinct")
+
+
+def scenario_as_data(scenario: Scenario) -> object:
+    """The resolved scenario as plain data, defaults included."""
+    return json.loads(scenario.resolved())
