@@ -1,0 +1,14 @@
+"""Judgement: the region every view sees, the image in it, and how well the arms arrived."""
+
+from twinct.evaluate.image import ImageFigures, image_figures
+from twinct.evaluate.pose import ArmErrors, PoseErrors, pose_errors
+from twinct.evaluate.region import region_of_interest
+
+__all__ = [
+    "ArmErrors",
+    "ImageFigures",
+    "PoseErrors",
+    "image_figures",
+    "pose_errors",
+    "region_of_interest",
+]

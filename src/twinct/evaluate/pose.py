@@ -1,0 +1,85 @@
+"""How far the end-effectors were from where they were sent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from twinct.geometry import Floats, Pose
+from twinct.views import PosePairs
+
+
+@dataclass(frozen=True, eq=False)
+class ArmErrors:
+    """Pose errors of one end-effector.
+
+    Attributes:
+        position_mm: distance of the two origins, (views,), mm.
+        rotation_deg: angle of the relative rotation, (views,), degrees.
+    """
+
+    position_mm: Floats
+    rotation_deg: Floats
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Mean, standard deviation (ddof 0) and maximum over the views, for each of the two."""
+        return {
+            name: {
+                "mean": float(np.mean(values)),
+                "std": float(np.std(values)),
+                "max": float(np.max(values)),
+            }
+            for name, values in (
+                ("position_mm", self.position_mm),
+                ("rotation_deg", self.rotation_deg),
+            )
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """Pose errors of both end-effectors.
+
+    Attributes:
+        source: of the focal spot's frame.
+        detector: of the panel's frame.
+    """
+
+    source: ArmErrors
+    detector: ArmErrors
+
+    def summary(self) -> dict[str, dict[str, dict[str, float]]]:
+        """``{source, detector} -> {position_mm, rotation_deg} -> {mean, std, max}``."""
+        return {"source": self.source.summary(), "detector": self.detector.summary()}
+
+
+def pose_errors(commanded: PosePairs, executed: PosePairs) -> PoseErrors:
+    """Compare two sets of poses view by view.
+
+    Args:
+        commanded: what the trajectory asked for.
+        executed: where source and detector were at exposure, the same views in the same order.
+
+    Raises:
+        ValueError: no views, or not the same number of them.
+    """
+    if not len(commanded) or len(commanded) != len(executed):
+        raise ValueError(
+            f"{len(commanded)} commanded and {len(executed)} executed views: "
+            "errors need the same views, at least one"
+        )
+    return PoseErrors(
+        _arm_errors(commanded.source, executed.source),
+        _arm_errors(commanded.detector, executed.detector),
+    )
+
+
+def _arm_errors(wanted: Sequence[Pose], actual: Sequence[Pose]) -> ArmErrors:
+    shift = np.array([a.position - w.position for w, a in zip(wanted, actual, strict=True)])
+    turn = Rotation.from_quat([w.quat for w in wanted]).inv() * Rotation.from_quat(
+        [a.quat for a in actual]
+    )
+    return ArmErrors(np.linalg.norm(shift, axis=1), np.degrees(turn.magnitude()))

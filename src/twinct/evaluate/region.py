@@ -1,0 +1,94 @@
+"""The region that every view sees: where a reconstruction can fairly be judged."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+
+BOUNDARY_SLACK_PX = 1e-9
+"""Rounding must not decide about voxel centres on the boundary: symmetric scans stay symmetric."""
+
+SOURCE_SLACK = 1e-9
+"""Share of the source-panel distance by which a voxel must lie in front of the source."""
+
+
+def region_of_interest(
+    executed: ScanGeometry, grid: VolumeGrid, margin_px: float = 0.5
+) -> NDArray[np.bool_]:
+    """Voxel centres whose projection lies inside the panel in every view.
+
+    Inside means at least ``margin_px`` from the edge of the active area, so that for 0.5 px the
+    projection lies among the pixel centres: column in [0, columns - 1] and row in [0, rows - 1].
+
+    Each view admits a pyramid with its tip in the source, the intersection of half-spaces
+    g . (p - S) <= 0, so the region is convex and each row of voxels along x enters and leaves it at
+    most once. On such a row p = p0(y, z) + x e, and a half-space bounds x by
+    g . (S - p0(y, z)) / (g . e), which is affine in y and z. That costs rows x half-spaces instead
+    of voxels x views.
+
+    Args:
+        executed: where source and panel really were.
+        grid: the voxel lattice.
+        margin_px: distance from the edge of the panel, pixels.
+
+    Returns:
+        (z, y, x), True where every view sees the voxel centre.
+    """
+    normals, offsets = _half_spaces(executed, margin_px)
+    x, y, z = grid.axes()
+    axes, origin = grid.world_from_grid.rotation, grid.world_from_grid.position
+    slope_x, slope_y, slope_z = axes.T @ normals.T
+    # Half-space: slope_x x + slope_y y + slope_z z <= room, in the coordinates of the grid.
+    room = offsets - normals @ origin
+
+    lower = np.full((len(z), len(y)), -np.inf)
+    upper = np.full((len(z), len(y)), np.inf)
+    for sx, sy, sz, r in zip(slope_x, slope_y, slope_z, room, strict=True):
+        if sx > 0:
+            np.minimum(upper, ((r - sz * z) / sx)[:, None] - sy / sx * y, out=upper)
+        elif sx < 0:
+            np.maximum(lower, ((r - sz * z) / sx)[:, None] - sy / sx * y, out=lower)
+        else:
+            lower[(r - sz * z)[:, None] - sy * y < 0] = np.inf
+
+    region = np.empty(grid.shape, dtype=np.bool_)
+    for k in range(len(z)):
+        np.greater_equal(x, lower[k, :, None], out=region[k])
+        region[k] &= x <= upper[k, :, None]
+    return region
+
+
+def _half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Floats]:
+    """Half-spaces that bound what all views see.
+
+    With n = u x v, reach = (D - S) . n < 0 and the ray r = p - S, a point projects to
+
+        column = (reach (r . u) / (r . n) - (D - S) . u) / pitch_u + (columns - 1) / 2,
+
+    and it lies in front of the source where r . n < 0. Hence column >= low is
+    (reach u - a n) . r <= 0 with a = (D - S) . u + (low - (columns - 1) / 2) pitch_u, and likewise
+    for the other three edges.
+
+    Returns:
+        Normals g (half-spaces, 3) of unit length and offsets (half-spaces,), mm: g . p <= offset.
+    """
+    panel, n = geometry.panel, geometry.normal
+    to_panel = geometry.detector - geometry.source
+    reach = np.einsum("vk,vk->v", to_panel, n)[:, None]
+    normals, offsets = [], []
+
+    def admit(g: Floats, slack_mm: Floats | float = 0.0) -> None:
+        g = g / np.linalg.norm(g, axis=1, keepdims=True)
+        normals.append(g)
+        offsets.append(np.einsum("vk,vk->v", g, geometry.source) + slack_mm)
+
+    edges = ((geometry.u, panel.columns, panel.pitch_u), (geometry.v, panel.rows, panel.pitch_v))
+    for axis, count, pitch in edges:
+        half_mm = (count / 2 - margin_px + BOUNDARY_SLACK_PX) * pitch
+        centre = np.einsum("vk,vk->v", to_panel, axis)[:, None]
+        admit(reach * axis - (centre - half_mm) * n)
+        admit((centre + half_mm) * n - reach * axis)
+    admit(n, SOURCE_SLACK * reach[:, 0])
+    return np.concatenate(normals), np.concatenate(offsets)
