@@ -167,8 +167,7 @@ def _apply_override(draft: _Draft, override: str) -> None:
     except yaml.YAMLError:
         raise ScenarioError(f"{place}: {value_text!r} is not a YAML value") from None
     steps = key_text.strip().split(".")
-    if steps[-1] == "path" and isinstance(value, str):
-        value = str(Path(value).expanduser().resolve())
+    value = _absolute_paths({steps[-1]: value})[steps[-1]]
     here: Any = draft.data
     for depth, step in enumerate(steps):
         last = depth == len(steps) - 1
@@ -194,6 +193,18 @@ def _apply_override(draft: _Draft, override: str) -> None:
     draft.origins[key] = place
 
 
+def _absolute_paths(data: Any) -> Any:
+    """Make each ``path`` of an override absolute: it is relative to where the command runs."""
+    if isinstance(data, dict):
+        return {
+            key: str(Path(value).expanduser().resolve())
+            if key == "path" and isinstance(value, str)
+            else _absolute_paths(value)
+            for key, value in data.items()
+        }
+    return [_absolute_paths(item) for item in data] if isinstance(data, list) else data
+
+
 def _validate(draft: _Draft) -> Scenario:
     try:
         # JSON mode is the strict one that still takes lists for tuples and text for paths.
@@ -203,15 +214,21 @@ def _validate(draft: _Draft) -> Scenario:
 
 
 def _problems(draft: _Draft, error: ValidationError) -> list[str]:
-    """One sentence a problem; the branches of a plain union are one problem, not several."""
-    sentences: dict[Key, list[str]] = {}
+    """One sentence a problem: of a union's branches only those that the value could have meant."""
+    found: dict[Key, list[tuple[bool, str]]] = {}
     for detail in error.errors():
-        location, model = _plain_key(detail["loc"], draft.data)
-        sentences.setdefault(location, []).append(_sentence(detail, location, model))
-    return [
-        f"{_place(draft, key)}{' or '.join(dict.fromkeys(parts))}"
-        for key, parts in sentences.items()
-    ]
+        key, model = _plain_key(detail["loc"], draft.data)
+        wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
+        found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model)))
+    sentences = []
+    for key, parts in found.items():
+        deeper = any(len(other) > len(key) and other[: len(key)] == key for other in found)
+        meant = [text for wrong_shape, text in parts if not wrong_shape]
+        if not meant and not deeper:
+            meant = [text for _, text in parts]
+        if meant:
+            sentences.append(_place(draft, key) + " or ".join(dict.fromkeys(meant)))
+    return sentences
 
 
 def _place(draft: _Draft, key: Key) -> str:

@@ -1,0 +1,155 @@
+"""The scan store: bit-exact, resumable, never overwritten, as other tools expect it."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zarr
+
+from twinct.errors import ScanExistsError, StorageError
+from twinct.geometry import Pose
+from twinct.scan import ScanStore, View, check_space
+from twinct.scan import store as store_module
+from twinct.scenario import Scenario, load_scenario
+from twinct.trajectory import commanded_views
+from twinct.views import PosePairs
+
+VIEWS = 5
+NAMES = ("source_a", "detector_b")
+
+
+@pytest.fixture
+def scenario() -> Scenario:
+    demo = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
+    return load_scenario(
+        demo, [f"trajectory.views={VIEWS}", "detector.columns=7", "detector.rows=5"]
+    )
+
+
+@pytest.fixture
+def commanded(scenario: Scenario) -> PosePairs:
+    return PosePairs.from_geometry(commanded_views(scenario.trajectory, scenario.detector.panel))
+
+
+def view(index: int) -> View:
+    rng = np.random.default_rng(index)
+
+    def pose() -> Pose:
+        return Pose.from_euler(rng.normal(size=3), rng.uniform(-180, 180, 3))
+
+    image = rng.random((5, 7), dtype=np.float32)
+    return View(
+        image, (pose(), pose()), pose(), (pose(), pose()), rng.random(2), rng.random(9), index, 1.5
+    )
+
+
+def fill(path: Path, scenario: Scenario, commanded: PosePairs, views: range) -> ScanStore:
+    store = (
+        ScanStore.resume(path, scenario)
+        if path.exists()
+        else ScanStore.create(path, scenario, commanded, NAMES, 9)
+    )
+    for index in views:
+        store.write(index, view(index))
+    return store
+
+
+def contents(path: Path) -> dict[str, str]:
+    return {
+        str(file.relative_to(path)): hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in sorted(path.rglob("*"))
+        if file.is_file()
+    }
+
+
+def test_a_scan_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> None:
+    scan = fill(tmp_path / "s.zarr", scenario, commanded, range(VIEWS)).read()
+    for index in range(VIEWS):
+        written = view(index)
+        np.testing.assert_array_equal(scan.transmission[index], written.transmission)
+        assert scan.executed[index] == written.executed
+        assert scan.believed[index] == written.believed
+        assert scan.executed_object[index] == written.executed_object
+        assert scan.commanded[index] == commanded[index]
+        np.testing.assert_array_equal(scan.joints[index], written.joints)
+    assert scan.scenario == scenario
+    assert scan.joint_names == NAMES
+
+
+def test_foreign_readers_find_the_contract(tmp_path, scenario, commanded) -> None:
+    fill(tmp_path / "s.zarr", scenario, commanded, range(VIEWS))
+    group = zarr.open_group(str(tmp_path / "s.zarr"), mode="r")
+    assert group["transmission"].shape == (VIEWS, 5, 7)
+    assert group["transmission"].chunks == (1, 5, 7)
+    assert group["transmission"].dtype == np.float32
+    for which in ("commanded", "executed", "believed"):
+        for name, width in (("source", 3), ("u", 3), ("v", 3), ("detector_quat", 4)):
+            assert group[f"{which}/{name}"].shape == (VIEWS, width)
+        axes = np.cross(group[f"{which}/u"][:], group[f"{which}/v"][:])
+        np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1)
+    np.testing.assert_array_equal(
+        group["executed/source"][2], view(2).executed[0].position
+    )
+    np.testing.assert_array_equal(group["executed/object"][1], view(1).executed_object.position)
+    assert group.attrs["pixel_pitch_mm"] == [2.0, 2.0]
+
+
+@pytest.mark.parametrize("killed_at", ["image", "poses", "status", "draft"])
+def test_resume_after_a_killed_write_gives_the_same_bytes(
+    tmp_path, scenario, commanded, killed_at: str
+) -> None:
+    whole, broken = tmp_path / "whole.zarr", tmp_path / "broken.zarr"
+    fill(whole, scenario, commanded, range(VIEWS))
+    store = fill(broken, scenario, commanded, range(2))
+    store.write(2, view(4))  # another view's numbers: none of them may survive
+    (broken / "status" / "c" / "2").unlink()
+    if killed_at == "image":
+        for file in broken.glob("*/c/2*/**/*"):
+            if file.is_file() and "transmission" not in file.parts:
+                file.unlink()
+    if killed_at == "draft":
+        (broken / "joints" / "c" / "3").mkdir()
+        (broken / "joints" / "c" / "3" / "0.partial").write_bytes(b"half")
+    assert ScanStore.resume(broken, scenario).acquired == 2
+    fill(broken, scenario, commanded, range(2, VIEWS))
+    assert contents(broken) == contents(whole)
+
+
+def test_an_existing_scan_is_never_touched(tmp_path, scenario, commanded) -> None:
+    path = tmp_path / "s.zarr"
+    fill(path, scenario, commanded, range(2))
+    before = contents(path)
+    with pytest.raises(ScanExistsError, match="already holds a scan"):
+        ScanStore.create(path, scenario, commanded, NAMES, 9)
+    other = scenario.model_copy(update={"seed": 77})
+    with pytest.raises(ScanExistsError, match="another scenario"):
+        ScanStore.resume(path, other)
+    assert contents(path) == before
+    with pytest.raises(ScanExistsError, match="2 of 5 views"):
+        ScanStore(path).read()
+
+
+def test_a_full_disk_loses_nothing(tmp_path, scenario, commanded, monkeypatch) -> None:
+    store = fill(tmp_path / "s.zarr", scenario, commanded, range(2))
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", full)
+        with pytest.raises(StorageError, match="disk is full"):
+            store.write(2, view(2))
+    assert ScanStore.resume(tmp_path / "s.zarr", scenario).acquired == 2
+
+
+def test_too_little_space_is_said_before_the_start(tmp_path, scenario, monkeypatch) -> None:
+    check_space(tmp_path / "not" / "there" / "yet", scenario, VIEWS)
+    monkeypatch.setattr(
+        store_module.shutil, "disk_usage", lambda _: type("U", (), {"free": 10})()
+    )
+    with pytest.raises(StorageError, match=r"need up to 0\.\d+ GiB, only 0\.00 GiB"):
+        check_space(tmp_path, scenario, VIEWS)

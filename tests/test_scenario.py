@@ -1,0 +1,136 @@
+"""Scenario files: extends, overrides, and one clear message a problem."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from twinct.errors import ScenarioError
+from twinct.scenario import load_scenario, parse_scenario, scenario_schema
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
+DEMO = SCENARIOS / "demo.yaml"
+
+
+def problems(*overrides: str, path: Path = DEMO) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(path, overrides)
+    return "\n".join(caught.value.problems)
+
+
+def test_paper_is_the_experiment_to_the_letter() -> None:
+    scenario = load_scenario(SCENARIOS / "paper.yaml")
+    assert scenario.source.energy_kev == 80
+    assert (scenario.detector.columns, scenario.detector.rows) == (640, 480)
+    assert scenario.detector.pixel_pitch_mm == 0.5
+    assert (scenario.trajectory.kind, scenario.trajectory.views) == ("sinusoid", 399)
+    assert (scenario.trajectory.sod_mm, scenario.trajectory.sdd_mm) == (300, 600)
+    assert scenario.motion.ik.position_tolerance_mm == 0.1
+    assert (scenario.motion.trigger, scenario.motion.tolerance_mm) == ("on_entry", 1.0)
+    for noise in (scenario.uncertainty.source, scenario.uncertainty.detector):
+        assert (noise.sigma_mm, noise.cutoff_mm) == (0.1, 0.15)
+    section = scenario.reconstruction
+    assert (section.algorithm, section.iterations, section.relaxation) == ("sart", 10, 0.3)
+    assert section.grid.volume_grid.shape == (512, 512, 512)
+    assert section.grid.voxel_mm == 0.31
+    assert section.geometries == ("believed",)
+
+
+def test_demo_has_the_papers_panel_and_field_of_view() -> None:
+    paper, demo = load_scenario(SCENARIOS / "paper.yaml"), load_scenario(DEMO)
+    assert demo.detector.panel.size_mm == paper.detector.panel.size_mm
+    sizes = [s.reconstruction.grid.volume_grid.size_mm for s in (paper, demo)]
+    assert sizes[0] == pytest.approx(sizes[1])
+    assert demo.trajectory.views == 100
+    assert demo.trajectory.longitude_range_deg == paper.trajectory.longitude_range_deg
+
+
+def test_overrides_and_their_errors() -> None:
+    assert load_scenario(DEMO, ["detector.columns=320"]).detector.columns == 320
+    assert load_scenario(DEMO, ["specimen.parts.0.name=me"]).specimen.parts[0].name == "me"
+    assert "did you mean 'columns'" in problems("detector.colums=3")
+    assert "expected KEY=VALUE" in problems("detector.columns")
+    assert "list of 1: '3'" in problems("specimen.parts.3.name=x")
+    assert "--set source.energy_kev=hot" in problems("source.energy_kev=hot")
+
+
+def test_every_problem_is_one_message() -> None:
+    text = problems("detector.pixel_pitch_mm=-1", "trajectory.views=0", "sourse=1")
+    assert len(text.splitlines()) == 3
+    assert "detector.pixel_pitch_mm: must be greater than 0, but is -1" in text
+    assert "trajectory.views: must be greater than or equal to 1, but is 0" in text
+    assert "did you mean 'source'" in text
+
+
+def test_nested_problem_is_named_alone() -> None:
+    text = problems("specimen.parts.0.shape.scal=2")
+    assert text.splitlines()[0].startswith("--set specimen.parts.0.shape.scal=2")
+    assert len(text.splitlines()) == 1
+    text = problems("specimen.parts.0.material={formula: H2O, densty: 1}")
+    assert "did you mean 'density_g_cm3'" in text and "must be a valid string" not in text
+
+
+def test_another_kind_replaces_the_whole_section(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(
+        f"extends: {DEMO}\ntrajectory: {{kind: circle, views: 5}}\n", encoding="utf-8"
+    )
+    assert load_scenario(tmp_path / "c.yaml").trajectory.kind == "circle"
+
+
+def test_messages_name_file_and_line(tmp_path: Path) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text(f"extends: {DEMO}\n\ndetector:\n  rows: -4\n", encoding="utf-8")
+    assert f"{file}:4: detector.rows" in problems(path=file)
+    file.write_text("a: 1\na: 2\n", encoding="utf-8")
+    assert ":2: the key 'a' stands twice" in problems(path=file)
+    file.write_text("a: [1\n", encoding="utf-8")
+    assert "not valid YAML" in problems(path=file)
+    file.write_text("extends: nowhere.yaml\n", encoding="utf-8")
+    assert "no file at" in problems(path=file)
+    file.write_text("extends: x.yaml\n", encoding="utf-8")
+    assert "extends itself" in problems(path=file)
+    assert "cannot read" in problems(path=tmp_path / "none.yaml")
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    text = problems(f"specimen.parts.0.shape={{kind: mesh, path: {tmp_path}/a.stl}}")
+    assert "specimen.parts.0.shape.path: no file at" in text
+
+
+def test_paths_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "part.stl").write_text("solid")
+    (tmp_path / "sub" / "base.yaml").write_text(
+        f"extends: {DEMO}\nspecimen: {{parts: [{{shape: {{kind: mesh, path: part.stl}}}}]}}\n"
+    )
+    (tmp_path / "top.yaml").write_text("extends: sub/base.yaml\n")
+    shape = load_scenario(tmp_path / "top.yaml").specimen.parts[0].shape
+    assert shape.path == tmp_path / "sub" / "part.stl"
+
+
+def test_digest_follows_what_a_scan_depends_on(tmp_path: Path) -> None:
+    scenario = load_scenario(DEMO)
+    same = load_scenario(DEMO, ["name=x", "reconstruction.iterations=3"])
+    assert same.digest() == scenario.digest()
+    assert load_scenario(DEMO, ["seed=5"]).digest() != scenario.digest()
+    file = tmp_path / "a.stl"
+    override = f"specimen.parts.0.shape={{kind: mesh, path: {file}}}"
+    file.write_text("1")
+    first = load_scenario(DEMO, [override]).digest()
+    file.write_text("2")
+    assert load_scenario(DEMO, [override]).digest() != first
+
+
+def test_resolved_scenario_reads_back() -> None:
+    import json
+
+    scenario = load_scenario(DEMO)
+    assert parse_scenario(json.loads(scenario.resolved())) == scenario
+
+
+def test_schema_allows_extends_and_refuses_unknown_keys() -> None:
+    schema = scenario_schema()
+    assert "extends" in schema["properties"]
+    assert schema["additionalProperties"] is False
+    assert schema["$defs"]["Detector"]["properties"]["columns"]["description"]
