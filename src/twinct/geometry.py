@@ -106,7 +106,7 @@ class Pose:
     def inverse(self) -> Pose:
         """The transform back."""
         back = Rotation.from_quat(self.quat).inv()
-        return Pose(-back.apply(self.position), back.as_quat())
+        return Pose(-back.apply(self.position.copy()), back.as_quat())
 
     def apply(self, points: ArrayLike) -> Floats:
         """Map points (..., 3) from the inner to the outer frame."""

@@ -71,7 +71,7 @@ def sart(
     x = _start(A, x0)
     if nonnegative:
         np.maximum(x, 0.0, out=x)
-    floor = np.float32(0.0 if nonnegative else -np.inf)
+    floor = np.float32(0.0) if nonnegative else np.finfo(np.float32).min
     shortest = np.float32(A.grid.voxel.min())
     _, rows, columns = A.range_shape
     estimate = np.empty((rows, columns), np.float32)
