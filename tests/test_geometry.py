@@ -87,9 +87,7 @@ def test_poses_and_vectors_are_the_same_geometry(random_geometry) -> None:
         np.testing.assert_allclose(getattr(back, name), getattr(geometry, name), atol=1e-12)
     for view, pose in enumerate(geometry.source_poses()):
         beam = geometry.detector[view] - geometry.source[view]
-        np.testing.assert_allclose(
-            pose.rotation[:, 2], beam / np.linalg.norm(beam), atol=1e-12
-        )
+        np.testing.assert_allclose(pose.rotation[:, 2], beam / np.linalg.norm(beam), atol=1e-12)
         assert pose.rotation[:, 0] @ geometry.u[view] > 0.9
 
 
@@ -126,14 +124,12 @@ def test_impossible_views_are_refused(change: dict, message: str) -> None:
 
 
 def test_astra_vectors_reach_the_pixels_of_project(random_geometry) -> None:
-    """By ASTRA's definition pixel (r, c) is D + (c - (n-1)/2) u + (r - (m-1)/2) v, pitch included."""
+    """ASTRA defines pixel (r, c) as D + (c - (n-1)/2) u + (r - (m-1)/2) v, pitch included."""
     geometry = random_geometry(np.random.default_rng(7), 4, PANEL)
     vectors = geometry.to_astra()["Vectors"]
     pixel = vectors[:, 3:6] + (3 - 8) * vectors[:, 6:9] + (9 - 5.5) * vectors[:, 9:12]
     for view in range(4):
-        np.testing.assert_allclose(
-            geometry[view].project(pixel[view])[0, 0], [3, 9], atol=1e-9
-        )
+        np.testing.assert_allclose(geometry[view].project(pixel[view])[0, 0], [3, 9], atol=1e-9)
 
 
 def test_grid_affine_and_axes_agree() -> None:

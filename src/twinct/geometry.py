@@ -1,13 +1,13 @@
 """Poses, scan geometries and voxel grids: the only vocabulary in which modules speak of space.
 
-Points are (x, y, z) in mm, right-handed, world origin at the isocentre, z up. A view is four vectors:
-source S, panel centre D, and the unit vectors u (along +column) and v (along +row) with u x v pointing
-to the source. Pixel (r, c) has its centre at
+Points are (x, y, z) in mm, right-handed, world origin at the isocentre, z up. A view is four
+vectors: source S, panel centre D, and the unit vectors u (along +column) and v (along +row) with
+u x v pointing to the source. Pixel (r, c) has its centre at
 
     D + (c - (columns - 1) / 2) pitch_u u + (r - (rows - 1) / 2) pitch_v v.
 
-Frames: the detector frame has axes (u, v, u x v); the source frame has z towards the panel centre and
-its x the nearest to u. Only ``to_*`` and ``from_*`` may reorder axes or change units.
+Frames: the detector frame has axes (u, v, u x v); the source frame has z towards the panel centre
+and its x the nearest to u. Only ``to_*`` and ``from_*`` may reorder axes or change units.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ class Pose:
     @classmethod
     def from_euler(cls, position: ArrayLike, degrees: ArrayLike) -> Pose:
         """Build from an origin in mm and extrinsic x, y, z rotations in degrees."""
-        return cls(np.asarray(position), Rotation.from_euler("xyz", degrees, degrees=True).as_quat())
+        return cls(
+            np.asarray(position), Rotation.from_euler("xyz", degrees, degrees=True).as_quat()
+        )
 
     @classmethod
     def from_metres(cls, position_m: ArrayLike, quat: ArrayLike) -> Pose:
@@ -231,13 +233,16 @@ class ScanGeometry:
 
     def source_poses(self) -> list[Pose]:
         """``world_from_source`` of each view: z towards the panel centre, x the nearest to u."""
-        return [_source_pose(s, d, u) for s, d, u in zip(self.source, self.detector, self.u)]
+        return [
+            _source_pose(s, d, u)
+            for s, d, u in zip(self.source, self.detector, self.u, strict=True)
+        ]
 
     def detector_poses(self) -> list[Pose]:
         """``world_from_detector`` of each view: axes (u, v, u x v)."""
         return [
             Pose.from_matrix(d, np.stack([u, v, n], axis=1))
-            for d, u, v, n in zip(self.detector, self.u, self.v, self.normal)
+            for d, u, v, n in zip(self.detector, self.u, self.v, self.normal, strict=True)
         ]
 
     def __len__(self) -> int:
@@ -290,8 +295,8 @@ class ScanGeometry:
             points: (points, 3), mm.
 
         Returns:
-            (views, points, 2): fractional (column, row); pixel centres are whole numbers. NaN where a
-            point lies in or behind the plane through the source parallel to the panel.
+            (views, points, 2): fractional (column, row); pixel centres are whole numbers. NaN where
+            a point lies in or behind the plane through the source parallel to the panel.
         """
         rays = np.atleast_2d(np.asarray(points, dtype=np.float64))[None] - self.source[:, None]
         to_panel = self.detector - self.source
@@ -332,8 +337,8 @@ class ScanGeometry:
         """What RTK's ``AddProjection(S, D, row, column)`` and its projection image need.
 
         Returns:
-            ``source``, ``detector``, ``row`` (= u), ``column`` (= v), each (views, 3); ``origin`` and
-            ``spacing`` (2,) of the projection image along (u, v), mm.
+            ``source``, ``detector``, ``row`` (= u), ``column`` (= v), each (views, 3); ``origin``
+            and ``spacing`` (2,) of the projection image along (u, v), mm.
         """
         panel = self.panel
         return {
@@ -412,7 +417,8 @@ class VolumeGrid:
     def axes(self) -> tuple[Floats, Floats, Floats]:
         """Voxel centres along x, y and z of the grid's own frame, mm."""
         x, y, z = (
-            (np.arange(n) - (n - 1) / 2) * edge for n, edge in zip(self.shape_xyz, self.voxel)
+            (np.arange(n) - (n - 1) / 2) * edge
+            for n, edge in zip(self.shape_xyz, self.voxel, strict=True)
         )
         return x, y, z
 

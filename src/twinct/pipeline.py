@@ -1,7 +1,7 @@
 """From scenario to scan to volume to figures, in memory or on disk.
 
-``simulate`` and ``reconstruct`` serve a notebook. The command line takes the same steps and keeps each
-on disk: ``acquire_to_store`` and ``reconstruct`` with a folder for checkpoints.
+``simulate`` and ``reconstruct`` serve a notebook. The command line takes the same steps and keeps
+each on disk: ``acquire_to_store`` and ``reconstruct`` with a folder for checkpoints.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ DARKEST = 1e-7
 class Progress(Protocol):
     """Where long work says how far it is."""
 
-    def stage(self, name: str, total: int, done: int = 0) -> AbstractContextManager[Callable[[], None]]:
+    def stage(
+        self, name: str, total: int, done: int = 0
+    ) -> AbstractContextManager[Callable[[], None]]:
         """A stage of ``total`` steps; the context's value is called after each step."""
         ...
 
@@ -98,7 +100,7 @@ def acquire_to_store(
     resume: bool,
     progress: Progress = SILENT,
 ) -> tuple[ScanStore, Stopwatch]:
-    """Take the views that the store does not have yet; each is on disk before the next is requested.
+    """Take the views that the store lacks; each is on disk before the next is requested.
 
     Args:
         workshop: the scenario's parts.

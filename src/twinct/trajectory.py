@@ -92,7 +92,9 @@ def _sinusoid(section: SinusoidTrajectory) -> tuple[Floats, Floats]:
     share = np.linspace(0.0, 1.0, _PATH_SAMPLES)
 
     def position(t: Floats) -> Floats:
-        longitude = np.radians(section.centre_longitude_deg + section.longitude_range_deg * (t - 0.5))
+        longitude = np.radians(
+            section.centre_longitude_deg + section.longitude_range_deg * (t - 0.5)
+        )
         latitude = np.radians(section.latitude_amplitude_deg) * np.sin(
             2 * np.pi * section.periods * t
         )
@@ -119,8 +121,7 @@ def _circle(section: CircleTrajectory) -> tuple[Floats, Floats]:
 
 def _arc(section: ArcTrajectory) -> tuple[Floats, Floats]:
     longitude = np.radians(
-        section.centre_longitude_deg
-        + section.longitude_range_deg * (_stops(section.views) - 0.5)
+        section.centre_longitude_deg + section.longitude_range_deg * (_stops(section.views) - 0.5)
     )
     latitude = np.full_like(longitude, np.radians(section.latitude_deg))
     sources = _on_sphere(longitude, latitude, section.sod_mm)

@@ -1,8 +1,8 @@
 """What separates the believed poses from the executed ones.
 
-The paper's model: the positions that a system reports carry normal noise for each axis, redrawn beyond
-a cut-off; orientations stay exact. A draw depends on (seed, purpose, view) alone, so that a resumed
-scan believes what an undisturbed one believes.
+The paper's model: the positions that a system reports carry normal noise for each axis, redrawn
+beyond a cut-off; orientations stay exact. A draw depends on (seed, purpose, view) alone, so that a
+resumed scan believes what an undisturbed one believes.
 """
 
 from __future__ import annotations
@@ -45,8 +45,10 @@ def believed_poses(
     """
     pairs = (("source", source, uncertainty.source), ("detector", detector, uncertainty.detector))
     believed = [
-        Pose(pose.position + truncated_normal(view_rng(seed, f"believed {name}", view), noise),
-             pose.quat)
+        Pose(
+            pose.position + truncated_normal(view_rng(seed, f"believed {name}", view), noise),
+            pose.quat,
+        )
         for name, pose, noise in pairs
     ]
     return believed[0], believed[1]

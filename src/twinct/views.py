@@ -1,7 +1,7 @@
 """What passes between the simulations for one view, in the numbers they speak.
 
-MuJoCo and ROS 2 speak metres and quaternions. Both links carry these very numbers and turn them into
-poses with the same function, so that they give bit-identical geometries and so bit-identical images.
+MuJoCo and ROS 2 speak metres and quaternions. Both links carry these very numbers and turn them
+into poses with the same function, so that they give bit-identical geometries, and so images.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.geometry import Panel, Pose, ScanGeometry
 
 SevenNumbers = tuple[float, float, float, float, float, float, float]
 """A pose as (x, y, z) in metres and a quaternion (x, y, z, w)."""

@@ -1,4 +1,4 @@
-"""Volumes on disk: NIfTI with world axes as RAS, so that 3D Slicer opens them upright and in place."""
+"""Volumes on disk: NIfTI, world axes as RAS, so that 3D Slicer opens them upright and in place."""
 
 from __future__ import annotations
 

@@ -91,9 +91,7 @@ def test_foreign_readers_find_the_contract(tmp_path, scenario, commanded) -> Non
             assert group[f"{which}/{name}"].shape == (VIEWS, width)
         axes = np.cross(group[f"{which}/u"][:], group[f"{which}/v"][:])
         np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1)
-    np.testing.assert_array_equal(
-        group["executed/source"][2], view(2).executed[0].position
-    )
+    np.testing.assert_array_equal(group["executed/source"][2], view(2).executed[0].position)
     np.testing.assert_array_equal(group["executed/object"][1], view(1).executed_object.position)
     assert group.attrs["pixel_pitch_mm"] == [2.0, 2.0]
 
@@ -148,8 +146,6 @@ def test_a_full_disk_loses_nothing(tmp_path, scenario, commanded, monkeypatch) -
 
 def test_too_little_space_is_said_before_the_start(tmp_path, scenario, monkeypatch) -> None:
     check_space(tmp_path / "not" / "there" / "yet", scenario, VIEWS)
-    monkeypatch.setattr(
-        store_module.shutil, "disk_usage", lambda _: type("U", (), {"free": 10})()
-    )
+    monkeypatch.setattr(store_module.shutil, "disk_usage", lambda _: type("U", (), {"free": 10})())
     with pytest.raises(StorageError, match=r"need up to 0\.\d+ GiB, only 0\.00 GiB"):
         check_space(tmp_path, scenario, VIEWS)

@@ -187,4 +187,3 @@ def report(
     from twinct.cli.run import report_again
 
     report_again(folder)
-

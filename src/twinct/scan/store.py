@@ -1,7 +1,7 @@
 """The scan store: a Zarr group with one chunk a view, so that no acquired view is ever lost.
 
-A view's status is written last; what lies about of a view without status comes from a killed write and
-is removed on resume. The store holds no clock times: the same scenario gives the same bytes.
+A view's status is written last; what lies about of a view without status comes from a killed write
+and is removed on resume. The store holds no clock times: the same scenario gives the same bytes.
 """
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ def _construct(
 
 
 def _merge(base: _Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key) -> None:
-    """Lay data over the draft: mappings merge, all else is replaced, a new ``kind`` starts afresh."""
+    """Lay data over the draft: mappings merge, all else replaces, a new ``kind`` starts afresh."""
     here = base.data
     for step in key:
         here = here[step]
@@ -256,7 +256,7 @@ def _sentence(detail: Any, key: Key, model: type[BaseModel] | None) -> str:
 
 
 def _plain_key(location: tuple[str | int, ...], data: Any) -> tuple[Key, type[BaseModel] | None]:
-    """Drop from a pydantic location what is no key of the file: tags and names of union branches."""
+    """Drop from a pydantic location what is no key: tags and names of union branches."""
     key: list[str | int] = []
     annotation: Any = Scenario
     model: type[BaseModel] | None = Scenario

@@ -1,0 +1,323 @@
+"""The job behind ``twinct run`` and ``twinct report``: every stage, each kept on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from twinct.cli.progress import TerminalProgress
+from twinct.errors import InputError, ScanExistsError
+from twinct.evaluate import ImageFigures
+from twinct.pipeline import (
+    Truth,
+    acquire_to_store,
+    judge,
+    local_rig,
+    reconstruct,
+    reconstruction_digest,
+    require_extras,
+    scenario_as_data,
+    truth_of,
+)
+from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, storage_errors
+from twinct.scenario import Scenario, load_scenario
+from twinct.volume import read_volume, write_volume
+
+log = logging.getLogger(__name__)
+Link = Literal["ros2", "local"]
+
+_SHOWN_VIEWS = 4
+"""Projections shown in the report."""
+
+
+@dataclass
+class _Seconds:
+    """Wall-clock seconds of each stage of this run."""
+
+    start: float = field(default_factory=time.perf_counter)
+    stages: dict[str, float] = field(default_factory=dict)
+
+    @contextlib.contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
+
+    def finished(self) -> dict[str, float]:
+        return self.stages | {"total": time.perf_counter() - self.start}
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Where a run keeps what, below its ``--out``."""
+
+    path: Path
+
+    @property
+    def scan(self) -> Path:
+        """The scan store."""
+        return self.path / "scan.zarr"
+
+    @property
+    def volume(self) -> Path:
+        """The reconstruction."""
+        return self.path / "volume.nii"
+
+    @property
+    def metrics(self) -> Path:
+        """The figures."""
+        return self.path / "metrics.json"
+
+    @property
+    def report(self) -> Path:
+        """The report."""
+        return self.path / "report.html"
+
+    @property
+    def checkpoints(self) -> Path:
+        """Reconstructions that are under way."""
+        return self.path / "checkpoints"
+
+    @property
+    def scenario(self) -> Path:
+        """The scenario as it was run, defaults included."""
+        return self.path / "scenario.yaml"
+
+    @property
+    def logs(self) -> Path:
+        """What the nodes of the ROS 2 link said."""
+        return self.path / "log"
+
+    @property
+    def log(self) -> Path:
+        """What happened."""
+        return self.path / "twinct.log"
+
+    def finished(self, scenario: Scenario) -> bool:
+        """Whether everything of this very scenario is there."""
+        if not all(p.exists() for p in (self.scan, self.volume, self.metrics, self.report)):
+            return False
+        return _read_metrics(self.metrics).get("reconstruction_digest") == reconstruction_digest(
+            scenario
+        )
+
+    def refuse_if_taken(self) -> None:
+        """Raise where a run of before must not be touched."""
+        taken = [p.name for p in (self.scan, self.volume, self.metrics, self.report) if p.exists()]
+        if taken:
+            raise ScanExistsError(
+                f"{self.path} already holds {', '.join(taken)}: "
+                "choose another --out, or go on with --resume"
+            )
+
+
+def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
+    """Plan, acquire, reconstruct, judge and report.
+
+    Raises:
+        InputError: whatever can be known before work starts; nothing has been written then.
+    """
+    folder, seconds, console = Folder(out), _Seconds(), Console()
+    if not resume:
+        folder.refuse_if_taken()
+    require_extras(scenario, ros=link == "ros2")
+    if resume and folder.finished(scenario):
+        console.print(f"{folder.path} is complete; the report is {folder.report}", highlight=False)
+        return
+    progress, workshop = TerminalProgress(), Workshop(scenario)
+    check_space(out, scenario, len(workshop.targets))
+    with seconds.stage("plan"), progress.stage("plan", 1) as step:
+        workshop.plan  # noqa: B018 - planned here, before anything is written
+        step()
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+        _log_to(folder.log)
+        _write(folder.scenario, yaml.safe_dump(scenario_as_data(scenario), sort_keys=False))
+        log.info(
+            "twinct run %s, %s link, scenario digest %s", scenario.name, link, scenario.digest()
+        )
+        store, watch = acquire_to_store(
+            workshop,
+            folder.scan,
+            partial(_rig, workshop, link, folder, console),
+            resume=resume,
+            progress=progress,
+        )
+        seconds.stages |= {"motion": watch.motion_s, "xray": watch.xray_s}
+        scan = store.read()
+        truth = truth_of(scan, workshop, progress)
+        figures: dict[str, ImageFigures] = {}
+        kept: NDArray[np.float32] | None = None
+        for which in scenario.reconstruction.geometries:
+            with seconds.stage("reconstruction"):
+                volume = reconstruct(
+                    scan, geometry=which, checkpoints=folder.checkpoints, progress=progress
+                )
+            if kept is None:
+                kept = volume
+                grid = scenario.reconstruction.grid.volume_grid
+                digest = reconstruction_digest(scenario)
+                write_volume(folder.volume, volume, grid, f"twinct {digest[:32]}")
+            with progress.stage(f"judge, {which} geometry", 1) as step:
+                figures[which] = judge(scan, volume, truth)
+                step()
+            del volume
+        assert kept is not None
+        factor = _simulated_s(scan, watch.views) / watch.motion_s if watch.views else float("nan")
+        _report(folder, scan, workshop, kept, truth, figures, seconds.finished(), factor)
+        shutil.rmtree(folder.checkpoints, ignore_errors=True)
+    _say_result(console, folder)
+
+
+def report_again(path: Path) -> None:
+    """Judge a finished run again and rewrite its figures and its report.
+
+    Raises:
+        InputError: the folder holds no finished run.
+    """
+    folder, progress = Folder(path), TerminalProgress()
+    needed = (folder.scan, folder.volume, folder.metrics, folder.scenario)
+    missing = [p.name for p in needed if not p.exists()]
+    if missing:
+        raise InputError(f"{path} holds no finished run: {', '.join(missing)} missing")
+    before = _read_metrics(folder.metrics)
+    scenario = load_scenario(folder.scenario)
+    scan = replace(ScanStore(folder.scan).read(), scenario=scenario)
+    workshop = Workshop(scenario)
+    volume, _ = read_volume(folder.volume)
+    truth = truth_of(scan, workshop, progress)
+    figures = {scenario.reconstruction.geometries[0]: judge(scan, volume, truth)}
+    for which, values in before.get("image_by_geometry", {}).items():
+        figures.setdefault(which, ImageFigures(**values))
+    with storage_errors(path):
+        _report(
+            folder,
+            scan,
+            workshop,
+            volume,
+            truth,
+            figures,
+            before["seconds"],
+            before["real_time_factor"],
+        )
+    _say_result(Console(), folder)
+
+
+def summary(workshop: Workshop) -> Table:
+    """What ``twinct check`` found."""
+    scenario, plan = workshop.scenario, workshop.plan
+    panel, grid = scenario.detector.panel, scenario.reconstruction.grid.volume_grid
+    table = Table(title=f"{scenario.name}: can be run", show_header=False)
+    for name, value in {
+        "views": f"{len(workshop.targets)}, {scenario.trajectory.kind}",
+        "panel": f"{panel.columns} x {panel.rows} px of {panel.pitch_u:g} x {panel.pitch_v:g} mm",
+        "specimen": ", ".join(
+            f"{part.name} of {part.material.name}" for part in workshop.specimen.parts
+        ),
+        "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
+        f"at view {int(plan.clearance_mm.argmin())}",
+        "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
+        f"{' x '.join(f'{edge:g}' for edge in grid.voxel)} mm",
+        "digest": scenario.digest(),
+    }.items():
+        table.add_row(name, value)
+    return table
+
+
+def _rig(
+    workshop: Workshop,
+    link: Link,
+    folder: Folder,
+    console: Console,
+    first: int,
+    state: NDArray[np.float64] | None,
+) -> Rig:
+    if link == "local":
+        return local_rig(workshop, state)
+    from twinct.ros import RosRig
+
+    rig = RosRig(workshop.scenario, first_view=first, start_state=state, log_dir=folder.logs)
+    console.print(f"ROS 2: domain {rig.domain_id} (ROS_DOMAIN_ID)", highlight=False)
+    return rig
+
+
+def _report(
+    folder: Folder,
+    scan: Scan,
+    workshop: Workshop,
+    volume: NDArray[np.float32],
+    truth: Truth,
+    figures: dict[str, ImageFigures],
+    seconds: dict[str, float],
+    real_time_factor: float,
+) -> None:
+    """Write metrics.json and report.html, each complete or not at all."""
+    raise NotImplementedError
+
+
+def _simulated_s(scan: Scan, views: int) -> float:
+    """Simulated seconds of the last ``views`` views."""
+    before = scan.simulated_s[-views - 1] if views < len(scan) else 0.0
+    return float(scan.simulated_s[-1] - before)
+
+
+def _room(workshop: Workshop) -> bytes:
+    """Picture of the room with the arms at the first view."""
+    from twinct.cell import render_cell
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "room.png"
+        render_cell(workshop.cell, path, workshop.plan.joints[0])
+        return path.read_bytes()
+
+
+def _write(path: Path, text: str) -> None:
+    draft = path.with_name(f".{path.name}.partial")
+    draft.write_text(text, encoding="utf-8")
+    draft.replace(path)
+
+
+def _read_metrics(path: Path) -> dict[str, Any]:
+    try:
+        metrics = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not readable figures of a run: {error}") from None
+    return metrics if isinstance(metrics, dict) else {}
+
+
+def _log_to(path: Path) -> None:
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logger = logging.getLogger("twinct")
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+
+
+def _say_result(console: Console, folder: Folder) -> None:
+    metrics = _read_metrics(folder.metrics)
+    image, pose = metrics["image"], metrics["pose_error"]
+    console.print(
+        f"{metrics['reached']} of {metrics['views']} views; "
+        f"RMSE {100 * image['rmse_rel']:.1f} % of mu(bone), "
+        f"{100 * image['rmse_bone_rel']:.1f} % near bone; "
+        f"pose error {pose['source']['position_mm']['mean']:.2f} mm source, "
+        f"{pose['detector']['position_mm']['mean']:.2f} mm detector\n"
+        f"report: {folder.report}",
+        highlight=False,
+        soft_wrap=True,
+    )
