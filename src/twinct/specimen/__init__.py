@@ -1,0 +1,17 @@
+"""The specimen: bodies, materials, and the voxel truth of what is imaged."""
+
+from __future__ import annotations
+
+from twinct.specimen.build import BuiltPart, BuiltSpecimen, build_specimen
+from twinct.specimen.materials import Material, material, material_names
+from twinct.specimen.voxels import volume_fractions
+
+__all__ = [
+    "BuiltPart",
+    "BuiltSpecimen",
+    "Material",
+    "build_specimen",
+    "material",
+    "material_names",
+    "volume_fractions",
+]

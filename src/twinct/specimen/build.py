@@ -1,0 +1,139 @@
+"""From the scenario's specimen to closed, disjoint meshes with attenuation, and their voxel truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from twinct import scenario
+from twinct.errors import SpecimenError
+from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.specimen.materials import Material, material
+from twinct.specimen.shapes import shape_surface
+from twinct.specimen.surface import subtract, surface
+from twinct.specimen.voxels import volume_fractions
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltPart:
+    """One body of one material.
+
+    Attributes:
+        name: what messages call it.
+        material: what it is made of.
+        mesh: closed surface in the specimen's frame, mm, counter-clockwise seen from outside.
+    """
+
+    name: str
+    material: Material
+    mesh: trimesh.Trimesh
+
+    @property
+    def volume_mm3(self) -> float:
+        """Enclosed volume, mm^3."""
+        return float(self.mesh.volume)
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltSpecimen:
+    """A specimen ready to be imaged: image and truth come from the same closed meshes.
+
+    Attributes:
+        parts: disjoint bodies; where two overlapped in the scenario, the later one has the overlap.
+        world_from_specimen: where the specimen stands.
+    """
+
+    parts: tuple[BuiltPart, ...]
+    world_from_specimen: Pose
+
+    @property
+    def bounds(self) -> Floats:
+        """Lowest and highest corner (2, 3) in the specimen's frame, mm."""
+        corners = np.array([part.mesh.bounds for part in self.parts])
+        return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+
+    @property
+    def reference_part(self) -> BuiltPart:
+        """The part with the largest volume: figures are relative to its attenuation."""
+        return max(self.parts, key=lambda part: part.volume_mm3)
+
+    def reference_mu(self, energy_kev: float) -> float:
+        """Attenuation of the part with the largest volume (mu of bone for a skull), 1/mm."""
+        return self.reference_part.material.mu_per_mm(energy_kev)
+
+    def hull(self) -> trimesh.Trimesh:
+        """Convex hull of all parts in the specimen's frame, mm, for collision."""
+        points = np.concatenate([part.mesh.vertices for part in self.parts])
+        return trimesh.convex.convex_hull(points)
+
+    def truth(
+        self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None
+    ) -> NDArray[np.float32]:
+        """Attenuation per voxel: volume fraction of each part times its mu.
+
+        Args:
+            grid: where to sample.
+            energy_kev: photon energy, keV.
+            world_from_specimen: where the specimen is; where it stands, unless given.
+
+        Returns:
+            (nz, ny, nx) float32, 1/mm.
+        """
+        volume = np.zeros(grid.shape, dtype=np.float32)
+        for part in self.parts:
+            volume_fractions(
+                part.mesh.vertices,
+                part.mesh.faces,
+                grid,
+                self.world_from_specimen if world_from_specimen is None else world_from_specimen,
+                weight=part.material.mu_per_mm(energy_kev),
+                out=volume,
+            )
+        return volume
+
+
+def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
+    """Build every part, then take from each what later parts cover.
+
+    Raises:
+        SpecimenError: with one sentence for each part that cannot be built.
+    """
+    problems: list[str] = []
+    built: list[BuiltPart] = []
+    for i, part in enumerate(section.parts):
+        try:
+            substance = material(part.material, origin=f"specimen.parts.{i}.material")
+        except SpecimenError as error:
+            problems.extend(error.problems)
+            substance = None
+        try:
+            mesh = shape_surface(part.shape, part.label)
+        except SpecimenError as error:
+            problems.extend(error.problems)
+            continue
+        if substance is not None:
+            placed = surface(part.specimen_from_part.apply(mesh.vertices), mesh.faces)
+            built.append(BuiltPart(part.label, substance, placed))
+    if problems:
+        raise SpecimenError(problems)
+    return BuiltSpecimen(_disjoint(built), section.world_from_specimen)
+
+
+def _disjoint(parts: list[BuiltPart]) -> tuple[BuiltPart, ...]:
+    disjoint: list[BuiltPart] = []
+    problems: list[str] = []
+    for i, part in enumerate(parts):
+        mesh = subtract(part.mesh, [later.mesh for later in parts[i + 1 :]], part.name)
+        if not len(mesh.faces):
+            problems.append(
+                f"part {part.name!r} is empty: later parts cover all of it. Where parts overlap the "
+                "later one wins; list the outer part first"
+            )
+            continue
+        disjoint.append(BuiltPart(part.name, part.material, mesh))
+    if problems:
+        raise SpecimenError(problems)
+    return tuple(disjoint)

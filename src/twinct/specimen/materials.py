@@ -1,0 +1,227 @@
+"""Materials: what a part is made of, and how strongly it attenuates.
+
+The attenuation coefficient is the number that goes to the X-ray simulation and to the voxel truth, so
+that both speak of the same specimen. It is the total one, coherent scatter included, by the mixture
+rule over the elements,
+
+    mu = rho * sum_i w_i (mu / rho)_i(E),
+
+with the mass attenuation coefficients of xraylib (Schoonjans et al., Spectrochim. Acta B 66, 2011).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import xraylib
+
+from twinct.errors import SpecimenError
+from twinct.scenario import Composition
+
+FRACTION_SUM_TOLERANCE = 0.005
+"""Tables round shares to three digits: about ten of them may miss 1 by this much."""
+
+MM_PER_CM = 10.0
+HEAVIEST_ELEMENT = 92
+"""xraylib tabulates hydrogen to uranium."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """A homogeneous material.
+
+    Attributes:
+        name: what messages and pictures call it.
+        density_g_cm3: mass density, g/cm3.
+        mass_fractions: element symbol to share of mass; the shares add up to 1.
+    """
+
+    name: str
+    density_g_cm3: float
+    mass_fractions: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        """Check the elements and their shares, normalise the shares and freeze them."""
+        if not self.density_g_cm3 > 0:
+            raise SpecimenError(
+                f"material {self.name!r}: density {self.density_g_cm3:g} g/cm3 must be positive"
+            )
+        if not self.mass_fractions:
+            raise SpecimenError(f"material {self.name!r} has no elements")
+        for symbol, share in self.mass_fractions.items():
+            _atomic_number(symbol, self.name)
+            if not share > 0:
+                raise SpecimenError(
+                    f"material {self.name!r}: the share of {symbol}, {share:g}, must be positive"
+                )
+        total = sum(self.mass_fractions.values())
+        if abs(total - 1.0) > FRACTION_SUM_TOLERANCE:
+            raise SpecimenError(
+                f"material {self.name!r}: the mass fractions add up to {total:.4g}, they must add up "
+                f"to 1 (within {FRACTION_SUM_TOLERANCE:g})"
+            )
+        shares = {symbol: share / total for symbol, share in self.mass_fractions.items()}
+        object.__setattr__(self, "mass_fractions", MappingProxyType(shares))
+
+    def __hash__(self) -> int:
+        """Equal materials hash alike."""
+        return hash((self.name, self.density_g_cm3, tuple(sorted(self.mass_fractions.items()))))
+
+    def __reduce__(self) -> tuple[type[Material], tuple[str, float, dict[str, float]]]:
+        """A read-only mapping does not pickle by itself."""
+        return Material, (self.name, self.density_g_cm3, dict(self.mass_fractions))
+
+    def mu_per_mm(self, energy_kev: float) -> float:
+        """Linear attenuation coefficient, 1/mm.
+
+        Args:
+            energy_kev: photon energy, keV.
+
+        Raises:
+            SpecimenError: xraylib has no data at this energy.
+        """
+        try:
+            mass_attenuation = sum(
+                share * xraylib.CS_Total(_atomic_number(symbol, self.name), float(energy_kev))
+                for symbol, share in self.mass_fractions.items()
+            )
+        except ValueError as error:
+            raise SpecimenError(
+                f"material {self.name!r}: no attenuation known at {energy_kev:g} keV ({error}); "
+                "xraylib covers about 0.1 to 800 keV"
+            ) from None
+        return self.density_g_cm3 * mass_attenuation / MM_PER_CM
+
+
+def material(description: str | Composition, origin: str = "material") -> Material:
+    """Look a material up by name, or compose it.
+
+    Args:
+        description: a built-in name (``material_names``), an element symbol, a compound of the NIST
+            list in xraylib, or a composition.
+        origin: where the description stands, for messages.
+
+    Raises:
+        SpecimenError: unknown name, bad formula, shares that do not add up to 1.
+    """
+    if isinstance(description, Composition):
+        return _composed(description, origin)
+    wanted = description.strip()
+    key = _key(wanted)
+    for name, built_in in BUILT_IN.items():
+        if _key(name) == key:
+            return built_in
+    if wanted in _ELEMENTS:
+        number = xraylib.SymbolToAtomicNumber(wanted)
+        return Material(wanted, xraylib.ElementDensity(number), {wanted: 1.0})
+    for name in xraylib.GetCompoundDataNISTList():
+        if _key(name) == key:
+            data = xraylib.GetCompoundDataNISTByName(name)
+            return Material(
+                name, data["density"], _by_symbol(data["Elements"], data["massFractions"])
+            )
+    raise SpecimenError(_unknown(wanted, origin))
+
+
+def material_names() -> tuple[str, ...]:
+    """Names that ``material`` knows: the built-in ones, then the compounds of NIST."""
+    return (*BUILT_IN, *xraylib.GetCompoundDataNISTList())
+
+
+def _composed(composition: Composition, origin: str) -> Material:
+    if composition.mass_fractions is not None:
+        name = " ".join(f"{s} {share:g}" for s, share in composition.mass_fractions.items())
+        return Material(name, composition.density_g_cm3, composition.mass_fractions)
+    formula = composition.formula or ""
+    try:
+        data = xraylib.CompoundParser(formula)
+    except ValueError as error:
+        raise SpecimenError(
+            f"{origin}: formula {formula!r} cannot be read ({error}); "
+            "write it like H2O or Ca10(PO4)6(OH)2"
+        ) from None
+    shares = _by_symbol(data["Elements"], data["massFractions"])
+    return Material(formula, composition.density_g_cm3, shares)
+
+
+def _unknown(wanted: str, origin: str) -> str:
+    known = {_key(name): name for name in material_names()}
+    near = [known[k] for k in difflib.get_close_matches(_key(wanted), known, n=3, cutoff=0.5)]
+    near += [name for k, name in known.items() if _key(wanted) in k and name not in near][:3]
+    hint = f"nearest: {', '.join(near)}" if near else f"built in: {', '.join(BUILT_IN)}"
+    return (
+        f"{origin}: unknown material {wanted!r}; {hint}. Element symbols are known too, and any other "
+        "material can be given as {formula: H2O, density_g_cm3: 1.0} or "
+        "{mass_fractions: {H: 0.112, O: 0.888}, density_g_cm3: 1.0}"
+    )
+
+
+def _key(name: str) -> str:
+    return "".join(c for c in name.lower() if c.isalnum() or c == ".")
+
+
+def _by_symbol(numbers: Iterable[int], shares: Iterable[float]) -> dict[str, float]:
+    return {
+        xraylib.AtomicNumberToSymbol(number): share
+        for number, share in zip(numbers, shares, strict=True)
+        if share > 0
+    }
+
+
+def _atomic_number(symbol: str, name: str) -> int:
+    if symbol not in _ELEMENTS:
+        raise SpecimenError(
+            f"material {name!r}: {symbol!r} is no element symbol from H to U (written like Ca, not ca)"
+        )
+    return xraylib.SymbolToAtomicNumber(symbol)
+
+
+_ELEMENTS = frozenset(xraylib.AtomicNumberToSymbol(z) for z in range(1, HEAVIEST_ELEMENT + 1))
+
+# Compositions by mass. Tissues: ICRU Report 44 (1989) as in NIST's tables (Hubbell and Seltzer, NISTIR
+# 5632); teeth: Woodard and White, Br. J. Radiol. 59 (1986), ICRU Report 46. Metals: ASTM F136
+# (Ti-6Al-4V), AISI 316L, ASTM F75 (cobalt-chromium), nominal.
+_TABLE: dict[str, tuple[float, dict[str, float]]] = {
+    "bone": (
+        1.92,
+        {"H": 0.034, "C": 0.155, "N": 0.042, "O": 0.435, "Na": 0.001, "Mg": 0.002}
+        | {"P": 0.103, "S": 0.003, "Ca": 0.225},
+    ),
+    "water": (1.0, {"H": 0.111894, "O": 0.888106}),
+    "soft_tissue": (
+        1.06,
+        {"H": 0.102, "C": 0.143, "N": 0.034, "O": 0.708, "Na": 0.002, "P": 0.003}
+        | {"S": 0.003, "Cl": 0.002, "K": 0.003},
+    ),
+    "air": (0.00120479, {"C": 0.000124, "N": 0.755268, "O": 0.231781, "Ar": 0.012827}),
+    "enamel": (
+        2.95,
+        {"H": 0.0095, "C": 0.0111, "N": 0.0023, "O": 0.4166, "Na": 0.0079, "Mg": 0.0023}
+        | {"P": 0.1871, "Cl": 0.0034, "Ca": 0.3597},
+    ),
+    "dentine": (
+        2.14,
+        {"H": 0.0267, "C": 0.1277, "N": 0.0427, "O": 0.4040, "Na": 0.0065, "Mg": 0.0059}
+        | {"P": 0.1186, "Cl": 0.0004, "Ca": 0.2674},
+    ),
+    "hydroxyapatite": (
+        3.16,
+        {"H": 0.00201, "O": 0.41405, "P": 0.18501, "Ca": 0.39893},
+    ),
+    "aluminium": (2.699, {"Al": 1.0}),
+    "titanium": (4.506, {"Ti": 1.0}),
+    "titanium_alloy": (4.43, {"Ti": 0.90, "Al": 0.06, "V": 0.04}),
+    "steel": (8.0, {"Fe": 0.655, "Cr": 0.17, "Ni": 0.12, "Mo": 0.025, "Mn": 0.02, "Si": 0.01}),
+    "cobalt_chromium": (8.3, {"Co": 0.65, "Cr": 0.29, "Mo": 0.06}),
+    "pmma": (1.19, {"H": 0.080538, "C": 0.599848, "O": 0.319614}),
+    "peek": (1.32, {"H": 0.0419, "C": 0.7916, "O": 0.1665}),
+}
+_SYNONYMS = {"tooth": "enamel", "dentin": "dentine", "aluminum": "aluminium"}
+
+BUILT_IN: Mapping[str, Material] = MappingProxyType(
+    {name: Material(name, *row) for name, row in _TABLE.items()}
+    | {synonym: Material(name, *_TABLE[name]) for synonym, name in _SYNONYMS.items()}
+)

@@ -1,0 +1,124 @@
+"""Closed surfaces: from a lattice of values, checked, simplified, subtracted from each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import manifold3d
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from skimage.measure import marching_cubes
+
+from twinct.errors import SpecimenError
+
+MAX_TRIANGLES = 700_000
+"""More than this costs rendering time without showing in a panel of half-millimetre pixels."""
+
+TIE_BREAK = 1e-5
+"""Lattice values closer to the level than this share of their spread are moved off it: a surface
+through a lattice point has triangles without area."""
+
+
+def surface(vertices: ArrayLike, faces: ArrayLike) -> trimesh.Trimesh:
+    """A mesh of exactly these triangles; trimesh merges and drops nothing."""
+    return trimesh.Trimesh(np.asarray(vertices, dtype=np.float64), np.asarray(faces), process=False)
+
+
+def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) -> trimesh.Trimesh:
+    """The closed surface around where a lattice of values exceeds a level.
+
+    The lattice is padded by its lowest value, so that a body cut by the lattice's border gets a lid.
+
+    Args:
+        values: (n0, n1, n2); at least one above and one below the level.
+        level: the surface runs where the values, linearly interpolated, equal it.
+        affine: (4, 4): lattice index to mm.
+
+    Returns:
+        The mesh, counter-clockwise seen from outside, in the frame ``affine`` leads to.
+    """
+    field = np.pad(np.asarray(values, dtype=np.float32), 1, constant_values=float(values.min()))
+    near = TIE_BREAK * max(level - float(field.min()), float(field.max()) - level)
+    field[np.abs(field - level) < near] = level + near
+    vertices, faces, _, _ = marching_cubes(field, level, gradient_direction="ascent")
+    affine = np.asarray(affine, dtype=np.float64)
+    vertices = (vertices.astype(np.float64) - 1.0) @ affine[:3, :3].T + affine[:3, 3]
+    mesh = surface(vertices, faces)
+    if mesh.volume < 0:
+        mesh = surface(vertices, faces[:, ::-1])
+    if mesh.is_watertight:
+        return mesh
+    # Two sheets may meet in one edge: the solid modeller splits them.
+    mended = from_manifold(to_manifold(mesh))
+    return mended if len(mended.faces) else mesh
+
+
+def to_manifold(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
+    """The solid that the surface bounds; empty where the modeller cannot make sense of it."""
+    raw = manifold3d.Mesh64(
+        vert_properties=np.ascontiguousarray(mesh.vertices, dtype=np.float64),
+        tri_verts=np.ascontiguousarray(mesh.faces, dtype=np.uint64),
+    )
+    solid = manifold3d.Manifold(raw)
+    if solid.status() != manifold3d.Error.NoError:
+        raw.merge()
+        solid = manifold3d.Manifold(raw)
+    return solid
+
+
+def from_manifold(solid: manifold3d.Manifold) -> trimesh.Trimesh:
+    """The surface of a solid."""
+    mesh = solid.to_mesh64()
+    return surface(mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64))
+
+
+def simplified(mesh: trimesh.Trimesh, max_triangles: int = MAX_TRIANGLES) -> trimesh.Trimesh:
+    """The same surface with fewer triangles, moved by as little as it takes.
+
+    Args:
+        mesh: closed.
+        max_triangles: what to come down to; the tolerance grows until it is reached.
+    """
+    if len(mesh.faces) <= max_triangles:
+        return mesh
+    solid = to_manifold(mesh)
+    if solid.is_empty():
+        return mesh
+    tolerance = 0.02
+    smaller = solid
+    while smaller.num_tri() > max_triangles and tolerance < 2.0:
+        smaller = solid.simplify(tolerance)
+        tolerance *= 1.5
+    return from_manifold(smaller)
+
+
+def subtract(
+    mesh: trimesh.Trimesh, others: Sequence[trimesh.Trimesh], name: str
+) -> trimesh.Trimesh:
+    """What of a closed mesh lies outside all the others; it may be empty.
+
+    Raises:
+        SpecimenError: the mesh, or one of the others, is no solid (it intersects itself badly).
+    """
+    touching = [other for other in others if _boxes_meet(mesh, other)]
+    if not touching:
+        return mesh
+    solid = to_manifold(mesh)
+    tools = [to_manifold(other) for other in touching]
+    if solid.is_empty() or any(tool.is_empty() for tool in tools):
+        raise SpecimenError(
+            f"part {name!r} overlaps another part, but one of the two is not a solid that can be cut: "
+            "its surface is not an orientable manifold"
+        )
+    return from_manifold(solid - manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add))
+
+
+def _boxes_meet(a: trimesh.Trimesh, b: trimesh.Trimesh) -> bool:
+    return bool((a.bounds[0] <= b.bounds[1]).all() and (b.bounds[0] <= a.bounds[1]).all())
+
+
+def open_edges(mesh: trimesh.Trimesh) -> int:
+    """Number of edges that do not join exactly two triangles."""
+    _, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    return int((counts != 2).sum())
