@@ -1,0 +1,14 @@
+"""What a run found out: ``metrics.json`` for scripts, ``report.html`` for people."""
+
+from twinct.report.data import CrossSection, ReportData, cross_sections
+from twinct.report.metrics import build_metrics
+from twinct.report.page import render_report, write_report
+
+__all__ = [
+    "CrossSection",
+    "ReportData",
+    "build_metrics",
+    "cross_sections",
+    "render_report",
+    "write_report",
+]

@@ -1,0 +1,119 @@
+"""What a report is made of: small enough to hand over, without any whole volume."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twinct.geometry import Floats, Panel, VolumeGrid
+from twinct.scenario import Scenario
+from twinct.views import PosePairs
+
+
+class CrossSection(NamedTuple):
+    """One plane of voxels, with axis 0 upwards and axis 1 to the right.
+
+    Attributes:
+        reconstruction: attenuation, (up, right), 1/mm.
+        truth: true attenuation, (up, right), 1/mm.
+        roi: voxels that every view sees, (up, right), bool.
+        extent_mm: outer edges (left, right, bottom, top), mm.
+        axes: names of the axes (right, up).
+        position: where the plane lies, such as "z = 0.2 mm".
+    """
+
+    reconstruction: NDArray[np.floating]
+    truth: NDArray[np.floating]
+    roi: NDArray[np.bool_]
+    extent_mm: tuple[float, float, float, float]
+    axes: tuple[str, str] = ("", "")
+    position: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ReportData:
+    """Everything a report shows.
+
+    Attributes:
+        scenario: what was run.
+        scenario_yaml: the scenario as text.
+        metrics: what ``build_metrics`` gave.
+        commanded: poses the trajectory asked for.
+        executed: poses at exposure, the same views.
+        panel: the pixel lattice.
+        clearance_mm: smallest gap during the move to each view, (views,), mm.
+        projections: a few views, (view, transmission (row, col)).
+        slices: cross-sections by name, see ``cross_sections``.
+        mu_reference: mu(bone), 1/mm; the largest true value where None.
+        room_png: picture of the robot cell, or None.
+    """
+
+    scenario: Scenario
+    scenario_yaml: str
+    metrics: Mapping[str, Any]
+    commanded: PosePairs
+    executed: PosePairs
+    panel: Panel
+    clearance_mm: Floats
+    projections: Sequence[tuple[int, NDArray[np.floating]]] = ()
+    slices: Mapping[str, CrossSection] = field(default_factory=dict)
+    mu_reference: float | None = None
+    room_png: bytes | None = None
+
+
+_PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}
+"""Array axis that each plane is orthogonal to."""
+
+
+def cross_sections(
+    volume: ArrayLike, truth: ArrayLike, roi: ArrayLike, grid: VolumeGrid
+) -> dict[str, CrossSection]:
+    """The axial, coronal and sagittal planes through the middle of the grid.
+
+    Where such a plane misses the specimen, the one through the middle of the specimen's bounds is
+    taken. Coordinates are the world's, or the grid's own where the grid is turned.
+
+    Args:
+        volume: reconstructed attenuation, (z, y, x), 1/mm.
+        truth: true attenuation, (z, y, x), 1/mm.
+        roi: region that every view sees, (z, y, x), bool.
+        grid: the lattice of all three.
+    """
+    arrays = [np.asarray(array) for array in (volume, truth, roi)]
+    turned = not np.allclose(grid.world_from_grid.rotation, np.eye(3), atol=1e-12)
+    shift = np.zeros(3) if turned else grid.world_from_grid.position
+    centres = [axis + offset for axis, offset in zip(grid.axes(), shift, strict=True)][::-1]
+    edges = grid.voxel[::-1]
+    names = [f"{'grid ' if turned else ''}{name}" for name in "zyx"]
+    sections = {}
+    for name, normal in _PLANES.items():
+        index = _plane(arrays[1], normal)
+        up, right = (axis for axis in range(3) if axis != normal)
+        left, right_edge, bottom, top = (
+            float(centres[axis][end] + side * edges[axis] / 2)
+            for axis in (right, up)
+            for end, side in ((0, -1), (-1, 1))
+        )
+        cut = [np.take(array, index, axis=normal).copy() for array in arrays]
+        sections[name] = CrossSection(
+            cut[0],
+            cut[1],
+            cut[2].astype(np.bool_),
+            (left, right_edge, bottom, top),
+            (names[right], names[up]),
+            f"{names[normal]} = {centres[normal][index]:.1f} mm",
+        )
+    return sections
+
+
+def _plane(truth: NDArray[np.floating], normal: int) -> int:
+    middle = truth.shape[normal] // 2
+    if np.any(np.take(truth, middle, axis=normal)):
+        return middle
+    others = tuple(axis for axis in range(3) if axis != normal)
+    hits = np.flatnonzero(np.any(truth, axis=others))
+    return int(hits[0] + hits[-1]) // 2 if hits.size else middle

@@ -1,0 +1,403 @@
+"""The pictures of a report. Each function gives one image; none touches pyplot's global state."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LightSource, ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from twinct.evaluate import PoseErrors
+from twinct.geometry import Floats, Panel
+from twinct.report.data import CrossSection
+
+SOURCE_COLOUR, DETECTOR_COLOUR = "#c4501b", "#1f6091"
+LIMIT_COLOUR, REGION_COLOUR, INK = "#6b7280", "#f2a33a", "#1f2933"
+
+SPHERE_TOLERANCE = 0.01
+"""Largest relative spread of the sources' distances that still counts as a path on a sphere."""
+
+DARKEST = 1e-7
+"""Transmission shown for anything darker: its line integral is 16.1."""
+
+_STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9,
+    "axes.edgecolor": "#9aa5b1",
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "svg.hashsalt": "twinct",  # the same data gives the same bytes
+}
+_WIDTH = 10.4
+"""Inches; the page shows about 100 px for each."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image with its type.
+
+    Attributes:
+        content: the file.
+        media_type: such as "image/png".
+    """
+
+    content: bytes
+    media_type: str
+
+    @property
+    def data_uri(self) -> str:
+        """The image itself as an address, so that a page needs no other file."""
+        return f"data:{self.media_type};base64,{base64.b64encode(self.content).decode('ascii')}"
+
+
+def _png(figure: Figure, dpi: int) -> Picture:
+    canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    canvas.draw()
+    image = PillowImage.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    stream = io.BytesIO()
+    image.save(stream, "PNG", optimize=True)
+    return Picture(stream.getvalue(), "image/png")
+
+
+def _svg(figure: Figure) -> Picture:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return Picture(stream.getvalue(), "image/svg+xml")
+
+
+def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Picture:
+    """The source's path on a grey sphere about the isocentre, as in the paper's figure 3, left.
+
+    The sphere is left out where the path is not on one.
+
+    Args:
+        commanded: focal spots asked for, (views, 3), mm.
+        executed: focal spots at exposure, (views, 3), mm.
+        isocentre: (3,), mm.
+    """
+    distance = np.linalg.norm(commanded - isocentre, axis=1)
+    radius = float(distance.mean())
+    on_sphere = radius > 0 and np.ptp(distance) <= SPHERE_TOLERANCE * radius
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(5.6, 4.7))
+        axes: Any = figure.add_axes(
+            (-0.04, 0.0, 0.96, 1.03), projection="3d", computed_zorder=False
+        )
+        axes.set_proj_type("ortho")
+        middle = commanded[len(commanded) // 2] - isocentre
+        azimuth = math.degrees(math.atan2(middle[1], middle[0])) - 35
+        elevation = 24.0
+        axes.view_init(elev=elevation, azim=azimuth)
+        a, e = math.radians(azimuth), math.radians(elevation)
+        viewer = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+
+        if on_sphere:
+            _sphere(axes, isocentre, radius)
+        front = (commanded - isocentre) @ viewer >= 0
+        colours = mpl.colormaps["viridis"](np.linspace(0, 0.93, len(commanded)))
+        norm = Normalize(0, max(len(commanded) - 1, 1))
+        for part, order, alpha in ((~front, 1, 0.55), (front, 5, 1.0)):
+            line = np.where(part[:, None], commanded, np.nan)
+            axes.plot(*line.T, color=INK, lw=0.9, alpha=alpha, zorder=order)
+            axes.scatter(
+                *executed[part].T,
+                c=colours[part],
+                s=11 if len(commanded) <= 150 else 6,
+                alpha=alpha,
+                depthshade=False,
+                linewidths=0,
+                zorder=order + 1,
+            )
+        for index, label in ((0, "first"), (-1, "last")):
+            point = isocentre + 1.06 * (commanded[index] - isocentre)
+            axes.text(*point, label, fontsize=8.5, ha="center", va="bottom", zorder=9)
+        axes.scatter(*isocentre, marker="+", s=60, c="#111111", lw=1.3, zorder=8)
+        axes.text(*isocentre, "  isocentre", fontsize=8.5, va="center", zorder=8)
+        _equal_box(axes, np.vstack([commanded, executed, isocentre[None]]), isocentre, on_sphere)
+        bar = figure.colorbar(
+            ScalarMappable(norm, ListedColormap(colours)),
+            ax=axes,
+            cax=figure.add_axes((0.91, 0.25, 0.022, 0.5)),
+        )
+        bar.set_label("view")
+        bar.locator = MaxNLocator(5, integer=True)
+        bar.outline.set_visible(False)
+        return _png(figure, 180)
+
+
+def _sphere(axes: Any, centre: Floats, radius: float) -> None:
+    longitude, latitude = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 97), np.linspace(-1, 1, 49) * np.pi / 2
+    )
+    ball = np.stack(
+        [
+            np.cos(latitude) * np.cos(longitude),
+            np.cos(latitude) * np.sin(longitude),
+            np.sin(latitude),
+        ]
+    )
+    axes.plot_surface(
+        *(centre[:, None, None] + radius * ball),
+        color="#c9ced4",
+        alpha=0.55,
+        lightsource=LightSource(azdeg=-40, altdeg=55),
+        rcount=97,
+        ccount=97,
+        linewidth=0,
+        antialiased=False,
+        zorder=3,
+    )
+    for angle in np.radians([-60, -30, 0, 30, 60]):
+        turn = np.linspace(0, 2 * np.pi, 181)
+        ring = np.stack(
+            [
+                np.cos(angle) * np.cos(turn),
+                np.cos(angle) * np.sin(turn),
+                np.full(181, np.sin(angle)),
+            ]
+        )
+        axes.plot(*(centre[:, None] + radius * ring), color="white", lw=0.5, alpha=0.7, zorder=4)
+
+
+def _equal_box(axes: Any, points: Floats, centre: Floats, on_sphere: bool) -> None:
+    """Same scale along all axes, the isocentre in the middle, ticks in mm."""
+    half = np.abs(points - centre).max(axis=0)
+    half = np.full(3, half.max()) if on_sphere else np.maximum(half, 0.15 * half.max())
+    half = 1.02 * np.maximum(half, 1e-6)
+    for name, middle, reach in zip("xyz", centre, half, strict=True):
+        getattr(axes, f"set_{name}lim")(middle - reach, middle + reach)
+        getattr(axes, f"set_{name}label")(f"{name} / mm", labelpad=1)
+        axis = getattr(axes, f"{name}axis")
+        axis.set_major_locator(MaxNLocator(5))
+        axis.pane.set_facecolor("white")
+        axis.pane.set_edgecolor("#d5dae0")
+        axis._axinfo["grid"].update(color="#e4e7eb", linewidth=0.6)
+    axes.tick_params(pad=-1, labelsize=7.5)
+    axes.set_box_aspect(tuple(half), zoom=0.93)
+
+
+def pose_errors_over_views(
+    errors: PoseErrors, clearance_mm: Floats, tolerance_mm: float, clearance_limit_mm: float
+) -> Picture:
+    """Position error, rotation error and clearance, one below the other, over the views.
+
+    Args:
+        errors: executed against commanded.
+        clearance_mm: (views,), mm.
+        tolerance_mm: distance at which a target counts as reached.
+        clearance_limit_mm: smallest gap that a plan may have.
+    """
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(_WIDTH, 5.6), layout="constrained")
+        position, rotation, clearance = figure.subplots(3, 1, sharex=True)
+        views = np.arange(len(errors.source.position_mm))
+        style = {"lw": 1.1, "marker": "o", "ms": 2.2 if len(views) <= 150 else 0}
+        for arm, label, colour in (
+            (errors.source, "source", SOURCE_COLOUR),
+            (errors.detector, "detector", DETECTOR_COLOUR),
+        ):
+            position.plot(views, arm.position_mm, color=colour, label=label, **style)
+            rotation.plot(views, arm.rotation_deg, color=colour, label=label, **style)
+        clearance.plot(np.arange(len(clearance_mm)), clearance_mm, color="#3d7a4d", **style)
+        _limit(position, tolerance_mm, f"tolerance {tolerance_mm:g} mm")
+        _limit(clearance, clearance_limit_mm, f"planned at least {clearance_limit_mm:g} mm")
+        for axes, label in (
+            (position, "position error / mm"),
+            (rotation, "rotation error / deg"),
+            (clearance, "clearance / mm"),
+        ):
+            axes.set_ylabel(label)
+            axes.set_ylim(bottom=0)
+            axes.margins(x=0.01)
+            axes.grid(axis="y", color="#e4e7eb", lw=0.7)
+            axes.set_axisbelow(True)
+        # Above the data and the limit, wherever those are.
+        figure.legend(
+            *position.get_legend_handles_labels(), loc="outside upper right", ncols=2, borderpad=0
+        )
+        clearance.set_xlabel("view")
+        clearance.xaxis.set_major_locator(MaxNLocator(10, integer=True))
+        figure.align_ylabels()
+        return _svg(figure)
+
+
+def _limit(axes: Any, value: float, label: str) -> None:
+    axes.axhline(value, color=LIMIT_COLOUR, lw=1, ls=(0, (4, 3)))
+    axes.annotate(
+        label,
+        (0.004, value),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, 2),
+        textcoords="offset points",
+        va="bottom",
+        fontsize=8,
+        color=LIMIT_COLOUR,
+    )
+    axes.set_ylim(top=max(axes.get_ylim()[1], 1.2 * value))
+
+
+def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float) -> Picture:
+    """Reconstruction, truth and their difference for each plane, with scales in mm.
+
+    Reconstruction and truth share one grey window; the error has its own, symmetric about 0. The
+    outline is the boundary of the region that every view sees.
+    """
+    highest = max([mu_reference, *(float(s.truth.max()) for s in sections.values())])
+    grey = Normalize(-0.1 * highest, 1.2 * highest)
+    worst = _nice(max(_typical_worst(s) for s in sections.values()) or 0.1 * mu_reference)
+    with mpl.rc_context(_STYLE):
+        rows = len(sections)
+        shares = [_height(s) for s in sections.values()]
+        figure = Figure(
+            figsize=(_WIDTH, 3.15 * sum(shares) + 0.35 * rows + 0.9), layout="constrained"
+        )
+        grid = figure.subplots(rows, 3, squeeze=False, height_ratios=shares)
+        for line, (name, section) in zip(grid, sections.items(), strict=True):
+            error = section.reconstruction.astype(np.float64) - section.truth
+            for axes, image, cmap, norm in zip(
+                line,
+                (section.reconstruction, section.truth, error),
+                ("gray", "gray", "RdBu_r"),
+                (grey, grey, Normalize(-worst, worst)),
+                strict=True,
+            ):
+                axes.imshow(image, cmap=cmap, norm=norm, origin="lower", extent=section.extent_mm)
+                _outline(axes, section, REGION_COLOUR if cmap == "gray" else INK)
+                axes.xaxis.set_major_locator(MaxNLocator(5))
+                axes.yaxis.set_major_locator(MaxNLocator(5))
+                axes.set_xlabel(f"{section.axes[0]} / mm".lstrip(" /"), labelpad=1)
+                if axes is not line[0]:
+                    axes.tick_params(labelleft=False)
+            line[0].set_ylabel(f"{section.axes[1]} / mm".lstrip(" /"), labelpad=1)
+            line[0].set_title(f"{name}, {section.position}".rstrip(", "), loc="left", weight="bold")
+        for axes, title in zip(
+            grid[0], ("reconstruction", "truth", "reconstruction − truth"), strict=True
+        ):
+            axes.set_title(title, loc="right" if axes is grid[0][0] else "center")
+        for columns, cmap, norm in (
+            (grid[:, :2], "gray", grey),
+            (grid[:, 2:], "RdBu_r", Normalize(-worst, worst)),
+        ):
+            bar = figure.colorbar(
+                ScalarMappable(norm, cmap),
+                ax=columns,
+                location="bottom",
+                shrink=0.5 if columns.shape[1] == 2 else 0.9,
+                aspect=34 if columns.shape[1] == 2 else 30,
+                extend="both",
+            )
+            bar.set_label(
+                "attenuation / mm⁻¹" if columns.shape[1] == 2 else "error / mm⁻¹", labelpad=2
+            )
+            bar.locator = MaxNLocator(5)
+            bar.outline.set_linewidth(0.5)
+        return _png(figure, 165)
+
+
+def _height(section: CrossSection) -> float:
+    left, right, bottom, top = section.extent_mm
+    return (top - bottom) / (right - left)
+
+
+def _typical_worst(section: CrossSection) -> float:
+    """Error that 99.5 % of the voxels in the region stay below."""
+    error = np.abs(section.reconstruction.astype(np.float64) - section.truth)
+    seen = error[section.roi] if section.roi.any() else error
+    return float(np.percentile(seen, 99.5))
+
+
+def _nice(value: float) -> float:
+    """Round up to one leading digit."""
+    step = 10.0 ** math.floor(math.log10(value))
+    return math.ceil(value / step * (1 - 1e-9)) * step
+
+
+def _outline(axes: Any, section: CrossSection, colour: str) -> None:
+    """The boundary of the region, along the voxel edges' middle line."""
+    roi = np.pad(section.roi, 1)  # so that a region that reaches the edge is closed there
+    if not roi.any() or section.roi.all():
+        return
+    left, right, bottom, top = section.extent_mm
+    rows, columns = section.roi.shape
+    dx, dy = (right - left) / columns, (top - bottom) / rows
+    axes.contour(
+        left + (np.arange(columns + 2) - 0.5) * dx,
+        bottom + (np.arange(rows + 2) - 0.5) * dy,
+        roi,
+        levels=[0.5],
+        colors=[colour],
+        linewidths=1.0,
+    )
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+
+
+def projection_strip(
+    projections: Sequence[tuple[int, NDArray[np.floating]]], panel: Panel
+) -> Picture:
+    """A few projections as line integrals -ln(I/I0), in one grey window, seen from the source.
+
+    Args:
+        projections: (view, transmission (row, col)); row 0 is drawn at the bottom, v points up.
+        panel: the pixel lattice.
+    """
+    integrals = [
+        -np.log(np.clip(image.astype(np.float64), DARKEST, None)) for _, image in projections
+    ]
+    norm = Normalize(0, max(float(np.percentile(np.stack(integrals), 99.9)), 1e-6))
+    width, height = panel.size_mm
+    per_row = min(4, len(projections)) if len(projections) != 6 else 3
+    rows = -(-len(projections) // per_row)
+    with mpl.rc_context(_STYLE):
+        cell = (_WIDTH - 0.9) / per_row
+        figure = Figure(
+            figsize=(_WIDTH, rows * (cell * height / width + 0.35) + 0.35), layout="constrained"
+        )
+        grid = figure.subplots(rows, per_row, squeeze=False, sharex=True, sharey=True)
+        for axes in grid.flat[len(projections) :]:
+            axes.set_visible(False)
+        for axes, (view, _), image in zip(grid.flat, projections, integrals, strict=False):
+            axes.imshow(
+                image,
+                cmap="gray",
+                norm=norm,
+                origin="lower",
+                extent=(-width / 2, width / 2, -height / 2, height / 2),
+            )
+            axes.set_title(f"view {view}", loc="left")
+            axes.xaxis.set_major_locator(MaxNLocator(4))
+            axes.yaxis.set_major_locator(MaxNLocator(5))
+        for axes in grid[-1]:
+            axes.set_xlabel("u / mm", labelpad=1)
+        for axes in grid[:, 0]:
+            axes.set_ylabel("v / mm", labelpad=1)
+        bar = figure.colorbar(
+            ScalarMappable(norm, "gray"), ax=grid, aspect=22 * rows, pad=0.01, extend="max"
+        )
+        bar.set_label("−ln(I / I₀)")
+        bar.outline.set_linewidth(0.5)
+        return _png(figure, 150)

@@ -1,0 +1,95 @@
+"""The figures of a run as plain data: the contract of ``metrics.json``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinct import __version__
+from twinct.evaluate import ImageFigures, PoseErrors
+
+STAGES = ("plan", "motion", "xray", "reconstruction", "total")
+"""Stages whose seconds every ``metrics.json`` holds."""
+
+
+def build_metrics(
+    *,
+    views: int,
+    reached: int,
+    pose_errors: PoseErrors,
+    clearance_mm: ArrayLike,
+    image: ImageFigures | Mapping[str, ImageFigures],
+    seconds: Mapping[str, float],
+    simulated_seconds: float,
+    scenario_digest: str,
+    real_time_factor: float | None = None,
+    **extra: Any,
+) -> dict[str, Any]:
+    """Gather the figures of a run.
+
+    Everything in the result is plain and goes into strict JSON: a figure that is not finite, such
+    as the PSNR of a perfect volume, becomes None.
+
+    Args:
+        views: views that the trajectory asked for.
+        reached: views that were taken.
+        pose_errors: executed against commanded.
+        clearance_mm: smallest gap during the move to each view, (views,), mm.
+        image: image figures, or those of each geometry reconstructed from; the first one's volume
+            is kept, and ``image_by_geometry`` is there when there are several.
+        seconds: wall-clock seconds of each stage, ``STAGES`` at least.
+        simulated_seconds: simulated time of the scan.
+        scenario_digest: ties the figures to the scenario.
+        real_time_factor: simulated over wall-clock seconds of the motion; by default
+            ``simulated_seconds`` over the seconds of ``motion``.
+        **extra: further top-level keys.
+
+    Raises:
+        ValueError: a stage is missing, there are no image figures, or an extra key is taken.
+    """
+    missing = [stage for stage in STAGES if stage not in seconds]
+    if missing:
+        raise ValueError(f"seconds lacks {', '.join(missing)}")
+    by_geometry = {"": image} if isinstance(image, ImageFigures) else dict(image)
+    if not by_geometry:
+        raise ValueError("image holds no figures: name at least one geometry")
+    if real_time_factor is None:
+        motion = seconds["motion"]
+        real_time_factor = simulated_seconds / motion if motion > 0 else math.nan
+    metrics: dict[str, Any] = {
+        "twinct_version": __version__,
+        "scenario_digest": scenario_digest,
+        "views": views,
+        "reached": reached,
+        "pose_error": pose_errors.summary(),
+        "clearance_mm": {"min": np.min(np.asarray(clearance_mm, dtype=np.float64))},
+        "image": next(iter(by_geometry.values())).as_dict(),
+        "seconds": dict(seconds),
+        "simulated_seconds": simulated_seconds,
+        "real_time_factor": real_time_factor,
+    }
+    if len(by_geometry) > 1:
+        metrics["image_by_geometry"] = {
+            name: figures.as_dict() for name, figures in by_geometry.items()
+        }
+    taken = sorted(metrics.keys() & extra.keys())
+    if taken:
+        raise ValueError(f"extra keys {', '.join(taken)} are taken")
+    return _plain(metrics | extra)
+
+
+def _plain(value: Any) -> Any:
+    """The same in Python's own types, with None for what is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

@@ -1,0 +1,185 @@
+"""The report as one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+
+from twinct.evaluate import pose_errors
+from twinct.geometry import Floats
+from twinct.report import figures
+from twinct.report.data import ReportData
+from twinct.report.figures import Picture
+
+PAPER = (
+    "Freiling, Schaar, Stille, Kundrat: A Twin Robotic CT System Simulation using MuJoCo and gVXR "
+    "for Medical Applications"
+)
+PAPER_TABLE_1 = {
+    "source": {
+        "position_mm": {"mean": 0.87, "std": 0.05, "max": 0.98},
+        "rotation_deg": {"mean": 0.19, "std": 0.03, "max": 0.23},
+    },
+    "detector": {
+        "position_mm": {"mean": 0.76, "std": 0.07, "max": 0.96},
+        "rotation_deg": {"mean": 0.20, "std": 0.05, "max": 0.41},
+    },
+}
+"""Table 1 of the paper: executed against commanded pose, 399 views, trigger at 1 mm."""
+
+
+class _Figure(NamedTuple):
+    """How one image figure is shown."""
+
+    key: str
+    title: str
+    factor: float
+    digits: int
+    unit: str
+    meaning: str
+
+
+_IMAGE_FIGURES = (
+    _Figure("rmse_rel", "RMSE", 100, 1, "%", "of μ(bone), over the region"),
+    _Figure("rmse_bone_rel", "RMSE near bone", 100, 1, "%", "of μ(bone), within 3 mm of bone"),
+    _Figure("psnr_db", "PSNR", 1, 1, "dB", "peak is μ(bone)"),
+    _Figure("ssim", "SSIM", 1, 3, "", "3-D, windows of 7³ voxels inside the region; 1 is best"),
+    _Figure("mean_bone_rel", "mean bone", 100, 1, "%", "of μ(bone), voxels entirely in bone"),
+    _Figure("roi_fraction", "region", 100, 1, "%", "of the grid, seen by every view"),
+    _Figure("roi_bone_fraction", "bone in the region", 100, 1, "%", "of the region's voxels"),
+)
+
+_STAGES = {
+    "plan": "planning: inverse kinematics, clearance",
+    "motion": "motion of the arms",
+    "xray": "X-ray projections",
+    "reconstruction": "reconstruction",
+    "total": "whole run",
+}
+
+
+def write_report(path: Path, report: ReportData) -> None:
+    """Write a report; the file is complete or not there.
+
+    Args:
+        path: the HTML file.
+        report: what it shows.
+    """
+    draft = path.with_name(f".{path.name}.partial")
+    draft.write_text(render_report(report), encoding="utf-8")
+    draft.replace(path)
+
+
+def render_report(report: ReportData) -> str:
+    """The report as HTML text: images inline, no script, nothing loaded from elsewhere."""
+    scenario, metrics = report.scenario, report.metrics
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["fixed"] = _fixed
+    environment.filters["duration"] = _duration
+    template = environment.from_string(
+        resources.files("twinct.report").joinpath("report.html").read_text(encoding="utf-8")
+    )
+    return template.render(
+        name=scenario.name,
+        description=scenario.description,
+        setting=_setting(report),
+        metrics=metrics,
+        paper=PAPER,
+        paper_table=PAPER_TABLE_1,
+        pictures=_pictures(report),
+        image_figures=_IMAGE_FIGURES,
+        image_columns=metrics.get("image_by_geometry")
+        or {scenario.reconstruction.geometries[0]: metrics["image"]},
+        stages=_stages(metrics["seconds"]),
+        trigger=scenario.motion.trigger,
+        tolerance_mm=scenario.motion.tolerance_mm,
+        scenario_yaml=report.scenario_yaml,
+    )
+
+
+def _pictures(report: ReportData) -> dict[str, Picture | None]:
+    scenario = report.scenario
+    commanded, executed = (
+        np.array([pose.position for pose in poses.source])
+        for poses in (report.commanded, report.executed)
+    )
+    mu = report.mu_reference
+    if mu is None and report.slices:
+        mu = max(float(section.truth.max()) for section in report.slices.values())
+    return {
+        "room": Picture(report.room_png, "image/png") if report.room_png else None,
+        "path": figures.source_path(commanded, executed, _isocentre(report)),
+        "errors": figures.pose_errors_over_views(
+            pose_errors(report.commanded, report.executed),
+            np.asarray(report.clearance_mm, dtype=np.float64),
+            scenario.motion.tolerance_mm,
+            scenario.motion.clearance_mm,
+        ),
+        "slices": figures.cross_section_grid(report.slices, mu or 1.0) if report.slices else None,
+        "projections": figures.projection_strip(report.projections, report.panel)
+        if report.projections
+        else None,
+    }
+
+
+def _isocentre(report: ReportData) -> Floats:
+    """Of the trajectory; a file of views turns about the world's origin."""
+    return np.array(getattr(report.scenario.trajectory, "isocentre_mm", (0.0, 0.0, 0.0)))
+
+
+def _setting(report: ReportData) -> dict[str, str]:
+    """The experiment in a few lines."""
+    scenario, panel = report.scenario, report.panel
+    grid = scenario.reconstruction.grid.volume_grid
+    reconstruction = scenario.reconstruction
+    voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
+    return {
+        "Specimen": ", ".join(
+            f"{part.label} ({part.material if isinstance(part.material, str) else 'own material'})"
+            for part in scenario.specimen.parts
+        ),
+        "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
+        "Arms": f"{scenario.cell.source_arm.model} (source), "
+        f"{scenario.cell.detector_arm.model} (detector)",
+        "Detector": f"{panel.columns} × {panel.rows} px of "
+        f"{panel.pitch_u:g} × {panel.pitch_v:g} mm",
+        "Reconstruction": f"{reconstruction.algorithm.upper()} ({reconstruction.engine}), "
+        f"{reconstruction.iterations} iterations, relaxation {reconstruction.relaxation:g}",
+        "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
+    }
+
+
+def _stages(seconds: dict[str, float]) -> list[dict[str, Any]]:
+    """Name, seconds and share of the whole run, in the order of the run."""
+    total = seconds.get("total") or 0.0
+    order = [name for name in seconds if name != "total"] + ["total"] * ("total" in seconds)
+    return [
+        {
+            "name": _STAGES.get(name, name.replace("_", " ")),
+            "seconds": seconds[name],
+            "share": min((seconds[name] or 0.0) / total, 1.0) if total else 0.0,
+        }
+        for name in order
+    ]
+
+
+def _fixed(value: float | None, digits: int = 2, factor: float = 1.0) -> str:
+    """A number with a fixed count of digits, or a dash where there is none."""
+    return "–" if value is None else f"{factor * value:.{digits}f}"
+
+
+def _duration(seconds: float | None) -> str:
+    """Seconds, minutes or hours, whichever reads best."""
+    if seconds is None:
+        return "–"
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    if seconds < 6000:
+        return f"{seconds / 60:.1f} min"
+    return f"{seconds / 3600:.1f} h"
