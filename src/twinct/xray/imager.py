@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.xray._engine import ENGINE, Body
+from twinct.xray._placement import Placement
 
 if TYPE_CHECKING:
     from twinct.specimen import BuiltPart, BuiltSpecimen
@@ -20,12 +22,12 @@ if TYPE_CHECKING:
 class Imager:
     """Renders views of one specimen with one source and one panel.
 
-    The meshes are uploaded once, in the specimen's frame; each view is expressed in that frame. Only
-    one imager can be open in a process. It may be used from any thread, by one at a time.
+    The meshes are uploaded once, in the specimen's frame; each view is expressed in that frame.
+    Only one imager can be open in a process. It may be used from any thread, by one at a time.
 
-    A pixel is sampled at its centre. What later physics needs has its place here: a spectrum in what
-    ``Source`` gives to the constructor, blur, noise and the detector's response between the
-    transmission that ``render`` gets from gVXR and what it returns.
+    A pixel is sampled at its centre. What later physics needs has its place here: a spectrum in
+    what ``source`` gives to the constructor; blur, noise and the detector's response in ``render``,
+    between the transmission that gVXR gives and what is returned.
     """
 
     def __init__(self, source: Source, detector: Detector, specimen: BuiltSpecimen) -> None:
@@ -44,6 +46,7 @@ class Imager:
         """
         bodies = _bodies(specimen, source.energy_kev)
         self.panel = detector.panel
+        self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
         self._open = False
         ENGINE.acquire(bodies, source.energy_kev, self.panel)
         self._open = True
@@ -60,7 +63,8 @@ class Imager:
 
         Raises:
             ValueError: not one view, or another panel.
-            TwinctError: the imager was closed, or gVXR failed.
+            TwinctError: the imager was closed, the specimen reaches through the panel, the source
+                is inside it, or gVXR failed.
         """
         if not self._open:
             raise TwinctError("the X-ray imager was closed")
@@ -69,6 +73,7 @@ class Imager:
         if geometry.panel != self.panel:
             raise ValueError(f"the view has {geometry.panel}, the imager was made for {self.panel}")
         view = world_from_object.inverse() @ geometry
+        self._placement.check(view)
         image = np.empty(self.panel.shape, dtype=np.float32)
         ENGINE.expose(view.source[0], view.detector[0], view.u[0], view.v[0], image)
         return image
@@ -92,8 +97,10 @@ class Imager:
 
     def __del__(self) -> None:
         # An imager that nobody can close any more must not block the next one.
+        # When the process ends, gVXR's thread is gone already.
         if getattr(self, "_open", False):
-            self.close()
+            with suppress(TwinctError):
+                self.close()
 
 
 def _bodies(specimen: BuiltSpecimen, energy_kev: float) -> list[Body]:

@@ -1,0 +1,76 @@
+"""Where source and panel must not be: gVXR would give a wrong image there, without an error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twinct.errors import TwinctError
+from twinct.geometry import Floats, ScanGeometry
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+
+class Placement:
+    """The specimen, seen as what source and panel must stay clear of."""
+
+    def __init__(self, parts: Sequence[tuple[str, Trimesh]]) -> None:
+        """Take the name and the mesh of each part, mm."""
+        self._parts = [(name, mesh, _corners(np.asarray(mesh.bounds))) for name, mesh in parts]
+
+    def check(self, view: ScanGeometry) -> None:
+        """Refuse a view that gVXR would get wrong.
+
+        gVXR counts what lies behind the panel as if it lay before it, and loses what surrounds the
+        source. The specimen's corners decide at once in any sensible scan.
+
+        Args:
+            view: one view, in the frame of the meshes.
+
+        Raises:
+            TwinctError: a part reaches through the panel, or the source is inside a part.
+        """
+        for name, mesh, corners in self._parts:
+            if _behind(view, corners).any() and _reaches_through(view, np.asarray(mesh.vertices)):
+                raise TwinctError(
+                    f"part '{name}' of the specimen reaches through the panel: "
+                    "the image would show what lies behind it"
+                )
+            within = (corners.min(axis=0) < view.source[0]) & (view.source[0] < corners.max(axis=0))
+            if within.all() and _encloses(np.asarray(mesh.triangles), view.source[0]):
+                raise TwinctError(f"the X-ray source is inside part '{name}' of the specimen")
+
+
+def _corners(bounds: Floats) -> Floats:
+    return np.array(np.meshgrid(*bounds.T)).reshape(3, -1).T
+
+
+def _behind(view: ScanGeometry, points: Floats) -> np.ndarray:
+    return (points - view.detector[0]) @ view.normal[0] < 0
+
+
+def _reaches_through(view: ScanGeometry, vertices: Floats) -> bool:
+    behind = vertices[_behind(view, vertices)]
+    if not len(behind):
+        return False
+    # The bounds of the shadow, not its outline: a large triangle may cover the panel between them.
+    shadow = view.project(behind)[0]
+    size = np.array([view.panel.columns, view.panel.rows])
+    return bool((shadow.max(axis=0) > -0.5).all() and (shadow.min(axis=0) < size - 0.5).all())
+
+
+def _encloses(triangles: Floats, point: Floats) -> bool:
+    """Winding number of a closed surface about a point, from the solid angles of its triangles."""
+    a, b, c = np.moveaxis(triangles - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(edge, axis=1) for edge in (a, b, c))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    area = (
+        la * lb * lc
+        + np.einsum("ij,ij->i", a, b) * lc
+        + np.einsum("ij,ij->i", b, c) * la
+        + np.einsum("ij,ij->i", c, a) * lb
+    )
+    return abs(np.arctan2(volume, area).sum() / (2 * np.pi)) > 0.5
