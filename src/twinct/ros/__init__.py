@@ -1,0 +1,32 @@
+"""The ROS 2 link: both simulations as nodes, and the rig that starts, watches and uses them.
+
+Importing this package needs no ROS; what is taken from it does.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from twinct.ros.environment import require_ros
+
+if TYPE_CHECKING:
+    from twinct.ros.rig import RosRig
+    from twinct.ros.robots_node import spin_robots
+    from twinct.ros.xray_node import spin_xray
+
+__all__ = ["RosRig", "require_ros", "spin_robots", "spin_xray"]
+
+_HOMES = {"RosRig": "rig", "spin_robots": "robots_node", "spin_xray": "xray_node"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what needs ROS only when it is asked for.
+
+    Raises:
+        MissingExtraError: rclpy is not installed.
+    """
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    require_ros()
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

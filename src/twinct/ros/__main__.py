@@ -1,0 +1,64 @@
+"""``python -m twinct.ros {robots,xray} SCENARIO``: how the rig starts its two nodes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinct.errors import TwinctError
+from twinct.ros import require_ros
+from twinct.scenario import Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from twinct.ros.robots_node import Robots
+    from twinct.ros.xray_node import XRay
+
+
+def main(
+    arguments: Sequence[str] | None = None,
+    *,
+    build_robots: Callable[[Scenario], Robots] | None = None,
+    build_imager: Callable[[Scenario], XRay] | None = None,
+) -> int:
+    """Run one node of a scan until its rig is done with it.
+
+    Args:
+        arguments: of the command line.
+        build_robots: makes the robot simulation, in place of the real one.
+        build_imager: makes the X-ray simulation, in place of the real one.
+    """
+    parser = argparse.ArgumentParser(prog="python -m twinct.ros", description=__doc__)
+    parser.add_argument("node", choices=["robots", "xray"])
+    parser.add_argument("scenario", type=Path)
+    parser.add_argument("--epoch")
+    parser.add_argument("--first-view", type=int, default=0)
+    parser.add_argument("--restore", type=Path)
+    parser.add_argument("--lifeline", action="store_true", help="end when stdin does")
+    given = parser.parse_args(arguments)
+    try:
+        require_ros()
+        scenario = load_scenario(given.scenario)
+        if given.node == "robots":
+            from twinct.ros.robots_node import spin_robots
+
+            return spin_robots(
+                scenario,
+                epoch=given.epoch,
+                first_view=given.first_view,
+                restore=given.restore,
+                lifeline=given.lifeline,
+                build=build_robots,
+            )
+        from twinct.ros.xray_node import spin_xray
+
+        return spin_xray(scenario, epoch=given.epoch, lifeline=given.lifeline, build=build_imager)
+    except TwinctError as error:
+        sys.stderr.write(f"twinct: {error}\n")
+        return error.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+"""What ROS 2 finds around it: its packages, its settings, a domain of its own, shared memory."""
+
+from __future__ import annotations
+
+import fcntl
+import importlib.util
+import os
+import socket
+import tempfile
+import time
+from collections.abc import Iterator, MutableMapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from twinct.errors import InputError, LinkError, MissingExtraError
+
+MIDDLEWARE = "rmw_fastrtps_cpp"
+DOMAINS = range(1, 101)
+"""Domains to choose from: their UDP ports stay below the range the kernel hands out."""
+LARGEST_DOMAIN = 232
+_YOUNG_S = 1.0
+_PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT = 7400, 250, 10
+
+
+def require_ros() -> None:
+    """Make sure that the ROS 2 link can be used at all.
+
+    Raises:
+        MissingExtraError: rclpy is not installed.
+    """
+    try:
+        found = importlib.util.find_spec("rclpy") is not None
+    except ValueError:  # a module without a spec stands in its place
+        found = False
+    if not found:
+        raise MissingExtraError("rclpy", "ros", "or use --link local")
+
+
+def settle(environment: MutableMapping[str, str]) -> None:
+    """Set what ROS 2 reads from the environment; a discovery range that was asked for is kept."""
+    environment["RMW_IMPLEMENTATION"] = MIDDLEWARE
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+<transport_descriptors>
+<transport_descriptor><transport_id>memory</transport_id><type>SHM</type>
+<segment_size>{size}</segment_size></transport_descriptor>
+<transport_descriptor><transport_id>network</transport_id><type>UDPv4</type></transport_descriptor>
+</transport_descriptors>
+<participant profile_name="twinct" is_default_profile="true"><rtps>
+<userTransports><transport_id>memory</transport_id><transport_id>network</transport_id></userTransports>
+<useBuiltinTransports>false</useBuiltinTransports>
+</rtps></participant>
+</profiles></dds>
+"""
+_PROFILE_KEYS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_USUAL_SEGMENT, _LARGEST_SEGMENT = 512 * 2**10, 256 * 2**20
+
+
+@contextmanager
+def roomy_shared_memory(size: int) -> Iterator[None]:
+    """Let the participants made meanwhile send through a shared memory of so many bytes.
+
+    Fast DDS usually takes 0.5 MB. What does not fit is lost and sent again after a pause, which
+    makes an image of 1.2 MB three times as slow. Profiles that the environment names stay in force.
+    """
+    size = min(size, _LARGEST_SEGMENT)
+    with suppress(OSError):
+        memory = os.statvfs("/dev/shm")
+        size = min(size, memory.f_bavail * memory.f_frsize // 4)
+    chosen = any(os.environ.get(key) for key in (*_PROFILE_KEYS, "FASTDDS_BUILTIN_TRANSPORTS"))
+    if chosen or size <= _USUAL_SEGMENT:
+        yield
+        return
+    with tempfile.NamedTemporaryFile("w", suffix=".xml", prefix="twinct-") as profile:
+        profile.write(_PROFILE.format(size=size))
+        profile.flush()
+        os.environ[_PROFILE_KEYS[0]] = profile.name
+        try:
+            yield
+        finally:
+            del os.environ[_PROFILE_KEYS[0]]
+
+
+class Domain:
+    """A ROS domain that no other scan on this machine uses, held until ``close``.
+
+    The hold is a locked file, inherited by the nodes: it ends with the last process that has it,
+    however that process ends.
+
+    Attributes:
+        id: the number for ``ROS_DOMAIN_ID``.
+        hold: descriptor of the locked file, for child processes to inherit.
+    """
+
+    def __init__(self, wanted: int | None = None) -> None:
+        """Take the domain asked for here or in ``ROS_DOMAIN_ID``, else a free one.
+
+        Raises:
+            InputError: the domain asked for is none, or another scan uses it.
+            LinkError: no domain is free.
+        """
+        origin = "domain_id"
+        if wanted is None and (text := os.environ.get("ROS_DOMAIN_ID", "").strip()):
+            origin = "ROS_DOMAIN_ID"
+            wanted = int(text) if text.isdigit() else -1
+            if wanted < 0:
+                raise InputError(f"{origin}={text!r} is not a number from 0 to {LARGEST_DOMAIN}")
+        if wanted is not None:
+            if not 0 <= wanted <= LARGEST_DOMAIN:
+                raise InputError(f"{origin}={wanted} is not a number from 0 to {LARGEST_DOMAIN}")
+            hold = _lock(wanted)
+            if hold is None:
+                raise InputError(
+                    f"{origin}={wanted}: another scan on this machine uses this domain; "
+                    "choose another, or none for a free one"
+                )
+            self.id, self.hold = wanted, hold
+            return
+        start = os.getpid() % len(DOMAINS)
+        for number in (*DOMAINS[start:], *DOMAINS[:start]):
+            hold = _lock(number)
+            if hold is None:
+                continue
+            if _silent(number):
+                self.id, self.hold = number, hold
+                return
+            os.close(hold)
+        raise LinkError(
+            f"all ROS domains from {DOMAINS[0]} to {DOMAINS[-1]} are in use on this machine"
+        )
+
+    def close(self) -> None:
+        """Give the domain back; a second call does nothing."""
+        if self.hold >= 0:
+            os.close(self.hold)
+            self.hold = -1
+
+
+def _lock(domain: int) -> int | None:
+    """Descriptor of the domain's locked file, or None when somebody else holds it."""
+    # One folder for all users: a scan of somebody else must be seen too.
+    path = Path(tempfile.gettempdir()) / f"twinct-ros-domain-{domain}.lock"
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+    except PermissionError:
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        except OSError:
+            return None
+    with suppress(OSError):
+        os.fchmod(descriptor, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
+
+
+def _silent(domain: int) -> bool:
+    """Whether no ROS participant of this machine listens on the domain's ports."""
+    base = _PORT_BASE + _PORTS_PER_DOMAIN * domain
+    for port in (base, base + _FIRST_PARTICIPANT, base + _FIRST_PARTICIPANT + 1):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", port))
+            except OSError:
+                return False
+    return True
+
+
+def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
+    """Remove shared memory of DDS participants that were killed.
+
+    A living participant holds a lock on the ``_el`` file beside each of its segments.
+    """
+    for guard in folder.glob("fastrtps_*_el"):
+        try:
+            if time.time() - guard.stat().st_mtime < _YOUNG_S:  # made, and perhaps not locked yet
+                continue
+            descriptor = os.open(guard, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+        except OSError:
+            continue
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            name = guard.name.removesuffix("_el")
+            for leftover in (folder / name, folder / f"sem.{name}_mutex", guard):
+                with suppress(OSError):
+                    leftover.unlink()
+        except OSError:
+            pass
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,311 @@
+"""Between what the simulations speak and standard ROS 2 messages, number by number.
+
+No number is computed anew on the way, so that both links give bit-identical geometries and images.
+``header.stamp`` names the view. ``Float64MultiArray`` has no header: ``layout.dim[0].label`` holds
+its stamp as ``SECONDS.NANOSECONDS``, the nanoseconds with nine digits.
+"""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from numpy.typing import NDArray
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
+
+from twinct.geometry import ScanGeometry
+from twinct.scenario import Scenario
+from twinct.views import Reached, SevenNumbers, Target
+
+WORLD_FRAME = "world"
+IMAGE_FRAME = "detector_optical"
+"""At the source; x along u, z from the source towards the panel and normal to it."""
+IMAGE_ENCODING = "32FC1"
+_NANO = 1_000_000_000
+
+
+class MalformedError(ValueError):
+    """A message that is not what its topic carries."""
+
+
+class Stamp(NamedTuple):
+    """``header.stamp``: which view a message belongs to."""
+
+    sec: int
+    nanosec: int
+
+    @classmethod
+    def of(cls, time: Time) -> Stamp:
+        """The stamp of a message."""
+        return cls(time.sec, time.nanosec)
+
+    @classmethod
+    def parse(cls, text: str) -> Stamp:
+        """Undo ``str``.
+
+        Raises:
+            ValueError: the text is not ``SECONDS.NANOSECONDS``.
+        """
+        sec, point, nanosec = text.partition(".")
+        if not (point and sec.isdigit() and nanosec.isdigit() and len(nanosec) == 9):
+            raise ValueError(f"{text!r} is not SECONDS.NANOSECONDS with nine digits")
+        return cls(int(sec), int(nanosec))
+
+    def __str__(self) -> str:
+        return f"{self.sec}.{self.nanosec:09d}"
+
+    @property
+    def time(self) -> Time:
+        """As a message."""
+        return Time(sec=self.sec, nanosec=self.nanosec)
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """What the stamps of one scan count from: view i has its stamp i seconds after the epoch.
+
+    It follows from the scenario alone, so that it is the same when a scan is resumed.
+
+    Attributes:
+        stamp: that of view 0.
+    """
+
+    stamp: Stamp
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Epoch:
+        """The epoch of a scenario's scan."""
+        digest = scenario.digest()
+        sec, nanosec = (int(digest[i : i + 15], 16) % _NANO for i in (0, 15))
+        return cls(Stamp(_NANO + sec, nanosec))
+
+    @classmethod
+    def parse(cls, text: str) -> Epoch:
+        """Undo ``str``."""
+        return cls(Stamp.parse(text))
+
+    def __str__(self) -> str:
+        return str(self.stamp)
+
+    def at(self, view: int) -> Stamp:
+        """The stamp of a view."""
+        return Stamp(self.stamp.sec + view, self.stamp.nanosec)
+
+    def view(self, stamp: Stamp) -> int | None:
+        """The view of a stamp, None for one that does not count from this epoch."""
+        view = stamp.sec - self.stamp.sec
+        return view if stamp.nanosec == self.stamp.nanosec and view >= 0 else None
+
+
+def _header(stamp: Stamp, frame: str) -> Header:
+    return Header(stamp=stamp.time, frame_id=frame)
+
+
+def _pose(numbers: SevenNumbers) -> Pose:
+    x, y, z, qx, qy, qz, qw = numbers
+    return Pose(
+        position=Point(x=x, y=y, z=z),
+        orientation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+    )
+
+
+def _numbers(pose: Pose) -> SevenNumbers:
+    p, q = pose.position, pose.orientation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
+
+
+def _poses(message: PoseArray, names: tuple[str, ...]) -> tuple[SevenNumbers, ...]:
+    if message.header.frame_id not in (WORLD_FRAME, ""):
+        raise MalformedError(f"frame {message.header.frame_id!r}, expected {WORLD_FRAME!r}")
+    if len(message.poses) != len(names):
+        raise MalformedError(
+            f"{len(message.poses)} poses, expected {len(names)}: {', '.join(names)}"
+        )
+    return tuple(_numbers(pose) for pose in message.poses)
+
+
+def target_message(stamp: Stamp, target: Target) -> PoseArray:
+    """For ``/scan/target``."""
+    poses = [_pose(target.source_m), _pose(target.detector_m)]
+    return PoseArray(header=_header(stamp, WORLD_FRAME), poses=poses)
+
+
+def target_of(message: PoseArray) -> Target:
+    """From ``/scan/target``.
+
+    Raises:
+        MalformedError: not two poses in the world frame, or not poses at all.
+    """
+    target = Target(*_poses(message, ("source", "detector")))
+    try:
+        _ = target.source, target.detector
+    except ValueError as error:
+        raise MalformedError(str(error)) from None
+    return target
+
+
+class Executed(NamedTuple):
+    """What ``/scan/reached`` carries: all that an image depends on."""
+
+    source_m: SevenNumbers
+    object_m: SevenNumbers
+    detector_m: SevenNumbers
+
+
+def executed(reached: Reached) -> Executed:
+    """The poses of a view that was reached."""
+    return Executed(reached.source_m, reached.object_m, reached.detector_m)
+
+
+def reached_message(stamp: Stamp, poses: Executed) -> PoseArray:
+    """For ``/scan/reached``."""
+    return PoseArray(header=_header(stamp, WORLD_FRAME), poses=[_pose(pose) for pose in poses])
+
+
+def executed_of(message: PoseArray) -> Executed:
+    """From ``/scan/reached``.
+
+    Raises:
+        MalformedError: not three poses in the world frame.
+    """
+    return Executed(*_poses(message, Executed._fields))
+
+
+def joints_message(stamp: Stamp, reached: Reached) -> JointState:
+    """For ``/joint_states``."""
+    return JointState(
+        header=_header(stamp, WORLD_FRAME),
+        name=list(reached.joint_names),
+        position=_doubles(reached.position),
+        velocity=_doubles(reached.velocity),
+        effort=_doubles(reached.effort),
+    )
+
+
+def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
+    """For ``/scan/state``: simulated time in s, clearance in mm, then the simulator's state."""
+    message = Float64MultiArray()
+    numbers = np.concatenate([[reached.time_s, reached.clearance_mm], reached.state])
+    message.layout.data_offset = 2
+    message.layout.dim = [
+        MultiArrayDimension(label=str(stamp), size=len(reached.state), stride=len(reached.state))
+    ]
+    message.data = _doubles(numbers)
+    return message
+
+
+def state_stamp(message: Float64MultiArray) -> Stamp | None:
+    """The stamp of a ``/scan/state``, None for a message that has none."""
+    try:
+        return Stamp.parse(message.layout.dim[0].label)
+    except (IndexError, ValueError):
+        return None
+
+
+def reached_of(poses: Executed, joints: JointState, state: Float64MultiArray) -> Reached:
+    """What was reached, from the three messages that carry it."""
+    time_s, clearance_mm = state.data[:2]
+    return Reached(
+        source_m=poses.source_m,
+        object_m=poses.object_m,
+        detector_m=poses.detector_m,
+        joint_names=tuple(joints.name),
+        position=np.array(joints.position),
+        velocity=np.array(joints.velocity),
+        effort=np.array(joints.effort),
+        state=np.array(state.data[2:]),
+        time_s=time_s,
+        clearance_mm=clearance_mm,
+    )
+
+
+def _doubles(values: NDArray[np.float64]) -> array.array[float]:
+    return array.array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())
+
+
+def clock_message(time_s: float) -> Clock:
+    """For ``/clock``: simulated time."""
+    sec, nanosec = divmod(round(time_s * _NANO), _NANO)
+    return Clock(clock=Time(sec=sec, nanosec=nanosec))
+
+
+def image_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
+    """For ``/xray/image``, row 0 first as in the store."""
+    rows, columns = transmission.shape
+    message = Image()
+    message.header = _header(stamp, IMAGE_FRAME)
+    message.height, message.width, message.step = rows, columns, 4 * columns
+    message.encoding = IMAGE_ENCODING
+    # An array of bytes is taken as it is; any other sequence is checked byte by byte.
+    message.data = array.array("B", np.ascontiguousarray(transmission, dtype="<f4").tobytes())
+    return message
+
+
+def image_of(message: Image) -> NDArray[np.float32]:
+    """From ``/xray/image``, (rows, columns).
+
+    Raises:
+        MalformedError: not an image of single floats.
+    """
+    rows, columns = message.height, message.width
+    if message.encoding != IMAGE_ENCODING or message.step != 4 * columns:
+        raise MalformedError(
+            f"{message.encoding} image of {message.step} bytes a row, "
+            f"expected {IMAGE_ENCODING} of {4 * columns}"
+        )
+    pixels = np.frombuffer(message.data, dtype=">f4" if message.is_bigendian else "<f4")
+    return pixels.reshape(rows, columns).astype(np.float32, copy=False)
+
+
+def camera_message(stamp: Stamp, geometry: ScanGeometry) -> CameraInfo:
+    """For ``/xray/camera_info``: the pinhole camera that a source and a panel are.
+
+    A point (x, y, z) of the frame ``detector_optical`` falls on column fx x/z + cx and row
+    fy y/z + cy; pixel centres are whole numbers. Rows count along v, which is -y: fy is negative.
+
+    Args:
+        stamp: of the view.
+        geometry: of this one view.
+    """
+    panel = geometry.panel
+    to_source = geometry.source[0] - geometry.detector[0]
+    distance = float(to_source @ geometry.normal[0])
+    fx, fy = distance / panel.pitch_u, -distance / panel.pitch_v
+    cx = (panel.columns - 1) / 2 + float(to_source @ geometry.u[0]) / panel.pitch_u
+    cy = (panel.rows - 1) / 2 + float(to_source @ geometry.v[0]) / panel.pitch_v
+    message = CameraInfo(header=_header(stamp, IMAGE_FRAME), height=panel.rows, width=panel.columns)
+    message.distortion_model = "plumb_bob"
+    message.d = [0.0] * 5
+    message.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    message.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return message
+
+
+OK, ERROR = DiagnosticStatus.OK, DiagnosticStatus.ERROR
+
+
+def diagnostic_message(
+    stamp: Stamp, name: str, level: bytes, text: str, values: Mapping[str, object]
+) -> DiagnosticArray:
+    """For ``/diagnostics``."""
+    status = DiagnosticStatus(
+        level=level,
+        name=name,
+        message=text,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
+    return DiagnosticArray(header=_header(stamp, WORLD_FRAME), status=[status])
+
+
+def diagnostic_values(pairs: Iterable[KeyValue]) -> dict[str, str]:
+    """The key/value pairs of a status."""
+    return {pair.key: pair.value for pair in pairs}

@@ -1,0 +1,111 @@
+"""The node processes of a scan: started, watched, stopped; none is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+TERM_S, KILL_S = 3.0, 5.0
+TAIL_BYTES, TAIL_LINES = 8192, 15
+
+
+class NodeProcess:
+    """A child in a session of its own, which ends when its stdin does.
+
+    Ctrl-C in the terminal reaches the parent only, which then stops its nodes. The parent holds the
+    other end of their stdin: however it dies, they notice.
+
+    Attributes:
+        name: for messages.
+        log: file that takes all it prints.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        command: Sequence[str],
+        log: Path,
+        *,
+        environment: Mapping[str, str],
+        inherit: Sequence[int] = (),
+        on_end: Callable[[], None],
+    ) -> None:
+        """Start it.
+
+        Args:
+            name: for messages.
+            command: program and arguments.
+            log: file to append its output to.
+            environment: of the process.
+            inherit: descriptors it shall hold.
+            on_end: called from a thread when it has ended, for whatever reason.
+        """
+        self.name = name
+        self.log = log
+        with log.open("ab") as output:
+            self._start_of_log = output.tell()
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(environment),
+                pass_fds=tuple(inherit),
+                start_new_session=True,
+            )
+        self._on_end = on_end
+        self._ended = threading.Event()
+        self._watch = threading.Thread(target=self._wait, name=f"watch {name}", daemon=True)
+        self._watch.start()
+
+    def _wait(self) -> None:
+        self._process.wait()
+        self._ended.set()
+        self._on_end()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs; minus the signal's number if one ended it."""
+        return self._process.returncode if self._ended.is_set() else None
+
+    def describe_end(self) -> str:
+        """How it ended, with the last lines it printed."""
+        code = self.exit_code
+        how = f"ended with exit code {code}"
+        if code is not None and code < 0:
+            with suppress(ValueError):
+                how = f"was ended by {signal.Signals(-code).name}"
+        with self.log.open("rb") as log:
+            size = log.seek(0, os.SEEK_END)
+            log.seek(max(self._start_of_log, size - TAIL_BYTES))
+            lines = log.read().decode(errors="replace").strip().splitlines()[-TAIL_LINES:]
+        tail = ":\n  " + "\n  ".join(lines) if lines else ", and printed nothing"
+        return f"the {self.name} node {how}{tail}"
+
+    def request_stop(self) -> None:
+        """Ask it to end."""
+        if self._process.stdin is not None:
+            with suppress(OSError):
+                self._process.stdin.close()
+        if not self._ended.is_set():
+            with suppress(ProcessLookupError):
+                self._process.send_signal(signal.SIGTERM)
+
+    def stop(self) -> None:
+        """End it, by force if it does not listen, and wait for that."""
+        self.request_stop()
+        if not self._ended.wait(TERM_S):
+            with suppress(ProcessLookupError):
+                os.killpg(self.pid, signal.SIGKILL)
+            self._ended.wait(KILL_S)
+        self._watch.join(KILL_S)

@@ -1,0 +1,221 @@
+"""The robot simulation as a ROS 2 node: ``/scan/target`` in, ``/scan/reached`` out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from geometry_msgs.msg import PoseArray
+from numpy.typing import NDArray
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from twinct.errors import MotionError
+from twinct.ros.messages import (
+    Epoch,
+    MalformedError,
+    Stamp,
+    clock_message,
+    executed,
+    joints_message,
+    reached_message,
+    state_message,
+    target_of,
+)
+from twinct.ros.node import LISTENERS, Ledger, RefusedError, Reporter, run_node
+from twinct.ros.station import CLOCK, JOINTS, REACHED, STATE, TARGET, Station
+from twinct.scenario import Scenario
+from twinct.views import Reached, Target
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+NAME = "twinct_robots"
+
+
+class Robots(Protocol):
+    """What the node needs of a ``RobotSimulation``."""
+
+    def move(self, target: Target) -> Reached:
+        """Bring both end-effectors to a target."""
+        ...
+
+    def restore(self, state: NDArray[np.float64]) -> None:
+        """Go on from a state."""
+        ...
+
+    def close(self) -> None:
+        """Give everything back."""
+        ...
+
+
+def spin_robots(
+    scenario: Scenario,
+    *,
+    epoch: str | None = None,
+    first_view: int = 0,
+    restore: Path | None = None,
+    lifeline: bool = False,
+    build: Callable[[Scenario], Robots] | None = None,
+) -> int:
+    """Run the robot simulation as a node until SIGINT or SIGTERM.
+
+    Args:
+        scenario: what to simulate.
+        epoch: of the scan this node belongs to: only this scan's own targets are accepted, each in its
+            turn. None accepts any target.
+        first_view: of that scan.
+        restore: ``.npy`` file with the simulator state to start from.
+        lifeline: end also when stdin does.
+        build: makes the simulation, in place of ``build_robots``.
+
+    Returns:
+        Exit code: 0.
+    """
+    turns = None
+    if epoch is not None:
+        from twinct.scan import commanded_targets
+
+        turns = Turns(Epoch.parse(epoch), commanded_targets(scenario), first_view)
+
+    def build_engine() -> Robots:
+        if build is None:
+            from twinct.scan import build_robots as make
+        else:
+            make = build
+        robots = make(scenario)
+        if restore is not None:
+            robots.restore(np.load(restore))
+        return robots
+
+    return run_node(
+        NAME,
+        build_engine,
+        lambda station, reporter, robots: RobotsNode(station, reporter, robots, turns),
+        lifeline=lifeline,
+    )
+
+
+class Turns:
+    """The targets of one scan, each in its turn."""
+
+    def __init__(self, epoch: Epoch, targets: Sequence[Target], first: int) -> None:
+        """Expect the views of a scan from a first one on."""
+        self._epoch = epoch
+        self._targets = targets
+        self._next = first
+
+    def view(self, stamp: Stamp) -> int | None:
+        """The view of a stamp, None for one of another scan."""
+        view = self._epoch.view(stamp)
+        return view if view is not None and view < len(self._targets) else None
+
+    def check(self, stamp: Stamp, target: Target) -> None:
+        """Let pass the target that is to come.
+
+        Raises:
+            RefusedError: it is another.
+        """
+        view = self.view(stamp)
+        if view is None:
+            raise RefusedError(
+                "a scan is running and this target is none of it: its stamp is foreign"
+            )
+        if target != self._targets[view]:
+            raise RefusedError(
+                f"a scan is running and this target is none of it: view {view} commands other poses"
+            )
+        if view != self._next:
+            raise RefusedError(f"a scan is running: view {self._next} comes next, not view {view}")
+
+    def done(self) -> None:
+        """Expect the next view."""
+        self._next += 1
+
+
+class RobotsNode:
+    """Answers each target once."""
+
+    def __init__(
+        self, station: Station, reporter: Reporter, robots: Robots, turns: Turns | None = None
+    ) -> None:
+        """Make the endpoints; from now on targets are executed."""
+        self._robots = robots
+        self._turns = turns
+        # A refusal of the robots is an answer too: it is not tried again.
+        self._ledger: Ledger[Target, Reached | RefusedError] = Ledger()
+        self._reporter = reporter
+        self._reached = station.publisher(REACHED, PoseArray)
+        self._joints = station.publisher(JOINTS, JointState)
+        self._state = station.publisher(STATE, Float64MultiArray)
+        self._clock = station.publisher(CLOCK, Clock)
+        self._targets = station.listen_to_all(TARGET, PoseArray, self._on_target)
+
+    def connected(self) -> bool:
+        """Whether the rig and the X-ray node of the scan are there; a node on its own has none."""
+        return self._turns is None or (
+            all(heard.get_publisher_count() for heard in self._targets)
+            and self._reached.get_subscription_count() > LISTENERS
+            and bool(self._joints.get_subscription_count())
+            and bool(self._state.get_subscription_count())
+        )
+
+    def _on_target(self, message: PoseArray) -> None:
+        stamp = Stamp.of(message.header.stamp)
+        try:
+            target = target_of(message)
+            answer = self._ledger.find(stamp, target) or self._execute(stamp, target)
+            if isinstance(answer, RefusedError):
+                raise answer
+        except (RefusedError, MalformedError) as refused:
+            self._refuse(stamp, message, refused)
+        else:
+            self._answer(stamp, answer)
+
+    def _execute(self, stamp: Stamp, target: Target) -> Reached | RefusedError:
+        if self._turns is not None:
+            self._turns.check(stamp, target)
+        answer: Reached | RefusedError
+        try:
+            answer = self._robots.move(target)
+        except MotionError as error:
+            answer = RefusedError(str(error), str(getattr(error, "arm", "")))
+        else:
+            if self._turns is not None:
+                self._turns.done()
+        self._ledger.enter(stamp, target, answer)
+        return answer
+
+    def _answer(self, stamp: Stamp, reached: Reached) -> None:
+        # The poses first: they trigger the image.
+        self._reached.publish(reached_message(stamp, executed(reached)))
+        self._joints.publish(joints_message(stamp, reached))
+        self._state.publish(state_message(stamp, reached))
+        self._clock.publish(clock_message(reached.time_s))
+
+    def _refuse(self, stamp: Stamp, message: PoseArray, refused: Exception) -> None:
+        view = self._turns.view(stamp) if self._turns is not None else None
+        values: dict[str, object] = {
+            "view": "" if view is None else view,
+            "arm": getattr(refused, "arm", ""),
+            "reason": refused,
+            "target": describe(message),
+        }
+        self._reporter.refuse(stamp, f"target refused: {refused}", values)
+
+
+def describe(message: PoseArray) -> str:
+    """The poses of a message, to tell one target from another."""
+    return "; ".join(
+        " ".join(
+            repr(number)
+            for number in (
+                *(pose.position.x, pose.position.y, pose.position.z),
+                *(pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w),
+            )
+        )
+        for pose in message.poses
+    )

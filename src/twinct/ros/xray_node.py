@@ -1,0 +1,145 @@
+"""The X-ray simulation as a ROS 2 node: ``/scan/reached`` in, ``/xray/image`` out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from geometry_msgs.msg import PoseArray
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+
+from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.ros.messages import (
+    Epoch,
+    Executed,
+    MalformedError,
+    Stamp,
+    camera_message,
+    executed_of,
+    image_message,
+)
+from twinct.ros.node import Ledger, RefusedError, Reporter, run_node
+from twinct.ros.station import CAMERA, IMAGE, REACHED, Station
+from twinct.scenario import Scenario
+from twinct.views import from_seven
+
+NAME = "twinct_xray"
+MEMORY_BYTES = 256 * 2**20
+"""Images kept for those who ask again; never fewer than two, never more than 32."""
+
+
+class XRay(Protocol):
+    """What the node needs of an ``Imager``."""
+
+    def render(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
+        """Transmission of one view."""
+        ...
+
+    def close(self) -> None:
+        """Give everything back."""
+        ...
+
+
+def spin_xray(
+    scenario: Scenario,
+    *,
+    epoch: str | None = None,
+    lifeline: bool = False,
+    build: Callable[[Scenario], XRay] | None = None,
+) -> int:
+    """Run the X-ray simulation as a node until SIGINT or SIGTERM.
+
+    Args:
+        scenario: what to simulate.
+        epoch: of the scan this node belongs to: only its views are imaged. None images any.
+        lifeline: end also when stdin does.
+        build: makes the simulation, in place of ``build_imager``.
+
+    Returns:
+        Exit code: 0.
+    """
+
+    def build_engine() -> XRay:
+        if build is None:
+            from twinct.scan import build_imager as make
+        else:
+            make = build
+        return make(scenario)
+
+    panel = scenario.detector.panel
+    own = Epoch.parse(epoch) if epoch is not None else None
+    return run_node(
+        NAME,
+        build_engine,
+        lambda station, reporter, imager: XRayNode(station, reporter, imager, panel, own),
+        lifeline=lifeline,
+        largest_message=image_bytes(panel),
+    )
+
+
+def image_bytes(panel: Panel) -> int:
+    """Size of an image."""
+    return 4 * panel.rows * panel.columns
+
+
+class XRayNode:
+    """Images each view that was reached once."""
+
+    def __init__(
+        self,
+        station: Station,
+        reporter: Reporter,
+        imager: XRay,
+        panel: Panel,
+        epoch: Epoch | None = None,
+    ) -> None:
+        """Make the endpoints; from now on views are imaged."""
+        self._imager = imager
+        self._panel = panel
+        self._epoch = epoch
+        self._ledger: Ledger[Executed, tuple[CameraInfo, Image]] = Ledger(
+            keep=min(max(MEMORY_BYTES // image_bytes(panel), 2), 32)
+        )
+        self._reporter = reporter
+        self._camera = station.publisher(CAMERA, CameraInfo)
+        self._image = station.publisher(IMAGE, Image)
+        self._views = station.listen_to_all(REACHED, PoseArray, self._on_reached)
+
+    def connected(self) -> bool:
+        """Whether the rig and the robots node of the scan are there; a node on its own has none."""
+        return self._epoch is None or (
+            all(heard.get_publisher_count() for heard in self._views)
+            and bool(self._image.get_subscription_count())
+        )
+
+    def _on_reached(self, message: PoseArray) -> None:
+        stamp = Stamp.of(message.header.stamp)
+        try:
+            poses = executed_of(message)
+            camera, image = self._ledger.find(stamp, poses) or self._expose(stamp, poses)
+        except (RefusedError, MalformedError) as refused:
+            view = self._epoch.view(stamp) if self._epoch is not None else None
+            values: dict[str, object] = {"view": "" if view is None else view, "reason": refused}
+            self._reporter.refuse(stamp, f"view refused: {refused}", values)
+            return
+        self._camera.publish(camera)
+        self._image.publish(image)
+
+    def _expose(self, stamp: Stamp, poses: Executed) -> tuple[CameraInfo, Image]:
+        if self._epoch is not None and self._epoch.view(stamp) is None:
+            raise RefusedError(
+                "a scan is running and this view is none of it: its stamp is foreign"
+            )
+        try:
+            geometry = ScanGeometry.from_poses(
+                [from_seven(poses.source_m)], [from_seven(poses.detector_m)], self._panel
+            )
+            world_from_object = from_seven(poses.object_m)
+        except ValueError as error:
+            raise MalformedError(str(error)) from None
+        image = self._imager.render(geometry, world_from_object)
+        answer = camera_message(stamp, geometry), image_message(stamp, image)
+        self._ledger.enter(stamp, poses, answer)
+        return answer

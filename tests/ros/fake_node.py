@@ -1,0 +1,91 @@
+"""``python fake_node.py {robots,xray} SCENARIO ...``: a node of a scan around a tiny engine."""
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from twinct.errors import MotionError
+from twinct.views import Reached
+
+STATE = 5
+REFUSED_X_M = 9.0
+"""A source target beyond this x is refused by the fake robots."""
+
+
+class FakeRobots:
+    """Reaches every target up to a number that depends on how many moves came before."""
+
+    joint_names = ("source_a", "source_b", "detector_a", "detector_b")
+
+    def __init__(self):
+        self.moves = 0
+
+    def restore(self, state):
+        self.moves = int(state[0])
+
+    def move(self, target):
+        if target.source_m[0] > REFUSED_X_M:
+            raise MotionError("the source arm is too short")
+        _note("move", target.source_m)
+        self.moves += 1
+        joints = np.arange(4) / 3 + self.moves
+        return Reached(
+            source_m=(target.source_m[0] + self.moves * 1e-4 / 3, *target.source_m[1:]),
+            object_m=(0.0, 0.0, 1 / 3, 0.0, 0.0, 0.0, 1.0),
+            detector_m=target.detector_m,
+            joint_names=self.joint_names,
+            position=joints,
+            velocity=joints / 7,
+            effort=-joints / 11,
+            state=np.array([self.moves, *np.random.default_rng(self.moves).normal(size=STATE)]),
+            time_s=self.moves / 3,
+            clearance_mm=100 / self.moves,
+        )
+
+    def close(self):
+        pass
+
+
+class FakeImager:
+    """An image whose pixels are a function of the geometry's last bits."""
+
+    def __init__(self, detector):
+        self.shape = detector.rows, detector.columns
+
+    def render(self, geometry, world_from_object):
+        _note("render", geometry.source[0].tolist())
+        time.sleep(float(os.environ.get("FAKE_RENDER_S", "0")))
+        scale = float(
+            geometry.source.sum() + geometry.detector.sum() + world_from_object.matrix.sum()
+        )
+        rows, columns = self.shape
+        return (
+            (np.arange(rows * columns, dtype=np.float64) * scale)
+            .astype(np.float32)
+            .reshape(self.shape)
+        )
+
+    def close(self):
+        pass
+
+
+def _note(what, value):
+    """Keep count of the work done, where a test asks for it."""
+    if folder := os.environ.get("FAKE_NOTES"):
+        with (Path(folder) / what).open("a") as notes:
+            notes.write(json.dumps(value) + "\n")
+
+
+if __name__ == "__main__":
+    from twinct.ros.__main__ import main
+
+    sys.exit(
+        main(
+            build_robots=lambda scenario: FakeRobots(),
+            build_imager=lambda scenario: FakeImager(scenario.detector),
+        )
+    )
