@@ -256,6 +256,9 @@ class Arm(Section):
     speed_scale: float = Field(
         0.5, gt=0, le=1, description="Share of the published joint speeds that a move may use."
     )
+    joint_speed_deg_s: Positive = Field(
+        90.0, description="Limit of every joint's speed, for a Menagerie model: those state none."
+    )
 
 
 class SourceArm(Arm):

@@ -1,0 +1,11 @@
+"""The operating room: two arms with source and panel, table, specimen, as one MuJoCo model.
+
+MuJoCo is imported when a cell is built, not when this package is.
+"""
+
+from twinct.cell._mujoco import mujoco_module
+from twinct.cell.clearance import Clearance, Gap
+from twinct.cell.render import render_cell
+from twinct.cell.scene import CellModel, build_cell
+
+__all__ = ["CellModel", "Clearance", "Gap", "build_cell", "mujoco_module", "render_cell"]

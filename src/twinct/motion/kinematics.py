@@ -1,0 +1,199 @@
+"""Inverse kinematics of both arms together, with mink."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from twinct.cell import CellModel, mujoco_module
+from twinct.errors import MissingExtraError
+from twinct.geometry import MM_PER_M, Floats, Pose
+from twinct.scenario import InverseKinematics
+from twinct.views import Target
+
+if TYPE_CHECKING:
+    import mujoco
+else:
+    mujoco = mujoco_module()
+
+FAR_MM = 20.0
+FAR_DEG = 4.0
+"""Targets further away than this are approached through poses in between, on the same branch."""
+
+LEVENBERG = 1e-3
+"""Damping in proportion to the squared error: cautious far away, Newton's method near by."""
+
+GIVE_UP_AFTER = 12
+"""Iterations without progress after which a target counts as not solvable from here."""
+
+
+@dataclass(frozen=True, eq=False)
+class IkResult:
+    """What the solver found.
+
+    Attributes:
+        joints: joint positions, rad, (n,).
+        position_mm: distance that is left, source and detector, (2,).
+        rotation_deg: angle that is left, (2,).
+        solved: which arms are within the tolerances, (2,).
+    """
+
+    joints: Floats
+    position_mm: Floats
+    rotation_deg: Floats
+    solved: np.ndarray
+
+
+def _mink() -> ModuleType:
+    try:
+        import daqp  # noqa: F401
+        import mink
+    except ImportError as error:
+        raise MissingExtraError(error.name or "mink", "robots") from error
+    return mink
+
+
+class Kinematics:
+    """Forward and inverse kinematics of one cell; keeps no joint state between calls."""
+
+    def __init__(self, cell: CellModel, ik: InverseKinematics) -> None:
+        """Prepare the tasks.
+
+        Raises:
+            MissingExtraError: mink or its solver is not installed.
+        """
+        self._mink = _mink()
+        self._cell = cell
+        self._ik = ik
+        self._data = mujoco.MjData(cell.model)
+        self._configuration = self._mink.Configuration(cell.model)
+        self._tasks = [
+            self._mink.FrameTask(
+                frame_name=name,
+                frame_type="site",
+                position_cost=1.0,
+                orientation_cost=0.3,
+                lm_damping=LEVENBERG,
+            )
+            for name in ("source", "detector")
+        ]
+        self._limits = [self._mink.ConfigurationLimit(cell.model)]
+
+    def poses(self, joints: Floats) -> tuple[Pose, Pose]:
+        """``world_from_source`` and ``world_from_detector`` at a joint configuration."""
+        self._data.qpos[:] = joints
+        mujoco.mj_kinematics(self._cell.model, self._data)
+        return site_poses(self._cell, self._data)
+
+    def solve(self, start: Floats, target: Target) -> IkResult:
+        """Newton's method from ``start``, both arms in one problem, inside the joint limits."""
+        mink, ik = self._mink, self._ik
+        for task, pose in zip(self._tasks, (target.source, target.detector), strict=True):
+            position, quat = pose.to_metres()
+            task.set_target(
+                mink.SE3.from_rotation_and_translation(mink.SO3(np.roll(quat, 1)), position)
+            )
+        ranges = self._cell.model.jnt_range
+        self._configuration.update(np.clip(start, ranges[:, 0], ranges[:, 1]))
+        best, stalled, best_left = None, 0, np.inf
+        for _ in range(ik.max_iterations):
+            result = self._measure()
+            if result.solved.all():
+                return result
+            left = float((result.position_mm + 5 * result.rotation_deg).sum())
+            if best is None or left < best_left * 0.99:
+                stalled = 0
+            else:
+                stalled += 1
+            if left < best_left:
+                best, best_left = result, left
+            if stalled >= GIVE_UP_AFTER:
+                break
+            try:
+                velocity = mink.solve_ik(
+                    self._configuration,
+                    self._tasks,
+                    dt=1.0,
+                    solver="daqp",
+                    damping=1e-9,
+                    limits=self._limits,
+                )
+            except mink.NoSolutionFound:
+                break
+            # More than half a radian at once leaves the range in which the linear model holds.
+            largest = float(np.abs(velocity).max())
+            self._configuration.integrate_inplace(velocity * min(1.0, 0.5 / max(largest, 1e-12)), 1.0)
+        final = self._measure()
+        left = float((final.position_mm + 5 * final.rotation_deg).sum())
+        return final if best is None or left < best_left else best
+
+    def _measure(self) -> IkResult:
+        errors = np.array([t.compute_error(self._configuration) for t in self._tasks])
+        # The twist's linear part is not the distance where the frames are turned: undo it.
+        position = np.array(
+            [
+                np.linalg.norm(
+                    self._configuration.data.site_xpos[site]
+                    - task.transform_target_to_world.translation()
+                )
+                for site, task in zip(self._cell.site_ids, self._tasks, strict=True)
+            ]
+        )
+        position_mm = position * MM_PER_M
+        rotation_deg = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
+        solved = (position_mm <= self._ik.position_tolerance_mm) & (
+            rotation_deg <= self._ik.rotation_tolerance_deg
+        )
+        return IkResult(self._configuration.q.copy(), position_mm, rotation_deg, solved)
+
+    def follow(self, start: Floats, target: Target) -> tuple[IkResult, Floats]:
+        """Solve a target from afar: through poses in between, so that the branch is kept.
+
+        Returns:
+            the result, and the largest step of each joint from pose to pose, rad, (n,).
+        """
+        waypoints = self._between(self.poses(start), (target.source, target.detector))
+        joints, largest = start, np.zeros(len(start))
+        for waypoint in [*waypoints, target]:
+            result = self.solve(joints, waypoint)
+            largest = np.maximum(largest, np.abs(result.joints - joints))
+            joints = result.joints
+        return result, largest
+
+    def _between(self, here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[Target]:
+        steps = 1
+        for a, b in zip(here, there, strict=True):
+            steps = max(
+                steps, int(a.distance_mm(b) / FAR_MM) + 1, int(a.angle_deg(b) / FAR_DEG) + 1
+            )
+        if steps == 1:
+            return []
+        turns = [
+            Slerp([0, 1], Rotation.from_quat([a.quat, b.quat]))
+            for a, b in zip(here, there, strict=True)
+        ]
+        found = []
+        for share in np.arange(1, steps) / steps:
+            poses = [
+                Pose((1 - share) * a.position + share * b.position, turn(share).as_quat())
+                for a, b, turn in zip(here, there, turns, strict=True)
+            ]
+            found.append(Target.from_poses(*poses))
+        return found
+
+
+def site_poses(cell: CellModel, data: mujoco.MjData) -> tuple[Pose, Pose]:
+    """Poses of the sites ``source`` and ``detector``; site frames must be up to date."""
+    source, detector = (site_pose(data, site) for site in cell.site_ids)
+    return source, detector
+
+
+def site_pose(data: mujoco.MjData, site: int) -> Pose:
+    """Pose of one site."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, data.site_xmat[site])
+    return Pose.from_metres(data.site_xpos[site], np.roll(quat, -1))

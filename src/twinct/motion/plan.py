@@ -1,0 +1,324 @@
+"""Planning: joint configurations for every view before anything moves.
+
+Each arm reaches a pose in several ways (elbow up or down, wrist turned over). All ways that seeded
+restarts find in the middle of the path are followed to both ends; the pair that reaches every view
+with the largest clearance is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twinct.cell import CellModel, Clearance, Gap, mujoco_module
+from twinct.errors import TrajectoryError
+from twinct.geometry import Floats, Pose
+from twinct.motion.kinematics import Kinematics
+from twinct.scenario import Motion
+from twinct.views import Target
+
+if TYPE_CHECKING:
+    import mujoco
+else:
+    mujoco = mujoco_module()
+
+RESTARTS = 60
+"""Random starts in the middle view; both arms of all two UR10e have shown their eight ways by 40."""
+
+BRANCHES = 16
+"""Ways of one arm that are followed at most."""
+
+SAME_RAD = 0.05
+"""Configurations closer than this in every joint are the same way."""
+
+FLIP_RAD = 0.35
+"""A joint step this large, for one small step of the tools, is a flip and no motion."""
+
+CHECK_MM = 4.0
+"""Between views, clearance is looked at whenever a point may have moved this far."""
+
+WITHDRAWN_MM = (40.0, 20.0, 10.0, 5.0)
+"""How far home may lie off the first view, outwards along the beam."""
+
+SIDES = ("source", "detector")
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPlan:
+    """A continuous, collision-free joint path through all views.
+
+    Attributes:
+        home: configuration just off the first view, at rest, rad, (n,).
+        joints: configuration of each view, rad, (views, n).
+        clearance_mm: smallest gap between non-adjacent bodies on the way to each view and there,
+            (views,).
+    """
+
+    home: Floats
+    joints: Floats
+    clearance_mm: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """One arm's path on one branch: joints (views, k), what is left (views,), flips (views,)."""
+
+    joints: Floats
+    position_mm: Floats
+    rotation_deg: Floats
+    solved: np.ndarray
+    flips: np.ndarray
+
+    @property
+    def good(self) -> bool:
+        return bool(self.solved.all() and not self.flips.any())
+
+    @property
+    def badness(self) -> tuple[int, float]:
+        return int((~self.solved).sum() + self.flips.sum()), float(self.position_mm.max())
+
+
+def plan_motion(cell_model: CellModel, motion: Motion, targets: Sequence[Target]) -> MotionPlan:
+    """Find a joint path through all targets.
+
+    Args:
+        cell_model: the room.
+        motion: tolerances and the clearance asked for.
+        targets: one for each view, in order.
+
+    Raises:
+        TrajectoryError: views out of reach, in collision, or without a continuous path to them;
+            every problem names views, arm, reason and how far off.
+        MissingExtraError: mink is not installed.
+    """
+    targets = list(targets)
+    kinematics = Kinematics(cell_model, motion.ik)
+    ways = _ways(cell_model, kinematics, targets)
+    problems = []
+    for side, found in zip(SIDES, ways, strict=True):
+        if not any(way.good for way in found):
+            problems += _reach_problems(side, min(found, key=lambda way: way.badness))
+    if problems:
+        raise TrajectoryError(problems)
+    pair = _clearest(cell_model, [[w for w in found if w.good] for found in ways])
+    joints = np.hstack([way.joints for way in pair])
+    gaps = _gaps_along(cell_model, joints)
+    problems = _gap_problems(gaps, motion.clearance_mm)
+    if problems:
+        raise TrajectoryError(problems)
+    home = _home(cell_model, kinematics, motion, targets[0], joints[0])
+    return MotionPlan(home, joints, np.array([gap.distance_mm for gap in gaps]))
+
+
+def _ways(
+    cell: CellModel, kinematics: Kinematics, targets: list[Target]
+) -> tuple[list[_Way], list[_Way]]:
+    """Both arms' paths on every branch found, the arms solved together."""
+    middle = len(targets) // 2
+    starts = _starts(cell, kinematics, targets[middle])
+    ways: tuple[list[_Way], list[_Way]] = ([], [])
+    for k in range(max(len(found) for found in starts)):
+        start = np.hstack([found[min(k, len(found) - 1)] for found in starts])
+        traced = _trace(cell, kinematics, targets, middle, start)
+        for arm in range(2):
+            if k < len(starts[arm]):
+                ways[arm].append(traced[arm])
+    return ways
+
+
+def _starts(cell: CellModel, kinematics: Kinematics, target: Target) -> list[list[Floats]]:
+    """Distinct configurations of each arm at one target; the nearest miss where there is none."""
+    rng = np.random.default_rng(0)
+    low = np.maximum(cell.joint_ranges[:, 0], -np.pi)
+    high = np.minimum(cell.joint_ranges[:, 1], np.pi)
+    found: list[list[Floats]] = [[], []]
+    nearest: list[tuple[float, Floats]] = [(np.inf, np.zeros(0))] * 2
+    for _ in range(RESTARTS):
+        result = kinematics.solve(rng.uniform(low, high), target)
+        for arm, joints in enumerate(cell.arm_joints):
+            q = _wrapped(result.joints[joints], cell.joint_ranges[joints])
+            if result.position_mm[arm] < nearest[arm][0]:
+                nearest[arm] = (float(result.position_mm[arm]), q)
+            known = any(np.abs(q - other).max() < SAME_RAD for other in found[arm])
+            if result.solved[arm] and not known and len(found[arm]) < BRANCHES:
+                found[arm].append(q)
+    return [ways or [nearest[arm][1]] for arm, ways in enumerate(found)]
+
+
+def _wrapped(joints: Floats, ranges: Floats) -> Floats:
+    """The same pose with full turns taken out, where the range has room for it."""
+    wrapped = (joints + np.pi) % (2 * np.pi) - np.pi
+    return np.where((wrapped >= ranges[:, 0]) & (wrapped <= ranges[:, 1]), wrapped, joints)
+
+
+def _trace(
+    cell: CellModel, kinematics: Kinematics, targets: list[Target], middle: int, start: Floats
+) -> list[_Way]:
+    views = len(targets)
+    joints = np.zeros((views, len(start)))
+    position, rotation = np.zeros((views, 2)), np.zeros((views, 2))
+    solved, flips = np.zeros((views, 2), bool), np.zeros((views, 2), bool)
+    for order in (range(middle, views), range(middle - 1, -1, -1)):
+        q = start if order.step > 0 else joints[middle]
+        for view in order:
+            result, largest = kinematics.follow(q, targets[view])
+            if view != middle:
+                for arm, part in enumerate(cell.arm_joints):
+                    flips[view, arm] = largest[part].max() > FLIP_RAD
+            q = joints[view] = result.joints
+            position[view], rotation[view] = result.position_mm, result.rotation_deg
+            solved[view] = result.solved
+    return [
+        _Way(joints[:, part], position[:, a], rotation[:, a], solved[:, a], flips[:, a])
+        for a, part in enumerate(cell.arm_joints)
+    ]
+
+
+def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
+    """The pair of paths with the largest clearance, judged on up to 40 views."""
+    views = len(ways[0][0].joints)
+    sample = np.unique(np.linspace(0, views - 1, min(views, 40)).astype(int))
+    data = mujoco.MjData(cell.model)
+    alone = []
+    for arm, side in enumerate(SIDES):
+        clearance = Clearance(cell, (side,))
+        scores = []
+        for way in ways[arm]:
+            smallest = np.inf
+            for view in sample:
+                data.qpos[cell.arm_joints[arm]] = way.joints[view]
+                mujoco.mj_kinematics(cell.model, data)
+                smallest = min(smallest, clearance.at(data).distance_mm)
+            scores.append(smallest)
+        alone.append(scores)
+    order = sorted(
+        ((i, j) for i in range(len(ways[0])) for j in range(len(ways[1]))),
+        key=lambda ij: -min(alone[0][ij[0]], alone[1][ij[1]]),
+    )
+    clearance = Clearance(cell)
+    best, best_score = order[0], (-np.inf, -np.inf)
+    for i, j in order:
+        bound = min(alone[0][i], alone[1][j])
+        if bound < best_score[0]:
+            break
+        smallest = np.inf
+        for view in sample:
+            data.qpos[:] = np.hstack([ways[0][i].joints[view], ways[1][j].joints[view]])
+            mujoco.mj_kinematics(cell.model, data)
+            smallest = min(smallest, clearance.at(data).distance_mm)
+            if smallest < best_score[0]:
+                break
+        # Equal clearance (a wrist's own, say): the path with less joint motion.
+        travel = sum(np.abs(np.diff(w.joints, axis=0)).sum() for w in (ways[0][i], ways[1][j]))
+        if (smallest, -travel) > best_score:
+            best, best_score = (i, j), (smallest, -travel)
+    return ways[0][best[0]], ways[1][best[1]]
+
+
+def _gaps_along(cell: CellModel, joints: Floats) -> list[Gap]:
+    """Smallest gap at each view and on the straight joint path to it from the view before."""
+    clearance = Clearance(cell)
+    data = mujoco.MjData(cell.model)
+    gaps = []
+    for view, q in enumerate(joints):
+        start = joints[max(view - 1, 0)]
+        gaps.append(path_gap(cell, clearance, data, start, q))
+    return gaps
+
+
+def path_gap(
+    cell: CellModel, clearance: Clearance, data: mujoco.MjData, start: Floats, end: Floats
+) -> Gap:
+    """Smallest gap on a straight joint path, its start left out unless it is the end."""
+    travel_mm = float(np.abs(end - start) @ cell.reach) * 1000
+    steps = max(1, int(np.ceil(travel_mm / CHECK_MM / 4)))
+    smallest = None
+    for share in np.arange(1, steps + 1) / steps:
+        data.qpos[:] = start + share * (end - start)
+        mujoco.mj_kinematics(cell.model, data)
+        gap = clearance.at(data)
+        if smallest is None or gap.distance_mm < smallest.distance_mm:
+            smallest = gap
+    assert smallest is not None
+    return smallest
+
+
+def _home(
+    cell: CellModel, kinematics: Kinematics, motion: Motion, first: Target, joints: Floats
+) -> Floats:
+    """A configuration off the path, so that the first view too is entered in motion.
+
+    Both tools drawn back from the isocentre along the beam, as far as reach and clearance allow.
+    """
+    clearance = Clearance(cell)
+    data = mujoco.MjData(cell.model)
+    outwards = first.source.position - first.detector.position
+    outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
+    for distance in WITHDRAWN_MM:
+        for sign in (1.0, -1.0):  # outwards; else inwards, for an arm at the end of its reach
+            step = sign * distance * outwards
+            target = Target.from_poses(
+                Pose(first.source.position + step, first.source.quat),
+                Pose(first.detector.position - step, first.detector.quat),
+            )
+            result, largest = kinematics.follow(joints, target)
+            if not result.solved.all() or largest.max() > FLIP_RAD:
+                continue
+            gap = path_gap(cell, clearance, data, joints, result.joints)
+            if gap.distance_mm >= motion.clearance_mm:
+                return result.joints
+    raise TrajectoryError(
+        f"view 0: no place to start from: neither {WITHDRAWN_MM[-1]:g} mm outwards nor inwards can "
+        f"be reached with a clearance of {motion.clearance_mm:g} mm"
+    )
+
+
+def _reach_problems(side: str, way: _Way) -> list[str]:
+    problems = []
+    for first, last in _runs(~way.solved):
+        views = slice(first, last + 1)
+        far, turned = way.position_mm[views].max(), way.rotation_deg[views].max()
+        worst = f"up to {far:.1f} mm" if last > first else f"{far:.1f} mm"
+        tail = f" and {turned:.1f} deg" if turned > 1 else ""
+        problems.append(f"{_named(first, last)}: {side} arm: out of reach by {worst}{tail}")
+    for first, last in _runs(way.flips & way.solved):
+        problems.append(
+            f"{_named(first, last)}: {side} arm: no continuous path from the neighbouring view; a "
+            f"joint would jump by more than {np.degrees(FLIP_RAD):.0f} deg"
+        )
+    return problems
+
+
+def _gap_problems(gaps: list[Gap], asked_mm: float) -> list[str]:
+    problems = []
+    bad = [i for i, gap in enumerate(gaps) if gap.distance_mm < asked_mm]
+    for bodies in sorted({gaps[i].bodies for i in bad}):
+        for first, last in _runs(
+            np.array([g.distance_mm < asked_mm and g.bodies == bodies for g in gaps])
+        ):
+            smallest = min(gap.distance_mm for gap in gaps[first : last + 1])
+            pair = f"{readable(bodies[0])} and {readable(bodies[1])}"
+            if smallest < 0:
+                what = f"overlap by {-smallest:.1f} mm"
+            else:
+                what = f"come within {smallest:.1f} mm, {asked_mm:g} mm are asked"
+            problems.append(f"{_named(first, last)}: {pair} {what}")
+    return problems
+
+
+def readable(body: str) -> str:
+    """A body's name as messages call it."""
+    return {"source": "source", "detector": "detector_panel"}.get(body, body)
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """First and last index of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _named(first: int, last: int) -> str:
+    return f"view {first}" if first == last else f"views {first} to {last}"

@@ -1,0 +1,78 @@
+"""The timed joint path that the servos follow: jerk-limited, both arms arriving together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twinct.cell import CellModel
+from twinct.errors import MissingExtraError, MotionError
+from twinct.geometry import Floats
+from twinct.scenario import Motion
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceState:
+    """Where the servos should be: rad, rad/s, rad/s^2, each (n,)."""
+
+    position: Floats
+    velocity: Floats
+    acceleration: Floats
+
+
+class Reference:
+    """Plans from any moving state to rest at a goal, within speed, acceleration and jerk limits."""
+
+    def __init__(self, cell: CellModel, motion: Motion) -> None:
+        """Take the limits.
+
+        Raises:
+            MissingExtraError: Ruckig is not installed.
+        """
+        try:
+            import ruckig
+        except ImportError as error:
+            raise MissingExtraError("ruckig", "robots") from error
+        self._ruckig = ruckig
+        n = len(cell.joint_names)
+        self._planner = ruckig.Ruckig(n)
+        self._n = n
+        self._speed = (cell.speed_limits * cell.speed_scales).tolist()
+        self._acceleration = [float(np.radians(motion.acceleration_deg_s2))] * n
+        self._jerk = [float(np.radians(motion.jerk_deg_s3))] * n
+
+    def towards(self, now: ReferenceState, goal: Floats) -> Path:
+        """The path from ``now`` to rest at ``goal``, rad, (n,).
+
+        Raises:
+            MotionError: there is none; names Ruckig's verdict.
+        """
+        ask = self._ruckig.InputParameter(self._n)
+        ask.current_position = now.position.tolist()
+        ask.current_velocity = now.velocity.tolist()
+        ask.current_acceleration = now.acceleration.tolist()
+        ask.target_position = np.asarray(goal, dtype=np.float64).tolist()
+        ask.target_velocity = ask.target_acceleration = [0.0] * self._n
+        ask.max_velocity, ask.max_acceleration = self._speed, self._acceleration
+        ask.max_jerk = self._jerk
+        trajectory = self._ruckig.Trajectory(self._n)
+        verdict = self._planner.calculate(ask, trajectory)
+        if verdict not in (self._ruckig.Result.Working, self._ruckig.Result.Finished):
+            raise MotionError(f"no timed joint path: Ruckig says {verdict}")
+        return Path(trajectory)
+
+
+class Path:
+    """One timed joint path."""
+
+    def __init__(self, trajectory: Any) -> None:
+        """Wrap Ruckig's trajectory."""
+        self._trajectory = trajectory
+        self.duration = float(trajectory.duration)
+
+    def at(self, time_s: float) -> ReferenceState:
+        """The reference at a time since the start; at rest after the end."""
+        position, velocity, acceleration = self._trajectory.at_time(time_s)
+        return ReferenceState(np.array(position), np.array(velocity), np.array(acceleration))

@@ -1,0 +1,312 @@
+"""The dynamic simulation of both arms: servos within torque limits that follow a timed path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twinct.cell import CellModel, Clearance, mujoco_module
+from twinct.errors import MotionError, TargetRefusedError
+from twinct.geometry import MM_PER_M, Floats
+from twinct.motion.kinematics import Kinematics, site_pose
+from twinct.motion.plan import FLIP_RAD, path_gap, readable
+from twinct.motion.reference import Reference, ReferenceState
+from twinct.scenario import Motion
+from twinct.views import Reached, Target, to_seven
+
+if TYPE_CHECKING:
+    import mujoco
+else:
+    mujoco = mujoco_module()
+
+SIDES = ("source", "detector")
+
+REFUSED_SHARE = 0.5
+"""A target is refused where its path leaves less than this share of the clearance that a plan keeps:
+the rest is room for the solver's tolerance and the servos' lag."""
+
+INTEGRAL_RATE = 8.0
+"""Rate at which the servos' integral takes up what friction leaves, 1/s."""
+
+SATURATED = 0.999
+"""Share of its torque limit from which a joint counts as at the limit."""
+
+
+@dataclass
+class StepWatch:
+    """What happened over the steps of one move.
+
+    Attributes:
+        torque_share: largest share of its torque limit that each joint used, (n,).
+        speed_share: largest share of its published speed that each joint had, (n,).
+        contacts: pairs of bodies that touched.
+    """
+
+    torque_share: Floats
+    speed_share: Floats
+    contacts: set[tuple[str, str]]
+
+
+class RobotSimulation:
+    """Both arms, stepped by MuJoCo from target to target.
+
+    The state is MuJoCo's alone: the reference position, velocity and acceleration of the servos and
+    their integral are kept in ``mjData.userdata``, so ``mjSTATE_INTEGRATION`` is all there is, and
+    what follows is a function of it and of the targets.
+    """
+
+    def __init__(self, cell_model: CellModel, motion: Motion, home: Floats) -> None:
+        """Start at rest.
+
+        Args:
+            cell_model: the room.
+            motion: trigger, tolerances, limits of the joint path.
+            home: joint positions, rad, (n,), source arm first.
+
+        Raises:
+            MissingExtraError: MuJoCo, mink or Ruckig is not installed.
+        """
+        self._cell = cell_model
+        self._motion = motion
+        self._model = cell_model.model
+        self._data = mujoco.MjData(self._model)
+        self._kinematics = Kinematics(cell_model, motion.ik)
+        self._reference = Reference(cell_model, motion)
+        self._clearance = Clearance(cell_model)
+        self._scratch = mujoco.MjData(self._model)
+        self._n = len(cell_model.joint_names)
+        self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
+        # The servo's own damping and the joint's friction both pull back a moving joint.
+        self._drag = self._model.dof_damping - self._model.actuator_biasprm[: self._n, 2]
+        self._jacobian = np.zeros((3, self._model.nv))
+        self._watch = self._new_watch()
+        home = np.asarray(home, dtype=np.float64)
+        if home.shape != (self._n,):
+            raise MotionError(f"home has shape {home.shape}, the cell has {self._n} joints")
+        self._data.qpos[:] = home
+        self._data.userdata[: self._n] = home
+        self._data.ctrl[:] = home
+        mujoco.mj_forward(self._model, self._data)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Prefixed ``source_`` and ``detector_``, source first."""
+        return self._cell.joint_names
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return float(self._data.time)
+
+    @property
+    def joints(self) -> Floats:
+        """Joint positions now, rad, (n,)."""
+        return self._data.qpos.copy()
+
+    @property
+    def watch(self) -> StepWatch:
+        """Torques, speeds and contacts over every step of the last move."""
+        return self._watch
+
+    def close(self) -> None:
+        """Free what MuJoCo holds; a closed simulation cannot be used."""
+        del self._data, self._scratch, self._kinematics
+
+    def restore(self, state: Floats) -> None:
+        """Go back exactly to ``Reached.state``.
+
+        Raises:
+            MotionError: the state is of another cell.
+        """
+        size = mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        state = np.asarray(state, dtype=np.float64)
+        if state.shape != (size,):
+            raise MotionError(
+                f"a state of shape {state.shape} is not of this cell, whose states have ({size},)"
+            )
+        mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_step1(self._model, self._data)
+
+    def move(self, target: Target) -> Reached:
+        """Solve the target from the joints as they are, and move there.
+
+        Raises:
+            TargetRefusedError: out of reach, would collide, or the arms could not follow. The first
+                two leave the simulation as it was.
+        """
+        goal = self.solve(target)
+        return self.drive(goal, target)
+
+    def solve(self, target: Target) -> Floats:
+        """Joint positions for a target, checked for reach and for collisions on the way.
+
+        Raises:
+            TargetRefusedError: with arm, reason and how far off.
+        """
+        start = self._data.qpos.copy()
+        result, largest = self._kinematics.follow(start, target)
+        problems = []
+        for arm, side in enumerate(SIDES):
+            if not result.solved[arm]:
+                problems.append(
+                    f"{side} arm: out of reach by {result.position_mm[arm]:.1f} mm and "
+                    f"{result.rotation_deg[arm]:.2f} deg{self._at_limits(arm, result.joints)}"
+                )
+            elif largest[self._cell.arm_joints[arm]].max() > 2 * FLIP_RAD:
+                problems.append(
+                    f"{side} arm: no continuous path: a joint would jump by "
+                    f"{np.degrees(largest[self._cell.arm_joints[arm]].max()):.0f} deg"
+                )
+        if problems:
+            raise TargetRefusedError("; ".join(problems))
+        least = REFUSED_SHARE * self._motion.clearance_mm
+        gap = path_gap(self._cell, self._clearance, self._scratch, start, result.joints)
+        if gap.distance_mm < least:
+            pair = f"{readable(gap.bodies[0])} and {readable(gap.bodies[1])}"
+            how = (
+                f"overlap by {-gap.distance_mm:.1f} mm"
+                if gap.distance_mm < 0
+                else f"come within {gap.distance_mm:.1f} mm, at least {least:g} mm must stay"
+            )
+            raise TargetRefusedError(f"would collide: {pair} would {how}")
+        return result.joints
+
+    def drive(
+        self,
+        goal: Floats,
+        target: Target,
+        on_step: Callable[[mujoco.MjData], None] | None = None,
+    ) -> Reached:
+        """Move to joint positions, unchecked, until the trigger fires for ``target``.
+
+        Args:
+            goal: joint positions, rad, (n,).
+            target: the poses that the trigger compares with.
+            on_step: called at every step, with kinematics up to date.
+
+        Raises:
+            TargetRefusedError: the arms did not arrive within ``motion.timeout_s``.
+        """
+        model, data, motion, n = self._model, self._data, self._motion, self._n
+        memory = data.userdata
+        now = ReferenceState(memory[:n].copy(), memory[n : 2 * n].copy(), memory[2 * n : 3 * n].copy())
+        path = self._reference.towards(now, goal)
+        integral = memory[3 * n : 4 * n]
+        wanted = np.array([target.source_m[:3], target.detector_m[:3]])
+        sites = list(self._cell.site_ids)
+        tolerance_m = motion.tolerance_mm / MM_PER_M
+        settled = motion.trigger == "settled"
+        timestep = model.opt.timestep
+        watch = self._watch = self._new_watch()
+        torque, speed = np.zeros(n), np.zeros(n)
+        feedforward = np.zeros(model.nv)
+        mujoco.mj_step1(model, data)
+        gap = self._clearance.along(data)
+        for step in range(round(motion.timeout_s / timestep) + 1):
+            if step:
+                gap.step(data)
+                np.maximum(torque, np.abs(data.qfrc_actuator), out=torque)
+                np.maximum(speed, np.abs(data.qvel), out=speed)
+            if data.ncon:
+                self._note_contacts(watch)
+            if on_step is not None:
+                on_step(data)
+            off = data.site_xpos[sites] - wanted
+            near = (off * off).sum(axis=1).max() <= tolerance_m * tolerance_m
+            # The servo starts one step later than it would; so a move has at least one step.
+            if step and near and (not settled or self._at_rest(step * timestep, path.duration)):
+                watch.torque_share = torque / self._cell.torque_limits
+                watch.speed_share = speed / self._cell.speed_limits
+                return self._reached(gap.gap.distance_mm)
+            state = path.at((step + 1) * timestep)
+            mujoco.mj_mulM(model, data, feedforward, state.acceleration)
+            integral += INTEGRAL_RATE * timestep * (state.position - data.qpos)
+            memory[:n], memory[n : 2 * n] = state.position, state.velocity
+            memory[2 * n : 3 * n] = state.acceleration
+            data.ctrl[:] = (
+                state.position
+                + integral
+                + (feedforward + self._drag * state.velocity) / self._stiffness
+            )
+            mujoco.mj_step2(model, data)
+            mujoco.mj_step1(model, data)
+        watch.torque_share = torque / self._cell.torque_limits
+        watch.speed_share = speed / self._cell.speed_limits
+        raise TargetRefusedError(self._why_not(wanted))
+
+    def _new_watch(self) -> StepWatch:
+        return StepWatch(np.zeros(self._n), np.zeros(self._n), set())
+
+    def _at_rest(self, elapsed_s: float, duration_s: float) -> bool:
+        """The reference has stopped, both end-effectors stand still, and nothing still creeps in."""
+        if elapsed_s < duration_s:
+            return False
+        limit = self._motion.settle_speed_mm_s / MM_PER_M
+        for site in self._cell.site_ids:
+            mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, site)
+            if np.linalg.norm(self._jacobian @ self._data.qvel) > limit:
+                return False
+        return True
+
+    def _reached(self, clearance_mm: float) -> Reached:
+        model, data = self._model, self._data
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        state = np.zeros(size)
+        mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        body = self._cell.specimen_body
+        source, detector = (to_seven(site_pose(data, site)) for site in self._cell.site_ids)
+        quat = np.roll(data.xquat[body], -1)
+        return Reached(
+            source_m=source,
+            object_m=(*data.xpos[body].tolist(), *quat.tolist()),
+            detector_m=detector,
+            joint_names=self._cell.joint_names,
+            position=data.qpos.copy(),
+            velocity=data.qvel.copy(),
+            effort=data.qfrc_actuator.copy(),
+            state=state,
+            time_s=float(data.time),
+            clearance_mm=clearance_mm,
+        )
+
+    def _note_contacts(self, watch: StepWatch) -> None:
+        for contact in self._data.contact:
+            pair = sorted(self._cell.body_of_geom(int(geom)) for geom in contact.geom)
+            watch.contacts.add((pair[0], pair[1]))
+
+    def _at_limits(self, arm: int, joints: Floats) -> str:
+        part = self._cell.arm_joints[arm]
+        ranges = self._model.jnt_range
+        stuck = [
+            self.joint_names[j]
+            for j in range(part.start, part.stop)
+            if min(joints[j] - ranges[j, 0], ranges[j, 1] - joints[j]) < 1e-3
+        ]
+        return f" (at the limit of {', '.join(stuck)})" if stuck else ""
+
+    def _why_not(self, wanted: Floats) -> str:
+        """Where the arms are after the time-out, and what holds them."""
+        off_mm = (
+            np.linalg.norm(self._data.site_xpos[list(self._cell.site_ids)] - wanted, axis=1)
+            * MM_PER_M
+        )
+        parts = [
+            f"cannot follow: after {self._motion.timeout_s:g} s of simulated time source and "
+            f"detector are {off_mm[0]:.1f} and {off_mm[1]:.1f} mm off their targets "
+            f"({self._motion.tolerance_mm:g} mm allowed)"
+        ]
+        limited = [
+            f"{name} ({limit:.0f} N m)"
+            for name, limit, share in zip(
+                self.joint_names, self._cell.torque_limits, self._watch.torque_share, strict=True
+            )
+            if share >= SATURATED
+        ]
+        if limited:
+            parts.append(f"torque limit reached in {', '.join(limited)}")
+        for first, second in sorted(self._watch.contacts):
+            parts.append(f"{readable(first)} touches {readable(second)}")
+        return "; ".join(parts)
