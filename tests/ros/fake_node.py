@@ -59,15 +59,10 @@ class FakeImager:
     def render(self, geometry, world_from_object):
         _note("render", geometry.source[0].tolist())
         time.sleep(float(os.environ.get("FAKE_RENDER_S", "0")))
-        scale = float(
-            geometry.source.sum() + geometry.detector.sum() + world_from_object.matrix.sum()
-        )
-        rows, columns = self.shape
-        return (
-            (np.arange(rows * columns, dtype=np.float64) * scale)
-            .astype(np.float32)
-            .reshape(self.shape)
-        )
+        poses = (geometry.source, geometry.detector, geometry.u, world_from_object.position)
+        scale = sum(float(numbers.sum()) for numbers in poses)
+        pixels = np.arange(np.prod(self.shape), dtype=np.float64) * scale
+        return pixels.astype(np.float32).reshape(self.shape)
 
     def close(self):
         pass

@@ -204,8 +204,9 @@ def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
 
 def state_stamp(message: Float64MultiArray) -> Stamp | None:
     """The stamp of a ``/scan/state``, None for a message that has none."""
+    dimensions = list(message.layout.dim)
     try:
-        return Stamp.parse(message.layout.dim[0].label)
+        return Stamp.parse(dimensions[0].label)
     except (IndexError, ValueError):
         return None
 

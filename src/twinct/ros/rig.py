@@ -211,9 +211,7 @@ class RosRig:
             self._conflict = f"{REACHED} at {stamp}: {error}"
             return
         if view.poses not in (None, poses):
-            self._conflict = (
-                f"{REACHED} has two different answers at {stamp}: a stranger speaks there"
-            )
+            self._conflict = f"{REACHED} has two answers at {stamp}: a stranger speaks there"
         view.poses = poses
 
     def _on_joints(self, message: JointState) -> None:
@@ -240,7 +238,7 @@ class RosRig:
             values = diagnostic_values(status.values)
             if status.name == ROBOTS and values.get("target") == describe(self._asked[2]):
                 arm = f" ({values['arm']} arm)" if values.get("arm") else ""
-                self._refusal = values.get("reason", status.message) + arm
+                self._refusal = f"{values.get('reason', status.message)}{arm}"
             elif status.name == XRAY:
                 self._conflict = status.message
 

@@ -65,8 +65,8 @@ def spin_robots(
 
     Args:
         scenario: what to simulate.
-        epoch: of the scan this node belongs to: only this scan's own targets are accepted, each in its
-            turn. None accepts any target.
+        epoch: of the scan this node belongs to: only this scan's own targets are accepted, each in
+            its turn. None accepts any target.
         first_view: of that scan.
         restore: ``.npy`` file with the simulator state to start from.
         lifeline: end also when stdin does.
@@ -122,11 +122,11 @@ class Turns:
         view = self.view(stamp)
         if view is None:
             raise RefusedError(
-                "a scan is running and this target is none of it: its stamp is foreign"
+                "a scan is running and the stamp of this target is none of its stamps"
             )
         if target != self._targets[view]:
             raise RefusedError(
-                f"a scan is running and this target is none of it: view {view} commands other poses"
+                f"a scan is running and this target is none of its own: view {view} has others"
             )
         if view != self._next:
             raise RefusedError(f"a scan is running: view {self._next} comes next, not view {view}")

@@ -74,13 +74,11 @@ class Station:
         self._executor.add_node(self._node)
         self._closed = False
 
-    def publisher(
-        self, topic: str, kind: Any, *, depth: int = 1, latched: bool = True
-    ) -> Publisher:
-        """Publish reliably; late joiners get the last ``depth`` messages if latched."""
+    def publisher(self, topic: str, kind: Any, *, depth: int = 1) -> Publisher:
+        """Publish reliably; late joiners get the last ``depth`` messages."""
         events = PublisherEventCallbacks(matched=lambda _: None)  # wakes ``wait`` up
         return self._node.create_publisher(
-            kind, topic, _qos(depth, latched=latched), event_callbacks=events
+            kind, topic, _qos(depth, latched=True), event_callbacks=events
         )
 
     def listen(
@@ -97,23 +95,24 @@ class Station:
     ) -> list[Subscription]:
         """Hear everybody who publishes reliably, each message once.
 
-        A transient-local subscription does not match the volatile publisher that a foreign node makes by
-        default, and a volatile one does not hear what was said before it came. So there are both, and
-        what comes through both is told by the time its publisher sent it.
+        A transient-local subscription does not match the volatile publisher that a foreign node
+        makes by default, and a volatile one does not hear what was said before it came. So there
+        are both, and what comes through both is told by the time its publisher sent it.
         """
         seen: deque[tuple[int, int, int]] = deque(maxlen=4 * depth)
 
-        def once(message: Any, info: dict[str, Any]) -> None:
+        def once(message: Any, info: Any) -> None:
             stamp = message.header.stamp
             key = (info["source_timestamp"], stamp.sec, stamp.nanosec)
             if key not in seen:
                 seen.append(key)
                 callback(message)
 
+        hear: Any = once  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(matched=lambda _: None)
         return [
             self._node.create_subscription(
-                kind, topic, once, _qos(depth, latched=latched), event_callbacks=events
+                kind, topic, hear, _qos(depth, latched=latched), event_callbacks=events
             )
             for latched in (True, False)
         ]

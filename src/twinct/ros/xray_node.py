@@ -129,9 +129,7 @@ class XRayNode:
 
     def _expose(self, stamp: Stamp, poses: Executed) -> tuple[CameraInfo, Image]:
         if self._epoch is not None and self._epoch.view(stamp) is None:
-            raise RefusedError(
-                "a scan is running and this view is none of it: its stamp is foreign"
-            )
+            raise RefusedError("a scan is running and the stamp of this view is none of its stamps")
         try:
             geometry = ScanGeometry.from_poses(
                 [from_seven(poses.source_m)], [from_seven(poses.detector_m)], self._panel
