@@ -22,7 +22,7 @@ from rich.table import Table
 
 from twinct.cli.progress import TerminalProgress
 from twinct.errors import InputError, ScanExistsError
-from twinct.evaluate import ImageFigures
+from twinct.evaluate import ImageFigures, pose_errors
 from twinct.pipeline import (
     Truth,
     acquire_to_store,
@@ -34,6 +34,7 @@ from twinct.pipeline import (
     scenario_as_data,
     truth_of,
 )
+from twinct.report import ReportData, build_metrics, cross_sections, write_report
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, storage_errors
 from twinct.scenario import Scenario, load_scenario
 from twinct.volume import read_volume, write_volume
@@ -147,7 +148,7 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
         _log_to(folder.log)
-        _write(folder.scenario, yaml.safe_dump(scenario_as_data(scenario), sort_keys=False))
+        write_text(folder.scenario, _as_yaml(scenario))
         log.info(
             "twinct run %s, %s link, scenario digest %s", scenario.name, link, scenario.digest()
         )
@@ -267,7 +268,41 @@ def _report(
     real_time_factor: float,
 ) -> None:
     """Write metrics.json and report.html, each complete or not at all."""
-    raise NotImplementedError
+    scenario = scan.scenario
+    metrics = build_metrics(
+        views=len(workshop.targets),
+        reached=len(scan),
+        pose_errors=pose_errors(scan.commanded, scan.executed),
+        clearance_mm=scan.clearance_mm,
+        image=figures,
+        seconds=seconds,
+        simulated_seconds=float(scan.simulated_s[-1]),
+        real_time_factor=real_time_factor,
+        scenario_digest=scenario.digest(),
+        reconstruction_digest=reconstruction_digest(scenario),
+    )
+    shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
+    data = ReportData(
+        scenario=scenario,
+        scenario_yaml=_as_yaml(scenario),
+        metrics=metrics,
+        commanded=scan.commanded,
+        executed=scan.executed,
+        panel=scenario.detector.panel,
+        clearance_mm=scan.clearance_mm,
+        projections=[(int(view), scan.transmission[view]) for view in shown],
+        slices=cross_sections(
+            volume, truth.volume, truth.region, scenario.reconstruction.grid.volume_grid
+        ),
+        mu_reference=truth.mu_reference,
+        room_png=_room(workshop),
+    )
+    write_report(folder.report, data)
+    write_text(folder.metrics, json.dumps(metrics, indent=2) + "\n")
+
+
+def _as_yaml(scenario: Scenario) -> str:
+    return yaml.safe_dump(scenario_as_data(scenario), sort_keys=False)
 
 
 def _simulated_s(scan: Scan, views: int) -> float:
@@ -286,7 +321,8 @@ def _room(workshop: Workshop) -> bytes:
         return path.read_bytes()
 
 
-def _write(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
+    """Write a file that appears under its name only when it is complete."""
     draft = path.with_name(f".{path.name}.partial")
     draft.write_text(text, encoding="utf-8")
     draft.replace(path)
