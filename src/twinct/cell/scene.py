@@ -327,7 +327,7 @@ def _source_tool(body: Any, arm: Arm, panel: Panel) -> None:
     _rod(body, "source_adapter", (0, 0, 0), (0, 0, adapter), 50, "steel", mass=0.1 * mass)
     length = front - adapter - 8
     centre = (0, 0, adapter + length / 2)
-    _box(body, "source_housing", centre, (110, 110, length), "tube", mass=0.85 * mass)
+    _box(body, "source_housing", centre, (96, 96, length), "tube", mass=0.85 * mass)
     _rod(body, "source_window", (0, 0, front - 8), (0, 0, front), 38, "accent", mass=0.05 * mass)
     body.add_site(name="source", pos=[0, 0, s * MM], group=4)
 

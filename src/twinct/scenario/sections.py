@@ -190,7 +190,9 @@ class CtVolume(Section):
         0.0, description="Sigma of a Gaussian filter before the threshold."
     )
     smallest_part_cm3: NonNegative = Field(
-        0.0, description="Connected pieces below this volume are left out."
+        0.1,
+        description="Connected pieces below this volume are left out: crumbs by default; a larger "
+        "number leaves out a head rest or other things around the patient.",
     )
     centre: bool = Field(True, description="Move the middle of its bounds to the part's origin.")
 
@@ -264,7 +266,7 @@ class Arm(Section):
 class SourceArm(Arm):
     """The arm with the X-ray source."""
 
-    base_position_mm: Vector = (850.0, 0.0, -400.0)
+    base_position_mm: Vector = (850.0, 0.0, 0.0)
     base_rotation_deg: Vector = (0.0, 0.0, 180.0)
     tool_mass_kg: Positive = 8.0
 
@@ -272,7 +274,7 @@ class SourceArm(Arm):
 class DetectorArm(Arm):
     """The arm with the panel."""
 
-    base_position_mm: Vector = (-850.0, 0.0, -400.0)
+    base_position_mm: Vector = (-850.0, 0.0, 0.0)
     tool_mass_kg: Positive = 4.0
 
 
