@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit, prange
 
 UNIT = 1 << 40
-"""One in the fixed-point sums: 2^-40 of a voxel is the quantum; 2^22 crossings a row fit into int64."""
+"""One in the fixed-point sums: 2^-40 of a voxel is the quantum; 2^22 crossings a row fit into
+int64."""
 
 
 @njit(cache=True, nogil=True)
@@ -83,10 +84,10 @@ def _add_step(row, x, sign):
 def add_fractions(points, triangles, starts, members, columns, weight, out):
     """Add weight times the volume fraction of each voxel to ``out`` (nz, ny, nx).
 
-    A triangle is cut by each plane z of sample lines. Of its three edges one crosses the plane upwards
-    and one downwards; an edge counts as crossing if low <= z < high. Neighbours find the same end point
-    of their common edge, to the last bit, so that every closed mesh contributes to each line as many
-    entries as exits, also where a line meets an edge or a vertex.
+    A triangle is cut by each plane z of sample lines. Of its three edges one crosses the plane
+    upwards and one downwards; an edge counts as crossing if low <= z < high. Neighbours find the
+    same end point of their common edge, to the last bit, so that every closed mesh contributes to
+    each line as many entries as exits, also where a line meets an edge or a vertex.
     """
     layers, rows, size = out.shape
     scale = weight / (float(columns) * columns * UNIT)

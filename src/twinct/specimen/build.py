@@ -1,4 +1,4 @@
-"""From the scenario's specimen to closed, disjoint meshes with attenuation, and their voxel truth."""
+"""From the scenario's specimen to closed, disjoint meshes with attenuation, and their truth."""
 
 from __future__ import annotations
 
@@ -129,8 +129,8 @@ def _disjoint(parts: list[BuiltPart]) -> tuple[BuiltPart, ...]:
         mesh = subtract(part.mesh, [later.mesh for later in parts[i + 1 :]], part.name)
         if not len(mesh.faces):
             problems.append(
-                f"part {part.name!r} is empty: later parts cover all of it. Where parts overlap the "
-                "later one wins; list the outer part first"
+                f"part {part.name!r} is empty: later parts cover all of it. Where parts "
+                "overlap the later one wins; list the outer part first"
             )
             continue
         disjoint.append(BuiltPart(part.name, part.material, mesh))

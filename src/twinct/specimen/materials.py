@@ -1,8 +1,8 @@
 """Materials: what a part is made of, and how strongly it attenuates.
 
-The attenuation coefficient is the number that goes to the X-ray simulation and to the voxel truth, so
-that both speak of the same specimen. It is the total one, coherent scatter included, by the mixture
-rule over the elements,
+The attenuation coefficient is the number that goes to the X-ray simulation and to the voxel truth,
+so that both speak of the same specimen. It is the total one, coherent scatter included, by the
+mixture rule over the elements,
 
     mu = rho * sum_i w_i (mu / rho)_i(E),
 
@@ -60,8 +60,8 @@ class Material:
         total = sum(self.mass_fractions.values())
         if abs(total - 1.0) > FRACTION_SUM_TOLERANCE:
             raise SpecimenError(
-                f"material {self.name!r}: the mass fractions add up to {total:.4g}, they must add up "
-                f"to 1 (within {FRACTION_SUM_TOLERANCE:g})"
+                f"material {self.name!r}: the mass fractions add up to {total:.4g}, they must "
+                f"add up to 1 (within {FRACTION_SUM_TOLERANCE:g})"
             )
         shares = {symbol: share / total for symbol, share in self.mass_fractions.items()}
         object.__setattr__(self, "mass_fractions", MappingProxyType(shares))
@@ -153,8 +153,8 @@ def _unknown(wanted: str, origin: str) -> str:
     near += [name for k, name in known.items() if _key(wanted) in k and name not in near][:3]
     hint = f"nearest: {', '.join(near)}" if near else f"built in: {', '.join(BUILT_IN)}"
     return (
-        f"{origin}: unknown material {wanted!r}; {hint}. Element symbols are known too, and any other "
-        "material can be given as {formula: H2O, density_g_cm3: 1.0} or "
+        f"{origin}: unknown material {wanted!r}; {hint}. Element symbols are known too, and any "
+        "other material can be given as {formula: H2O, density_g_cm3: 1.0} or "
         "{mass_fractions: {H: 0.112, O: 0.888}, density_g_cm3: 1.0}"
     )
 
@@ -174,16 +174,16 @@ def _by_symbol(numbers: Iterable[int], shares: Iterable[float]) -> dict[str, flo
 def _atomic_number(symbol: str, name: str) -> int:
     if symbol not in _ELEMENTS:
         raise SpecimenError(
-            f"material {name!r}: {symbol!r} is no element symbol from H to U (written like Ca, not ca)"
+            f"material {name!r}: {symbol!r} is no element symbol (H to U, written like Ca)"
         )
     return xraylib.SymbolToAtomicNumber(symbol)
 
 
 _ELEMENTS = frozenset(xraylib.AtomicNumberToSymbol(z) for z in range(1, HEAVIEST_ELEMENT + 1))
 
-# Compositions by mass. Tissues: ICRU Report 44 (1989) as in NIST's tables (Hubbell and Seltzer, NISTIR
-# 5632); teeth: Woodard and White, Br. J. Radiol. 59 (1986), ICRU Report 46. Metals: ASTM F136
-# (Ti-6Al-4V), AISI 316L, ASTM F75 (cobalt-chromium), nominal.
+# Compositions by mass. Tissues: ICRU Report 44 (1989) as in NIST's tables (Hubbell and Seltzer,
+# NISTIR 5632); teeth: Woodard and White, Br. J. Radiol. 59 (1986), ICRU Report 46. Metals: ASTM
+# F136 (Ti-6Al-4V), AISI 316L, ASTM F75 (cobalt-chromium), nominal.
 _TABLE: dict[str, tuple[float, dict[str, float]]] = {
     "bone": (
         1.92,

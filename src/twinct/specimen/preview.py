@@ -16,7 +16,8 @@ VIEWS = {
     "three-quarter": (35.0, 12.0),
     "side": (90.0, 0.0),
 }
-"""Where the onlooker stands: degrees from +y (the face) towards +x, and degrees above the horizon."""
+"""Where the onlooker stands: degrees from +y (the face) towards +x, and degrees above the
+horizon."""
 
 COLOURS = ((0.90, 0.86, 0.76), (0.55, 0.63, 0.72), (0.80, 0.50, 0.40), (0.60, 0.72, 0.55))
 LIGHT = (-0.45, 0.55, 0.70)
@@ -54,7 +55,7 @@ def shaded(
     right = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
     axes = np.stack([right, np.cross(towards, right), towards])
     low, high = specimen.bounds
-    corners = np.array(np.meshgrid(*zip(low, high))).reshape(3, -1).T @ axes.T
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T @ axes.T
     start, stop = corners.min(axis=0) - margin_mm, corners.max(axis=0) + margin_mm
     columns, rows = (int(np.ceil(n)) for n in (stop - start)[:2] / pixel_mm)
 
@@ -123,7 +124,7 @@ def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str =
 
 
 def _corner_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Normals (faces, 3 corners, 3): of the vertex where the surface is smooth, else of the face."""
+    """Normals (faces, 3 corners, 3): of the vertex where it is smooth, else of the face."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     flat = np.cross(b - a, c - a)
     smooth = np.stack(

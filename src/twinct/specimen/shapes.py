@@ -9,6 +9,7 @@ import trimesh
 
 from twinct import scenario
 from twinct.errors import SpecimenError
+from twinct.scenario.sections import Shape
 from twinct.specimen.skull import skull_surface
 from twinct.specimen.surface import open_edges, surface
 from twinct.specimen.volumes import ct_surface
@@ -20,7 +21,7 @@ CYLINDER_SECTIONS = 256
 """A regular polygon of this many corners; its area misses the circle's by 0.01 %."""
 
 
-def shape_surface(shape: scenario.Shape, name: str) -> trimesh.Trimesh:
+def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
     """The closed surface of a shape in its part's frame, mm, counter-clockwise seen from outside.
 
     Args:
@@ -28,13 +29,14 @@ def shape_surface(shape: scenario.Shape, name: str) -> trimesh.Trimesh:
         name: of the part, for messages.
 
     Raises:
-        SpecimenError: a file that cannot be read, an open or empty mesh, a threshold nothing exceeds.
+        SpecimenError: a file that cannot be read, an open or empty mesh, a threshold nothing
+        exceeds.
     """
     match shape:
         case scenario.Skull():
             return skull_surface(shape.scale, shape.mesh_resolution_mm)
         case scenario.Sphere():
-            return _sphere((shape.radius_mm,) * 3)
+            return _sphere((shape.radius_mm, shape.radius_mm, shape.radius_mm))
         case scenario.Ellipsoid():
             return _sphere(shape.semi_axes_mm)
         case scenario.Cylinder():
@@ -80,7 +82,8 @@ def _mesh_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
     if not mesh.is_watertight:
         raise SpecimenError(
             f"{where} is open: {open_edges(mesh)} of {len(mesh.edges_unique)} edges do not join "
-            "exactly two triangles. X-ray path lengths need a closed surface; close it in a mesh editor"
+            "exactly two triangles. X-ray path lengths need a closed surface; close it in a "
+            "mesh editor"
         )
     if not mesh.is_winding_consistent or not mesh.volume > 0:
         raise SpecimenError(f"{where} has triangles whose inside and outside cannot be told apart")

@@ -1,31 +1,35 @@
 """The built-in adult skull, from implicit surfaces.
 
-A signed distance field (mm, negative inside) is put together on a lattice from ellipsoids, tapered rods
-and swept plates, by smooth unions and subtractions
+A signed distance field (mm, negative inside) is put together on a lattice from ellipsoids, tapered
+rods and swept plates, by smooth unions and subtractions
 
     smin(a, b; k) = min(a, b) - h^2 k / 4,    h = max(k - |a - b|, 0) / k
 
-(Quilez's polynomial blend), and its zero level becomes a closed mesh. Only the half x >= 0 is computed;
-the other one is its mirror image, so the skull is symmetric to the last bit of the field.
+(Quilez's polynomial blend), and its zero level becomes a closed mesh. Only the half x >= 0 is
+computed; the other one is its mirror image, so the skull is symmetric to the last bit of the field.
 
-Design frame: x to the skull's left or right (symmetric), y anterior, z superior, mm, origin in the middle
-of the vault. The finished surface is moved so that the middle of its bounds is the origin. Proportions
-follow textbook craniometry of an adult: vault 180 x 145 x 135 mm, bizygomatic width about 130,
-orbits 39 x 34, nasal aperture 25 wide, foramen magnum 30 x 35 mm.
+Design frame: x to the skull's left or right (symmetric), y anterior, z superior, mm, origin in the
+middle of the vault. The finished surface is moved so that the middle of its bounds is the origin.
+Proportions follow textbook craniometry of an adult: vault 180 x 145 x 135 mm, bizygomatic width
+about 130, orbits 39 x 34, nasal aperture 25 wide, foramen magnum 30 x 35 mm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
+from twinct.geometry import Floats
 from twinct.specimen.surface import isosurface, surface
 
-Field = NDArray[np.float32]
+Field = NDArray[Any]
 Point = tuple[float, float, float]
 
 LOWEST: Point = (0.0, -98.0, -146.0)
@@ -52,11 +56,12 @@ def _cached(scale: float, resolution_mm: float) -> trimesh.Trimesh:
 
 
 def skull_surface(scale: float = 1.0, resolution_mm: float = 1.0) -> trimesh.Trimesh:
-    """The closed surface of the skull: face towards +y, vertex up, middle of its bounds at the origin.
+    """The closed surface of the skull: face towards +y, middle of its bounds at the origin.
 
     Args:
         scale: 1 is adult size.
-        resolution_mm: cell of the lattice on which the surface is extracted, mm of the scaled skull.
+        resolution_mm: cell of the lattice on which the surface is extracted, mm of the scaled
+        skull.
     """
     return _cached(float(scale), float(resolution_mm)).copy()
 
@@ -69,22 +74,22 @@ class _Canvas:
     """
 
     def __init__(self, step: float) -> None:
-        counts = [int(np.ceil((h - low) / step)) + 1 for low, h in zip(LOWEST, HIGHEST)]
+        counts = [
+            int(np.ceil((h - low) / step)) + 1 for low, h in zip(LOWEST, HIGHEST, strict=True)
+        ]
         self.origin = np.array(LOWEST)
         self.axes = [
             np.asarray(low + step * np.arange(n), dtype=np.float32)
-            for low, n in zip(LOWEST, counts)
+            for low, n in zip(LOWEST, counts, strict=True)
         ]
         self.field: Field = np.full(counts, 50.0, dtype=np.float32)
 
-    def _within(
-        self, low: Sequence[float], high: Sequence[float]
-    ) -> tuple[tuple[slice, ...], list[Field]]:
+    def _within(self, low: Floats, high: Floats) -> tuple[tuple[slice, ...], list[Field]]:
         cut = tuple(
             slice(int(np.searchsorted(axis, lo)), int(np.searchsorted(axis, hi, side="right")))
-            for axis, lo, hi in zip(self.axes, low, high)
+            for axis, lo, hi in zip(self.axes, low, high, strict=True)
         )
-        x, y, z = (axis[s] for axis, s in zip(self.axes, cut))
+        x, y, z = (axis[s] for axis, s in zip(self.axes, cut, strict=True))
         return cut, [x[:, None, None], y[None, :, None], z[None, None, :]]
 
     def add(self, body: _Body, blend: float = 0.0) -> None:
@@ -108,8 +113,8 @@ class _Body:
     def __init__(
         self,
         distance: Callable[[Field, Field, Field], Field],
-        low: Sequence[float],
-        high: Sequence[float],
+        low: ArrayLike,
+        high: ArrayLike,
     ) -> None:
         self.distance = distance
         self.low = np.asarray(low, dtype=float)
@@ -146,7 +151,7 @@ class _Body:
 
 
 def smin(a: Field, b: Field, blend: float) -> Field:
-    """Polynomial smooth minimum: the minimum, rounded where both are within ``blend`` of each other."""
+    """Polynomial smooth minimum: rounded where both are within ``blend`` of each other."""
     if blend <= 0:
         return np.minimum(a, b)
     h = np.maximum(blend - np.abs(a - b), 0) / blend
@@ -161,16 +166,14 @@ def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> _Body
         radii: semi-axes, mm.
         turn_deg: extrinsic rotations about x, y, z.
     """
-    from scipy.spatial.transform import Rotation
-
     turn = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().astype(np.float32)
     reach = np.sqrt((turn**2) @ np.square(radii))
 
     def distance(x: Field, y: Field, z: Field) -> Field:
         p = [x - centre[0], y - centre[1], z - centre[2]]
         local = [sum(turn[i, axis] * p[i] for i in range(3)) for axis in range(3)]
-        k0 = np.sqrt(sum((q / r) ** 2 for q, r in zip(local, radii)))
-        k1 = np.sqrt(sum((q / (r * r)) ** 2 for q, r in zip(local, radii)))
+        k0 = np.sqrt(sum((q / r) ** 2 for q, r in zip(local, radii, strict=True)))
+        k1 = np.sqrt(sum((q / (r * r)) ** 2 for q, r in zip(local, radii, strict=True)))
         return k0 * (k0 - 1.0) / np.maximum(k1, 1e-6)
 
     return _Body(distance, np.subtract(centre, reach), np.add(centre, reach))
@@ -189,9 +192,9 @@ def rod(
     shrink = float(stretch.max())
 
     def distance(x: Field, y: Field, z: Field) -> Field:
-        p = [c * s - o for c, s, o in zip((x, y, z), stretch, a_)]
-        t = np.clip(sum(q * d for q, d in zip(p, along)) / length2, 0, 1)
-        gap = np.sqrt(sum((q - t * d) ** 2 for q, d in zip(p, along)))
+        p = [c * s - o for c, s, o in zip((x, y, z), stretch, a_, strict=True)]
+        t = np.clip(sum(q * d for q, d in zip(p, along, strict=True)) / length2, 0, 1)
+        gap = np.sqrt(sum((q - t * d) ** 2 for q, d in zip(p, along, strict=True)))
         return (gap - (radius_a + t * (radius_b - radius_a))) / shrink
 
     ends = np.array([a, b])
@@ -202,7 +205,7 @@ def chain(points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 
     """Tapered rods from point to point."""
     body = rod(points[0], points[1], radii[0], radii[1], flatten)
     for i in range(1, len(points) - 1):
-        body = body.joined(rod(points[i], points[i + 1], radii[i], radii[i + 1], flatten), 2.0)
+        body = body.joined(rod(points[i], points[i + 1], radii[i], radii[i + 1], flatten))
     return body
 
 
@@ -229,12 +232,12 @@ def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float =
 
 def wall(
     path: Sequence[tuple[float, float]],
-    middle_z: Sequence[float],
-    half_height: Sequence[float],
-    half_width: Sequence[float],
+    middle_z: ArrayLike,
+    half_height: ArrayLike,
+    half_width: ArrayLike,
     rounding: float = 3.0,
 ) -> _Body:
-    """An upright plate that follows a path in the (x, y) plane, height and width changing on the way.
+    """An upright plate along a path in the (x, y) plane, height and width changing on the way.
 
     Args:
         path: corners (x, y), mm.
@@ -281,7 +284,7 @@ ARCH_Y = 37.0
 """The last molars stand about here."""
 UPPER_TEETH = (8.6, 6.8, 7.6, 7.0, 6.8, 10.2, 9.6)
 LOWER_TEETH = (5.6, 6.2, 7.0, 7.0, 7.2, 11.0, 10.4)
-"""Mesiodistal widths from the middle backwards: two incisors, canine, two premolars, two molars, mm."""
+"""Mesiodistal widths, mm: two incisors, canine, two premolars, two molars."""
 UPPER_CROWN_Z = (-86.5, -97.0)
 LOWER_CROWN_Z = (-99.0, -108.5)
 """Neck and edge of the upper, edge and neck of the lower crowns, mm: the teeth do not touch."""
@@ -299,11 +302,12 @@ def _build(head: _Canvas) -> None:
 
 def _braincase(head: _Canvas) -> None:
     back = ellipsoid((0, -14, 2), (71.5, 76, 65))
-    front = ellipsoid((0, 27, 6), (58, 62.5, 57))
+    front = ellipsoid((0, 24, 4), (58, 63, 57))
     egg = back.joined(front, 26)
 
     def floor(y: Field) -> Field:
-        # Height of the skull base: posterior fossa, step at the clivus, step up to the frontal fossa.
+        # Height of the skull base: posterior fossa, step at the clivus, step up to the frontal
+        # fossa.
         return -61.0 + 9.0 * (1 + np.tanh((y - 4) / 9)) + 14.5 * (1 + np.tanh((y - 40) / 9))
 
     def slope(y: Field) -> Field:
@@ -329,18 +333,28 @@ def _braincase(head: _Canvas) -> None:
         return np.maximum(d + 0.9 * sutures(x, y, z), -(d + WALL_MM))
 
     head.add(_Body(shell, outer.low - 3, outer.high + 3))
-    # Brow ridges, glabella, temporal lines, occipital protuberance with its nuchal line.
-    head.add(chain([(3, 84, -17), (15, 85.5, -12), (32, 80, -9), (48, 65, -15)], [5, 5, 4.5, 5]), 9)
-    head.add(chain([(50, 62, -8), (57, 46, 12), (62, 22, 25)], [2.5, 2, 1.5]), 8)
-    head.add(ellipsoid((0, -87, -26), (8, 6, 5)), 8)
-    head.add(chain([(0, -87, -27), (25, -79, -30), (46, -60, -36)], [2.5, 2.5, 3]), 7)
+    # Brow ridges and glabella, temporal lines, occipital protuberance with its nuchal line.
+    brow = [
+        (0, 84, -17),
+        (8, 85, -14.5),
+        (16, 85, -12),
+        (26, 82.5, -10),
+        (36, 77, -10),
+        (48, 66, -15),
+    ]
+    head.add(chain(brow, [4.5, 4.8, 4.8, 4.4, 4.2, 4.6]), 10)
+    line = [(49, 64, -14), (53, 57, -4), (56, 48, 8), (59, 36, 20), (60, 20, 29), (60, 4, 33)]
+    head.add(chain(line, [2.5, 2.2, 1.8, 1.2, 0.8, 0.3]), 9)
+    head.add(ellipsoid((0, -78, -38), (9, 7, 5)), 12)
+    nuchal = [(0, -80, -38), (14, -76, -38), (28, -69, -39), (40, -58, -41), (50, -42, -43)]
+    head.add(chain(nuchal, [1.5, 1.5, 1.5, 1.5, 2.0]), 10)
 
 
 def _base(head: _Canvas) -> None:
     # Petrous ridges, clivus and sphenoid body, mastoids, condyles, styloid processes.
     head.add(rod((20, 6, -45), (54, -16, -44), 7, 10), 8)
     head.add(rod((0, -2, -57), (0, 26, -41), 9, 11, (0.8, 1, 1)), 8)
-    head.add(rod((52, -22, -48), (50, -16, -72), 12, 6.5), 8)
+    head.add(rod((53, -22, -47), (51, -15, -70), 12, 6.5), 9)
     head.add(ellipsoid((18, -13, -63), (6, 11, 6), (0, 0, 25)), 4)
     head.add(rod((41, -7, -55), (37, 4, -82), 3.0, 1.3), 4)
     # Pterygoid plates behind the maxilla, greater wing towards the orbit.
@@ -365,8 +379,9 @@ def _face(head: _Canvas) -> None:
     # Maxilla, its frontal process and the nasal bones, ethmoid block between the orbits.
     head.add(ellipsoid((19, 62, -64), (20, 22, 20)), 8)
     head.add(rod((0, 62, -30), (0, 60, -60), 13, 16, (1, 0.75, 1)), 5)
-    head.add(chain([(9, 82, -20), (11, 83, -40), (16, 82, -62)], [4, 4, 6]), 5)
-    head.add(chain([(2.5, 84, -17), (2.8, 88, -30), (2.8, 94.5, -42)], [4, 3.2, 2.4]), 4)
+    process = [(9.5, 81, -20), (11, 81.5, -32), (14, 80, -46), (17, 77, -62)]
+    head.add(chain(process, [4, 4.2, 5, 7]), 8)
+    head.add(rod((4, 83, -18), (4.2, 90.5, -41), 4.0, 2.9, (0.75, 1, 1)), 6)
     a, b = UPPER_ARCH
     angles = np.radians(np.linspace(0, 95, 20))
     path = [(a * np.sin(t), ARCH_Y + b * np.cos(t)) for t in angles]
@@ -380,7 +395,7 @@ def _face(head: _Canvas) -> None:
 def _cheeks(head: _Canvas) -> None:
     head.add(ellipsoid((45, 64, -56), (13, 11, 11), (0, 0, -35)), 7)
     head.add(rod((44, 66, -58), (28, 66, -70), 8, 7), 7)
-    head.add(chain([(50, 66, -14), (52.5, 62, -28), (51, 62, -50)], [5, 4.5, 7], (1, 0.8, 1)), 5)
+    head.add(chain([(49, 66, -14), (52, 63, -28), (51, 63, -42), (48, 64, -54)], [5, 4.3, 5, 8]), 6)
     arch = [
         (52, 58, -55),
         (60, 47, -54),
@@ -389,7 +404,7 @@ def _cheeks(head: _Canvas) -> None:
         (61, 4, -48),
         (55, -8, -45),
     ]
-    head.add(chain(arch, [6.5, 5.2, 4.6, 4.3, 4.8, 6], (1.5, 1.5, 1)), 4)
+    head.add(chain(arch, [7.5, 6.2, 5.4, 5.0, 5.4, 7], (1.7, 1.2, 1)), 6)
 
 
 def _openings(head: _Canvas) -> None:
@@ -397,7 +412,7 @@ def _openings(head: _Canvas) -> None:
     # Optic canal and superior fissure lead from the apex into the skull.
     head.cut(rod((17, 40, -28), (11, 22, -27), 2.4), 2)
     # Nasal cavity: a pear in front, room behind it, choanae at the back.
-    pear = chain([(0, 100, -45), (3.5, 100, -56), (6.5, 100, -65)], [3.6, 5.6, 5.8])
+    pear = chain([(0, 100, -44), (3.2, 100, -56), (6.3, 100, -65)], [4.4, 6.2, 6.2])
     front = _Body(
         lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y,
         (-14, 66, -75),
@@ -410,7 +425,7 @@ def _openings(head: _Canvas) -> None:
     head.cut(rod((6.5, 62, -60), (6.5, 22, -60), 6, 6.5), 3)
     head.cut(ellipsoid((27, 63, -63), (9.5, 13, 10)), 2)
     # Septum and conchae.
-    head.add(block((0, 58, -51), (0.9, 24, 19), 0, 0.8), 2)
+    head.add(block((0, 52, -51), (0.9, 20, 19), 0, 0.8), 2)
     head.add(rod((11.5, 74, -62), (11.5, 46, -61), 2.2, 1.8), 2)
     head.add(rod((10.5, 72, -50), (10.5, 46, -50), 2.0, 1.6), 2)
     # Palate: hollow from below.
@@ -427,25 +442,38 @@ def _jaw(head: _Canvas) -> None:
     a, b = LOWER_ARCH
     angles = np.radians(np.linspace(0, 95, 20))
     path = [(a * np.sin(t), ARCH_Y + b * np.cos(t)) for t in angles]
-    body = wall(path, np.full(20, -114.0), np.full(20, 7.0), np.full(20, 4.8), 3)
-    lower = [(0, 84), (10, 83), (20, 77), (30, 64), (37, 48), (43, 30), (47, 14)]
-    middle = [-126, -126, -125, -123, -120, -116, -110]
-    height = [12, 12, 12, 12.5, 13, 14, 15]
-    width = [5.5, 5.5, 5.2, 5.0, 5.0, 4.6, 4.0]
-    jaw = body.joined(wall(lower, middle, height, width, 3), 9)
-    jaw = jaw.joined(ellipsoid((0, 86, -131), (13, 6.5, 7)), 8)
-    jaw = jaw.joined(ellipsoid((12, 83.5, -134), (7, 5.5, 4.5)), 6)
+    jaw = wall(path, np.full(20, -114.0), np.full(20, 6.5), np.full(20, 4.6), 3)
+    # Body: the base of the jaw runs outside of the teeth and rises towards the angle.
+    turn = np.linspace(0, 1, 24)
+    base = _curve([(0, 82), (12, 81), (24, 71.5), (34, 54), (42, 34), (48, 12)], turn)
+    middle = np.interp(turn, [0, 0.35, 0.7, 1], [-126.5, -124, -117, -106])
+    height = np.interp(turn, [0, 0.35, 0.7, 1], [11.5, 11.5, 12.5, 14])
+    width = np.interp(turn, [0, 0.3, 0.7, 1], [5.4, 5.2, 5.0, 3.6])
+    jaw = jaw.joined(wall(base, middle, height, width, 3.4), 10)
+    # Chin.
+    jaw = jaw.joined(ellipsoid((0, 85, -130), (9, 5.5, 7.5)), 9)
+    jaw = jaw.joined(ellipsoid((13, 80.5, -134), (7, 5, 4)), 8)
     # Ramus: a plate between front and back border, coronoid process, neck and condyle.
     ramus = wall(
-        [(46.5, 29), (48.5, 14), (49, 1)], [-93, -93, -92], [25, 24, 21], [3.2, 3.2, 3.4], 2.5
+        [(46.5, 30), (48.5, 16), (49.5, 4)], [-88, -88, -87], [24, 24, 22], [3.0, 2.8, 3.0], 2.2
     )
-    jaw = jaw.joined(ramus, 5)
-    jaw = jaw.joined(chain([(45, 31, -102), (46.5, 28, -78), (47.5, 24, -56)], [5, 4.2, 2.4]), 5)
-    jaw = jaw.joined(chain([(48, 6, -108), (49, 0, -80), (50, -2, -58)], [5, 4.5, 3.6]), 5)
-    jaw = jaw.joined(ellipsoid((50, -2, -55), (9.5, 4.6, 4.2), (0, 0, -12)), 3)
-    jaw = jaw.without(ellipsoid((48, 11, -60), (12, 8, 12)), 4)
-    jaw = jaw.without(rod((28, 86, -121), (28, 64, -121), 1.8), 1)
+    jaw = jaw.joined(ramus, 6)
+    front = [(42, 37, -108), (45, 33, -94), (46.5, 30, -76), (47.5, 26, -55)]
+    jaw = jaw.joined(chain(front, [5.2, 4.6, 3.8, 2.2]), 6)
+    back = [(48.5, 12, -112), (49.5, 5, -104), (50, 1, -84), (50, -2.5, -58)]
+    jaw = jaw.joined(chain(back, [4.2, 4.4, 4.2, 3.4]), 6)
+    jaw = jaw.joined(ellipsoid((50, -3, -55.5), (9.5, 4.4, 4.0), (0, 0, -12)), 4)
+    jaw = jaw.without(ellipsoid((48, 11.5, -57), (14, 9.5, 13.5)), 4)
+    jaw = jaw.without(rod((30, 78, -121), (24, 62, -121), 1.8), 1)
     head.add(jaw)
+
+
+def _curve(points: Sequence[tuple[float, float]], at: Floats) -> list[tuple[float, float]]:
+    """A smooth curve through points (x, y), at shares of its chord length, level at its start."""
+    corners = np.asarray(points, dtype=float)
+    walked = np.append(0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
+    spline = CubicSpline(walked / walked[-1], corners, bc_type=((2, (0, 0)), (2, (0, 0))))
+    return [(float(x), float(y)) for x, y in spline(at)]
 
 
 def _teeth(head: _Canvas) -> None:
@@ -458,7 +486,7 @@ def _teeth(head: _Canvas) -> None:
         walked = np.append(0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         middles = np.cumsum(widths) - np.array(widths) / 2
         up = z0 > z1
-        for i, (width, depth, at) in enumerate(zip(widths, depths, middles)):
+        for i, (width, depth, at) in enumerate(zip(widths, depths, middles, strict=True)):
             x, y = (float(np.interp(at, walked, points[:, c])) for c in (0, 1))
             t = float(np.interp(at, walked, angles))
             turn = float(np.degrees(np.arctan2(-arch[1] * np.sin(t), arch[0] * np.cos(t))))

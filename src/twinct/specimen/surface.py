@@ -28,7 +28,8 @@ def surface(vertices: ArrayLike, faces: ArrayLike) -> trimesh.Trimesh:
 def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) -> trimesh.Trimesh:
     """The closed surface around where a lattice of values exceeds a level.
 
-    The lattice is padded by its lowest value, so that a body cut by the lattice's border gets a lid.
+    The lattice is padded by its lowest value, so that a body cut by the lattice's border gets a
+    lid.
 
     Args:
         values: (n0, n1, n2); at least one above and one below the level.
@@ -108,8 +109,8 @@ def subtract(
     tools = [to_manifold(other) for other in touching]
     if solid.is_empty() or any(tool.is_empty() for tool in tools):
         raise SpecimenError(
-            f"part {name!r} overlaps another part, but one of the two is not a solid that can be cut: "
-            "its surface is not an orientable manifold"
+            f"part {name!r} overlaps another part, but one of the two is not a solid that can "
+            "be cut: its surface is not an orientable manifold"
         )
     return from_manifold(solid - manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add))
 

@@ -1,12 +1,270 @@
-"""CT volumes: read, segment at a threshold, closed surface."""
+"""CT volumes: read in patient axes, segment at a threshold, closed surface.
+
+Patient axes are RAS as in NIfTI, mm: x towards the patient's right, y anterior, z superior. They
+become the part's axes, so a head stands upright and faces +y.
+"""
 
 from __future__ import annotations
 
+import plistlib
+import tarfile
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
 import trimesh
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from twinct import scenario
+from twinct.errors import SpecimenError
+from twinct.geometry import Floats
+from twinct.specimen.surface import isosurface, simplified, surface
+
+RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""DICOM speaks of left, posterior, superior."""
+
+SLICE_TOLERANCE = 0.02
+"""Slices count as evenly spaced if their gaps agree within this share: headers are rounded."""
+
+DIRECTION_TOLERANCE = 1e-4
+"""Largest difference between the direction cosines of one series: headers are rounded."""
+
+
+@dataclass(frozen=True, eq=False)
+class CtImage:
+    """A CT volume in patient axes.
+
+    Attributes:
+        values: (n0, n1, n2) float32, HU; the order of the axes is the file's.
+        affine: (4, 4): index to RAS, mm.
+    """
+
+    values: NDArray[np.float32]
+    affine: Floats
+
+    @property
+    def voxel_mm(self) -> Floats:
+        """Voxel edges along the three index axes, mm."""
+        return np.linalg.norm(self.affine[:3, :3], axis=0)
 
 
 def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
-    """Soon."""
-    raise NotImplementedError
+    """The closed surface around all that exceeds the threshold, in RAS, mm.
+
+    Args:
+        shape: its section of the scenario.
+        name: of the part, for messages.
+
+    Raises:
+        SpecimenError: the file cannot be read, or nothing exceeds the threshold.
+    """
+    where = f"part {name!r}: CT volume {shape.path}"
+    image = read_ct(shape.path, where)
+    values = image.values
+    if shape.smoothing_mm > 0:
+        sigma = tuple(shape.smoothing_mm / image.voxel_mm)
+        values = np.asarray(ndimage.gaussian_filter(values, sigma), dtype=np.float32)
+    low, high = float(values.min()), float(values.max())
+    if not low < shape.threshold_hu < high:
+        side = "nothing exceeds" if shape.threshold_hu >= high else "everything exceeds"
+        raise SpecimenError(
+            f"{where}: {side} threshold_hu {shape.threshold_hu:g}; its values lie between {low:g} "
+            f"and {high:g} HU{' after smoothing' if shape.smoothing_mm else ''}"
+        )
+    values = _without_small_parts(values, shape, image, where)
+    box = ndimage.find_objects((values > shape.threshold_hu).astype(np.uint8))[0]
+    box = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in box)
+    affine = image.affine.copy()
+    affine[:3, 3] += affine[:3, :3] @ [s.start for s in box]
+    mesh = simplified(isosurface(values[box], shape.threshold_hu, affine))
+    if not mesh.is_watertight:
+        raise SpecimenError(f"{where}: the surface at {shape.threshold_hu:g} HU does not close")
+    if shape.centre:
+        mesh = surface(mesh.vertices - mesh.bounds.mean(axis=0), mesh.faces)
+    return mesh
+
+
+def read_ct(path: Path, where: str) -> CtImage:
+    """Read a NIfTI file, the folder of one DICOM series, or an InVesalius project.
+
+    Args:
+        path: file or folder.
+        where: starts every message.
+
+    Raises:
+        SpecimenError: no such file, another format, damaged, or not one volume.
+    """
+    if path.is_dir():
+        image = _read_dicom(path, where)
+    elif not path.is_file():
+        raise SpecimenError(f"{where} does not exist")
+    elif path.name.lower().endswith((".nii", ".nii.gz")):
+        image = _read_nifti(path, where)
+    elif path.suffix.lower() == ".inv3":
+        image = _read_inv3(path, where)
+    else:
+        raise SpecimenError(
+            f"{where} is of no known kind: a NIfTI file (.nii, .nii.gz), an InVesalius project "
+            "(.inv3) or the folder of one DICOM series can be read"
+        )
+    if min(image.values.shape) < 2:
+        raise SpecimenError(f"{where} has {image.values.shape} voxels: no volume")
+    if not np.isfinite(image.values).all():
+        raise SpecimenError(f"{where} holds values that are not finite")
+    if abs(np.linalg.det(image.affine[:3, :3])) < 1e-9:
+        raise SpecimenError(f"{where}: its voxels have no volume (affine {image.affine.tolist()})")
+    return image
+
+
+def _without_small_parts(
+    values: NDArray[np.float32], shape: scenario.CtVolume, image: CtImage, where: str
+) -> NDArray[np.float32]:
+    if shape.smallest_part_cm3 <= 0:
+        return values
+    voxel_cm3 = abs(np.linalg.det(image.affine[:3, :3])) / 1000.0
+    labels = np.empty(values.shape, dtype=np.int32)
+    ndimage.label(values > shape.threshold_hu, structure=np.ones((3, 3, 3)), output=labels)
+    sizes = np.bincount(labels.ravel()) * voxel_cm3
+    sizes[0] = np.inf
+    small = sizes < shape.smallest_part_cm3
+    if small[1:].all():
+        raise SpecimenError(
+            f"{where}: the largest connected piece above {shape.threshold_hu:g} HU has "
+            f"{sizes[1:].max():.3g} cm3, less than smallest_part_cm3 {shape.smallest_part_cm3:g}"
+        )
+    return np.where(small[labels], np.float32(values.min()), values)
+
+
+def _read_nifti(path: Path, where: str) -> CtImage:
+    import nibabel
+
+    try:
+        image: Any = nibabel.load(path)
+        values = np.asarray(image.dataobj, dtype=np.float32)
+        unit = image.header.get_xyzt_units()[0]
+    except Exception as error:  # nibabel raises what zlib, struct and its own readers bring
+        raise SpecimenError(f"{where} cannot be read ({type(error).__name__}: {error})") from None
+    if values.ndim > 3:
+        values = values.reshape(values.shape[:3] + tuple(n for n in values.shape[3:] if n != 1))
+    if values.ndim != 3:
+        raise SpecimenError(f"{where} has shape {values.shape}; one volume of three axes is needed")
+    affine = np.array(image.affine, dtype=np.float64)
+    affine[:3] *= {"meter": 1000.0, "micron": 0.001}.get(unit, 1.0)
+    return CtImage(values, affine)
+
+
+def _read_dicom(folder: Path, where: str) -> CtImage:
+    import pydicom
+    from pydicom.errors import InvalidDicomError
+
+    slices = []
+    for file in sorted(p for p in folder.iterdir() if p.is_file()):
+        try:
+            data = pydicom.dcmread(file)
+        except (InvalidDicomError, OSError):
+            continue
+        if "PixelData" in data:
+            slices.append(data)
+    if not slices:
+        raise SpecimenError(f"{where}: the folder holds no DICOM image")
+    series = Counter(str(data.get("SeriesInstanceUID", "")) for data in slices)
+    if len(series) > 1:
+        names = {
+            str(d.get("SeriesInstanceUID", "")): d.get("SeriesDescription", "") for d in slices
+        }
+        listed = "; ".join(f"{uid} {names[uid]!r}, {n} images" for uid, n in series.items())
+        raise SpecimenError(
+            f"{where}: the folder holds {len(series)} series, one is needed: {listed}"
+        )
+    first = slices[0]
+    if any(int(data.get("NumberOfFrames", 1)) > 1 for data in slices):
+        raise SpecimenError(
+            f"{where}: multi-frame DICOM is not read; convert it to NIfTI, with dcm2niix say"
+        )
+    if first.get("Modality", "CT") != "CT":
+        raise SpecimenError(f"{where}: modality {first.Modality}, a CT is needed")
+    needed = ("ImageOrientationPatient", "ImagePositionPatient", "PixelSpacing")
+    lacking = {key for data in slices for key in needed if key not in data}
+    if lacking:
+        raise SpecimenError(f"{where}: images lack {', '.join(sorted(lacking))}")
+
+    cosines = np.array([data.ImageOrientationPatient for data in slices], dtype=np.float64)
+    spacing = np.array([data.PixelSpacing for data in slices], dtype=np.float64)
+    sizes = {(int(data.Rows), int(data.Columns)) for data in slices}
+    if np.ptp(cosines, axis=0).max() > DIRECTION_TOLERANCE or np.ptp(spacing, axis=0).max() > 1e-4:
+        raise SpecimenError(f"{where}: images differ in orientation or pixel spacing")
+    if len(sizes) > 1:
+        raise SpecimenError(f"{where}: images differ in size: {sorted(sizes)}")
+    along_column, along_row = cosines[0, :3], cosines[0, 3:]
+    normal = np.cross(along_column, along_row)
+    positions = np.array([data.ImagePositionPatient for data in slices], dtype=np.float64)
+    order = np.argsort(positions @ normal)
+    slices, positions = [slices[i] for i in order], positions[order]
+    if len(slices) < 2:
+        raise SpecimenError(f"{where}: one image only, a series of slices is needed")
+    gaps = np.diff(positions @ normal)
+    gap = float(np.median(gaps))
+    if gap <= 0 or np.abs(gaps - gap).max() > SLICE_TOLERANCE * gap:
+        worst = int(np.abs(gaps - gap).argmax())
+        raise SpecimenError(
+            f"{where}: slices are not evenly spaced: {gaps[worst]:.4g} mm between slice {worst} "
+            f"and {worst + 1}, {gap:.4g} mm elsewhere; is a slice missing or doubled?"
+        )
+    try:
+        images = [
+            data.pixel_array.astype(np.float32) * np.float32(data.get("RescaleSlope", 1))
+            + np.float32(data.get("RescaleIntercept", 0))
+            for data in slices
+        ]
+    except Exception as error:  # decoders of compressed pixel data raise their own kinds
+        raise SpecimenError(
+            f"{where}: pixel data cannot be read ({type(error).__name__}: {error}); "
+            "decompress the series, with gdcmconv --raw say"
+        ) from None
+    affine = np.eye(4)
+    affine[:3, 0] = along_column * spacing[0, 1]
+    affine[:3, 1] = along_row * spacing[0, 0]
+    affine[:3, 2] = (positions[-1] - positions[0]) / (len(slices) - 1)
+    affine[:3, 3] = positions[0]
+    # (slice, row, column) to (column, row, slice).
+    return CtImage(np.stack(images).transpose(2, 1, 0), RAS_FROM_LPS @ affine)
+
+
+def _read_inv3(path: Path, where: str) -> CtImage:
+    """InVesalius: a gzipped tar with main.plist and the volume as raw numbers (slice, row, column).
+
+    Slices run upwards, rows to the front (VTK's origin is at the lower left), columns to the
+    patient's left as in DICOM.
+    """
+    try:
+        with tarfile.open(path) as archive:
+            files = {PurePosixPath(m.name).name: m for m in archive.getmembers() if m.isfile()}
+            main = plistlib.loads(_extract(archive, files, "main.plist"))
+            matrix = main["matrix"]
+            raw = _extract(archive, files, PurePosixPath(matrix["filename"]).name)
+        shape = tuple(int(n) for n in matrix["shape"])
+        spacing = np.array(main["spacing"], dtype=np.float64)
+        values = np.frombuffer(raw, dtype=np.dtype(matrix["dtype"])).reshape(shape)
+    except KeyError as error:
+        raise SpecimenError(
+            f"{where} is no complete InVesalius project: {error.args[0]} is missing"
+        ) from None
+    except (OSError, tarfile.TarError, EOFError, ValueError, TypeError) as error:
+        raise SpecimenError(
+            f"{where} cannot be read as an InVesalius project ({type(error).__name__}: {error})"
+        ) from None
+    if values.ndim != 3 or spacing.shape != (3,):
+        raise SpecimenError(f"{where}: shape {shape} and spacing {spacing.tolist()} make no volume")
+    affine = np.diag([-spacing[0], spacing[1], spacing[2], 1.0])
+    return CtImage(values.transpose(2, 1, 0).astype(np.float32), affine)
+
+
+def _extract(archive: tarfile.TarFile, files: dict[str, tarfile.TarInfo], name: str) -> bytes:
+    stream = archive.extractfile(files[name])
+    if stream is None:
+        raise KeyError(name)
+    with stream:
+        return stream.read()

@@ -1,13 +1,13 @@
 """Closed triangle meshes to volume fractions on a voxel grid.
 
-Every voxel is crossed by ``COLUMNS`` x ``COLUMNS`` lines along the grid's x axis. Where a line crosses
-the surface the inside begins or ends; the crossing's exact position gives the exact share of each voxel
-along the line. So a voxel's fraction is exact along x and sampled COLUMNS times along y and z: finer
-than COLUMNS^3 points.
+Every voxel is crossed by ``COLUMNS`` x ``COLUMNS`` lines along the grid's x axis. Where a line
+crosses the surface the inside begins or ends; the crossing's exact position gives the exact share
+of each voxel along the line. So a voxel's fraction is exact along x and sampled COLUMNS times along
+y and z: finer than COLUMNS^3 points.
 
-A line contributes the sum over its crossings of +-H(x - x_crossing), H the unit step; the sign is that of
-the surface normal. The sum needs no sorting. It is taken in fixed-point integers, so that outside of the
-mesh it is zero to the last bit.
+A line contributes the sum over its crossings of +-H(x - x_crossing), H the unit step; the sign is
+that of the surface normal. The sum needs no sorting. It is taken in fixed-point integers, so that
+outside of the mesh it is zero to the last bit.
 """
 
 from __future__ import annotations
