@@ -27,14 +27,27 @@ SLABS = 16
 _OPTIONS = {"cache": True, "fastmath": True, "nogil": True, "error_model": "numpy"}
 
 
+def _scopes(builder):
+    """Metadata that tells LLVM: what ``_load`` reads, no ``_store`` writes."""
+    module = builder.module
+    domain = module.add_metadata(["twinct.recon"])
+    return module.add_metadata([module.add_metadata(["gathered", domain])])
+
+
+def _place(context, builder, signature, args):
+    data = context.make_array(signature.args[0])(context, builder, args[0]).data
+    return builder.gep(data, [args[1]])
+
+
 @intrinsic
 def _load(typingctx, array, index):
     """``array.flat[index]`` of a C-ordered float32 array, unchecked: indices must lie inside."""
     signature = types.float32(array, types.intp)
 
     def codegen(context, builder, signature, args):
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        return builder.load(builder.gep(data, [args[1]]))
+        value = builder.load(_place(context, builder, signature, args))
+        value.set_metadata("alias.scope", _scopes(builder))
+        return value
 
     return signature, codegen
 
@@ -45,13 +58,51 @@ def _load_pair(typingctx, array, index):
     signature = types.UniTuple(types.float32, 2)(array, types.intp)
 
     def codegen(context, builder, signature, args):
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
         i32, i64, f32 = ir.IntType(32), ir.IntType(64), ir.FloatType()
-        place = builder.bitcast(builder.gep(data, [args[1]]), i64.as_pointer())
-        both = builder.load(place, align=4)
+        place = _place(context, builder, signature, args)
+        both = builder.load(builder.bitcast(place, i64.as_pointer()), align=4)
+        both.set_metadata("alias.scope", _scopes(builder))
         low = builder.bitcast(builder.trunc(both, i32), f32)
         high = builder.bitcast(builder.trunc(builder.lshr(both, ir.Constant(i64, 32)), i32), f32)
         return context.make_tuple(builder, signature.return_type, [low, high])
+
+    return signature, codegen
+
+
+@intrinsic
+def _own(typingctx, array, index):
+    """``array.flat[index]`` of an array that no ``_load`` of the same loop reads."""
+    signature = types.float32(array, types.intp)
+
+    def codegen(context, builder, signature, args):
+        value = builder.load(_place(context, builder, signature, args))
+        value.set_metadata("noalias", _scopes(builder))
+        return value
+
+    return signature, codegen
+
+
+@intrinsic
+def _store(typingctx, array, index, value):
+    """``array.flat[index] = value`` into an array that no ``_load`` of the same loop reads."""
+    signature = types.void(array, types.intp, types.float32)
+
+    def codegen(context, builder, signature, args):
+        store = builder.store(args[2], _place(context, builder, signature, args))
+        store.set_metadata("noalias", _scopes(builder))
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def _index(typingctx, low, stride, high):
+    """``low + stride * high`` in 32 bits, which numba would widen to 64."""
+    signature = types.int32(types.int32, types.int32, types.int32)
+
+    def codegen(context, builder, signature, args):
+        product = builder.mul(args[1], args[2], flags=["nsw"])
+        return builder.add(args[0], product, flags=["nsw"])
 
     return signature, codegen
 
@@ -146,7 +197,7 @@ def _along_x(x, b_middle, b_slope, c_middle, c_slope, first, last):
         m = np.float32(i) - middle
         j, f = _cell(b_middle, b_slope, m, last_y)
         k, g = _cell(c_middle, c_slope, m, last_z)
-        at = (np.intp(k) * ny + j) * nx + i
+        at = _index(_index(np.int32(i), np.int32(nx), j), np.int32(ny * nx), k)
         v00 = _load(x, at)
         v01 = _load(x, at + nx)
         v10 = _load(x, at + ny * nx)
@@ -161,6 +212,7 @@ def _along_x(x, b_middle, b_slope, c_middle, c_slope, first, last):
 def _across(x, axis, rays, count, first, last, sums):
     """Sums of ``count`` rays that cross ``axis`` (1 or 2) fastest: lanes are neighbouring rays."""
     nz, ny, nx = x.shape
+    width = rays.shape[1]
     last_b = np.float32(nx - 2)
     if axis == 1:
         middle, last_c = np.float32(0.5 * (ny - 1)), np.float32(nz - 2)
@@ -173,15 +225,16 @@ def _across(x, axis, rays, count, first, last, sums):
         here = np.float32(n)
         m = here - middle
         for p in range(count):
-            i, f = _cell(rays[0, p], rays[1, p], m, last_b)
-            k, g = _cell(rays[2, p], rays[3, p], m, last_c)
-            at = plane + np.intp(k) * c_stride + i
+            i, f = _cell(_own(rays, p), _own(rays, width + p), m, last_b)
+            k, g = _cell(_own(rays, 2 * width + p), _own(rays, 3 * width + p), m, last_c)
+            at = _index(_index(i, np.int32(c_stride), k), np.int32(1), np.int32(plane))
             v00, v01 = _load_pair(x, at)
             v10, v11 = _load_pair(x, at + c_stride)
             low = v00 + f * (v01 - v00)
             high = v10 + f * (v11 - v10)
-            inside = (here >= rays[4, p]) & (here <= rays[5, p])
-            sums[p] += (low + g * (high - low)) if inside else np.float32(0.0)
+            inside = (here >= _own(rays, 4 * width + p)) & (here <= _own(rays, 5 * width + p))
+            value = (low + g * (high - low)) if inside else np.float32(0.0)
+            _store(sums, p, _own(sums, p) + value)
 
 
 @njit(parallel=True, **_OPTIONS)
@@ -342,18 +395,18 @@ def _update_line(line, first, last, image, width, a, e, d, a1, e1, d1, floor):
         r = np.int32(row)
         f = column - np.float32(c)
         g = row - np.float32(r)
-        at = np.intp(r) * width + c
+        at = _index(c, np.int32(width), r)
         v00, v01 = _load_pair(image, at)
         v10, v11 = _load_pair(image, at + width)
         low = v00 + f * (v01 - v00)
         high = v10 + f * (v11 - v10)
-        line[i] = max(line[i] + low + g * (high - low), floor)
+        _store(line, i, max(_own(line, i) + (low + g * (high - low)), floor))
 
 
 @njit(**_OPTIONS)
 def _update_line_masked(line, first, last, image, mask, width, a, e, d, a1, e1, d1, floor):
     """As ``_update_line``, over the mean of those pixels whose mask is 1."""
-    one = np.float32(1.0)
+    one, zero = np.float32(1.0), np.float32(0.0)
     for i in range(np.int32(first), np.int32(last + 1)):
         t = np.float32(i)
         scale = one / (d + t * d1)
@@ -363,7 +416,7 @@ def _update_line_masked(line, first, last, image, mask, width, a, e, d, a1, e1, 
         r = np.int32(row)
         f = column - np.float32(c)
         g = row - np.float32(r)
-        at = np.intp(r) * width + c
+        at = _index(c, np.int32(width), r)
         v00, v01 = _load_pair(image, at)
         v10, v11 = _load_pair(image, at + width)
         m00, m01 = _load_pair(mask, at)
@@ -374,8 +427,8 @@ def _update_line_masked(line, first, last, image, mask, width, a, e, d, a1, e1, 
         m_high = m10 + f * (m11 - m10)
         weight = m_low + g * (m_high - m_low)
         value = low + g * (high - low)
-        if weight > np.float32(1e-3):
-            line[i] = max(line[i] + value / weight, floor)
+        change = value / max(weight, np.float32(1e-3))
+        _store(line, i, max(_own(line, i) + (change if weight > np.float32(1e-3) else zero), floor))
 
 
 @njit(parallel=True, **_OPTIONS)
