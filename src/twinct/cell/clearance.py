@@ -59,6 +59,17 @@ class Clearance:
         self._centre = model.geom_aabb[:, :3]
         self._half = model.geom_aabb[:, 3:]
         self._line = np.zeros(6)
+        # Pairs of the same two bodies come near each other by the same joints only: those that
+        # move one body and not the other.
+        bodies = model.geom_bodyid[self._pairs]
+        unique, self._body_pair = np.unique(bodies, axis=0, return_inverse=True)
+        one, other = cell.lever[unique[:, 0]], cell.lever[unique[:, 1]]
+        self._members = [np.flatnonzero(self._body_pair == k) for k in range(len(unique))]
+        self._approach = np.where((one > 0) != (other > 0), one + other, 0.0)
+
+    def pairs_of(self, bodies: int) -> np.ndarray:
+        """Pairs of geoms of one pair of bodies."""
+        return self._members[bodies]
 
     def _involves(self, pair: np.ndarray, sides: list[str]) -> bool:
         model = self._cell.model
@@ -119,12 +130,17 @@ class Clearance:
         self, data: mujoco.MjData, bounds: Floats, smallest: float
     ) -> tuple[float, int]:
         which = -1
-        for pair in np.argsort(bounds, kind="stable"):
-            if bounds[pair] >= smallest:
+        # Hardly ever is the smallest distance not among the near pairs: sort those alone first.
+        near = np.flatnonzero(bounds < NEAR_M)
+        for candidates in (near, np.flatnonzero(bounds >= NEAR_M)):
+            for pair in candidates[np.argsort(bounds[candidates], kind="stable")]:
+                if bounds[pair] >= smallest:
+                    break
+                distance = self._exact(data, pair, smallest)
+                if distance < smallest:
+                    smallest, which = distance, int(pair)
+            if smallest <= NEAR_M:
                 break
-            distance = self._exact(data, pair, smallest)
-            if distance < smallest:
-                smallest, which = distance, int(pair)
         return smallest, which
 
     def _gap(self, distance_m: float, pair: int) -> Gap:
@@ -142,37 +158,39 @@ class Clearance:
 class RunningClearance:
     """Smallest distance over every step of a motion.
 
-    No point of an arm moves further in a step than the sum of its joints' steps times their reach. A
-    pair whose bound is larger than the smallest distance so far, by more than the arms have moved
-    since it was computed, cannot be the minimum.
+    Two bodies cannot come nearer in a step than the joints between them turn, times the levers. A
+    pair whose bound exceeds the smallest distance so far by more than its bodies may have moved since
+    the bound was computed cannot be the minimum.
     """
 
     def __init__(self, clearance: Clearance, data: mujoco.MjData) -> None:
         """Take the first instant."""
         self._clearance = clearance
-        self._reach = clearance._cell.reach
         self._previous = data.qpos.copy()
-        self._travelled = 0.0
-        # ``due``: how far the arms may have moved, in all, before a pair must be looked at again.
+        self._body_pair = clearance._body_pair
+        # How far each two bodies may have come nearer, and at how much they must be looked at again.
+        self._approached = np.zeros(len(clearance._approach))
         self._due = clearance.lower_bounds(data)
-        self._smallest, self._which = clearance._search(data, self._due, 10.0)
-        self._due_first = float(self._due.min(initial=np.inf))
+        self._smallest, self._which = clearance._search(data, self._due, np.inf)
+        self._first_due = np.full(len(self._approached), np.inf)
+        np.minimum.at(self._first_due, self._body_pair, self._due)
 
     def step(self, data: mujoco.MjData) -> None:
         """Take in the present instant; geom poses must be up to date."""
         position = data.qpos
-        self._travelled += float(np.abs(position - self._previous) @ self._reach)
-        self._previous = position.copy()
-        if self._travelled + self._smallest < self._due_first:
-            return
-        for pair in np.flatnonzero(self._due < self._travelled + self._smallest):
-            limit = self._smallest + LOOKAHEAD_M
-            distance = self._clearance._exact(data, pair, limit)
-            if distance < self._smallest:
-                self._smallest = distance
-                self._which = int(pair)
-            self._due[pair] = self._travelled + distance
-        self._due_first = float(self._due.min(initial=np.inf))
+        self._approached += self._clearance._approach @ np.abs(position - self._previous)
+        self._previous[:] = position
+        slack = self._approached + self._smallest
+        for bodies in (self._first_due < slack).nonzero()[0]:
+            approached = self._approached[bodies]
+            mine = self._clearance.pairs_of(bodies)
+            for pair in mine[self._due[mine] < approached + self._smallest]:
+                limit = self._smallest + LOOKAHEAD_M
+                distance = self._clearance._exact(data, pair, limit)
+                if distance < self._smallest:
+                    self._smallest, self._which = distance, int(pair)
+                self._due[pair] = approached + distance
+            self._first_due[bodies] = self._due[mine].min()
 
     @property
     def gap(self) -> Gap:

@@ -53,7 +53,8 @@ class CellModel:
         speed_limits: published joint speeds, rad/s, (n,).
         speed_scales: share of them that a move may use, (n,).
         pairs: geom ids of all pairs of non-adjacent bodies that can move against each other, (p, 2).
-        reach: longest distance of any point carried by a joint from its axis, m, (n,).
+        lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n);
+            zero where the joint does not move the body.
     """
 
     model: mujoco.MjModel
@@ -67,7 +68,7 @@ class CellModel:
     speed_limits: Floats
     speed_scales: Floats
     pairs: np.ndarray
-    reach: Floats
+    lever: Floats
 
     @property
     def joint_ranges(self) -> Floats:
@@ -431,7 +432,7 @@ def _compiled(
         speed_limits=np.concatenate([arm.speed_limits for arm in arms]),
         speed_scales=scales,
         pairs=_non_adjacent_pairs(model),
-        reach=_reach(model),
+        lever=_levers(model),
     )
 
 
@@ -469,17 +470,19 @@ def _non_adjacent_pairs(model: mujoco.MjModel) -> np.ndarray:
     return np.array(pairs, dtype=np.int32).reshape(-1, 2)
 
 
-def _reach(model: mujoco.MjModel) -> Floats:
-    """Bound on the lever of each joint: lengths of the chain beyond it, geoms included."""
-    reach = np.zeros(model.njnt)
-    for j in range(model.njnt):
-        origin = model.jnt_bodyid[j]
-        for geom in range(model.ngeom):
-            body, length = int(model.geom_bodyid[geom]), float(model.geom_rbound[geom])
-            length += float(np.linalg.norm(model.geom_pos[geom]))
-            while body > origin:
-                length += float(np.linalg.norm(model.body_pos[body]))
-                body = int(model.body_parentid[body])
-            if body == origin:
-                reach[j] = max(reach[j], length + float(np.linalg.norm(model.jnt_pos[j])))
-    return reach
+def _levers(model: mujoco.MjModel) -> Floats:
+    """Lengths of the chain from each joint to each body, with the body's own size."""
+    size = np.zeros(model.nbody)
+    for geom in range(model.ngeom):
+        body = model.geom_bodyid[geom]
+        extent = model.geom_rbound[geom] + np.linalg.norm(model.geom_pos[geom])
+        size[body] = max(size[body], float(extent))
+    lever = np.zeros((model.nbody, model.njnt))
+    for body in range(model.nbody):
+        length, link = size[body], body
+        while link != 0:
+            for j in range(model.body_jntadr[link], model.body_jntadr[link] + model.body_jntnum[link]):
+                lever[body, j] = length + float(np.linalg.norm(model.jnt_pos[j]))
+            length += float(np.linalg.norm(model.body_pos[link]))
+            link = int(model.body_parentid[link])
+    return lever

@@ -15,7 +15,7 @@ import numpy as np
 
 from twinct.cell import CellModel, Clearance, Gap, mujoco_module
 from twinct.errors import TrajectoryError
-from twinct.geometry import Floats, Pose
+from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.motion.kinematics import Kinematics
 from twinct.scenario import Motion
 from twinct.views import Target
@@ -171,10 +171,22 @@ def _trace(
             q = joints[view] = result.joints
             position[view], rotation[view] = result.position_mm, result.rotation_deg
             solved[view] = result.solved
+    joints = _centred(joints, cell.joint_ranges)
     return [
         _Way(joints[:, part], position[:, a], rotation[:, a], solved[:, a], flips[:, a])
         for a, part in enumerate(cell.arm_joints)
     ]
+
+
+def _centred(joints: Floats, ranges: Floats) -> Floats:
+    """The same path, shifted by full turns to where it stays furthest from the joints' limits."""
+    turns = 2 * np.pi * np.arange(-2, 3)[:, None]
+    margin = np.minimum(
+        joints.min(axis=0) + turns - ranges[:, 0], ranges[:, 1] - joints.max(axis=0) - turns
+    )
+    # The smallest shift among equals; whole turns of a path in the middle of its range are none.
+    best = np.argmax(np.round(margin, 6) - 1e-9 * np.abs(turns), axis=0)
+    return joints + turns[best, 0]
 
 
 def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
@@ -232,18 +244,28 @@ def _gaps_along(cell: CellModel, joints: Floats) -> list[Gap]:
 def path_gap(
     cell: CellModel, clearance: Clearance, data: mujoco.MjData, start: Floats, end: Floats
 ) -> Gap:
-    """Smallest gap on a straight joint path, its start left out unless it is the end."""
-    travel_mm = float(np.abs(end - start) @ cell.reach) * 1000
-    steps = max(1, int(np.ceil(travel_mm / CHECK_MM / 4)))
-    smallest = None
-    for share in np.arange(1, steps + 1) / steps:
+    """Smallest gap on a straight joint path, its start left out unless it is the end.
+
+    Args:
+        cell: the room.
+        clearance: the pairs to judge.
+        data: scratch.
+        start: joint positions, rad, (n,).
+        end: joint positions, rad, (n,).
+    """
+    data.qpos[:] = start
+    mujoco.mj_kinematics(cell.model, data)
+    before = data.geom_xpos.copy()
+    data.qpos[:] = end
+    mujoco.mj_kinematics(cell.model, data)
+    moved_mm = float(np.linalg.norm(data.geom_xpos - before, axis=1).max()) * MM_PER_M
+    watch = clearance.along(data)
+    steps = int(np.ceil(moved_mm / CHECK_MM))
+    for share in np.arange(steps - 1, 0, -1) / max(steps, 1):
         data.qpos[:] = start + share * (end - start)
         mujoco.mj_kinematics(cell.model, data)
-        gap = clearance.at(data)
-        if smallest is None or gap.distance_mm < smallest.distance_mm:
-            smallest = gap
-    assert smallest is not None
-    return smallest
+        watch.step(data)
+    return watch.gap
 
 
 def _home(

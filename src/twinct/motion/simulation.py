@@ -215,7 +215,7 @@ class RobotSimulation:
             if on_step is not None:
                 on_step(data)
             off = data.site_xpos[sites] - wanted
-            near = (off * off).sum(axis=1).max() <= tolerance_m * tolerance_m
+            near = (off * off).sum(axis=1).max() < tolerance_m * tolerance_m
             # The servo starts one step later than it would; so a move has at least one step.
             if step and near and (not settled or self._at_rest(step * timestep, path.duration)):
                 watch.torque_share = torque / self._cell.torque_limits
