@@ -13,7 +13,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LightSource, ListedColormap, Normalize
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
@@ -105,43 +105,43 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(5.6, 4.7))
         axes: Any = figure.add_axes(
-            (-0.04, 0.0, 0.96, 1.03), projection="3d", computed_zorder=False
+            (-0.05, 0.0, 0.94, 1.02), projection="3d", computed_zorder=False
         )
         axes.set_proj_type("ortho")
         middle = commanded[len(commanded) // 2] - isocentre
-        azimuth = math.degrees(math.atan2(middle[1], middle[0])) - 35
-        elevation = 24.0
+        azimuth = math.degrees(math.atan2(middle[1], middle[0])) - 22
+        elevation = 22.0
         axes.view_init(elev=elevation, azim=azimuth)
         a, e = math.radians(azimuth), math.radians(elevation)
         viewer = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
 
         if on_sphere:
-            _sphere(axes, isocentre, radius)
-        front = (commanded - isocentre) @ viewer >= 0
+            _sphere(axes, isocentre, radius, viewer)
         colours = mpl.colormaps["viridis"](np.linspace(0, 0.93, len(commanded)))
-        norm = Normalize(0, max(len(commanded) - 1, 1))
-        for part, order, alpha in ((~front, 1, 0.55), (front, 5, 1.0)):
+        # What lies behind the sphere is drawn on it, faintly: an opaque sphere has no seams.
+        front = (commanded - isocentre) @ viewer >= 0
+        for part, order, faint in ((~front, 4, on_sphere), (front, 6, False)):
             line = np.where(part[:, None], commanded, np.nan)
-            axes.plot(*line.T, color=INK, lw=0.9, alpha=alpha, zorder=order)
+            axes.plot(*line.T, color=INK, lw=0.9, alpha=0.35 if faint else 1.0, zorder=order)
             axes.scatter(
                 *executed[part].T,
                 c=colours[part],
-                s=11 if len(commanded) <= 150 else 6,
-                alpha=alpha,
+                s=(11 if len(commanded) <= 150 else 6) * (0.5 if faint else 1.0),
+                alpha=0.45 if faint else 1.0,
                 depthshade=False,
                 linewidths=0,
                 zorder=order + 1,
             )
         for index, label in ((0, "first"), (-1, "last")):
-            point = isocentre + 1.06 * (commanded[index] - isocentre)
+            point = isocentre + 1.13 * (commanded[index] - isocentre)
             axes.text(*point, label, fontsize=8.5, ha="center", va="bottom", zorder=9)
         axes.scatter(*isocentre, marker="+", s=60, c="#111111", lw=1.3, zorder=8)
         axes.text(*isocentre, "  isocentre", fontsize=8.5, va="center", zorder=8)
         _equal_box(axes, np.vstack([commanded, executed, isocentre[None]]), isocentre, on_sphere)
         bar = figure.colorbar(
-            ScalarMappable(norm, ListedColormap(colours)),
+            ScalarMappable(Normalize(0, max(len(commanded) - 1, 1)), ListedColormap(colours)),
             ax=axes,
-            cax=figure.add_axes((0.91, 0.25, 0.022, 0.5)),
+            cax=figure.add_axes((0.885, 0.27, 0.022, 0.46)),
         )
         bar.set_label("view")
         bar.locator = MaxNLocator(5, integer=True)
@@ -149,38 +149,35 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
         return _png(figure, 180)
 
 
-def _sphere(axes: Any, centre: Floats, radius: float) -> None:
-    longitude, latitude = np.meshgrid(
-        np.linspace(0, 2 * np.pi, 97), np.linspace(-1, 1, 49) * np.pi / 2
-    )
-    ball = np.stack(
-        [
-            np.cos(latitude) * np.cos(longitude),
-            np.cos(latitude) * np.sin(longitude),
-            np.sin(latitude),
-        ]
-    )
+def _sphere(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
+    """A light grey ball, brightest at the upper left of the viewer, with circles of latitude."""
+    right = np.cross([0.0, 0.0, 1.0], viewer)
+    light = viewer - 0.5 * right / np.linalg.norm(right) + [0.0, 0.0, 0.7]
+    light /= np.linalg.norm(light)
+    ball = _on_ball(*np.meshgrid(np.linspace(-180, 180, 181), np.linspace(-90, 90, 91)))
+    lit = np.clip(np.einsum("kij,k->ij", ball, light), 0, 1)
+    grey = (0.66 + 0.27 * lit)[..., None]
     axes.plot_surface(
         *(centre[:, None, None] + radius * ball),
-        color="#c9ced4",
-        alpha=0.55,
-        lightsource=LightSource(azdeg=-40, altdeg=55),
-        rcount=97,
-        ccount=97,
+        facecolors=np.concatenate([grey, grey, np.minimum(grey + 0.012, 1)], axis=-1),
+        shade=False,
+        rcount=181,
+        ccount=181,
         linewidth=0,
         antialiased=False,
-        zorder=3,
+        zorder=2,
     )
-    for angle in np.radians([-60, -30, 0, 30, 60]):
-        turn = np.linspace(0, 2 * np.pi, 181)
-        ring = np.stack(
-            [
-                np.cos(angle) * np.cos(turn),
-                np.cos(angle) * np.sin(turn),
-                np.full(181, np.sin(angle)),
-            ]
-        )
-        axes.plot(*(centre[:, None] + radius * ring), color="white", lw=0.5, alpha=0.7, zorder=4)
+    turn = np.linspace(-180, 180, 361)
+    for latitude in (-60, -30, 0, 30, 60):
+        ring = _on_ball(turn, np.full_like(turn, latitude))
+        ring[:, viewer @ ring < 0] = np.nan
+        axes.plot(*(centre[:, None] + radius * ring), color="white", lw=0.6, alpha=0.8, zorder=3)
+
+
+def _on_ball(longitude_deg: Floats, latitude_deg: Floats) -> Floats:
+    """Points of the unit sphere, (3, ...)."""
+    a, e = np.radians(longitude_deg), np.radians(latitude_deg)
+    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
 def _equal_box(axes: Any, points: Floats, centre: Floats, on_sphere: bool) -> None:
@@ -192,7 +189,10 @@ def _equal_box(axes: Any, points: Floats, centre: Floats, on_sphere: bool) -> No
         getattr(axes, f"set_{name}lim")(middle - reach, middle + reach)
         getattr(axes, f"set_{name}label")(f"{name} / mm", labelpad=1)
         axis = getattr(axes, f"{name}axis")
-        axis.set_major_locator(MaxNLocator(5))
+        ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(
+            middle - 0.85 * reach, middle + 0.85 * reach
+        )
+        axis.set_ticks(ticks[np.abs(ticks - middle) < 0.95 * reach])
         axis.pane.set_facecolor("white")
         axis.pane.set_edgecolor("#d5dae0")
         axis._axinfo["grid"].update(color="#e4e7eb", linewidth=0.6)
@@ -269,19 +269,21 @@ def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float
     highest = max([mu_reference, *(float(s.truth.max()) for s in sections.values())])
     grey = Normalize(-0.1 * highest, 1.2 * highest)
     worst = _nice(max(_typical_worst(s) for s in sections.values()) or 0.1 * mu_reference)
+    diverging = mpl.colormaps["RdBu_r"].resampled(63)  # odd, so that 0 is white; noise packs better
     with mpl.rc_context(_STYLE):
         rows = len(sections)
         shares = [_height(s) for s in sections.values()]
         figure = Figure(
-            figsize=(_WIDTH, 3.15 * sum(shares) + 0.35 * rows + 0.9), layout="constrained"
+            figsize=(_WIDTH, 2.9 * sum(shares) + 0.42 * rows + 0.75), layout="constrained"
         )
         grid = figure.subplots(rows, 3, squeeze=False, height_ratios=shares)
+        _tighten(figure)
         for line, (name, section) in zip(grid, sections.items(), strict=True):
             error = section.reconstruction.astype(np.float64) - section.truth
             for axes, image, cmap, norm in zip(
                 line,
                 (section.reconstruction, section.truth, error),
-                ("gray", "gray", "RdBu_r"),
+                ("gray", "gray", diverging),
                 (grey, grey, Normalize(-worst, worst)),
                 strict=True,
             ):
@@ -291,16 +293,25 @@ def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float
                 axes.yaxis.set_major_locator(MaxNLocator(5))
                 axes.set_xlabel(f"{section.axes[0]} / mm".lstrip(" /"), labelpad=1)
                 if axes is not line[0]:
-                    axes.tick_params(labelleft=False)
+                    axes.tick_params(left=False, labelleft=False)
             line[0].set_ylabel(f"{section.axes[1]} / mm".lstrip(" /"), labelpad=1)
-            line[0].set_title(f"{name}, {section.position}".rstrip(", "), loc="left", weight="bold")
+            line[0].text(
+                -0.24,
+                0.5,
+                f"{name}, {section.position}".rstrip(", "),
+                transform=line[0].transAxes,
+                rotation=90,
+                ha="center",
+                va="center",
+                weight="bold",
+            )
         for axes, title in zip(
             grid[0], ("reconstruction", "truth", "reconstruction − truth"), strict=True
         ):
-            axes.set_title(title, loc="right" if axes is grid[0][0] else "center")
+            axes.set_title(title, weight="bold")
         for columns, cmap, norm in (
             (grid[:, :2], "gray", grey),
-            (grid[:, 2:], "RdBu_r", Normalize(-worst, worst)),
+            (grid[:, 2:], diverging, Normalize(-worst, worst)),
         ):
             bar = figure.colorbar(
                 ScalarMappable(norm, cmap),
@@ -315,7 +326,12 @@ def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float
             )
             bar.locator = MaxNLocator(5)
             bar.outline.set_linewidth(0.5)
-        return _png(figure, 165)
+        return _png(figure, 150)
+
+
+def _tighten(figure: Figure) -> None:
+    engine: Any = figure.get_layout_engine()
+    engine.set(w_pad=0.03, h_pad=0.03, wspace=0.0, hspace=0.0)
 
 
 def _height(section: CrossSection) -> float:
@@ -375,7 +391,8 @@ def projection_strip(
     with mpl.rc_context(_STYLE):
         cell = (_WIDTH - 0.9) / per_row
         figure = Figure(
-            figsize=(_WIDTH, rows * (cell * height / width + 0.35) + 0.35), layout="constrained"
+            figsize=(_WIDTH, rows * (0.88 * cell * height / width + 0.3) + 0.3),
+            layout="constrained",
         )
         grid = figure.subplots(rows, per_row, squeeze=False, sharex=True, sharey=True)
         for axes in grid.flat[len(projections) :]:
@@ -389,7 +406,7 @@ def projection_strip(
                 extent=(-width / 2, width / 2, -height / 2, height / 2),
             )
             axes.set_title(f"view {view}", loc="left")
-            axes.xaxis.set_major_locator(MaxNLocator(4))
+            axes.xaxis.set_major_locator(MaxNLocator(4, prune="both"))
             axes.yaxis.set_major_locator(MaxNLocator(5))
         for axes in grid[-1]:
             axes.set_xlabel("u / mm", labelpad=1)

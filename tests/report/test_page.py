@@ -1,0 +1,182 @@
+"""The report: one file, everything in it, nothing taken from elsewhere."""
+
+import base64
+import io
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib import pyplot
+from PIL import Image
+
+from twinct.report import figures, render_report, write_report
+from twinct.report.page import PAPER_TABLE_1
+
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+
+
+class Page(HTMLParser):
+    """Checks nesting, and collects texts, images and all addresses."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.open, self.tags, self.images, self.addresses, self.text = [], [], [], [], []
+        self.feed(html)
+        self.close()
+        assert not self.open, f"never closed: {self.open}"
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "srcset", "data", "poster", "action"):
+                self.addresses.append(value)
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not self.open or self.open[-1] != "style":
+            self.text.append(data)
+
+    @property
+    def words(self):
+        return " ".join(" ".join(self.text).split())
+
+
+@pytest.fixture(scope="session")
+def html(report):
+    return render_report(report)
+
+
+@pytest.fixture(scope="session")
+def page(html):
+    return Page(html)
+
+
+def content(image):
+    kind, _, data = image["src"].partition(";base64,")
+    return kind, base64.b64decode(data, validate=True)
+
+
+def test_every_image_is_inside_and_can_be_read(page):
+    assert [image["alt"] for image in page.images] == [
+        "Path of the source around the isocentre",
+        "Cross-sections of reconstruction, truth and error",
+        "Pose errors and clearance over the views",
+        "Projections",
+    ]
+    for image in page.images:
+        kind, data = content(image)
+        if kind == "data:image/svg+xml":
+            assert b"</svg>" in data
+        else:
+            assert kind == "data:image/png"
+            pixels = np.asarray(Image.open(io.BytesIO(data)))
+            assert pixels.shape[1] > 500 and pixels.std() > 10, "not blank"
+
+
+def test_nothing_is_loaded_from_elsewhere(page, html):
+    assert all(address.startswith("data:") for address in page.addresses)
+    assert not {"script", "link", "iframe", "object"} & set(page.tags)
+    style = re.search(r"<style>(.*?)</style>", html, re.S).group(1)
+    assert "url(" not in style and "@import" not in style
+
+
+def test_scenario_text_is_escaped(report, page, html):
+    assert "<b>" not in html and "&lt;b&gt;&amp;amp;" in html
+    assert report.scenario_yaml.strip() in "".join(page.text), "shown as it was written"
+    nasty = report.scenario.model_copy(
+        update={"name": "<script>x</script>", "description": "a < b & c"}
+    )
+    other = Page(render_report(replace(report, scenario=nasty)))
+    assert "script" not in other.tags
+    assert "<script>x</script>" in other.words and "a < b & c" in other.words
+
+
+def test_says_the_figures(report, page):
+    metrics, words = report.metrics, page.words
+    assert "24 / 24" in words
+    error = metrics["pose_error"]["detector"]["position_mm"]
+    assert f"{error['mean']:.3f} ± {error['std']:.3f} {error['max']:.3f} 0.76 ± 0.07 0.96" in words
+    assert "believed geometry executed geometry" in words
+    assert f"{100 * metrics['image']['rmse_bone_rel']:.1f}" in words
+    assert "reconstruction 16.0 min" in words and "whole run 18.1 min" in words
+    assert metrics["scenario_digest"] in words
+
+
+def test_table_1_is_the_papers():
+    flat = [
+        list(PAPER_TABLE_1[arm][kind].values())
+        for arm in ("source", "detector")
+        for kind in ("position_mm", "rotation_deg")
+    ]
+    assert flat == [[0.87, 0.05, 0.98], [0.19, 0.03, 0.23], [0.76, 0.07, 0.96], [0.20, 0.05, 0.41]]
+
+
+def test_figures_without_a_value_show_a_dash(report):
+    metrics = dict(report.metrics)
+    metrics.pop("image_by_geometry")
+    metrics["image"] = metrics["image"] | {"psnr_db": None}
+    page = Page(render_report(replace(report, metrics=metrics)))
+    assert "PSNR – dB" in page.words and "believed geometry meaning" in page.words
+
+
+def test_parts_that_are_not_there_leave_no_gap(report):
+    bare = replace(report, slices={}, projections=(), room_png=None)
+    page = Page(render_report(bare))
+    assert len(page.images) == 2
+    assert "Projections" not in page.words and "beside the truth" not in page.words
+    with_room = replace(bare, room_png=b"\x89PNG picture")
+    room = Page(render_report(with_room)).images[0]
+    assert content(room) == ("data:image/png", b"\x89PNG picture")
+
+
+def test_written_whole_and_the_same_each_time(report, html, tmp_path):
+    path = tmp_path / "report.html"
+    write_report(path, report)
+    assert path.read_text(encoding="utf-8") == html
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert path.stat().st_size < 6e6
+
+
+def test_leaves_pyplot_alone(report, html):
+    assert not pyplot.get_fignums()
+
+
+def test_region_outline_is_closed_at_the_border(report):
+    """A region that reaches the border, one that is empty, one that is all: none may fail."""
+    section = report.slices["axial"]
+    half = np.zeros_like(section.roi)
+    half[:, : half.shape[1] // 2] = True
+    pictures = {
+        figures.cross_section_grid({"axial": section._replace(roi=roi)}, 0.043).content
+        for roi in (half, np.zeros_like(half), np.ones_like(half))
+    }
+    assert len(pictures) >= 2
+
+
+def test_path_off_a_sphere_has_no_sphere():
+    """A helix, as an ellipse of sources would, stands on no sphere; a circle does."""
+    turn = np.linspace(0, 4 * np.pi, 40)
+    circle = 300 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    helix = circle + np.outer(np.linspace(-90, 90, 40), [0, 0, 1.0])
+    grey = []
+    for path in (circle, helix):
+        png = figures.source_path(path, path, np.zeros(3)).content
+        pixels = np.asarray(Image.open(io.BytesIO(png))).astype(int)
+        neutral = np.ptp(pixels, axis=2) < 6
+        grey.append((neutral & (pixels[..., 0] > 150) & (pixels[..., 0] < 240)).mean())
+    assert grey[0] > 0.1 and grey[1] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(0.0123, 0.02), (0.02, 0.02), (0.91, 1.0), (3.0, 3.0), (1e-5, 1e-5)]
+)
+def test_error_window_is_a_round_number(value, expected):
+    assert figures._nice(value) == pytest.approx(expected)
