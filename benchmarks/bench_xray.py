@@ -4,8 +4,8 @@
     python benchmarks/bench_xray.py --scenario demo.yaml  # panel and specimen of a scenario
     python benchmarks/bench_xray.py --save before.json
 
-Each loop runs in a process of its own, one after the other, several times in turn; the median of
-the views counts. ``bare_loop`` is the baseline for whatever claims to add little to gVXR.
+Each loop runs in a process of its own, one after the other, several times in turn. ``bare_loop``
+is the baseline for whatever claims to add little to gVXR.
 """
 
 from __future__ import annotations
@@ -181,13 +181,19 @@ def main() -> None:
             with spawn.Pool(1) as pool:
                 measured, sums[loop] = pool.apply(_run, (task,))
             seconds[loop] += measured
-    medians = {loop: float(np.median(values)) for loop, values in seconds.items()}
-    for loop, median in medians.items():
-        print(f"{loop:15} {1e3 * median:7.1f} ms a view, {median / medians['bare']:.3f} x bare")
-    print(f"imager adds {1e3 * (medians['imager'] - medians['bare']):.2f} ms a view")
+    # On a machine that others use too, the fastest view says more than the median.
+    figures = {
+        name: {loop: float(statistic(values)) for loop, values in seconds.items()}
+        for name, statistic in (("median", np.median), ("fastest", np.min))
+    }
+    for name, figure in figures.items():
+        for loop, value in figure.items():
+            ratio = value / figure["bare"]
+            print(f"{name:8} {loop:15} {1e3 * value:7.1f} ms a view, {ratio:.3f} x bare")
+        print(f"{name:8} imager adds {1e3 * (figure['imager'] - figure['bare']):.2f} ms a view")
     print(f"images of imager and bare loop equal: {sums['imager'] == sums['bare']}")
     if options.save:
-        options.save.write_text(json.dumps(medians, indent=2))
+        options.save.write_text(json.dumps(figures, indent=2))
 
 
 if __name__ == "__main__":
