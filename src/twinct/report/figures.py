@@ -154,15 +154,15 @@ def _sphere(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
     right = np.cross([0.0, 0.0, 1.0], viewer)
     light = viewer - 0.5 * right / np.linalg.norm(right) + [0.0, 0.0, 0.7]
     light /= np.linalg.norm(light)
-    ball = _on_ball(*np.meshgrid(np.linspace(-180, 180, 181), np.linspace(-90, 90, 91)))
+    ball = _on_ball(*np.meshgrid(np.linspace(-180, 180, 121), np.linspace(-90, 90, 61)))
     lit = np.clip(np.einsum("kij,k->ij", ball, light), 0, 1)
     grey = (0.66 + 0.27 * lit)[..., None]
     axes.plot_surface(
         *(centre[:, None, None] + radius * ball),
         facecolors=np.concatenate([grey, grey, np.minimum(grey + 0.012, 1)], axis=-1),
         shade=False,
-        rcount=181,
-        ccount=181,
+        rcount=121,
+        ccount=121,
         linewidth=0,
         antialiased=False,
         zorder=2,
