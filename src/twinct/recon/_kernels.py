@@ -517,7 +517,7 @@ def spread(x, matrix, image, mask, use_mask, floor):
 
 @njit(**_OPTIONS)
 def residual(measured, estimate, length, relaxation, shortest, image, mask):
-    """relaxation * (measured - estimate) / length of the rays that count, framed by its border.
+    """Relaxation * (measured - estimate) / length of the rays that count, framed by its border.
 
     Args:
         measured: p_i, (rows, columns).
@@ -538,9 +538,7 @@ def residual(measured, estimate, length, relaxation, shortest, image, mask):
         for column in range(columns + 2):
             c = min(max(column - 1, 0), columns - 1)
             if length[r, c] >= shortest:
-                image[row, column] = (
-                    relaxation * (measured[r, c] - estimate[r, c]) / length[r, c]
-                )
+                image[row, column] = relaxation * (measured[r, c] - estimate[r, c]) / length[r, c]
                 mask[row, column] = 1.0
             else:
                 image[row, column] = 0.0
