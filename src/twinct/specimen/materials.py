@@ -25,8 +25,8 @@ FRACTION_SUM_TOLERANCE = 0.005
 """Tables round shares to three digits: about ten of them may miss 1 by this much."""
 
 MM_PER_CM = 10.0
-HEAVIEST_ELEMENT = 92
-"""xraylib tabulates hydrogen to uranium."""
+HEAVIEST_ELEMENT = 94
+"""xraylib's compounds go up to plutonium."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _by_symbol(numbers: Iterable[int], shares: Iterable[float]) -> dict[str, flo
 def _atomic_number(symbol: str, name: str) -> int:
     if symbol not in _ELEMENTS:
         raise SpecimenError(
-            f"material {name!r}: {symbol!r} is no element symbol (H to U, written like Ca)"
+            f"material {name!r}: {symbol!r} is no element symbol (H to Pu, written like Ca)"
         )
     return xraylib.SymbolToAtomicNumber(symbol)
 

@@ -343,11 +343,11 @@ def _braincase(head: _Canvas) -> None:
         (48, 66, -15),
     ]
     head.add(chain(brow, [4.5, 4.8, 4.8, 4.4, 4.2, 4.6]), 10)
-    line = [(49, 64, -14), (53, 57, -4), (56, 48, 8), (59, 36, 20), (60, 20, 29), (60, 4, 33)]
-    head.add(chain(line, [2.5, 2.2, 1.8, 1.2, 0.8, 0.3]), 9)
-    head.add(ellipsoid((0, -78, -38), (9, 7, 5)), 12)
-    nuchal = [(0, -80, -38), (14, -76, -38), (28, -69, -39), (40, -58, -41), (50, -42, -43)]
-    head.add(chain(nuchal, [1.5, 1.5, 1.5, 1.5, 2.0]), 10)
+    line = [(49, 63, -14), (52, 56, -4), (54.5, 47, 8), (57, 35, 20), (58, 19, 28), (57, 3, 32)]
+    head.add(chain(line, [2.2, 1.6, 1.2, 0.8, 0.4, 0.1]), 7)
+    head.add(ellipsoid((0, -70, -40), (8, 7, 5)), 12)
+    nuchal = [(0, -73, -40), (14, -71, -40), (28, -64, -41), (40, -54, -42), (50, -40, -43)]
+    head.add(chain(nuchal, [1.5, 1.5, 1.5, 1.5, 2.0]), 7)
 
 
 def _base(head: _Canvas) -> None:
@@ -412,7 +412,7 @@ def _openings(head: _Canvas) -> None:
     # Optic canal and superior fissure lead from the apex into the skull.
     head.cut(rod((17, 40, -28), (11, 22, -27), 2.4), 2)
     # Nasal cavity: a pear in front, room behind it, choanae at the back.
-    pear = chain([(0, 100, -44), (3.2, 100, -56), (6.3, 100, -65)], [4.4, 6.2, 6.2])
+    pear = chain([(0, 100, -43), (2.8, 100, -55), (6.5, 100, -64.5)], [4.0, 5.8, 6.6])
     front = _Body(
         lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y,
         (-14, 66, -75),
@@ -420,14 +420,14 @@ def _openings(head: _Canvas) -> None:
     )
     slab = block((0, 90, -55), (20, 26, 30), 0, 1)
     head.cut(front.within(slab), 2)
-    cavity = ellipsoid((6, 60, -52), (8, 30, 17))
+    cavity = ellipsoid((6, 52, -52), (8, 23, 17))
     head.cut(cavity, 3)
     head.cut(rod((6.5, 62, -60), (6.5, 22, -60), 6, 6.5), 3)
     head.cut(ellipsoid((27, 63, -63), (9.5, 13, 10)), 2)
     # Septum and conchae.
-    head.add(block((0, 52, -51), (0.9, 20, 19), 0, 0.8), 2)
-    head.add(rod((11.5, 74, -62), (11.5, 46, -61), 2.2, 1.8), 2)
-    head.add(rod((10.5, 72, -50), (10.5, 46, -50), 2.0, 1.6), 2)
+    head.add(block((0, 46, -51), (0.9, 18, 19), 0, 0.8), 2)
+    head.add(rod((11.5, 64, -62), (11.5, 40, -61), 2.2, 1.8), 2)
+    head.add(rod((10.5, 62, -50), (10.5, 40, -50), 2.0, 1.6), 2)
     # Palate: hollow from below.
     head.cut(ellipsoid((0, 56, -89), (23.5, 27, 13)), 4)
     # Infra-orbital and supra-orbital foramina, ear canal, jugular and carotid foramina.
@@ -445,22 +445,22 @@ def _jaw(head: _Canvas) -> None:
     jaw = wall(path, np.full(20, -114.0), np.full(20, 6.5), np.full(20, 4.6), 3)
     # Body: the base of the jaw runs outside of the teeth and rises towards the angle.
     turn = np.linspace(0, 1, 24)
-    base = _curve([(0, 82), (12, 81), (24, 71.5), (34, 54), (42, 34), (48, 12)], turn)
-    middle = np.interp(turn, [0, 0.35, 0.7, 1], [-126.5, -124, -117, -106])
-    height = np.interp(turn, [0, 0.35, 0.7, 1], [11.5, 11.5, 12.5, 14])
+    base = _curve([(0, 82), (10, 80.5), (20, 71), (30, 54), (40, 33), (47.5, 12)], turn)
+    middle = np.interp(turn, [0, 0.2, 0.35, 0.7, 1], [-126.5, -125, -121.5, -112.5, -101])
+    height = np.interp(turn, [0, 0.35, 0.7, 1], [11.0, 11.0, 12.0, 13])
     width = np.interp(turn, [0, 0.3, 0.7, 1], [5.4, 5.2, 5.0, 3.6])
     jaw = jaw.joined(wall(base, middle, height, width, 3.4), 10)
     # Chin.
     jaw = jaw.joined(ellipsoid((0, 85, -130), (9, 5.5, 7.5)), 9)
-    jaw = jaw.joined(ellipsoid((13, 80.5, -134), (7, 5, 4)), 8)
+    jaw = jaw.joined(ellipsoid((11, 81.5, -132.5), (7, 4.5, 4)), 9)
     # Ramus: a plate between front and back border, coronoid process, neck and condyle.
     ramus = wall(
         [(46.5, 30), (48.5, 16), (49.5, 4)], [-88, -88, -87], [24, 24, 22], [3.0, 2.8, 3.0], 2.2
     )
     jaw = jaw.joined(ramus, 6)
-    front = [(42, 37, -108), (45, 33, -94), (46.5, 30, -76), (47.5, 26, -55)]
+    front = [(41, 37, -106), (45, 33, -94), (46.5, 30, -76), (47.5, 26, -55)]
     jaw = jaw.joined(chain(front, [5.2, 4.6, 3.8, 2.2]), 6)
-    back = [(48.5, 12, -112), (49.5, 5, -104), (50, 1, -84), (50, -2.5, -58)]
+    back = [(48, 14, -107), (49.5, 6, -99), (50, 1, -82), (50, -2.5, -58)]
     jaw = jaw.joined(chain(back, [4.2, 4.4, 4.2, 3.4]), 6)
     jaw = jaw.joined(ellipsoid((50, -3, -55.5), (9.5, 4.4, 4.0), (0, 0, -12)), 4)
     jaw = jaw.without(ellipsoid((48, 11.5, -57), (14, 9.5, 13.5)), 4)

@@ -1,0 +1,97 @@
+"""Attenuation against NIST, and what a user may get wrong."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from twinct.errors import SpecimenError
+from twinct.scenario import Composition
+from twinct.specimen import Material, material, material_names
+
+NIST_REL = 0.01
+"""NIST's tables (XCOM) and xraylib's fits of the same cross-sections differ by up to a percent."""
+
+
+@pytest.mark.parametrize(
+    ("name", "energy_kev", "density", "mass_attenuation"),
+    [
+        # NIST, X-Ray Mass Attenuation Coefficients, tables 3 and 4, cm2/g.
+        ("bone", 80.0, 1.92, 0.2229),
+        ("bone", 60.0, 1.92, 0.3148),
+        ("water", 80.0, 1.0, 0.1837),
+        ("soft_tissue", 80.0, 1.06, 0.1823),
+        ("titanium", 80.0, 4.506, 0.4052),
+        ("titanium", 100.0, 4.506, 0.2721),
+        ("aluminium", 80.0, 2.699, 0.2018),
+        ("pmma", 80.0, 1.19, 0.1751),
+        ("Fe", 100.0, 7.874, 0.3717),
+        ("air", 80.0, 1.205e-3, 0.1662),
+    ],
+)
+def test_attenuation_equals_nist(name, energy_kev, density, mass_attenuation):
+    mu = material(name).mu_per_mm(energy_kev)
+    assert mu == pytest.approx(mass_attenuation * density / 10, rel=NIST_REL)
+
+
+def test_bone_at_80_kev():
+    assert material("bone").mu_per_mm(80) == pytest.approx(0.0428, abs=0.0003)
+
+
+def test_every_named_material_attenuates():
+    for name in material_names():
+        found = material(name)
+        assert sum(found.mass_fractions.values()) == pytest.approx(1, abs=1e-12)
+        assert found.mu_per_mm(80) > 0
+
+
+def test_formula_and_fractions_agree_with_the_named_material():
+    by_formula = material(Composition(formula="H2O", density_g_cm3=1.0))
+    by_shares = material(
+        Composition(mass_fractions={"H": 0.111894, "O": 0.888106}, density_g_cm3=1.0)
+    )
+    water = material("Water, Liquid").mu_per_mm(80)
+    assert by_formula.mu_per_mm(80) == pytest.approx(water, rel=3e-4)
+    assert by_shares.mu_per_mm(80) == pytest.approx(water, rel=1e-9)
+
+
+def test_density_scales_attenuation():
+    thin = Material("thin", 1.0, {"Ti": 1.0})
+    assert Material("thick", 3.0, {"Ti": 1.0}).mu_per_mm(50) == pytest.approx(
+        3 * thin.mu_per_mm(50)
+    )
+
+
+def test_a_material_is_a_value():
+    bone = material("bone")
+    assert pickle.loads(pickle.dumps(bone)) == bone
+    assert hash(bone) == hash(material("Bone"))
+    with pytest.raises(TypeError):
+        bone.mass_fractions["Ca"] = 1.0  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        ("titanum", ["'titanum'", "titanium", "formula", "specimen.parts.3.material"]),
+        ("cortical", ["Bone, Cortical (ICRP)"]),
+        ("unobtainium", ["unknown", "mass_fractions"]),
+        (Composition(formula="Xy2", density_g_cm3=1), ["Xy2", "specimen.parts.3.material"]),
+        (
+            Composition(mass_fractions={"Ti": 0.6, "Al": 0.3}, density_g_cm3=4),
+            ["0.9", "add up to 1"],
+        ),
+        (Composition(mass_fractions={"ti": 1.0}, density_g_cm3=4), ["'ti'", "element"]),
+    ],
+)
+def test_what_cannot_be_a_material_is_named(wanted, words):
+    with pytest.raises(SpecimenError) as caught:
+        material(wanted, "specimen.parts.3.material")
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_energy_beyond_the_tables_is_refused():
+    with pytest.raises(SpecimenError, match="5000 keV"):
+        material("bone").mu_per_mm(5000)
