@@ -39,6 +39,10 @@ class Projector:
             raise InputError(
                 f"the grid has {grid.shape} voxels along (z, y, x): at least 2 along each axis needed"
             )
+        if np.prod(grid.shape, dtype=np.int64) >= 2**31:
+            raise InputError(
+                f"the grid has {grid.shape} voxels: less than 2**31 needed (32-bit indices)"
+            )
         self.geometry = geometry
         self.grid = grid
         self.domain_shape = grid.shape
