@@ -96,19 +96,39 @@ def test_whole_grid_gives_what_scikit_image_says():
     )
 
 
+@pytest.mark.parametrize("bone", [(23, 4, 8), (25, 4, 8)], ids=["slab below", "slab above"])
 @pytest.mark.parametrize("distance", [0.0, 1.9, 2.0, 2.5, 40.0])
-def test_distance_to_bone_is_euclidean(distance):
+def test_distance_to_bone_is_euclidean(distance, bone):
     """A single bone voxel off centre, voxels of unequal edges, distances on and between nodes."""
     shape, edges = (29, 14, 11), (0.5, 1.0, 2.0)
     grid = VolumeGrid(shape, edges)
     truth = np.zeros(shape)
-    truth[23, 4, 8] = 1.0
+    truth[bone] = 1.0
     k, j, i = np.indices(shape)
-    apart = np.sqrt((2.0 * (k - 23)) ** 2 + (1.0 * (j - 4)) ** 2 + (0.5 * (i - 8)) ** 2)
+    apart = np.sqrt(
+        (2.0 * (k - bone[0])) ** 2 + (1.0 * (j - bone[1])) ** 2 + (0.5 * (i - bone[2])) ** 2
+    )
     # An error in one voxel too far or too near changes the figure: all values differ.
     error = 1.0 + np.arange(truth.size).reshape(shape) / truth.size
     figures = image_figures(truth + error, truth, np.ones(shape, bool), 1.0, grid, distance)
     expected = np.sqrt((error[apart <= distance] ** 2).mean())
+    assert figures.rmse_bone_rel == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(
+    "side", [slice(None, 10), slice(11, None)], ids=["bone above", "bone below"]
+)
+def test_bone_outside_the_region_counts_for_the_distance(axis, side):
+    """The region's box ends beside the bone voxel, on either side of it."""
+    shape = (21, 21, 21)
+    truth, roi = np.zeros(shape), np.zeros(shape, bool)
+    truth[10, 10, 10] = 1.0
+    np.moveaxis(roi, axis, 0)[side] = True
+    apart = np.sqrt(((np.indices(shape) - 10) ** 2).sum(axis=0))
+    error = 1.0 + np.arange(truth.size).reshape(shape) / truth.size
+    figures = image_figures(truth + error, truth, roi, 1.0, VolumeGrid(shape, 1.0), 3.0)
+    expected = np.sqrt((error[roi & (apart <= 3.0)] ** 2).mean())
     assert figures.rmse_bone_rel == pytest.approx(expected, rel=1e-9)
 
 
