@@ -18,6 +18,10 @@ MIDDLEWARE = "rmw_fastrtps_cpp"
 DOMAINS = range(1, 101)
 """Domains to choose from: their UDP ports stay below the range the kernel hands out."""
 LARGEST_DOMAIN = 232
+_PACKAGES = (
+    *("rclpy", "geometry_msgs", "sensor_msgs", "std_msgs"),
+    *("diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces"),
+)
 _YOUNG_S = 1.0
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT = 7400, 250, 10
 
@@ -26,14 +30,15 @@ def require_ros() -> None:
     """Make sure that the ROS 2 link can be used at all.
 
     Raises:
-        MissingExtraError: rclpy is not installed.
+        MissingExtraError: rclpy, or a package of messages, is not installed.
     """
-    try:
-        found = importlib.util.find_spec("rclpy") is not None
-    except ValueError:  # a module without a spec stands in its place
-        found = False
-    if not found:
-        raise MissingExtraError("rclpy", "ros", "or use --link local")
+    for package in _PACKAGES:
+        try:
+            found = importlib.util.find_spec(package) is not None
+        except (ImportError, ValueError):  # something that is no package stands in its place
+            found = False
+        if not found:
+            raise MissingExtraError(package, "ros", "or use --link local")
 
 
 def settle(environment: MutableMapping[str, str]) -> None:

@@ -33,7 +33,7 @@ class NodeProcess:
         *,
         environment: Mapping[str, str],
         inherit: Sequence[int] = (),
-        on_end: Callable[[], None],
+        on_end: Callable[[NodeProcess], None],
     ) -> None:
         """Start it.
 
@@ -43,7 +43,7 @@ class NodeProcess:
             log: file to append its output to.
             environment: of the process.
             inherit: descriptors it shall hold.
-            on_end: called from a thread when it has ended, for whatever reason.
+            on_end: called with it from a thread when it has ended, for whatever reason.
         """
         self.name = name
         self.log = log
@@ -66,7 +66,7 @@ class NodeProcess:
     def _wait(self) -> None:
         self._process.wait()
         self._ended.set()
-        self._on_end()
+        self._on_end(self)
 
     @property
     def pid(self) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -108,10 +107,10 @@ class RosRig:
         self._refusal: str | None = None
         self._conflict: str | None = None
         self._nodes: list[NodeProcess] = []
+        self._ended: list[NodeProcess] = []
         self._station: Station | None = None
         self._closing = False
         self._teardown = ExitStack()
-        self._lock = threading.Lock()
         with ExitStack() as stack:
             domain = Domain(domain_id)
             stack.callback(sweep_shared_memory)
@@ -157,10 +156,11 @@ class RosRig:
             )
             self._nodes.append(process)
 
-    def _on_node_end(self) -> None:
+    def _on_node_end(self, ended: NodeProcess) -> None:
         """Without one node the other has no purpose; this process hears of it in its next wait."""
+        self._ended.append(ended)
         for node in self._nodes:
-            if node.exit_code is None:
+            if node is not ended:
                 node.request_stop()
         if self._station is not None:
             self._station.wake()
@@ -243,14 +243,11 @@ class RosRig:
                 self._conflict = status.message
 
     def _broken(self) -> bool:
-        return self._conflict is not None or any(n.exit_code is not None for n in self._nodes)
+        return self._conflict is not None or bool(self._ended)
 
     def _check(self) -> None:
-        dead = [node for node in self._nodes if node.exit_code is not None]
-        if dead:
-            # The one that ended first took the other with it: that one's end is the clean one.
-            dead.sort(key=lambda node: node.exit_code == 0)
-            raise LinkError(dead[0].describe_end())
+        if self._ended:  # the first took the other with it
+            raise LinkError(self._ended[0].describe_end())
         if self._conflict is not None:
             raise LinkError(self._conflict)
 

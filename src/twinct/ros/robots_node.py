@@ -28,12 +28,15 @@ from twinct.ros.messages import (
 from twinct.ros.node import LISTENERS, Ledger, RefusedError, Reporter, run_node
 from twinct.ros.station import CLOCK, JOINTS, REACHED, STATE, TARGET, Station
 from twinct.scenario import Scenario
-from twinct.views import Reached, Target
+from twinct.trajectory import commanded_views
+from twinct.views import PosePairs, Reached, Target
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 NAME = "twinct_robots"
+ANSWERS = 10
+"""Answers kept for those who are slow or late."""
 
 
 class Robots(Protocol):
@@ -77,9 +80,7 @@ def spin_robots(
     """
     turns = None
     if epoch is not None:
-        from twinct.scan import commanded_targets
-
-        turns = Turns(Epoch.parse(epoch), commanded_targets(scenario), first_view)
+        turns = Turns(Epoch.parse(epoch), own_targets(scenario), first_view)
 
     def build_engine() -> Robots:
         if build is None:
@@ -97,6 +98,13 @@ def spin_robots(
         lambda station, reporter, robots: RobotsNode(station, reporter, robots, turns),
         lifeline=lifeline,
     )
+
+
+def own_targets(scenario: Scenario) -> list[Target]:
+    """What ``commanded_targets`` gives, without importing what builds a simulation."""
+    panel = scenario.detector.panel
+    poses = PosePairs.from_geometry(commanded_views(scenario.trajectory, panel))
+    return [Target.from_poses(*poses[view]) for view in range(len(poses))]
 
 
 class Turns:
@@ -148,9 +156,9 @@ class RobotsNode:
         # A refusal of the robots is an answer too: it is not tried again.
         self._ledger: Ledger[Target, Reached | RefusedError] = Ledger()
         self._reporter = reporter
-        self._reached = station.publisher(REACHED, PoseArray)
-        self._joints = station.publisher(JOINTS, JointState)
-        self._state = station.publisher(STATE, Float64MultiArray)
+        self._reached = station.publisher(REACHED, PoseArray, depth=ANSWERS)
+        self._joints = station.publisher(JOINTS, JointState, depth=ANSWERS)
+        self._state = station.publisher(STATE, Float64MultiArray, depth=ANSWERS)
         self._clock = station.publisher(CLOCK, Clock)
         self._targets = station.listen_to_all(TARGET, PoseArray, self._on_target)
 

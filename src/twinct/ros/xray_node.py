@@ -29,6 +29,9 @@ NAME = "twinct_xray"
 MEMORY_BYTES = 256 * 2**20
 """Images kept for those who ask again; never fewer than two, never more than 32."""
 
+QUEUE_BYTES = 64 * 2**20
+"""Images on their way to those who are slow or late; never fewer than one, never more than ten."""
+
 
 class XRay(Protocol):
     """What the node needs of an ``Imager``."""
@@ -103,8 +106,9 @@ class XRayNode:
             keep=min(max(MEMORY_BYTES // image_bytes(panel), 2), 32)
         )
         self._reporter = reporter
-        self._camera = station.publisher(CAMERA, CameraInfo)
-        self._image = station.publisher(IMAGE, Image)
+        depth = min(max(QUEUE_BYTES // image_bytes(panel), 1), 10)
+        self._camera = station.publisher(CAMERA, CameraInfo, depth=depth)
+        self._image = station.publisher(IMAGE, Image, depth=depth)
         self._views = station.listen_to_all(REACHED, PoseArray, self._on_reached)
 
     def connected(self) -> bool:

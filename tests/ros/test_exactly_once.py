@@ -1,0 +1,283 @@
+"""Each view is acquired once, whatever is lost, repeated or sent by strangers."""
+
+import os
+import sys
+import time
+from contextlib import closing
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseArray
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import Float64MultiArray
+
+from twinct.errors import LinkError, TargetRefusedError
+from twinct.ros import RosRig
+from twinct.ros.messages import (
+    Epoch,
+    Stamp,
+    diagnostic_values,
+    executed_of,
+    image_of,
+    target_message,
+)
+from twinct.ros.node import Ledger, RefusedError
+from twinct.ros.processes import NodeProcess
+from twinct.ros.robots_node import Turns
+from twinct.views import Target
+
+pytestmark = pytest.mark.ros
+
+
+def errors(diagnostics):
+    return [
+        diagnostic_values(status.values)
+        for message in diagnostics
+        for status in message.status
+        if status.level == DiagnosticStatus.ERROR
+    ]
+
+
+def elsewhere(target):
+    return Target((target.source_m[0] + 1e-9, *target.source_m[1:]), target.detector_m)
+
+
+@pytest.fixture
+def node(tmp_path, scenario, monkeypatch):
+    """Starts standalone nodes, as ``twinct node`` does."""
+    file = tmp_path / "scenario.json"
+    file.write_text(scenario.resolved())
+    started = []
+
+    def start(command, *arguments):
+        process = NodeProcess(
+            arguments[0],
+            [*command, *arguments[:1], str(file), *arguments[1:]],
+            tmp_path / f"{arguments[0]}.log",
+            environment=os.environ,
+            on_end=lambda _: None,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.stop()
+
+
+class TestLedger:
+    def test_a_question_is_new_once(self):
+        ledger = Ledger()
+        assert ledger.find(Stamp(1, 0), "where") is None
+        ledger.enter(Stamp(1, 0), "where", "there")
+        assert ledger.find(Stamp(1, 0), "where") == "there"
+
+    def test_a_stamp_stands_for_one_question(self):
+        ledger = Ledger()
+        ledger.enter(Stamp(1, 0), "where", "there")
+        with pytest.raises(RefusedError, match="1.000000000 was used before with other poses"):
+            ledger.find(Stamp(1, 0), "when")
+
+    def test_a_forgotten_answer_is_not_worked_out_again(self):
+        ledger = Ledger(keep=2)
+        for second in range(3):
+            ledger.enter(Stamp(second, 0), "where", second)
+        assert ledger.find(Stamp(2, 0), "where") == 2
+        with pytest.raises(RefusedError, match="answered already.*last 2"):
+            ledger.find(Stamp(0, 0), "where")
+
+
+def test_turns_let_only_the_next_view_of_the_scan_pass(scenario, targets):
+    epoch = Epoch.of(scenario)
+    turns = Turns(epoch, targets, first=1)
+    for view, target, reason in [
+        (0, targets[0], "view 1 comes next, not view 0"),
+        (2, targets[2], "view 1 comes next, not view 2"),
+        (1, elsewhere(targets[1]), "none of its own: view 1 has others"),
+        (12, targets[0], "none of its stamps"),
+    ]:
+        with pytest.raises(RefusedError, match=reason):
+            turns.check(epoch.at(view), target)
+    turns.check(epoch.at(1), targets[1])
+    turns.done()
+    turns.check(epoch.at(2), targets[2])
+
+
+class Disturbed:
+    """A running scan, and a stranger on its domain."""
+
+    def __init__(self, rig, stranger, targets):
+        self.rig, self.stranger, self.targets = rig, stranger, targets
+        self.out = stranger.publisher("/scan/target", PoseArray)
+        self.diagnostics = stranger.listen("/diagnostics", DiagnosticArray)
+        self.reached = stranger.listen("/scan/reached", PoseArray)
+        self.images = stranger.listen("/xray/image", Image)
+        self.joints = stranger.listen("/joint_states", JointState)
+        stranger.until(
+            lambda: (
+                self.out.get_subscription_count()
+                and all(
+                    stranger.node.count_publishers(topic)
+                    for topic in ("/diagnostics", "/scan/reached", "/xray/image", "/joint_states")
+                )
+            )
+        )
+        self.next = 0
+
+    def take(self):
+        """Let the scan take its next view."""
+        view = self.next
+        self.next += 1
+        return view, self.rig.move(view, self.targets[view]), self.rig.expose(view)
+
+    def shout(self, view, target):
+        self.out.publish(target_message(self.rig.epoch.at(view), target))
+
+
+@pytest.fixture(scope="module")
+def disturbed(scenario, targets, fake_command, foreign, notes):
+    with closing(RosRig(scenario, node_command=fake_command)) as rig:
+        yield Disturbed(rig, foreign(rig.domain_id), targets)
+
+
+def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets, notes):
+    stranger, epoch = disturbed.stranger, disturbed.rig.epoch
+    _, first, _ = disturbed.take()
+
+    disturbed.out.publish(target_message(Stamp(17, 0), elsewhere(targets[1])))
+    disturbed.shout(1, elsewhere(targets[1]))
+    disturbed.shout(0, elsewhere(targets[0]))
+    disturbed.shout(3, targets[3])
+    stranger.until(lambda: len(errors(disturbed.diagnostics)) >= 4)
+    for _ in range(3):
+        disturbed.take()
+    stranger.until(lambda: min(len(disturbed.images), len(disturbed.joints)) >= 4)
+
+    found = errors(disturbed.diagnostics)
+    assert [error["view"] for error in found] == ["", "1", "0", "3"]
+    for error, part in zip(
+        found, ["its stamps", "has others", "used before", "view 1 comes next"], strict=True
+    ):
+        assert part in error["reason"]
+    expected = [epoch.at(view) for view in range(4)]
+    for messages in (disturbed.reached, disturbed.images, disturbed.joints):
+        assert [Stamp.of(message.header.stamp) for message in messages] == expected
+    assert executed_of(disturbed.reached[0]).source_m == first.source_m
+    assert notes.count("move") == notes.count("render") == disturbed.next
+
+
+def test_a_repeated_target_is_answered_from_memory(disturbed, targets, notes):
+    view, _, image = disturbed.take()
+    disturbed.stranger.stay(0.3)
+    before = len(disturbed.images)
+    for _ in range(3):
+        disturbed.shout(view, targets[view])
+    disturbed.stranger.until(lambda: len(disturbed.images) >= before + 3)
+    disturbed.take()
+    for message in disturbed.images[before : before + 3]:
+        assert image_of(message).tobytes() == image.tobytes()
+    assert notes.count("move") == notes.count("render") == disturbed.next
+
+
+def test_the_rig_asks_again_when_an_answer_is_lost(disturbed, targets, notes, monkeypatch):
+    view = disturbed.next
+    disturbed.next += 1
+    disturbed.rig.move(view, targets[view])
+    keep, lost = disturbed.rig._view, []
+    monkeypatch.setattr(
+        disturbed.rig,
+        "_view",
+        lambda stamp: keep(stamp) if lost else lost.append(stamp),
+    )
+    start = time.monotonic()
+    disturbed.rig.expose(view)
+    assert lost == [disturbed.rig.epoch.at(view)] and time.monotonic() - start > 1.0
+    assert notes.count("move") == notes.count("render") == disturbed.next
+
+
+def test_a_view_out_of_turn_is_refused_to_the_rig_too(disturbed, targets):
+    with pytest.raises(TargetRefusedError, match=f"view 11: .*view {disturbed.next} comes next"):
+        disturbed.rig.move(11, targets[11])
+    disturbed.take()
+
+
+def test_an_answer_that_never_comes_is_an_error(disturbed, targets, notes, monkeypatch):
+    notes.render_takes(3)
+    monkeypatch.setattr(disturbed.rig, "_answer_s", 0.5)
+    disturbed.rig.move(disturbed.next, targets[disturbed.next])
+    with pytest.raises(LinkError, match="no image of view .* within"):
+        disturbed.rig.expose(disturbed.next)
+    notes.render_takes(0)
+
+
+def test_a_foreign_node_drives_the_standalone_nodes(
+    targets, fake_command, foreign, domain, node, notes, fakes
+):
+    moves, renders = notes.count("move"), notes.count("render")
+    somebody = foreign(domain)
+    out = somebody.publisher("/scan/target", PoseArray)
+    reached = somebody.listen("/scan/reached", PoseArray)
+    images = somebody.listen("/xray/image", Image)
+    cameras = somebody.listen("/xray/camera_info", CameraInfo)
+    states = somebody.listen("/scan/state", Float64MultiArray)
+    diagnostics = somebody.listen("/diagnostics", DiagnosticArray)
+    nodes = [node(fake_command, "robots"), node(fake_command, "xray")]
+    somebody.until(
+        lambda: (
+            out.get_subscription_count() >= 1
+            and somebody.node.count_publishers("/xray/image") == 1
+            and somebody.node.count_subscribers("/scan/reached") >= 3
+        )
+    )
+    for view, target in enumerate(targets[:4]):
+        stamp = Stamp(5, view)
+        out.publish(target_message(stamp, target))
+        somebody.until(lambda n=view: len(images) > n and len(cameras) > n and len(states) > n)
+        for message in (reached[view], images[view], cameras[view]):
+            assert Stamp.of(message.header.stamp) == stamp
+    far = Target((fakes.REFUSED_X_M + 1, *targets[0].source_m[1:]), targets[0].detector_m)
+    out.publish(target_message(Stamp(6, 0), far))
+    somebody.until(lambda: errors(diagnostics))
+    assert errors(diagnostics)[0]["reason"] == "the source arm is too short"
+    assert errors(diagnostics)[0]["stamp"] == "6.000000000"
+    for process in nodes:
+        process.stop()
+        assert process.exit_code == 0, process.describe_end()
+    assert (notes.count("move"), notes.count("render")) == (moves + 4, renders + 4)
+
+
+def test_a_late_x_ray_node_images_the_view_that_was_reached(
+    targets, fake_command, foreign, domain, node, notes
+):
+    renders = notes.count("render")
+    somebody = foreign(domain)
+    out = somebody.publisher("/scan/target", PoseArray)
+    images = somebody.listen("/xray/image", Image)
+    reached = somebody.listen("/scan/reached", PoseArray)
+    node(fake_command, "robots")
+    somebody.until(lambda: out.get_subscription_count() >= 1)
+    out.publish(target_message(Stamp(5, 0), targets[0]))
+    somebody.until(lambda: reached)
+    node(fake_command, "xray")
+    somebody.until(lambda: images)
+    assert Stamp.of(images[0].header.stamp) == Stamp(5, 0)
+    assert notes.count("render") == renders + 1
+
+
+def test_the_command_line_starts_the_real_nodes(targets, foreign, domain, node):
+    somebody = foreign(domain)
+    out = somebody.publisher("/scan/target", PoseArray)
+    images = somebody.listen("/xray/image", Image)
+    reached = somebody.listen("/scan/reached", PoseArray)
+    command = (sys.executable, "-m", "twinct", "node")
+    nodes = [node(command, "robots"), node(command, "xray")]
+    somebody.until(lambda: out.get_subscription_count() >= 1, timeout_s=60)
+    out.publish(target_message(Stamp(5, 0), targets[0]))
+    somebody.until(lambda: reached and images, timeout_s=60)
+    source = executed_of(reached[0]).source_m[:3]
+    asked = targets[0].source_m[:3]
+    assert sum((a - b) ** 2 for a, b in zip(source, asked, strict=True)) ** 0.5 < 1.1e-3
+    assert image_of(images[0]).min() < 0.9
+    for process in nodes:
+        process.stop()
+        assert process.exit_code == 0, process.describe_end()

@@ -1,0 +1,135 @@
+"""What the link carries arrives to the last bit, in the form any ROS tool understands."""
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Float64MultiArray
+
+from twinct.geometry import Panel, Pose
+from twinct.ros import messages
+from twinct.ros.messages import Epoch, MalformedError, Stamp
+from twinct.views import Reached, Target
+
+STAMP = Stamp(1_700_000_123, 7)
+REPROJECTION_PX = 1e-8
+"""Column and row of one point by two formulas in double precision; images are 1000 px wide."""
+
+
+def over_the_wire(message):
+    return deserialize_message(serialize_message(message), type(message))
+
+
+@pytest.fixture
+def reached(random_pose):
+    rng = np.random.default_rng(3)
+    poses = Target.from_poses(random_pose(rng), random_pose(rng))
+    return Reached(
+        source_m=poses.source_m,
+        object_m=Target.from_poses(random_pose(rng), random_pose(rng)).source_m,
+        detector_m=poses.detector_m,
+        joint_names=("source_a", "detector_a", "detector_b"),
+        position=rng.normal(size=3),
+        velocity=rng.normal(size=3),
+        effort=rng.normal(size=3) * 1e-300,
+        state=np.concatenate([rng.normal(size=40), [np.nextafter(0, 1), -0.0, np.inf]]),
+        time_s=1 / 3,
+        clearance_mm=float(np.nextafter(10, 11)),
+    )
+
+
+def test_target_round_trip(random_pose):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        target = Target.from_poses(random_pose(rng), random_pose(rng))
+        message = over_the_wire(messages.target_message(STAMP, target))
+        assert messages.target_of(message) == target
+        assert Stamp.of(message.header.stamp) == STAMP
+        assert message.header.frame_id == "world"
+
+
+def test_reached_round_trip(reached):
+    poses = over_the_wire(messages.reached_message(STAMP, messages.executed(reached)))
+    joints = over_the_wire(messages.joints_message(STAMP, reached))
+    state = over_the_wire(messages.state_message(STAMP, reached))
+    assert Stamp.of(joints.header.stamp) == messages.state_stamp(state) == STAMP
+
+    back = messages.reached_of(messages.executed_of(poses), joints, state)
+
+    for name in ("source_m", "object_m", "detector_m", "joint_names", "time_s", "clearance_mm"):
+        assert getattr(back, name) == getattr(reached, name), name
+    for name in ("position", "velocity", "effort", "state"):
+        assert getattr(back, name).tobytes() == getattr(reached, name).tobytes(), name
+
+
+def test_image_round_trip():
+    image = np.random.default_rng(2).normal(size=(24, 32)).astype(np.float32)
+    image[0, :3] = np.nan, np.inf, -0.0
+
+    message = over_the_wire(messages.image_message(STAMP, image))
+
+    assert (message.height, message.width, message.step) == (24, 32, 128)
+    assert (message.encoding, message.header.frame_id) == ("32FC1", "detector_optical")
+    assert messages.image_of(message).tobytes() == image.tobytes()
+
+
+def test_image_of_other_encodings_is_refused():
+    message = messages.image_message(STAMP, np.zeros((2, 2), np.float32))
+    message.encoding = "mono16"
+    with pytest.raises(MalformedError, match="mono16.*32FC1"):
+        messages.image_of(message)
+
+
+def test_camera_info_projects_like_the_geometry(random_geometry):
+    rng = np.random.default_rng(4)
+    panel = Panel(480, 640, 0.5, 0.4)
+    geometry = random_geometry(rng, 5, panel)
+    points = rng.uniform(-80, 80, (30, 3))
+    for view in geometry:
+        info = over_the_wire(messages.camera_message(STAMP, view))
+        axes = np.stack([view.u[0], -view.v[0], -view.normal[0]])
+        np.testing.assert_allclose(np.cross(axes[0], axes[1]), axes[2], atol=1e-12)
+        x, y, z = axes @ (points - view.source[0]).T
+        k = np.array(info.k).reshape(3, 3)
+        column, row, scale = k @ np.stack([x, y, z])
+        expected = view.project(points)[0]
+        np.testing.assert_allclose(column / scale, expected[:, 0], atol=REPROJECTION_PX)
+        np.testing.assert_allclose(row / scale, expected[:, 1], atol=REPROJECTION_PX)
+        assert k[0, 0] > 0 > k[1, 1]
+        np.testing.assert_array_equal(np.array(info.p).reshape(3, 4)[:, :3], k)
+        assert (info.height, info.width) == panel.shape
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda message: message.poses.pop(), "1 poses, expected 2: source, detector"),
+        (lambda message: setattr(message.header, "frame_id", "table"), "'table'.*'world'"),
+        (lambda message: setattr(message.poses[0].orientation, "w", 2.0), "not a unit quaternion"),
+        (lambda message: setattr(message.poses[1].position, "x", np.nan), "not finite"),
+    ],
+)
+def test_what_is_no_target_is_refused(spoil, reason):
+    message = messages.target_message(STAMP, Target.from_poses(Pose.identity(), Pose.identity()))
+    spoil(message)
+    with pytest.raises(MalformedError, match=reason):
+        messages.target_of(message)
+
+
+def test_epoch_follows_from_the_scenario_and_names_views(scenario):
+    epoch = Epoch.of(scenario)
+    assert Epoch.parse(str(epoch)) == epoch == Epoch.of(scenario)
+    assert epoch != Epoch.of(scenario.model_copy(update={"seed": scenario.seed + 1}))
+    assert [epoch.view(epoch.at(view)) for view in (0, 7, 99_999)] == [0, 7, 99_999]
+    assert epoch.view(Stamp(epoch.stamp.sec - 1, epoch.stamp.nanosec)) is None
+    assert epoch.view(Stamp(epoch.stamp.sec, epoch.stamp.nanosec ^ 1)) is None
+    over_the_wire(messages.clock_message(0.0))
+    assert epoch.at(100_000).time.sec < 2**31
+
+
+def test_state_without_a_stamp_belongs_to_no_view():
+    assert messages.state_stamp(Float64MultiArray()) is None
+
+
+def test_clock_carries_simulated_time():
+    clock = messages.clock_message(12.3456789014).clock
+    assert (clock.sec, clock.nanosec) == (12, 345678901)

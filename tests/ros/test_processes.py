@@ -1,0 +1,171 @@
+"""Three processes live and die together, and two scans never meet."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from twinct.errors import InputError, LinkError
+from twinct.ros import RosRig
+from twinct.ros.environment import Domain, sweep_shared_memory
+
+pytestmark = pytest.mark.ros
+
+END_S = 4.0
+"""A couple of seconds, and some for a machine that others use too."""
+PARENT = Path(__file__).with_name("scan_parent.py")
+
+
+class Scan:
+    """A scan in a process of its own."""
+
+    def __init__(self, folder: Path, scenario, views: int) -> None:
+        folder.mkdir()
+        self.log_dir = folder / "logs"
+        file = folder / "scenario.json"
+        long = scenario.model_dump(mode="json")
+        long["trajectory"]["views"] = max(views, 2)
+        file.write_text(type(scenario).model_validate(long).resolved())
+        self.process = subprocess.Popen(
+            [sys.executable, PARENT, file, self.log_dir, str(views)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        assert line, self.process.stderr.read()
+        self.domain_id, self.pid, self.robots, self.xray = map(int, line.split())
+
+    def views(self, count: int) -> None:
+        """Wait until some more views are taken."""
+        for _ in range(count):
+            assert self.process.stdout.readline()
+
+    def end(self) -> tuple[int, str]:
+        """Exit code and what it complained about."""
+        _, complaint = self.process.communicate(timeout=30)
+        return self.process.returncode, complaint
+
+
+@pytest.fixture
+def scan(tmp_path, scenario, notes):
+    made = []
+
+    def make(views=2000):
+        made.append(Scan(tmp_path / f"scan{len(made)}", scenario, views))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.process.kill()
+        one.process.communicate()
+
+
+@pytest.mark.parametrize("victim", ["robots", "xray"])
+def test_a_node_that_dies_ends_the_scan(scan, gone, victim):
+    running = scan()
+    running.views(3)
+    os.kill(getattr(running, victim), signal.SIGKILL)
+    assert gone([running.pid, running.robots, running.xray], END_S)
+    code, complaint = running.end()
+    assert code == 1
+    assert complaint.startswith(f"LinkError: the {victim} node was ended by SIGKILL")
+    assert sorted(path.name for path in running.log_dir.iterdir()) == ["robots.log", "xray.log"]
+
+
+def test_a_killed_parent_takes_its_nodes_with_it_even_at_work(scan, gone, notes):
+    running = scan()
+    running.views(3)
+    notes.render_takes(30)
+    time.sleep(0.3)
+    os.kill(running.pid, signal.SIGKILL)
+    try:
+        assert gone([running.pid, running.robots, running.xray], END_S)
+    finally:
+        notes.render_takes(0)
+
+
+def test_ctrl_c_is_the_parents_to_handle(scan, gone):
+    running = scan()
+    for node in (running.robots, running.xray):
+        assert os.getsid(node) == node != os.getsid(running.pid), "the terminal would reach it"
+    running.views(1)
+    os.kill(running.pid, signal.SIGINT)
+    assert gone([running.pid, running.robots, running.xray], END_S)
+    _, complaint = running.end()
+    assert complaint.rstrip().endswith("KeyboardInterrupt")
+
+
+def test_two_scans_at_once_do_not_meet_and_leave_nothing(scan, gone):
+    one, other = scan(views=40), scan(views=40)
+    assert one.domain_id != other.domain_id
+    assert one.end() == other.end() == (0, "")
+    assert gone([one.robots, one.xray, other.robots, other.xray], 0.0)
+    Domain(one.domain_id).close()
+
+
+def test_a_node_that_cannot_start_is_named_with_its_last_words(scenario, tmp_path):
+    script = tmp_path / "broken.py"
+    script.write_text("import sys; print('no such arm'); sys.exit(2)")
+    with pytest.raises(LinkError, match=r"node ended with exit code 2:\n  no such arm"):
+        RosRig(scenario, node_command=(sys.executable, str(script)))
+
+
+def test_a_domain_in_use_is_refused_and_free_again_afterwards(scenario, fake_command, monkeypatch):
+    with closing(RosRig(scenario, node_command=fake_command)) as rig:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(rig.domain_id))
+        with pytest.raises(InputError, match=f"ROS_DOMAIN_ID={rig.domain_id}: another scan"):
+            RosRig(scenario, node_command=fake_command)
+    held = Domain()
+    assert held.id == rig.domain_id
+    held.close()
+
+
+@pytest.mark.parametrize("text", ["-1", "233", "five"])
+def test_a_domain_that_is_none_is_refused(monkeypatch, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(InputError, match=f"ROS_DOMAIN_ID='?{text}"):
+        Domain()
+
+
+def test_a_domain_where_others_speak_is_not_chosen(monkeypatch):
+    from twinct.ros import environment
+
+    monkeypatch.setattr(environment, "DOMAINS", range(60, 63))
+    silent = environment._silent
+    monkeypatch.setattr(environment, "_silent", lambda domain: domain == 61 and silent(domain))
+    held = Domain()
+    assert held.id == 61
+    with pytest.raises(LinkError, match="all ROS domains from 60 to 62 are in use"):
+        Domain()
+    held.close()
+
+
+def test_a_participant_makes_its_domain_loud(foreign):
+    from twinct.ros.environment import _silent
+
+    held = Domain()
+    assert _silent(held.id)
+    foreign(held.id)
+    assert not _silent(held.id)
+    held.close()
+
+
+def test_shared_memory_of_the_dead_is_swept_and_of_the_living_kept(tmp_path):
+    import fcntl
+
+    for name in ("fastrtps_port7777", "fastrtps_dead", "fastrtps_alive"):
+        for path in (tmp_path / name, tmp_path / f"{name}_el"):
+            path.write_text("")
+            os.utime(path, (1, 1))
+    with (tmp_path / "fastrtps_alive_el").open() as alive:
+        fcntl.flock(alive, fcntl.LOCK_EX)
+        sweep_shared_memory(tmp_path)
+        left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == ["fastrtps_alive", "fastrtps_alive_el"]

@@ -1,0 +1,98 @@
+"""One contract for every rig: the link must not be seen in anything it returns."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from twinct.errors import LinkError, MotionError
+from twinct.ros import RosRig
+from twinct.ros.robots_node import own_targets
+from twinct.scan import LocalRig, build_imager, build_robots, commanded_targets
+from twinct.views import Reached, Target
+
+pytestmark = pytest.mark.ros
+
+NUMBERS = ("source_m", "object_m", "detector_m", "joint_names", "time_s", "clearance_mm")
+ARRAYS = ("position", "velocity", "effort", "state")
+
+
+def assert_same(one: Reached, other: Reached) -> None:
+    for name in NUMBERS:
+        assert getattr(one, name) == getattr(other, name), name
+    for name in ARRAYS:
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes(), name
+
+
+def take(rig, targets, first=0):
+    """What a rig gives for the views from a first one on."""
+    views = []
+    with closing(rig):
+        for view in range(first, len(targets)):
+            reached = rig.move(view, targets[view])
+            views.append((reached, rig.expose(view)))
+    return views
+
+
+def local_rig(scenario, fakes, command):
+    del command
+    return LocalRig(
+        fakes.FakeRobots(), fakes.FakeImager(scenario.detector), scenario.detector.panel
+    )
+
+
+def ros_rig(scenario, fakes, command):
+    del fakes
+    return RosRig(scenario, node_command=command)
+
+
+@pytest.mark.parametrize("make", [local_rig, ros_rig])
+def test_contract(make, scenario, targets, fakes, fake_command):
+    views = []
+    with closing(make(scenario, fakes, fake_command)) as rig:
+        with pytest.raises(ValueError, match="view 0 was not reached"):
+            rig.expose(0)
+        for view in range(3):
+            reached = rig.move(view, targets[view])
+            with pytest.raises(ValueError, match=f"view {view + 1} was not reached"):
+                rig.expose(view + 1)
+            views.append((reached, rig.expose(view)))
+        far = (fakes.REFUSED_X_M + 1, *targets[3].source_m[1:])
+        with pytest.raises(MotionError):
+            rig.move(3, Target(far, targets[3].detector_m))
+        rig.move(3, targets[3])
+    rig.close()
+
+    for view, (reached, image) in enumerate(views):
+        assert isinstance(reached, Reached)
+        assert image.shape == scenario.detector.panel.shape and image.dtype == np.float32
+        assert reached.source.distance_mm(targets[view].source) > 0, "executed, not commanded"
+    images = [image.tobytes() for _, image in views]
+    assert len(set(images)) == len(images), "each view has its own image"
+    for (reached, image), (expected, expected_image) in zip(
+        views, take(local_rig(scenario, fakes, ()), targets[:3]), strict=True
+    ):
+        assert_same(reached, expected)
+        assert image.tobytes() == expected_image.tobytes()
+    if make is ros_rig:
+        with pytest.raises(LinkError, match="closed"):
+            rig.move(3, targets[3])
+
+
+def test_the_nodes_know_the_targets_of_the_scan(scenario):
+    assert own_targets(scenario) == commanded_targets(scenario)
+
+
+def test_real_engines_give_the_same_bits_over_both_links_and_after_a_resume(scenario):
+    targets = commanded_targets(scenario)
+    rig = LocalRig(build_robots(scenario), build_imager(scenario), scenario.detector.panel)
+    local = take(rig, targets)
+    ros = take(RosRig(scenario), targets)
+    state = local[8][0].state
+    resumed = take(RosRig(scenario, first_view=9, start_state=state), targets, first=9)
+
+    for expected, others in [(local, ros), (local[9:], resumed)]:
+        for (reached, image), (reached_ros, image_ros) in zip(expected, others, strict=True):
+            assert_same(reached, reached_ros)
+            assert image.tobytes() == image_ros.tobytes()
+    assert local[0][1].min() < 0.9 < local[0][1].max(), "the ball is in the image"
