@@ -202,3 +202,16 @@ def test_preview_shows_the_face(skull, tmp_path):
     target = tmp_path / "skull.png"
     preview_specimen(skull, target, title="skull")
     assert target.read_bytes().startswith(b"\x89PNG")
+
+
+def test_hull_is_small_and_holds_the_skull(skull):
+    hull = skull.hull()
+    assert hull.is_watertight and len(hull.faces) < 8000
+    assert hull.bounds == pytest.approx(skull.bounds, abs=1e-9)
+    normals, offsets = (
+        hull.face_normals,
+        np.einsum("ij,ij->i", hull.face_normals, hull.triangles[:, 0]),
+    )
+    some = skull.parts[0].mesh.vertices[::37]
+    out = max((block @ normals.T - offsets).max() for block in np.array_split(some, 20))
+    assert out < 0.4, "mm by which a point may stick out"

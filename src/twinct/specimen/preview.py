@@ -98,6 +98,8 @@ def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str =
         name: shaded(specimen, *at, pixel_mm=pixel, margin_mm=0.04 * extent)
         for name, at in VIEWS.items()
     }
+    tallest = max(len(picture) for picture in pictures.values())
+    pictures = {name: _as_tall(picture, tallest) for name, picture in pictures.items()}
     widths = [picture.shape[1] for picture in pictures.values()]
     figure = Figure(figsize=(13, 5.2), facecolor="white")
     FigureCanvasAgg(figure)
@@ -121,6 +123,12 @@ def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str =
     figure.suptitle(f"{title}\n" if title else "")
     figure.text(0.5, 0.02, f"{parts}; x, y, z: {size} mm", ha="center")
     figure.savefig(path_png, dpi=110)
+
+
+def _as_tall(picture: NDArray[np.float32], rows: int) -> NDArray[np.float32]:
+    """White bars above and below."""
+    lack = rows - len(picture)
+    return np.pad(picture, ((lack // 2, lack - lack // 2), (0, 0), (0, 0)), constant_values=1.0)
 
 
 def _corner_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:

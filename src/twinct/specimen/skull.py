@@ -469,10 +469,10 @@ def _jaw(head: _Canvas) -> None:
 
 
 def _curve(points: Sequence[tuple[float, float]], at: Floats) -> list[tuple[float, float]]:
-    """A smooth curve through points (x, y), at shares of its chord length, level at its start."""
+    """A smooth curve through points (x, y), at shares of its chord length."""
     corners = np.asarray(points, dtype=float)
     walked = np.append(0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
-    spline = CubicSpline(walked / walked[-1], corners, bc_type=((2, (0, 0)), (2, (0, 0))))
+    spline = CubicSpline(walked / walked[-1], corners, bc_type="natural")
     return [(float(x), float(y)) for x, y in spline(at)]
 
 
