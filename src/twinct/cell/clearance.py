@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 NEAR_M = 0.2
 """Pairs whose world-aligned boxes are closer get the tighter bound."""
 
-LOOKAHEAD_M = 0.05
-"""Distances are computed up to so much above the smallest; beyond it a bound is enough."""
+SLACK_M = 1e-6
+"""A smaller gap than the one found may be overlooked by this much: GJK's own tolerance."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +59,14 @@ class Clearance:
         self._centre = model.geom_aabb[:, :3]
         self._half = model.geom_aabb[:, 3:]
         self._line = np.zeros(6)
+        self._scratch = self._mujoco.MjData(model)
+        self._smallest, self._which, self._limit = np.inf, -1, np.inf
         # Pairs of the same two bodies come near each other by the same joints only: those that
         # move one body and not the other.
         bodies = model.geom_bodyid[self._pairs]
         unique, self._body_pair = np.unique(bodies, axis=0, return_inverse=True)
         one, other = cell.lever[unique[:, 0]], cell.lever[unique[:, 1]]
-        self._members = [np.flatnonzero(self._body_pair == k) for k in range(len(unique))]
         self._approach = np.where((one > 0) != (other > 0), one + other, 0.0)
-
-    def pairs_of(self, bodies: int) -> np.ndarray:
-        """Pairs of geoms of one pair of bodies."""
-        return self._members[bodies]
 
     def _involves(self, pair: np.ndarray, sides: list[str]) -> bool:
         model = self._cell.model
@@ -105,6 +102,8 @@ class Clearance:
             gap = from_one - own - seen
             np.maximum(gap, 0, out=gap)
             bound[near] = np.maximum(bound[near], np.sqrt((gap * gap).sum(axis=1)))
+        # Boxes that overlap say nothing about how deep.
+        bound[bound == 0] = -np.inf
         return bound
 
     def _exact(self, data: mujoco.MjData, pair: int, limit_m: float) -> float:
@@ -150,49 +149,65 @@ class Clearance:
         names = (self._cell.body_of_geom(int(a)), self._cell.body_of_geom(int(b)))
         return Gap(distance_m * MM_PER_M, names)
 
-    def along(self, data: mujoco.MjData) -> RunningClearance:
-        """Start a watch over a motion that begins here."""
-        return RunningClearance(self, data)
+    def over(self, joints: Floats) -> Gap:
+        """The smallest distance over a sequence of joint configurations.
 
+        Two bodies cannot come nearer from one configuration to the next than the joints between them
+        turn, times their levers. With the distances at both ends of a stretch known, that bounds the
+        distance in between; a stretch is halved until the bound shows that it holds no smaller one.
 
-class RunningClearance:
-    """Smallest distance over every step of a motion.
+        Args:
+            joints: rad, (steps, n).
+        """
+        turned = np.zeros_like(joints)
+        np.cumsum(np.abs(np.diff(joints, axis=0)), axis=0, out=turned[1:])
+        data, last = self._scratch, len(joints) - 1
+        self._place(joints[0])
+        bounds = self.lower_bounds(data)
+        self._smallest, self._which = self._search(data, bounds, np.inf)
+        approach = self._approach[self._body_pair] @ turned[-1]
+        pairs = np.flatnonzero(bounds - approach < self._smallest)
+        # Beyond this a pair stays out of question all the way.
+        self._limit = self._smallest + float(approach.max(initial=0)) + SLACK_M
+        first = self._distances(pairs)
+        if last > 0:
+            # Most motions go one way, so that one of the ends is the nearest instant or close to it.
+            self._place(joints[-1])
+            self._between(joints, turned, 0, last, pairs, first, self._distances(pairs))
+        return self._gap(self._smallest, self._which)
 
-    Two bodies cannot come nearer in a step than the joints between them turn, times the levers. A
-    pair whose bound exceeds the smallest distance so far by more than its bodies may have moved since
-    the bound was computed cannot be the minimum.
-    """
+    def _place(self, joints: Floats) -> None:
+        self._scratch.qpos[:] = joints
+        self._mujoco.mj_kinematics(self._cell.model, self._scratch)
 
-    def __init__(self, clearance: Clearance, data: mujoco.MjData) -> None:
-        """Take the first instant."""
-        self._clearance = clearance
-        self._previous = data.qpos.copy()
-        self._body_pair = clearance._body_pair
-        # How far each two bodies may have come nearer, and at how much they must be looked at again.
-        self._approached = np.zeros(len(clearance._approach))
-        self._due = clearance.lower_bounds(data)
-        self._smallest, self._which = clearance._search(data, self._due, np.inf)
-        self._first_due = np.full(len(self._approached), np.inf)
-        np.minimum.at(self._first_due, self._body_pair, self._due)
+    def _distances(self, pairs: np.ndarray) -> Floats:
+        """Distances where the scratch data is, keeping the smallest."""
+        found = np.empty(len(pairs))
+        for k, pair in enumerate(pairs):
+            found[k] = self._exact(self._scratch, pair, self._limit)
+            if found[k] < self._smallest:
+                self._smallest, self._which = float(found[k]), int(pair)
+        return found
 
-    def step(self, data: mujoco.MjData) -> None:
-        """Take in the present instant; geom poses must be up to date."""
-        position = data.qpos
-        self._approached += self._clearance._approach @ np.abs(position - self._previous)
-        self._previous[:] = position
-        slack = self._approached + self._smallest
-        for bodies in (self._first_due < slack).nonzero()[0]:
-            approached = self._approached[bodies]
-            mine = self._clearance.pairs_of(bodies)
-            for pair in mine[self._due[mine] < approached + self._smallest]:
-                limit = self._smallest + LOOKAHEAD_M
-                distance = self._clearance._exact(data, pair, limit)
-                if distance < self._smallest:
-                    self._smallest, self._which = distance, int(pair)
-                self._due[pair] = approached + distance
-            self._first_due[bodies] = self._due[mine].min()
-
-    @property
-    def gap(self) -> Gap:
-        """The smallest distance so far."""
-        return self._clearance._gap(self._smallest, self._which)
+    def _between(
+        self,
+        joints: Floats,
+        turned: Floats,
+        start: int,
+        end: int,
+        pairs: np.ndarray,
+        at_start: Floats,
+        at_end: Floats,
+    ) -> None:
+        if end - start < 2:
+            return
+        approach = self._approach[self._body_pair[pairs]] @ (turned[end] - turned[start])
+        keep = (at_start + at_end - approach) / 2 < self._smallest - SLACK_M
+        if not keep.any():
+            return
+        pairs, at_start, at_end = pairs[keep], at_start[keep], at_end[keep]
+        middle = (start + end) // 2
+        self._place(joints[middle])
+        here = self._distances(pairs)
+        self._between(joints, turned, start, middle, pairs, at_start, here)
+        self._between(joints, turned, middle, end, pairs, here, at_end)

@@ -41,12 +41,13 @@ def render_cell(
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat[:] = (0.0, 0.0, -0.33)
-    camera.distance, camera.azimuth, camera.elevation = 3.1, 62.0, -17.0
+    camera.lookat[:] = (0.0, 0.0, -0.42)
+    camera.distance, camera.azimuth, camera.elevation = 3.2, 125.0, -20.0
     option = mujoco.MjvOption()
     option.geomgroup[:] = (1, 1, 1, 0, 0, 0)
     option.sitegroup[:] = 0
     with mujoco.Renderer(model, height, width) as renderer:
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
         renderer.update_scene(data, camera, option)
         pixels = renderer.render()
     try:

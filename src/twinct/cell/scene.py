@@ -119,8 +119,8 @@ def build_cell(
         arms.append(loaded)
     names = _servos(spec, arms, cell)
     _exclude_adjacent(spec)
-    # Per joint: reference position, velocity, acceleration, and the servo's integral.
-    spec.nuserdata = 4 * len(names)
+    # Per joint: position, velocity and acceleration of the reference that the servos follow.
+    spec.nuserdata = 3 * len(names)
     return _compiled(spec, cell, panel, arms, names)
 
 
@@ -153,13 +153,16 @@ def _rod(
 def _look(spec: mujoco.MjSpec) -> None:
     mujoco = mujoco_module()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 3840, 2400
-    spec.visual.quality.shadowsize = 8192
-    spec.visual.quality.offsamples = 8
-    spec.visual.headlight.ambient = [0.36, 0.36, 0.38]
+    spec.visual.quality.shadowsize = 4096
+    spec.visual.quality.offsamples = 4
+    spec.visual.headlight.ambient = [0.34, 0.34, 0.36]
     spec.visual.headlight.diffuse = [0.30, 0.30, 0.30]
     spec.visual.headlight.specular = [0.08, 0.08, 0.08]
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 60
-    spec.visual.map.fogstart, spec.visual.map.fogend = 30, 60
+    spec.visual.map.shadowclip = 3
+    spec.visual.map.fogstart, spec.visual.map.fogend = 2, 8
+    spec.visual.rgba.fog = [0.93, 0.95, 0.97, 1]
+    spec.visual.rgba.haze = [0.93, 0.95, 0.97, 1]
     spec.stat.center, spec.stat.extent = [0, 0, -0.2], 2.0
     texture = mujoco.mjtTexture
     spec.add_texture(
@@ -171,24 +174,22 @@ def _look(spec: mujoco.MjSpec) -> None:
         width=256,
         height=1536,
     )
-    tiles = spec.add_texture(
+    spec.add_texture(
         name="tiles",
         type=texture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.72, 0.77, 0.79],
-        rgb2=[0.70, 0.75, 0.77],
-        markrgb=[0.60, 0.65, 0.67],
+        rgb1=[0.47, 0.53, 0.56],
+        rgb2=[0.45, 0.51, 0.54],
+        markrgb=[0.38, 0.43, 0.46],
         width=512,
         height=512,
     )
-    del tiles
-    floor = spec.add_material(name="floor", reflectance=0.12, specular=0.2, shininess=0.3)
+    floor = spec.add_material(name="floor", specular=0.1, shininess=0.3)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     floor.texrepeat = [1, 1]
     floor.texuniform = True
     for name, rgba, specular, reflectance in (
-        ("wall", [0.86, 0.89, 0.90, 1], 0.0, 0.0),
         ("steel", [0.70, 0.72, 0.74, 1], 0.6, 0.1),
         ("pedestal", [0.30, 0.33, 0.37, 1], 0.3, 0.0),
         ("tabletop", [0.13, 0.15, 0.18, 1], 0.5, 0.08),
@@ -208,9 +209,7 @@ def _room(spec: mujoco.MjSpec, cell: Cell) -> None:
     mujoco = mujoco_module()
     z = cell.floor_z_mm
     floor = spec.worldbody.add_body(name="floor")
-    _box(floor, "floor", (0, 0, z - 50), (7000, 7000, 100), "floor")
-    hidden = {"contype": 0, "conaffinity": 0, "density": 0}
-    _box(floor, "wall_back", (0, 2600, z + 1500), (7000, 60, 3000), "wall", **hidden)
+    _box(floor, "floor", (0, 0, z - 50), (40_000, 40_000, 100), "floor")
     for pos, direction, diffuse, shadow in (
         ((-0.9, -1.6, 2.2), (0.35, 0.6, -1.0), 0.50, True),
         ((1.8, -1.2, 2.0), (-0.6, 0.5, -1.0), 0.28, False),
@@ -292,7 +291,8 @@ def _table(
     holder = spec.worldbody.add_body(name="holder")
     radius = table.holder_radius_mm
     _rod(holder, "holder_post", (x, y, top), (x, y, bottom_mm), radius, "post")
-    foot = min(15.0, (bottom_mm - top) / 2)
+    foot = min(15.0, (bottom_mm - top) / 3)
+    _rod(holder, "holder_rest", (x, y, bottom_mm - foot), (x, y, bottom_mm), 2 * radius, "post")
     _rod(holder, "holder_foot", (x, y, top), (x, y, top + foot), 2 * radius, "housing")
 
 

@@ -233,39 +233,35 @@ def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
 def _gaps_along(cell: CellModel, joints: Floats) -> list[Gap]:
     """Smallest gap at each view and on the straight joint path to it from the view before."""
     clearance = Clearance(cell)
-    data = mujoco.MjData(cell.model)
-    gaps = []
-    for view, q in enumerate(joints):
-        start = joints[max(view - 1, 0)]
-        gaps.append(path_gap(cell, clearance, data, start, q))
-    return gaps
+    return [
+        clearance.over(straight_path(cell, joints[max(view - 1, 0)], end))
+        for view, end in enumerate(joints)
+    ]
 
 
-def path_gap(
-    cell: CellModel, clearance: Clearance, data: mujoco.MjData, start: Floats, end: Floats
-) -> Gap:
-    """Smallest gap on a straight joint path, its start left out unless it is the end.
+def straight_path(cell: CellModel, start: Floats, end: Floats) -> Floats:
+    """Configurations from ``end`` back towards ``start``, no geom further on than CHECK_MM.
+
+    The start is left out: it is where the arms are, or the end of the path before.
 
     Args:
         cell: the room.
-        clearance: the pairs to judge.
-        data: scratch.
         start: joint positions, rad, (n,).
         end: joint positions, rad, (n,).
+
+    Returns:
+        (steps, n).
     """
-    data.qpos[:] = start
-    mujoco.mj_kinematics(cell.model, data)
-    before = data.geom_xpos.copy()
-    data.qpos[:] = end
-    mujoco.mj_kinematics(cell.model, data)
-    moved_mm = float(np.linalg.norm(data.geom_xpos - before, axis=1).max()) * MM_PER_M
-    watch = clearance.along(data)
-    steps = int(np.ceil(moved_mm / CHECK_MM))
-    for share in np.arange(steps - 1, 0, -1) / max(steps, 1):
-        data.qpos[:] = start + share * (end - start)
+    data = mujoco.MjData(cell.model)
+    places = []
+    for joints in (start, end):
+        data.qpos[:] = joints
         mujoco.mj_kinematics(cell.model, data)
-        watch.step(data)
-    return watch.gap
+        places.append(data.geom_xpos.copy())
+    moved_mm = float(np.linalg.norm(places[1] - places[0], axis=1).max()) * MM_PER_M
+    steps = max(1, int(np.ceil(moved_mm / CHECK_MM)))
+    share = np.arange(steps, 0, -1)[:, None] / steps
+    return start + share * (end - start)
 
 
 def _home(
@@ -276,7 +272,6 @@ def _home(
     Both tools drawn back from the isocentre along the beam, as far as reach and clearance allow.
     """
     clearance = Clearance(cell)
-    data = mujoco.MjData(cell.model)
     outwards = first.source.position - first.detector.position
     outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
     for distance in WITHDRAWN_MM:
@@ -289,7 +284,7 @@ def _home(
             result, largest = kinematics.follow(joints, target)
             if not result.solved.all() or largest.max() > FLIP_RAD:
                 continue
-            gap = path_gap(cell, clearance, data, joints, result.joints)
+            gap = clearance.over(straight_path(cell, joints, result.joints))
             if gap.distance_mm >= motion.clearance_mm:
                 return result.joints
     raise TrajectoryError(

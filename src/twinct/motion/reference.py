@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,15 +10,6 @@ from twinct.cell import CellModel
 from twinct.errors import MissingExtraError, MotionError
 from twinct.geometry import Floats
 from twinct.scenario import Motion
-
-
-@dataclass(frozen=True, eq=False)
-class ReferenceState:
-    """Where the servos should be: rad, rad/s, rad/s^2, each (n,)."""
-
-    position: Floats
-    velocity: Floats
-    acceleration: Floats
 
 
 class Reference:
@@ -43,16 +33,20 @@ class Reference:
         self._acceleration = [float(np.radians(motion.acceleration_deg_s2))] * n
         self._jerk = [float(np.radians(motion.jerk_deg_s3))] * n
 
-    def towards(self, now: ReferenceState, goal: Floats) -> Path:
-        """The path from ``now`` to rest at ``goal``, rad, (n,).
+    def towards(self, now: Floats, goal: Floats) -> Path:
+        """The path to rest at a goal.
+
+        Args:
+            now: position, velocity and acceleration of the reference, rad and s, (3, n).
+            goal: joint positions, rad, (n,).
 
         Raises:
             MotionError: there is none; names Ruckig's verdict.
         """
         ask = self._ruckig.InputParameter(self._n)
-        ask.current_position = now.position.tolist()
-        ask.current_velocity = now.velocity.tolist()
-        ask.current_acceleration = now.acceleration.tolist()
+        ask.current_position = now[0].tolist()
+        ask.current_velocity = now[1].tolist()
+        ask.current_acceleration = now[2].tolist()
         ask.target_position = np.asarray(goal, dtype=np.float64).tolist()
         ask.target_velocity = ask.target_acceleration = [0.0] * self._n
         ask.max_velocity, ask.max_acceleration = self._speed, self._acceleration
@@ -72,7 +66,6 @@ class Path:
         self._trajectory = trajectory
         self.duration = float(trajectory.duration)
 
-    def at(self, time_s: float) -> ReferenceState:
-        """The reference at a time since the start; at rest after the end."""
-        position, velocity, acceleration = self._trajectory.at_time(time_s)
-        return ReferenceState(np.array(position), np.array(velocity), np.array(acceleration))
+    def at(self, time_s: float) -> Floats:
+        """Position, velocity and acceleration at a time since the start, (3, n); at rest after."""
+        return np.array(self._trajectory.at_time(time_s))

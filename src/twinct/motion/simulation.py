@@ -12,8 +12,8 @@ from twinct.cell import CellModel, Clearance, mujoco_module
 from twinct.errors import MotionError, TargetRefusedError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.motion.kinematics import Kinematics, site_pose
-from twinct.motion.plan import FLIP_RAD, path_gap, readable
-from twinct.motion.reference import Reference, ReferenceState
+from twinct.motion.plan import FLIP_RAD, readable, straight_path
+from twinct.motion.reference import Reference
 from twinct.scenario import Motion
 from twinct.views import Reached, Target, to_seven
 
@@ -28,8 +28,8 @@ REFUSED_SHARE = 0.5
 """A target is refused where its path leaves less than this share of the clearance that a plan keeps:
 the rest is room for the solver's tolerance and the servos' lag."""
 
-INTEGRAL_RATE = 8.0
-"""Rate at which the servos' integral takes up what friction leaves, 1/s."""
+BREAKAWAY_RAD_S = 0.002
+"""Speed from which a joint's dry friction is compensated in full."""
 
 SATURATED = 0.999
 """Share of its torque limit from which a joint counts as at the limit."""
@@ -53,9 +53,9 @@ class StepWatch:
 class RobotSimulation:
     """Both arms, stepped by MuJoCo from target to target.
 
-    The state is MuJoCo's alone: the reference position, velocity and acceleration of the servos and
-    their integral are kept in ``mjData.userdata``, so ``mjSTATE_INTEGRATION`` is all there is, and
-    what follows is a function of it and of the targets.
+    The state is MuJoCo's alone: the reference position, velocity and acceleration of the servos are
+    kept in ``mjData.userdata``, so ``mjSTATE_INTEGRATION`` is all there is, and what follows is a
+    function of it and of the targets.
     """
 
     def __init__(self, cell_model: CellModel, motion: Motion, home: Floats) -> None:
@@ -76,11 +76,11 @@ class RobotSimulation:
         self._kinematics = Kinematics(cell_model, motion.ik)
         self._reference = Reference(cell_model, motion)
         self._clearance = Clearance(cell_model)
-        self._scratch = mujoco.MjData(self._model)
         self._n = len(cell_model.joint_names)
         self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
         # The servo's own damping and the joint's friction both pull back a moving joint.
         self._drag = self._model.dof_damping - self._model.actuator_biasprm[: self._n, 2]
+        self._dry_friction = self._model.dof_frictionloss
         self._jacobian = np.zeros((3, self._model.nv))
         self._watch = self._new_watch()
         home = np.asarray(home, dtype=np.float64)
@@ -113,7 +113,7 @@ class RobotSimulation:
 
     def close(self) -> None:
         """Free what MuJoCo holds; a closed simulation cannot be used."""
-        del self._data, self._scratch, self._kinematics
+        del self._data, self._kinematics, self._clearance
 
     def restore(self, state: Floats) -> None:
         """Go back exactly to ``Reached.state``.
@@ -163,7 +163,7 @@ class RobotSimulation:
         if problems:
             raise TargetRefusedError("; ".join(problems))
         least = REFUSED_SHARE * self._motion.clearance_mm
-        gap = path_gap(self._cell, self._clearance, self._scratch, start, result.joints)
+        gap = self._clearance.over(straight_path(self._cell, start, result.joints))
         if gap.distance_mm < least:
             pair = f"{readable(gap.bodies[0])} and {readable(gap.bodies[1])}"
             how = (
@@ -192,50 +192,53 @@ class RobotSimulation:
         """
         model, data, motion, n = self._model, self._data, self._motion, self._n
         memory = data.userdata
-        now = ReferenceState(memory[:n].copy(), memory[n : 2 * n].copy(), memory[2 * n : 3 * n].copy())
-        path = self._reference.towards(now, goal)
-        integral = memory[3 * n : 4 * n]
+        path = self._reference.towards(memory[: 3 * n].reshape(3, n), goal)
         wanted = np.array([target.source_m[:3], target.detector_m[:3]])
         sites = list(self._cell.site_ids)
         tolerance_m = motion.tolerance_mm / MM_PER_M
         settled = motion.trigger == "settled"
         timestep = model.opt.timestep
+        steps = round(motion.timeout_s / timestep)
+        record = np.zeros((steps + 1, 3, n))
         watch = self._watch = self._new_watch()
-        torque, speed = np.zeros(n), np.zeros(n)
         feedforward = np.zeros(model.nv)
         mujoco.mj_step1(model, data)
-        gap = self._clearance.along(data)
-        for step in range(round(motion.timeout_s / timestep) + 1):
-            if step:
-                gap.step(data)
-                np.maximum(torque, np.abs(data.qfrc_actuator), out=torque)
-                np.maximum(speed, np.abs(data.qvel), out=speed)
+        for step in range(steps + 1):
+            row = record[step]
+            row[0], row[1], row[2] = data.qpos, data.qvel, data.qfrc_actuator
             if data.ncon:
                 self._note_contacts(watch)
             if on_step is not None:
                 on_step(data)
             off = data.site_xpos[sites] - wanted
             near = (off * off).sum(axis=1).max() < tolerance_m * tolerance_m
-            # The servo starts one step later than it would; so a move has at least one step.
+            # What a move finds before its first step is the last one's doing.
             if step and near and (not settled or self._at_rest(step * timestep, path.duration)):
-                watch.torque_share = torque / self._cell.torque_limits
-                watch.speed_share = speed / self._cell.speed_limits
-                return self._reached(gap.gap.distance_mm)
-            state = path.at((step + 1) * timestep)
-            mujoco.mj_mulM(model, data, feedforward, state.acceleration)
-            integral += INTEGRAL_RATE * timestep * (state.position - data.qpos)
-            memory[:n], memory[n : 2 * n] = state.position, state.velocity
-            memory[2 * n : 3 * n] = state.acceleration
+                self._judge(watch, record[: step + 1])
+                gap = self._clearance.over(record[: step + 1, 0])
+                return self._reached(gap.distance_mm)
+            position, velocity, acceleration = state = path.at((step + 1) * timestep)
+            mujoco.mj_mulM(model, data, feedforward, acceleration)
+            memory[: 3 * n] = state.ravel()
             data.ctrl[:] = (
-                state.position
-                + integral
-                + (feedforward + self._drag * state.velocity) / self._stiffness
+                position
+                + (
+                    feedforward
+                    + self._drag * velocity
+                    + self._dry_friction * np.tanh(velocity / BREAKAWAY_RAD_S)
+                )
+                / self._stiffness
             )
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
-        watch.torque_share = torque / self._cell.torque_limits
-        watch.speed_share = speed / self._cell.speed_limits
+        self._judge(watch, record)
         raise TargetRefusedError(self._why_not(wanted))
+
+    def _judge(self, watch: StepWatch, record: Floats) -> None:
+        """Largest speeds and torques; those of the first instant belong to the move before."""
+        _, speed, torque = np.abs(record[1:]).max(axis=0, initial=0.0)
+        watch.speed_share = speed / self._cell.speed_limits
+        watch.torque_share = torque / self._cell.torque_limits
 
     def _new_watch(self) -> StepWatch:
         return StepWatch(np.zeros(self._n), np.zeros(self._n), set())

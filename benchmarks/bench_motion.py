@@ -1,0 +1,105 @@
+"""The motion figures of the paper's trajectory in the default cell.
+
+    python benchmarks/bench_motion.py [--views 399] [--trigger on_entry settled] [--save FILE]
+
+Prints, for each trigger, the pose errors (Table 1), clearance, torques, speeds and the real-time
+factor. Processor time is given too: on a busy machine it tells more than the clock.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+
+import numpy as np
+import trimesh
+
+from twinct.cell import build_cell
+from twinct.geometry import Pose
+from twinct.motion import RobotSimulation, plan_motion
+from twinct.scenario import Cell, Detector, Motion, SinusoidTrajectory
+from twinct.trajectory import commanded_views
+from twinct.views import PosePairs, Target
+
+HEAD_SEMI_AXES_MM = (72.0, 90.0, 110.0)
+"""A skull's size with its jaw."""
+
+FINE_IK = {"position_tolerance_mm": 0.01, "rotation_tolerance_deg": 0.01}
+
+
+def paper_targets(views: int) -> list[Target]:
+    panel = Detector().panel
+    geometry = commanded_views(SinusoidTrajectory(kind="sinusoid", views=views), panel)
+    pairs = PosePairs.from_geometry(geometry)
+    return [Target.from_poses(*pairs[view]) for view in range(views)]
+
+
+def measure(views: int, trigger: str) -> dict[str, object]:
+    head = trimesh.creation.icosphere(subdivisions=4)
+    head.apply_scale(HEAD_SEMI_AXES_MM)
+    targets = paper_targets(views)
+    motion = Motion.model_validate(
+        {"trigger": trigger, "ik": FINE_IK if trigger == "settled" else {}}
+    )
+    start = time.perf_counter()
+    cell = build_cell(Cell(), head, Pose.identity(), Detector().panel)
+    built = time.perf_counter()
+    plan = plan_motion(cell, motion, targets)
+    planned = time.perf_counter()
+    simulation = RobotSimulation(cell, motion, plan.home)
+    torque, speed = np.zeros(len(cell.joint_names)), np.zeros(len(cell.joint_names))
+    reached = []
+    clock, processor = time.perf_counter(), time.process_time()
+    for target in targets:
+        reached.append(simulation.move(target))
+        torque = np.maximum(torque, simulation.watch.torque_share)
+        speed = np.maximum(speed, simulation.watch.speed_share)
+    clock, processor = time.perf_counter() - clock, time.process_time() - processor
+    errors = {}
+    for side in ("source", "detector"):
+        pairs = [(getattr(r, side), getattr(t, side)) for r, t in zip(reached, targets, strict=True)]
+        errors[side] = {
+            "position_mm": _spread([a.distance_mm(b) for a, b in pairs]),
+            "rotation_deg": _spread([a.angle_deg(b) for a, b in pairs]),
+        }
+    return {
+        "trigger": trigger,
+        "views": views,
+        "reached": len(reached),
+        "pose_error": errors,
+        "clearance_mm": {
+            "plan": float(plan.clearance_mm.min()),
+            "every_step": min(r.clearance_mm for r in reached),
+        },
+        "largest_joint_step_rad": float(np.abs(np.diff(plan.joints, axis=0)).max()),
+        "largest_share_of_torque_limit": float(torque.max()),
+        "largest_share_of_published_speed": float(speed.max()),
+        "simulated_s": simulation.time_s,
+        "real_time_factor": simulation.time_s / clock,
+        "real_time_factor_by_processor_time": simulation.time_s / processor,
+        "us_per_step": processor / simulation.time_s * cell.model.opt.timestep * 1e6,
+        "seconds": {"build": built - start, "plan": planned - built, "simulate": clock},
+    }
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    array = np.array(values)
+    return {"mean": float(array.mean()), "std": float(array.std()), "max": float(array.max())}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--views", type=int, default=399)
+    parser.add_argument("--trigger", nargs="+", default=["on_entry", "settled"])
+    parser.add_argument("--save", help="write the figures as JSON")
+    args = parser.parse_args()
+    figures = [measure(args.views, trigger) for trigger in args.trigger]
+    print(json.dumps(figures, indent=2))
+    if args.save:
+        with open(args.save, "w", encoding="utf-8") as file:
+            json.dump(figures, file, indent=2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""What stands in the room, and what may touch what."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from twinct.cell import CellModel, Clearance, build_cell, render_cell
+from twinct.errors import ScenarioError
+from twinct.geometry import Pose
+from twinct.scenario import Cell, Detector
+
+ROUNDING_M = 1e-6
+"""GJK's own tolerance, with room."""
+
+
+def body_pairs(cell: CellModel) -> set[frozenset[str]]:
+    return {frozenset(cell.body_of_geom(int(g)) for g in pair) for pair in cell.pairs}
+
+
+def test_tools_weigh_what_the_scenario_says(cell: CellModel) -> None:
+    assert cell.model.body("source").mass[0] == pytest.approx(8.0)
+    assert cell.model.body("detector").mass[0] == pytest.approx(4.0)
+
+
+def test_tool_sites_lie_the_standoff_from_the_flange(head: trimesh.Trimesh) -> None:
+    section = Cell.model_validate(
+        {"source_arm": {"standoff_mm": 180}, "detector_arm": {"standoff_mm": 120}}
+    )
+    model = build_cell(section, head, Pose.identity(), Detector().panel).model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for side, standoff in (("source", 0.180), ("detector", 0.120)):
+        flange, site = model.site(f"{side}_flange").id, model.site(side).id
+        axis = data.site_xmat[flange].reshape(3, 3)[:, 2]
+        np.testing.assert_allclose(
+            data.site_xpos[site] - data.site_xpos[flange], standoff * axis, atol=1e-12
+        )
+
+
+def test_panel_housing_follows_the_panel(cell: CellModel) -> None:
+    np.testing.assert_allclose(cell.model.geom("detector_panel").size * 2, [0.34, 0.26, 0.024])
+
+
+def test_holder_ends_at_the_specimens_lowest_point(head: trimesh.Trimesh) -> None:
+    world_from_specimen = Pose.from_euler((20, -10, 30), (90, 0, 0))
+    cell = build_cell(Cell(), head, world_from_specimen, Detector().panel)
+    data = mujoco.MjData(cell.model)
+    mujoco.mj_kinematics(cell.model, data)
+    post = cell.model.geom("holder_post")
+    top = data.geom_xpos[post.id][2] + post.size[1]
+    lowest = world_from_specimen.apply(head.vertices)[:, 2].min() / 1000
+    assert top == pytest.approx(lowest, abs=1e-9)
+
+
+def test_pairs_are_those_of_bodies_that_are_not_adjacent(cell: CellModel) -> None:
+    pairs = body_pairs(cell)
+    for first, second in (
+        ("detector", "table"),
+        ("detector", "specimen"),
+        ("detector", "source"),
+        ("source", "holder"),
+        ("detector", "floor"),
+        ("detector", "detector_forearm"),
+        ("detector_wrist_1", "detector_wrist_3"),
+        ("source_forearm", "detector_forearm"),
+    ):
+        assert frozenset((first, second)) in pairs
+    for first, second in (
+        ("detector", "detector_wrist_3"),  # bolted together
+        ("detector", "detector_wrist_2"),  # the tool is part of the last link
+        ("source_base", "source_shoulder"),
+        ("source_upper_arm", "source_forearm"),
+        ("table", "floor"),  # neither can move
+        ("table", "specimen"),
+    ):
+        assert frozenset((first, second)) not in pairs
+
+
+def test_bounds_lie_below_and_the_smallest_distance_is_the_smallest(cell: CellModel) -> None:
+    rng = np.random.default_rng(3)
+    data = mujoco.MjData(cell.model)
+    clearance = Clearance(cell)
+    for _ in range(8):
+        data.qpos[:] = rng.uniform(-2, 2, cell.model.nq)
+        mujoco.mj_kinematics(cell.model, data)
+        exact = np.array(
+            [mujoco.mj_geomDistance(cell.model, data, a, b, 10.0, None) for a, b in cell.pairs]
+        )
+        bounds = clearance.lower_bounds(data)
+        assert (bounds <= exact + ROUNDING_M).all()
+        assert bounds.max() > 0.5  # they do tell far from near
+        assert clearance.at(data).distance_mm == pytest.approx(exact.min() * 1000, abs=1e-3)
+
+
+def test_smallest_distance_over_a_motion_is_that_of_every_instant(cell: CellModel) -> None:
+    rng = np.random.default_rng(4)
+    data = mujoco.MjData(cell.model)
+    clearance = Clearance(cell)
+    interior = 0
+    for _ in range(5):
+        time = np.linspace(0, 1, 120)[:, None]
+        start, speed, turn = rng.uniform(-1, 1, (3, cell.model.nq)) * [[2], [0.4], [0.4]]
+        joints = start + speed * time + turn * np.sin(3 * time)
+        each = []
+        for q in joints:
+            data.qpos[:] = q
+            mujoco.mj_kinematics(cell.model, data)
+            each.append(clearance.at(data).distance_mm)
+        interior += 0 < int(np.argmin(each)) < len(each) - 1
+        assert clearance.over(joints).distance_mm == pytest.approx(min(each), abs=2e-3)
+    assert interior  # not only at the ends, where it looks first
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ({"table": {"top_z_mm": -50}}, "table.top_z_mm = -50 mm reaches into the specimen"),
+        ({"table": {"top_z_mm": -1190}}, "lies in the floor"),
+        ({"detector_arm": {"standoff_mm": 30}}, "standoff_mm = 30 mm leaves no room"),
+    ],
+)
+def test_what_cannot_be_built_is_named(
+    head: trimesh.Trimesh, section: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        build_cell(Cell.model_validate(section), head, Pose.identity(), Detector().panel)
+
+
+def test_render_writes_a_picture(cell: CellModel, tmp_path: Path) -> None:
+    from PIL import Image
+
+    path = tmp_path / "cell.png"
+    render_cell(cell, path, np.zeros(12), width=160, height=100)
+    pixels = np.asarray(Image.open(path))
+    assert pixels.shape == (100, 160, 3)
+    assert pixels.std() > 20
