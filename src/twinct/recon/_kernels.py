@@ -5,17 +5,18 @@ crosses fastest, bilinearly within the plane, and held constant over the outer h
 chosen per ray. All kernels take one view as ``View`` numbers (see ``projector``): the source and the
 first pixel in index coordinates (x, y, z), and the steps from pixel to pixel.
 
-Why they are fast: no branch, no bounds check and no wrap-around in an inner loop, so that LLVM
-vectorises them; the two neighbours along x, adjacent in memory, come with one 64-bit load; and tiles of
-rays stay within the L2 cache. No kernel's result depends on the number of threads.
+Why they are fast: places and weights of many samples are worked out first, in a loop without branches
+that LLVM vectorises; eight samples at a time are then read and blended (``_blend``); tiles of rays stay
+within the L2 cache. No kernel's result depends on the number of threads.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from llvmlite import ir
 from numba import njit, prange, types
 from numba.extending import intrinsic
+
+from twinct.recon._blend import LANES, blend, blend_adjacent
 
 TILE_ROWS = 8
 TILE_COLUMNS = 64
@@ -28,74 +29,6 @@ SLABS = 16
 """Slabs of the volume, each owned by one thread, in the adjoint."""
 
 _OPTIONS = {"cache": True, "fastmath": True, "nogil": True, "error_model": "numpy"}
-
-
-def _scopes(builder):
-    """Metadata that tells LLVM: what ``_load`` reads, no ``_store`` writes."""
-    module = builder.module
-    domain = module.add_metadata(["twinct.recon"])
-    return module.add_metadata([module.add_metadata(["gathered", domain])])
-
-
-def _place(context, builder, signature, args):
-    data = context.make_array(signature.args[0])(context, builder, args[0]).data
-    return builder.gep(data, [args[1]])
-
-
-@intrinsic
-def _load(typingctx, array, index):
-    """``array.flat[index]`` of a C-ordered float32 array, unchecked: indices must lie inside."""
-    signature = types.float32(array, types.intp)
-
-    def codegen(context, builder, signature, args):
-        value = builder.load(_place(context, builder, signature, args))
-        value.set_metadata("alias.scope", _scopes(builder))
-        return value
-
-    return signature, codegen
-
-
-@intrinsic
-def _load_pair(typingctx, array, index):
-    """``array.flat[index], array.flat[index + 1]``, by one 64-bit load (little-endian)."""
-    signature = types.UniTuple(types.float32, 2)(array, types.intp)
-
-    def codegen(context, builder, signature, args):
-        i32, i64, f32 = ir.IntType(32), ir.IntType(64), ir.FloatType()
-        place = _place(context, builder, signature, args)
-        both = builder.load(builder.bitcast(place, i64.as_pointer()), align=4)
-        both.set_metadata("alias.scope", _scopes(builder))
-        low = builder.bitcast(builder.trunc(both, i32), f32)
-        high = builder.bitcast(builder.trunc(builder.lshr(both, ir.Constant(i64, 32)), i32), f32)
-        return context.make_tuple(builder, signature.return_type, [low, high])
-
-    return signature, codegen
-
-
-@intrinsic
-def _own(typingctx, array, index):
-    """``array.flat[index]`` of an array that no ``_load`` of the same loop reads."""
-    signature = types.float32(array, types.intp)
-
-    def codegen(context, builder, signature, args):
-        value = builder.load(_place(context, builder, signature, args))
-        value.set_metadata("noalias", _scopes(builder))
-        return value
-
-    return signature, codegen
-
-
-@intrinsic
-def _store(typingctx, array, index, value):
-    """``array.flat[index] = value`` into an array that no ``_load`` of the same loop reads."""
-    signature = types.void(array, types.intp, types.float32)
-
-    def codegen(context, builder, signature, args):
-        store = builder.store(args[2], _place(context, builder, signature, args))
-        store.set_metadata("noalias", _scopes(builder))
-        return context.get_dummy_value()
-
-    return signature, codegen
 
 
 @intrinsic
@@ -190,15 +123,13 @@ def chords(view, shape, out):
 
 
 @njit(**_OPTIONS)
-def _along_x(x, b_middle, b_slope, c_middle, c_slope, first, last):
+def _along_x(x, b_middle, b_slope, c_middle, c_slope, first, last, at, work):
     """Sum of the samples of one ray that crosses x fastest: lanes are neighbours in x."""
     nz, ny, nx = x.shape
     middle = np.float32(0.5 * (nx - 1))
     last_y, last_z = np.float32(ny - 2), np.float32(nz - 2)
+    fs, gs, values = work[0], work[1], work[2]
     total = np.float32(0.0)
-    at = np.empty(CHUNK, np.int32)
-    fs = np.empty(CHUNK, np.float32)
-    gs = np.empty(CHUNK, np.float32)
     for start in range(first, last + 1, CHUNK):
         count = min(CHUNK, last + 1 - start)
         for p in range(count):
@@ -209,19 +140,16 @@ def _along_x(x, b_middle, b_slope, c_middle, c_slope, first, last):
             at[p] = _index(_index(i, np.int32(nx), j), np.int32(ny * nx), k)
             fs[p] = f
             gs[p] = g
+        _pad(at, count)
+        for p in range(0, count, LANES):
+            blend(x, at, fs, gs, p, nx, ny * nx, values)
         for p in range(count):
-            v00 = _load(x, at[p])
-            v01 = _load(x, at[p] + nx)
-            v10 = _load(x, at[p] + ny * nx)
-            v11 = _load(x, at[p] + ny * nx + nx)
-            low = v00 + fs[p] * (v01 - v00)
-            high = v10 + fs[p] * (v11 - v10)
-            total += low + gs[p] * (high - low)
+            total += values[p]
     return total
 
 
 @njit(**_OPTIONS)
-def _across(x, axis, rays, count, first, last, sums):
+def _across(x, axis, rays, count, first, last, sums, at, work):
     """Sums of ``count`` rays that cross ``axis`` (1 or 2) fastest: lanes are neighbouring rays."""
     nz, ny, nx = x.shape
     one, zero = np.float32(1.0), np.float32(0.0)
@@ -232,13 +160,11 @@ def _across(x, axis, rays, count, first, last, sums):
     else:
         middle, last_c = np.float32(0.5 * (nz - 1)), np.float32(ny - 2)
         stride, c_stride = ny * nx, nx
-    at = np.empty(TILE_COLUMNS, np.int32)
-    fs = np.empty(TILE_COLUMNS, np.float32)
-    gs = np.empty(TILE_COLUMNS, np.float32)
-    ws = np.empty(TILE_COLUMNS, np.float32)
+    fs, gs, ws, values = work[0], work[1], work[2], work[3]
     b_middle, b_slope = rays[0], rays[1]
     c_middle, c_slope = rays[2], rays[3]
     firsts, lasts = rays[4], rays[5]
+    _pad(at, count)
     for n in range(first, last + 1):
         plane = np.int32(n * stride)
         here = np.float32(n)
@@ -251,12 +177,17 @@ def _across(x, axis, rays, count, first, last, sums):
             gs[p] = g
             inside = (here >= firsts[p]) & (here <= lasts[p])
             ws[p] = one if inside else zero
+        for p in range(0, count, LANES):
+            blend_adjacent(x, at, fs, gs, p, 1, c_stride, values)
         for p in range(count):
-            v00, v01 = _load_pair(x, at[p])
-            v10, v11 = _load_pair(x, at[p] + c_stride)
-            low = v00 + fs[p] * (v01 - v00)
-            high = v10 + fs[p] * (v11 - v10)
-            sums[p] += ws[p] * (low + gs[p] * (high - low))
+            sums[p] += ws[p] * values[p]
+
+
+@njit(inline="always", **_OPTIONS)
+def _pad(at, count):
+    """Let the unused lanes of the last eight read the first voxel."""
+    for p in range(count, (count + LANES - 1) // LANES * LANES):
+        at[p] = 0
 
 
 @njit(parallel=True, **_OPTIONS)
@@ -269,6 +200,8 @@ def forward(x, view, out):
         sums = np.empty(TILE_COLUMNS, np.float32)
         where = np.empty(TILE_COLUMNS, np.int64)
         steps = np.empty(TILE_COLUMNS, np.float32)
+        at = np.zeros(CHUNK, np.int32)
+        work = np.zeros((4, CHUNK), np.float32)
         for left in range(0, columns, TILE_COLUMNS):
             right = min(left + TILE_COLUMNS, columns)
             for row in range(band * TILE_ROWS, min((band + 1) * TILE_ROWS, rows)):
@@ -290,6 +223,8 @@ def forward(x, view, out):
                                 np.float32(ray[4]),
                                 ray[5],
                                 ray[6],
+                                at,
+                                work,
                             )
                             continue
                         for q in range(6):
@@ -307,7 +242,7 @@ def forward(x, view, out):
                         sums[count] = 0.0
                         count += 1
                     if count > 0:
-                        _across(x, axis, rays, count, first, last, sums)
+                        _across(x, axis, rays, count, first, last, sums, at, work)
                         for p in range(count):
                             out[row, where[p]] = steps[p] * sums[p]
 
@@ -404,13 +339,24 @@ def _shadow(a, e, d, a1, e1, d1, columns, rows, nx):
     return int(np.ceil(lo)), int(np.floor(hi))
 
 
+@njit(inline="always", **_OPTIONS)
+def _missing(missing, first_column, last_column, first_row, last_row):
+    """Number of pixels that do not count in a box of the framed image."""
+    rows, columns = missing.shape[0] - 1, missing.shape[1] - 1
+    left = min(max(int(min(first_column, last_column)) - 1, 0), columns)
+    right = min(max(int(max(first_column, last_column)) + 3, 0), columns)
+    low = min(max(int(min(first_row, last_row)) - 1, 0), rows)
+    high = min(max(int(max(first_row, last_row)) + 3, 0), rows)
+    return missing[high, right] - missing[low, right] - missing[high, left] + missing[low, left]
+
+
 @njit(**_OPTIONS)
-def _update_line(line, first, last, image, width, a, e, d, a1, e1, d1, floor):
-    """line[i] <- max(line[i] + image at the voxel's pixel, floor), bilinear."""
-    one = np.float32(1.0)
-    at = np.empty(CHUNK, np.int32)
-    fs = np.empty(CHUNK, np.float32)
-    gs = np.empty(CHUNK, np.float32)
+def _update_line(
+    line, first, last, image, mask, missing, width, a, e, d, a1, e1, d1, floor, at, work
+):
+    """line[i] <- max(line[i] + mean of the counting pixels around the voxel's, bilinear, floor)."""
+    one, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
+    fs, gs, values, weights = work[0], work[1], work[2], work[3]
     for start in range(first, last + 1, CHUNK):
         count = min(CHUNK, last + 1 - start)
         for p in range(count):
@@ -423,44 +369,23 @@ def _update_line(line, first, last, image, width, a, e, d, a1, e1, d1, floor):
             at[p] = _index(c, np.int32(width), r)
             fs[p] = column - np.float32(c)
             gs[p] = row - np.float32(r)
+        _pad(at, count)
+        for p in range(0, count, LANES):
+            blend_adjacent(image, at, fs, gs, p, 1, width, values)
+        # The line's shadow is straight: the box of its ends holds every pixel it reads.
+        begin, end = at[0], at[count - 1]
+        if _missing(missing, begin % width, end % width, begin // width, end // width) > 0:
+            for p in range(0, count, LANES):
+                blend_adjacent(mask, at, fs, gs, p, 1, width, weights)
+            for p in range(count):
+                change = values[p] / max(weights[p], least)
+                values[p] = change if weights[p] > least else zero
         for p in range(count):
-            v00, v01 = _load_pair(image, at[p])
-            v10, v11 = _load_pair(image, at[p] + width)
-            low = v00 + fs[p] * (v01 - v00)
-            high = v10 + fs[p] * (v11 - v10)
-            line[start + p] = max(line[start + p] + (low + gs[p] * (high - low)), floor)
-
-
-@njit(**_OPTIONS)
-def _update_line_masked(line, first, last, image, mask, width, a, e, d, a1, e1, d1, floor):
-    """As ``_update_line``, over the mean of those pixels whose mask is 1."""
-    one, zero = np.float32(1.0), np.float32(0.0)
-    for i in range(np.int32(first), np.int32(last + 1)):
-        t = np.float32(i)
-        scale = one / (d + t * d1)
-        column = (a + t * a1) * scale + one
-        row = (e + t * e1) * scale + one
-        c = np.int32(column)
-        r = np.int32(row)
-        f = column - np.float32(c)
-        g = row - np.float32(r)
-        at = _index(c, np.int32(width), r)
-        v00, v01 = _load_pair(image, at)
-        v10, v11 = _load_pair(image, at + width)
-        m00, m01 = _load_pair(mask, at)
-        m10, m11 = _load_pair(mask, at + width)
-        low = v00 + f * (v01 - v00)
-        high = v10 + f * (v11 - v10)
-        m_low = m00 + f * (m01 - m00)
-        m_high = m10 + f * (m11 - m10)
-        weight = m_low + g * (m_high - m_low)
-        value = low + g * (high - low)
-        change = value / max(weight, np.float32(1e-3))
-        _store(line, i, max(_own(line, i) + (change if weight > np.float32(1e-3) else zero), floor))
+            line[start + p] = max(line[start + p] + values[p], floor)
 
 
 @njit(parallel=True, **_OPTIONS)
-def spread(x, matrix, image, mask, use_mask, floor):
+def spread(x, matrix, image, mask, missing, floor):
     """Add to each voxel of ``x`` (z, y, x) what ``image`` holds where the voxel projects, bilinear.
 
     Args:
@@ -468,13 +393,15 @@ def spread(x, matrix, image, mask, use_mask, floor):
         matrix: (3, 4) float64: voxel index (i, j, k, 1) to (column, row, 1) times depth, depth > 0.
         image: (rows + 2, columns + 2), the outermost pixels repeated once.
         mask: same shape, 1 where a pixel counts; image is 0 elsewhere.
-        use_mask: divide by the interpolated mask; otherwise every pixel counts.
+        missing: (rows + 3, columns + 3): [r, c] counts the pixels with mask 0 above and left of it.
         floor: voxels in the shadow do not fall below it.
     """
     nz, ny, nx = x.shape
     rows, columns = image.shape[0] - 2, image.shape[1] - 2
     a1, e1, d1 = matrix[0, 0], matrix[1, 0], matrix[2, 0]
     for k in prange(nz):
+        at = np.zeros(CHUNK, np.int32)
+        work = np.zeros((4, CHUNK), np.float32)
         for j in range(ny):
             a = matrix[0, 1] * j + matrix[0, 2] * k + matrix[0, 3]
             e = matrix[1, 1] * j + matrix[1, 2] * k + matrix[1, 3]
@@ -482,41 +409,28 @@ def spread(x, matrix, image, mask, use_mask, floor):
             first, last = _shadow(a, e, d, a1, e1, d1, columns, rows, nx)
             if last < first:
                 continue
-            if use_mask:
-                _update_line_masked(
-                    x[k, j],
-                    first,
-                    last,
-                    image,
-                    mask,
-                    columns + 2,
-                    np.float32(a),
-                    np.float32(e),
-                    np.float32(d),
-                    np.float32(a1),
-                    np.float32(e1),
-                    np.float32(d1),
-                    floor,
-                )
-            else:
-                _update_line(
-                    x[k, j],
-                    first,
-                    last,
-                    image,
-                    columns + 2,
-                    np.float32(a),
-                    np.float32(e),
-                    np.float32(d),
-                    np.float32(a1),
-                    np.float32(e1),
-                    np.float32(d1),
-                    floor,
-                )
+            _update_line(
+                x[k, j],
+                first,
+                last,
+                image,
+                mask,
+                missing,
+                columns + 2,
+                np.float32(a),
+                np.float32(e),
+                np.float32(d),
+                np.float32(a1),
+                np.float32(e1),
+                np.float32(d1),
+                floor,
+                at,
+                work,
+            )
 
 
 @njit(**_OPTIONS)
-def residual(measured, estimate, length, relaxation, shortest, image, mask):
+def residual(measured, estimate, length, relaxation, shortest, image, mask, missing):
     """Relaxation * (measured - estimate) / length of the rays that count, framed by its border.
 
     Args:
@@ -527,14 +441,14 @@ def residual(measured, estimate, length, relaxation, shortest, image, mask):
         shortest: rays with a shorter length do not count, mm.
         image: (rows + 2, columns + 2), overwritten; 0 where a ray does not count.
         mask: same shape, overwritten: 1 where a ray counts, else 0.
-
-    Returns:
-        Whether every ray counts.
+        missing: (rows + 3, columns + 3), overwritten as ``spread`` needs it.
     """
     rows, columns = measured.shape
-    complete = True
+    missing[0] = 0
     for row in range(rows + 2):
         r = min(max(row - 1, 0), rows - 1)
+        so_far = 0
+        missing[row + 1, 0] = 0
         for column in range(columns + 2):
             c = min(max(column - 1, 0), columns - 1)
             if length[r, c] >= shortest:
@@ -543,5 +457,5 @@ def residual(measured, estimate, length, relaxation, shortest, image, mask):
             else:
                 image[row, column] = 0.0
                 mask[row, column] = 0.0
-                complete = False
-    return complete
+                so_far += 1
+            missing[row + 1, column + 1] = missing[row, column + 1] + so_far

@@ -78,15 +78,16 @@ def sart(
     length = np.empty_like(estimate)
     image = np.empty((rows + 2, columns + 2), np.float32)
     mask = np.empty_like(image)
+    missing = np.empty((rows + 3, columns + 3), np.int32)
     for iteration in range(iterations):
         for update, view in enumerate(order):
             _kernels.forward(x, A._rays[view], estimate)
             _kernels.chords(A._rays[view], A.domain_shape, length)
             measured = np.ascontiguousarray(p[view], dtype=np.float32)
-            complete = _kernels.residual(
-                measured, estimate, length, np.float32(relaxation), shortest, image, mask
+            _kernels.residual(
+                measured, estimate, length, np.float32(relaxation), shortest, image, mask, missing
             )
-            _kernels.spread(x, A._pixels[view], image, mask, not complete, floor)
+            _kernels.spread(x, A._pixels[view], image, mask, missing, floor)
             if callback is not None:
                 callback(iteration, update, x)
     return x
