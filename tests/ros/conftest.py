@@ -39,6 +39,13 @@ def scenario() -> Scenario:
 
 
 @pytest.fixture(scope="module")
+def short() -> Scenario:
+    """Four of them along a short way: quick to plan for real arms."""
+    short_way = ["trajectory.longitude_range_deg=20", "trajectory.latitude_amplitude_deg=5"]
+    return load_scenario(SCENARIO, [*TINY, "trajectory.views=4", *short_way])
+
+
+@pytest.fixture(scope="module")
 def targets(scenario: Scenario) -> list[Target]:
     return own_targets(scenario)
 
@@ -124,6 +131,21 @@ class Foreign:
         while not done():
             assert time.monotonic() < deadline, f"nothing within {timeout_s} s"
             self.executor.spin_once(timeout_sec=0.1)
+
+    def ask(
+        self, out: Any, message: Any, done: Callable[[], object], timeout_s: float = 20.0
+    ) -> None:
+        """Publish until there is an answer: nodes that discover each other may miss the first."""
+        last = 0.0
+
+        def asked_and_done() -> object:
+            nonlocal last
+            if time.monotonic() > last + 2.0:
+                last = time.monotonic()
+                out.publish(message)
+            return done()
+
+        self.until(asked_and_done, timeout_s)
 
     def stay(self, seconds: float) -> None:
         deadline = time.monotonic() + seconds

@@ -23,7 +23,7 @@ from twinct.ros.messages import (
 )
 from twinct.ros.node import Ledger, RefusedError
 from twinct.ros.processes import NodeProcess
-from twinct.ros.robots_node import Turns
+from twinct.ros.robots_node import Turns, own_targets
 from twinct.views import Target
 
 pytestmark = pytest.mark.ros
@@ -43,17 +43,17 @@ def elsewhere(target):
 
 
 @pytest.fixture
-def node(tmp_path, scenario, monkeypatch):
+def node(tmp_path, scenario):
     """Starts standalone nodes, as ``twinct node`` does."""
-    file = tmp_path / "scenario.json"
-    file.write_text(scenario.resolved())
     started = []
 
-    def start(command, *arguments):
+    def start(command, which, of=scenario):
+        file = tmp_path / f"{which}.json"
+        file.write_text(of.resolved())
         process = NodeProcess(
-            arguments[0],
-            [*command, *arguments[:1], str(file), *arguments[1:]],
-            tmp_path / f"{arguments[0]}.log",
+            which,
+            [*command, which, str(file)],
+            tmp_path / f"{which}.log",
             environment=os.environ,
             on_end=lambda _: None,
         )
@@ -231,13 +231,14 @@ def test_a_foreign_node_drives_the_standalone_nodes(
     )
     for view, target in enumerate(targets[:4]):
         stamp = Stamp(5, view)
-        out.publish(target_message(stamp, target))
-        somebody.until(lambda n=view: len(images) > n and len(cameras) > n and len(states) > n)
-        for message in (reached[view], images[view], cameras[view]):
+        heard = (reached, images, cameras, states)
+        for messages in heard:
+            messages.clear()
+        somebody.ask(out, target_message(stamp, target), lambda h=heard: all(h))
+        for message in (reached[-1], images[-1], cameras[-1]):
             assert Stamp.of(message.header.stamp) == stamp
     far = Target((fakes.REFUSED_X_M + 1, *targets[0].source_m[1:]), targets[0].detector_m)
-    out.publish(target_message(Stamp(6, 0), far))
-    somebody.until(lambda: errors(diagnostics))
+    somebody.ask(out, target_message(Stamp(6, 0), far), lambda: errors(diagnostics))
     assert errors(diagnostics)[0]["reason"] == "the source arm is too short"
     assert errors(diagnostics)[0]["stamp"] == "6.000000000"
     for process in nodes:
@@ -256,24 +257,24 @@ def test_a_late_x_ray_node_images_the_view_that_was_reached(
     reached = somebody.listen("/scan/reached", PoseArray)
     node(fake_command, "robots")
     somebody.until(lambda: out.get_subscription_count() >= 1)
-    out.publish(target_message(Stamp(5, 0), targets[0]))
-    somebody.until(lambda: reached)
+    somebody.ask(out, target_message(Stamp(5, 0), targets[0]), lambda: reached)
     node(fake_command, "xray")
-    somebody.until(lambda: images)
+    somebody.ask(out, target_message(Stamp(5, 0), targets[0]), lambda: images)
     assert Stamp.of(images[0].header.stamp) == Stamp(5, 0)
     assert notes.count("render") == renders + 1
 
 
-def test_the_command_line_starts_the_real_nodes(targets, foreign, domain, node):
+def test_the_command_line_starts_the_real_nodes(short, foreign, domain, node):
+    targets = own_targets(short)
     somebody = foreign(domain)
     out = somebody.publisher("/scan/target", PoseArray)
     images = somebody.listen("/xray/image", Image)
     reached = somebody.listen("/scan/reached", PoseArray)
     command = (sys.executable, "-m", "twinct", "node")
-    nodes = [node(command, "robots"), node(command, "xray")]
+    nodes = [node(command, "robots", short), node(command, "xray", short)]
     somebody.until(lambda: out.get_subscription_count() >= 1, timeout_s=60)
-    out.publish(target_message(Stamp(5, 0), targets[0]))
-    somebody.until(lambda: reached and images, timeout_s=60)
+    message = target_message(Stamp(5, 0), targets[0])
+    somebody.ask(out, message, lambda: reached and images, timeout_s=60)
     source = executed_of(reached[0]).source_m[:3]
     asked = targets[0].source_m[:3]
     assert sum((a - b) ** 2 for a, b in zip(source, asked, strict=True)) ** 0.5 < 1.1e-3

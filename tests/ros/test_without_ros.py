@@ -1,5 +1,6 @@
 """Where rclpy is not installed, twinct.ros imports, and says what is missing when it is used."""
 
+import os
 import subprocess
 import sys
 
@@ -31,3 +32,25 @@ def test_missing_rclpy_is_named(use):
     assert done.stdout == (
         "rclpy is not installed: it comes with 'pip install twinct[ros]'; or use --link local\n"
     ), done.stderr
+
+
+def test_a_sourced_system_ros_is_left_aside(tmp_path):
+    prefix = tmp_path / "opt" / "ros" / "jazzy"
+    packages = prefix / "lib" / "python3.12" / "site-packages"
+    (packages / "rclpy").mkdir(parents=True)
+    (packages / "rclpy" / "__init__.py").write_text("raise SystemExit('built for another Python')")
+    sourced = {
+        **os.environ,
+        "AMENT_PREFIX_PATH": str(prefix),
+        "PYTHONPATH": os.pathsep.join([str(packages), os.environ.get("PYTHONPATH", "")]),
+    }
+    script = (
+        "import os; from twinct.ros import RosRig; import rclpy; print(rclpy.__name__);"
+        "from twinct.ros.environment import without_system_ros;"
+        "print(any('jazzy' in v for k, v in without_system_ros(os.environ).items()"
+        " if k in ('PYTHONPATH', 'LD_LIBRARY_PATH', 'AMENT_PREFIX_PATH')))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=sourced
+    )
+    assert done.stdout.split() == ["rclpy", "False"], done.stderr

@@ -6,9 +6,11 @@ import fcntl
 import importlib.util
 import os
 import socket
+import sys
+import sysconfig
 import tempfile
 import time
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -29,9 +31,14 @@ _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT = 7400, 250, 10
 def require_ros() -> None:
     """Make sure that the ROS 2 link can be used at all.
 
+    Where ROS comes from wheels, a system's ROS that the shell has sourced is left aside: it is
+    built for another Python.
+
     Raises:
         MissingExtraError: rclpy, or a package of messages, is not installed.
     """
+    outside = _system_ros(os.environ)
+    sys.path[:] = [path for path in sys.path if not path.startswith(outside)]
     for package in _PACKAGES:
         try:
             found = importlib.util.find_spec(package) is not None
@@ -39,6 +46,25 @@ def require_ros() -> None:
             found = False
         if not found:
             raise MissingExtraError(package, "ros", "or use --link local")
+
+
+def without_system_ros(environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment for processes that take ROS from the same wheels as this one."""
+    outside = _system_ros(environment)
+    cleaned = dict(environment)
+    for key in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
+        if outside and key in cleaned:
+            paths = cleaned[key].split(os.pathsep)
+            cleaned[key] = os.pathsep.join(p for p in paths if not p.startswith(outside))
+    return cleaned
+
+
+def _system_ros(environment: Mapping[str, str]) -> tuple[str, ...]:
+    """Prefixes of ROS outside this Python; none where this Python has no ROS of its own."""
+    if not Path(sysconfig.get_paths()["platlib"], "rclpy").is_dir():
+        return ()
+    prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return tuple(prefix for prefix in prefixes if prefix and not prefix.startswith(sys.prefix))
 
 
 def settle(environment: MutableMapping[str, str]) -> None:

@@ -19,7 +19,13 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray
 
 from twinct.errors import LinkError, TargetRefusedError
-from twinct.ros.environment import Domain, require_ros, settle, sweep_shared_memory
+from twinct.ros.environment import (
+    Domain,
+    require_ros,
+    settle,
+    sweep_shared_memory,
+    without_system_ros,
+)
 from twinct.ros.messages import (
     ERROR,
     OK,
@@ -144,7 +150,7 @@ class RosRig:
         if start_state is not None:
             np.save(folder / "start.npy", start_state)
             start += ["--restore", str(folder / "start.npy")]
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain.id)}
+        environment = {**without_system_ros(os.environ), "ROS_DOMAIN_ID": str(domain.id)}
         for name, options in (("robots", start), ("xray", [])):
             process = NodeProcess(
                 name,
