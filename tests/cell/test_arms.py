@@ -73,7 +73,9 @@ def denavit_hartenberg(joints: np.ndarray) -> np.ndarray:
 def test_ur10e_follows_the_published_dh_table() -> None:
     rng = np.random.default_rng(1)
     for joints in rng.uniform(-np.pi, np.pi, (20, 6)):
-        np.testing.assert_allclose(flange("ur10e", joints), denavit_hartenberg(joints), atol=EXACT_M)
+        np.testing.assert_allclose(
+            flange("ur10e", joints), denavit_hartenberg(joints), atol=EXACT_M
+        )
 
 
 def test_iiwa_upright_has_its_published_height() -> None:

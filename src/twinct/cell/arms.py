@@ -77,7 +77,9 @@ def _menagerie_file(name: str, key: str) -> Path:
             import mujoco_menagerie
         except ImportError as error:
             raise MissingExtraError(
-                "mujoco-menagerie", "menagerie", "or set MENAGERIE_ROOT to a copy of MuJoCo Menagerie"
+                "mujoco-menagerie",
+                "menagerie",
+                "or set MENAGERIE_ROOT to a copy of MuJoCo Menagerie",
             ) from error
         try:
             folder = Path(mujoco_menagerie.get(name).path())
@@ -115,7 +117,14 @@ def _normalised(spec: mujoco.MjSpec, arm: Arm, origin: str) -> ArmModel:
     if stated:
         speeds = np.array(list(stated[0].data))
     flange = _flange(spec, model)
-    for group in (spec.actuators, spec.keys, spec.sensors, spec.lights, spec.cameras, spec.numerics):
+    for group in (
+        spec.actuators,
+        spec.keys,
+        spec.sensors,
+        spec.lights,
+        spec.cameras,
+        spec.numerics,
+    ):
         for element in list(group):
             spec.delete(element)
     return ArmModel(spec, names, flange, torques, np.radians(speeds))

@@ -19,7 +19,7 @@ from twinct.geometry import MM_PER_M, Floats
 if TYPE_CHECKING:
     import mujoco
 
-NEAR_M = 0.2
+NEAR_M = 0.08
 """Pairs whose world-aligned boxes are closer get the tighter bound."""
 
 SLACK_M = 1e-6
@@ -125,9 +125,7 @@ class Clearance:
         """
         return self._gap(*self._search(data, self.lower_bounds(data), limit_mm / MM_PER_M))
 
-    def _search(
-        self, data: mujoco.MjData, bounds: Floats, smallest: float
-    ) -> tuple[float, int]:
+    def _search(self, data: mujoco.MjData, bounds: Floats, smallest: float) -> tuple[float, int]:
         which = -1
         # Hardly ever is the smallest distance not among the near pairs: sort those alone first.
         near = np.flatnonzero(bounds < NEAR_M)

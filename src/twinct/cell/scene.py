@@ -481,7 +481,9 @@ def _levers(model: mujoco.MjModel) -> Floats:
     for body in range(model.nbody):
         length, link = size[body], body
         while link != 0:
-            for j in range(model.body_jntadr[link], model.body_jntadr[link] + model.body_jntnum[link]):
+            for j in range(
+                model.body_jntadr[link], model.body_jntadr[link] + model.body_jntnum[link]
+            ):
                 lever[body, j] = length + float(np.linalg.norm(model.jnt_pos[j]))
             length += float(np.linalg.norm(model.body_pos[link]))
             link = int(model.body_parentid[link])

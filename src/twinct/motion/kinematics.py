@@ -27,6 +27,9 @@ FAR_DEG = 4.0
 LEVENBERG = 1e-3
 """Damping in proportion to the squared error: cautious far away, Newton's method near by."""
 
+MM_PER_DEG = 5.0
+"""Weight of an angle against a distance: a degree at an end-effector's size."""
+
 GIVE_UP_AFTER = 12
 """Iterations without progress after which a target counts as not solvable from here."""
 
@@ -99,19 +102,17 @@ class Kinematics:
             )
         ranges = self._cell.model.jnt_range
         self._configuration.update(np.clip(start, ranges[:, 0], ranges[:, 1]))
-        best, stalled, best_left = None, 0, np.inf
+        best, least, stalled = self._measure(), np.full(2, np.inf), 0
         for _ in range(ik.max_iterations):
             result = self._measure()
             if result.solved.all():
                 return result
-            left = float((result.position_mm + 5 * result.rotation_deg).sum())
-            if best is None or left < best_left * 0.99:
-                stalled = 0
-            else:
-                stalled += 1
-            if left < best_left:
-                best, best_left = result, left
-            if stalled >= GIVE_UP_AFTER:
+            # An arm that cannot get there must not spoil what the other one has found.
+            left = result.position_mm + MM_PER_DEG * result.rotation_deg
+            stalled = 0 if (left < 0.99 * least).any() else stalled + 1
+            best = self._better(best, result, left < least)
+            least = np.minimum(least, left)
+            if best.solved.all() or stalled >= GIVE_UP_AFTER:
                 break
             try:
                 velocity = mink.solve_ik(
@@ -125,15 +126,26 @@ class Kinematics:
             except mink.NoSolutionFound:
                 break
             # More than half a radian at once leaves the range in which the linear model holds.
-            largest = float(np.abs(velocity).max())
-            self._configuration.integrate_inplace(velocity * min(1.0, 0.5 / max(largest, 1e-12)), 1.0)
-        final = self._measure()
-        left = float((final.position_mm + 5 * final.rotation_deg).sum())
-        return final if best is None or left < best_left else best
+            step = velocity * min(1.0, 0.5 / max(float(np.abs(velocity).max()), 1e-12))
+            self._configuration.integrate_inplace(step, 1.0)
+        return best
+
+    def _better(self, best: IkResult, other: IkResult, arms: np.ndarray) -> IkResult:
+        """``best`` with those arms taken from ``other``."""
+        joints = best.joints.copy()
+        for take, part in zip(arms, self._cell.arm_joints, strict=True):
+            if take:
+                joints[part] = other.joints[part]
+        return IkResult(
+            joints,
+            np.where(arms, other.position_mm, best.position_mm),
+            np.where(arms, other.rotation_deg, best.rotation_deg),
+            np.where(arms, other.solved, best.solved),
+        )
 
     def _measure(self) -> IkResult:
         errors = np.array([t.compute_error(self._configuration) for t in self._tasks])
-        # The twist's linear part is not the distance where the frames are turned: undo it.
+        # The twist's linear part is the distance only where the frames are not turned.
         position = np.array(
             [
                 np.linalg.norm(

@@ -117,8 +117,7 @@ def _ways(
     cell: CellModel, kinematics: Kinematics, targets: list[Target]
 ) -> tuple[list[_Way], list[_Way]]:
     """Both arms' paths on every branch found, the arms solved together."""
-    middle = len(targets) // 2
-    starts = _starts(cell, kinematics, targets[middle])
+    middle, starts = _start_view(cell, kinematics, targets)
     ways: tuple[list[_Way], list[_Way]] = ([], [])
     for k in range(max(len(found) for found in starts)):
         start = np.hstack([found[min(k, len(found) - 1)] for found in starts])
@@ -129,8 +128,30 @@ def _ways(
     return ways
 
 
-def _starts(cell: CellModel, kinematics: Kinematics, target: Target) -> list[list[Floats]]:
-    """Distinct configurations of each arm at one target; the nearest miss where there is none."""
+def _start_view(
+    cell: CellModel, kinematics: Kinematics, targets: list[Target]
+) -> tuple[int, list[list[Floats]]]:
+    """A view that both arms reach, the middle one where possible, and their ways to reach it."""
+    last = len(targets) - 1
+    found = None
+    for view in dict.fromkeys((len(targets) // 2, 0, last, last // 4, 3 * last // 4)):
+        starts, reached = _starts(cell, kinematics, targets[view])
+        if found is None or reached > found[2]:
+            found = (view, starts, reached)
+        if reached == 2:
+            break
+    assert found is not None
+    return found[:2]
+
+
+def _starts(
+    cell: CellModel, kinematics: Kinematics, target: Target
+) -> tuple[list[list[Floats]], int]:
+    """Distinct configurations of each arm at one target; the nearest miss where there is none.
+
+    Returns:
+        configurations of both arms, and how many arms reach the target.
+    """
     rng = np.random.default_rng(0)
     low = np.maximum(cell.joint_ranges[:, 0], -np.pi)
     high = np.minimum(cell.joint_ranges[:, 1], np.pi)
@@ -145,7 +166,8 @@ def _starts(cell: CellModel, kinematics: Kinematics, target: Target) -> list[lis
             known = any(np.abs(q - other).max() < SAME_RAD for other in found[arm])
             if result.solved[arm] and not known and len(found[arm]) < BRANCHES:
                 found[arm].append(q)
-    return [ways or [nearest[arm][1]] for arm, ways in enumerate(found)]
+    starts = [ways or [nearest[arm][1]] for arm, ways in enumerate(found)]
+    return starts, sum(bool(ways) for ways in found)
 
 
 def _wrapped(joints: Floats, ranges: Floats) -> Floats:
@@ -168,7 +190,12 @@ def _trace(
             if view != middle:
                 for arm, part in enumerate(cell.arm_joints):
                     flips[view, arm] = largest[part].max() > FLIP_RAD
-            q = joints[view] = result.joints
+            joints[view] = result.joints
+            # An arm goes on from where it was last right, not from where it got stuck.
+            q = q.copy()
+            for arm, part in enumerate(cell.arm_joints):
+                if result.solved[arm]:
+                    q[part] = result.joints[part]
             position[view], rotation[view] = result.position_mm, result.rotation_deg
             solved[view] = result.solved
     joints = _centred(joints, cell.joint_ranges)
@@ -233,26 +260,27 @@ def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
 def _gaps_along(cell: CellModel, joints: Floats) -> list[Gap]:
     """Smallest gap at each view and on the straight joint path to it from the view before."""
     clearance = Clearance(cell)
+    scratch = mujoco.MjData(cell.model)
     return [
-        clearance.over(straight_path(cell, joints[max(view - 1, 0)], end))
+        clearance.over(straight_path(cell, scratch, joints[max(view - 1, 0)], end))
         for view, end in enumerate(joints)
     ]
 
 
-def straight_path(cell: CellModel, start: Floats, end: Floats) -> Floats:
+def straight_path(cell: CellModel, data: mujoco.MjData, start: Floats, end: Floats) -> Floats:
     """Configurations from ``end`` back towards ``start``, no geom further on than CHECK_MM.
 
     The start is left out: it is where the arms are, or the end of the path before.
 
     Args:
         cell: the room.
+        data: scratch.
         start: joint positions, rad, (n,).
         end: joint positions, rad, (n,).
 
     Returns:
         (steps, n).
     """
-    data = mujoco.MjData(cell.model)
     places = []
     for joints in (start, end):
         data.qpos[:] = joints
@@ -284,7 +312,9 @@ def _home(
             result, largest = kinematics.follow(joints, target)
             if not result.solved.all() or largest.max() > FLIP_RAD:
                 continue
-            gap = clearance.over(straight_path(cell, joints, result.joints))
+            gap = clearance.over(
+                straight_path(cell, mujoco.MjData(cell.model), joints, result.joints)
+            )
             if gap.distance_mm >= motion.clearance_mm:
                 return result.joints
     raise TrajectoryError(

@@ -76,6 +76,7 @@ class RobotSimulation:
         self._kinematics = Kinematics(cell_model, motion.ik)
         self._reference = Reference(cell_model, motion)
         self._clearance = Clearance(cell_model)
+        self._scratch = mujoco.MjData(self._model)
         self._n = len(cell_model.joint_names)
         self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
         # The servo's own damping and the joint's friction both pull back a moving joint.
@@ -113,7 +114,7 @@ class RobotSimulation:
 
     def close(self) -> None:
         """Free what MuJoCo holds; a closed simulation cannot be used."""
-        del self._data, self._kinematics, self._clearance
+        del self._data, self._scratch, self._kinematics, self._clearance
 
     def restore(self, state: Floats) -> None:
         """Go back exactly to ``Reached.state``.
@@ -163,7 +164,7 @@ class RobotSimulation:
         if problems:
             raise TargetRefusedError("; ".join(problems))
         least = REFUSED_SHARE * self._motion.clearance_mm
-        gap = self._clearance.over(straight_path(self._cell, start, result.joints))
+        gap = self._clearance.over(straight_path(self._cell, self._scratch, start, result.joints))
         if gap.distance_mm < least:
             pair = f"{readable(gap.bodies[0])} and {readable(gap.bodies[1])}"
             how = (

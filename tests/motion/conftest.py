@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import pytest
+import trimesh
+
+from twinct.cell import CellModel, build_cell
+from twinct.geometry import Pose
+from twinct.motion import MotionPlan, plan_motion
+from twinct.scenario import Cell, Detector, Motion, SinusoidTrajectory
+from twinct.trajectory import commanded_views
+from twinct.views import PosePairs, Target
+
+VIEWS = 24
+
+
+@pytest.fixture(scope="session")
+def head() -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.apply_scale((72.0, 90.0, 110.0))
+    return mesh
+
+
+@pytest.fixture(scope="session")
+def cell(head: trimesh.Trimesh) -> CellModel:
+    return build_cell(Cell(), head, Pose.identity(), Detector().panel)
+
+
+@pytest.fixture(scope="session")
+def paper_targets() -> list[Target]:
+    """All 399 views of the paper."""
+    panel = Detector().panel
+    pairs = PosePairs.from_geometry(
+        commanded_views(SinusoidTrajectory(kind="sinusoid", views=399), panel)
+    )
+    return [Target.from_poses(*pairs[view]) for view in range(len(pairs))]
+
+
+@pytest.fixture(scope="session")
+def targets(paper_targets: list[Target]) -> list[Target]:
+    """The first views of the paper: the arms are stretched furthest there."""
+    return paper_targets[:VIEWS]
+
+
+@pytest.fixture(scope="session")
+def plan(cell: CellModel, targets: list[Target]) -> MotionPlan:
+    return plan_motion(cell, Motion(), targets)
