@@ -182,6 +182,7 @@ def test_a_repeated_target_is_answered_from_memory(disturbed, targets, notes):
 def test_the_rig_asks_again_when_an_answer_is_lost(disturbed, targets, notes, monkeypatch):
     view = disturbed.next
     disturbed.next += 1
+    notes.render_takes(0.5)
     disturbed.rig.move(view, targets[view])
     keep, lost = disturbed.rig._view, []
     monkeypatch.setattr(
@@ -191,6 +192,7 @@ def test_the_rig_asks_again_when_an_answer_is_lost(disturbed, targets, notes, mo
     )
     start = time.monotonic()
     disturbed.rig.expose(view)
+    notes.render_takes(0)
     assert lost == [disturbed.rig.epoch.at(view)] and time.monotonic() - start > 1.0
     assert notes.count("move") == notes.count("render") == disturbed.next
 

@@ -160,6 +160,9 @@ def test_a_participant_makes_its_domain_loud(foreign):
 def test_shared_memory_of_the_dead_is_swept_and_of_the_living_kept(tmp_path):
     import fcntl
 
+    for name in ("fastrtps_port7778", "sem.fastrtps_port7778_mutex"):
+        (tmp_path / name).write_text("")
+        os.utime(tmp_path / name, (1, 1))
     for name in ("fastrtps_port7777", "fastrtps_dead", "fastrtps_alive"):
         for path in (tmp_path / name, tmp_path / f"{name}_el"):
             path.write_text("")

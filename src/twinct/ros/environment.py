@@ -206,22 +206,35 @@ def _silent(domain: int) -> bool:
 def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
     """Remove shared memory of DDS participants that were killed.
 
-    A living participant holds a lock on the ``_el`` file beside each of its segments.
+    A living participant holds a lock on the ``_el`` file beside each of its segments, and every
+    port that somebody listens on has such a file.
     """
     for guard in folder.glob("fastrtps_*_el"):
         try:
-            if time.time() - guard.stat().st_mtime < _YOUNG_S:  # made, and perhaps not locked yet
-                continue
             descriptor = os.open(guard, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
         except OSError:
             continue
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            name = guard.name.removesuffix("_el")
-            for leftover in (folder / name, folder / f"sem.{name}_mutex", guard):
-                with suppress(OSError):
-                    leftover.unlink()
-        except OSError:
+            if not _young(guard):
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _remove_segment(folder, guard.name.removesuffix("_el"))
+        except OSError:  # somebody lives there
             pass
         finally:
             os.close(descriptor)
+    for port in folder.glob("fastrtps_port*"):
+        with suppress(OSError):
+            if port.name.rpartition("port")[2].isdigit() and not _young(port):
+                if not port.with_name(f"{port.name}_el").exists():
+                    _remove_segment(folder, port.name)
+
+
+def _young(file: Path) -> bool:
+    """Whether its participant may still be about to lock it."""
+    return time.time() - file.stat().st_mtime < _YOUNG_S
+
+
+def _remove_segment(folder: Path, name: str) -> None:
+    for leftover in (name, f"sem.{name}_mutex", f"{name}_el"):
+        with suppress(OSError):
+            (folder / leftover).unlink()

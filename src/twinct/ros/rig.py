@@ -119,6 +119,7 @@ class RosRig:
         self._teardown = ExitStack()
         with ExitStack() as stack:
             domain = Domain(domain_id)
+            sweep_shared_memory()
             stack.callback(sweep_shared_memory)
             stack.callback(domain.close)
             self.domain_id = domain.id
