@@ -6,6 +6,7 @@ from pathlib import Path
 
 import nibabel
 import numpy as np
+from nibabel.filebasedimages import ImageFileError
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
@@ -41,8 +42,8 @@ def read_volume(path: Path) -> tuple[NDArray[np.float32], str]:
         InputError: no readable NIfTI file.
     """
     try:
-        image = nibabel.load(path)
+        image = nibabel.Nifti1Image.from_filename(path)
         note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")
         return np.asarray(image.dataobj, dtype=np.float32).T, note
-    except (OSError, nibabel.filebasedimages.ImageFileError) as error:
+    except (OSError, ImageFileError) as error:
         raise InputError(f"{path}: not a readable NIfTI volume: {error}") from None

@@ -290,9 +290,9 @@ class Table(Section):
 class Cell(Section):
     """The operating room: two arms, table, floor."""
 
-    source_arm: SourceArm = Field(default_factory=SourceArm)
-    detector_arm: DetectorArm = Field(default_factory=DetectorArm)
-    table: Table = Field(default_factory=Table)
+    source_arm: SourceArm = SourceArm()
+    detector_arm: DetectorArm = DetectorArm()
+    table: Table = Table()
     floor_z_mm: Finite = Field(-1200.0, description="Height of the floor.")
     timestep_ms: float = Field(2.0, gt=0, le=10, description="Step of the dynamic simulation.")
 
@@ -308,7 +308,7 @@ class InverseKinematics(Section):
 class Motion(Section):
     """How the arms get from view to view, and when the image is taken."""
 
-    ik: InverseKinematics = Field(default_factory=InverseKinematics)
+    ik: InverseKinematics = InverseKinematics()
     trigger: Literal["on_entry", "settled"] = Field(
         "on_entry",
         description="on_entry: first step with both end-effectors within the tolerance, still "
@@ -336,8 +336,8 @@ class PositionNoise(Section):
 class Uncertainty(Section):
     """What separates the believed poses from the executed ones."""
 
-    source: PositionNoise = Field(default_factory=PositionNoise)
-    detector: PositionNoise = Field(default_factory=PositionNoise)
+    source: PositionNoise = PositionNoise()
+    detector: PositionNoise = PositionNoise()
 
 
 class Grid(Section):
@@ -382,7 +382,7 @@ class Reconstruction(Section):
         description="Geometry to reconstruct from; several are judged side by side, and the first "
         "one's volume is kept.",
     )
-    grid: Grid = Field(default_factory=Grid)
+    grid: Grid = Grid()
 
     @model_validator(mode="after")
     def _distinct_geometries(self) -> Reconstruction:
@@ -402,14 +402,14 @@ class Scenario(Section):
     name: str = Field("scan", min_length=1)
     description: str = ""
     seed: int = Field(0, ge=0, lt=2**63, description="Every random draw is keyed by it.")
-    source: Source = Field(default_factory=Source)
-    detector: Detector = Field(default_factory=Detector)
+    source: Source = Source()
+    detector: Detector = Detector()
     trajectory: Trajectory
     specimen: Specimen
-    cell: Cell = Field(default_factory=Cell)
-    motion: Motion = Field(default_factory=Motion)
-    uncertainty: Uncertainty = Field(default_factory=Uncertainty)
-    reconstruction: Reconstruction = Field(default_factory=Reconstruction)
+    cell: Cell = Cell()
+    motion: Motion = Motion()
+    uncertainty: Uncertainty = Uncertainty()
+    reconstruction: Reconstruction = Reconstruction()
 
     def resolved(self) -> str:
         """The whole scenario, defaults included, as canonical JSON."""
