@@ -1,0 +1,276 @@
+"""The command line: what it writes, what it says to bad input, and how it goes on after a kill."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import pytest
+import zarr
+
+from twinct.cli import run_command
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+DEMO = str(SCENARIOS / "demo.yaml")
+
+TINY = [
+    "--set", "trajectory.views=10",
+    "--set", "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
+    "--set", "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+    "--set", "reconstruction.grid={voxels: 20, voxel_mm: 8}",
+    "--set", "reconstruction.iterations=2",
+]  # fmt: skip
+
+
+def command(*arguments: str, **keywords) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "twinct", *arguments], capture_output=True, text=True, **keywords
+    )
+
+
+def contents(path: Path) -> dict[str, str]:
+    return {
+        str(file.relative_to(path)): hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in sorted(path.rglob("*"))
+        if file.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("run") / "out"
+    result = command("run", DEMO, "--out", str(out), "--link", "local", *TINY)
+    assert result.returncode == 0, result.stderr
+    assert "Traceback" not in result.stderr
+    return out
+
+
+def test_a_run_keeps_the_contract(finished: Path) -> None:
+    metrics = json.loads((finished / "metrics.json").read_text())
+    assert metrics["views"] == metrics["reached"] == 10
+    for arm in ("source", "detector"):
+        for quantity in ("position_mm", "rotation_deg"):
+            assert set(metrics["pose_error"][arm][quantity]) == {"mean", "std", "max"}
+        assert 0 < metrics["pose_error"][arm]["position_mm"]["max"] < 1.0
+    assert metrics["clearance_mm"]["min"] >= 10
+    assert set(metrics["image"]) == {
+        "rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "mean_bone_rel",
+        "roi_fraction", "roi_bone_fraction",
+    }  # fmt: skip
+    assert set(metrics["seconds"]) >= {"plan", "motion", "xray", "reconstruction", "total"}
+    assert metrics["simulated_seconds"] > 0 and metrics["real_time_factor"] > 0
+    assert nibabel.load(finished / "volume.nii").shape == (20, 20, 20)
+    assert zarr.open_group(str(finished / "scan.zarr"), mode="r")["transmission"].shape == (
+        10, 24, 32,
+    )  # fmt: skip
+    assert (finished / "report.html").read_text().lower().startswith("<!doctype html>")
+    assert not (finished / "checkpoints").exists()
+
+
+def test_a_finished_run_is_neither_touched_nor_done_again(finished: Path) -> None:
+    before = contents(finished)
+    result = command("run", DEMO, "--out", str(finished), "--link", "local", *TINY)
+    assert result.returncode == 2
+    assert "already holds scan.zarr" in result.stderr and "--resume" in result.stderr
+    result = command("run", DEMO, "--out", str(finished), "--link", "local", "--resume", *TINY)
+    assert result.returncode == 0 and "is complete" in result.stdout
+    other = [*TINY, "--set", "seed=9"]
+    result = command("run", DEMO, "--out", str(finished), "--link", "local", "--resume", *other)
+    assert result.returncode == 2 and "another scenario" in result.stderr
+    assert {k: v for k, v in contents(finished).items() if k in before} == before
+
+
+@pytest.mark.parametrize("moment", ["first view", "some views", "reconstruction"])
+def test_resume_after_a_kill_ends_with_the_same_bytes(
+    finished: Path, tmp_path: Path, moment: str
+) -> None:
+    out = tmp_path / "out"
+    arguments = ["run", DEMO, "--out", str(out), "--link", "local", *TINY]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twinct", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    sign = {
+        "first view": out / "scan.zarr" / "executed" / "source" / "c",
+        "some views": out / "scan.zarr" / "status" / "c" / "4",
+        "reconstruction": out / "checkpoints",
+    }[moment]
+    give_up = time.monotonic() + 120
+    while not sign.exists() and process.poll() is None and time.monotonic() < give_up:
+        time.sleep(0.002)
+    process.kill()
+    process.wait()
+    result = command(*arguments, "--resume")
+    assert result.returncode == 0, result.stderr
+    assert contents(out / "scan.zarr") == contents(finished / "scan.zarr")
+    assert (out / "volume.nii").read_bytes() == (finished / "volume.nii").read_bytes()
+
+
+def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    views = [*TINY, "--set", "trajectory.views=300"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twinct", "run", DEMO, "--out", str(out), "--link", "local", *views],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    give_up = time.monotonic() + 120
+    while not (out / "scan.zarr" / "status" / "c" / "3").exists():
+        assert process.poll() is None and time.monotonic() < give_up
+        time.sleep(0.01)
+    process.send_signal(signal.SIGTERM)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "--resume goes on" in stderr and "Traceback" not in stderr
+
+
+def test_report_rewrites_what_a_run_found(finished: Path) -> None:
+    before = json.loads((finished / "metrics.json").read_text())
+    report = (finished / "report.html").read_text()
+    (finished / "report.html").unlink()
+    assert run_command(["report", str(finished)]) == 0
+    after = json.loads((finished / "metrics.json").read_text())
+    assert after["image"] == pytest.approx(before["image"])
+    assert len((finished / "report.html").read_text()) == pytest.approx(len(report), rel=0.05)
+
+
+def test_several_geometries_are_judged_side_by_side(tmp_path: Path) -> None:
+    names = ["believed", "executed", "commanded"]
+    several = [*TINY, "--set", f"reconstruction.geometry=[{', '.join(names)}]"]
+    out = tmp_path / "out"
+    assert run_command(["run", DEMO, "--out", str(out), "--link", "local", *several]) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    figures = metrics["image_by_geometry"]
+    assert list(figures) == names
+    assert figures["believed"] == metrics["image"]
+    assert len({figures[name]["rmse_rel"] for name in names}) == 3
+
+
+def bad(capfd, *arguments: str) -> str:
+    """Messages of a command that must end with exit code 2 and without a traceback."""
+    assert run_command(list(arguments)) == 2
+    stderr = capfd.readouterr().err
+    assert "Traceback" not in stderr
+    return stderr
+
+
+def test_bad_scenarios_get_one_line_a_problem(capfd, tmp_path: Path) -> None:
+    keys = ["--set", "detector.colums=3", "--set", "detector.pixel_pitch_mm=-1"]
+    stderr = bad(capfd, "check", DEMO, *keys, "--set", "trajectory.views=0")
+    assert len(stderr.strip().splitlines()) == 3
+    assert "did you mean 'columns'" in stderr
+    assert "cannot read the scenario" in bad(capfd, "check", str(tmp_path / "none.yaml"))
+    assert "SCENARIO" in bad(capfd, "run", "--out", "x")
+
+
+def test_bad_specimens_are_named(capfd, tmp_path: Path) -> None:
+    import trimesh
+
+    mesh = trimesh.creation.box((10, 10, 10))
+    trimesh.Trimesh(mesh.vertices, mesh.faces[:-1]).export(tmp_path / "open.stl")
+    part = f"specimen.parts=[{{shape: {{kind: mesh, path: {tmp_path}/open.stl}}}}]"
+    out = ["--out", str(tmp_path / "out")]
+    stderr = bad(capfd, "run", DEMO, *out, "--link", "local", "--set", part)
+    assert "open.stl" in stderr and "open" in stderr
+    stderr = bad(capfd, "check", DEMO, "--set", "specimen.parts.0.material=bonee")
+    assert "bonee" in stderr and "bone" in stderr
+    covered = (
+        "specimen.parts=[{shape: {kind: sphere, radius_mm: 5}},"
+        " {shape: {kind: sphere, radius_mm: 9}, material: titanium}]"
+    )
+    assert "empty" in bad(capfd, "check", DEMO, "--set", covered)
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_trajectories_are_named_before_anything_moves(capfd, tmp_path: Path) -> None:
+    out = ["--out", str(tmp_path / "out"), "--link", "local"]
+    far = ["--set", "trajectory={kind: arc, views: 3, sod_mm: 2500, sdd_mm: 5000}"]
+    stderr = bad(capfd, "run", DEMO, *out, *TINY, *far)
+    assert "view" in stderr and "source arm" in stderr and "mm" in stderr
+    low = ["--set", "cell.table.top_z_mm=-120"]
+    stderr = bad(capfd, "run", DEMO, *out, *TINY, *low)
+    assert "table" in stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_ros_without_rclpy_names_extra_and_way_out(capfd, monkeypatch, tmp_path: Path) -> None:
+    import importlib.util
+
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *a: None if name == "rclpy" else found(name, *a)
+    )
+    stderr = bad(capfd, "run", DEMO, "--out", str(tmp_path / "out"), *TINY)
+    assert "twinct[ros]" in stderr and "--link local" in stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_output_that_cannot_be_written_is_named(capfd, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    out = str(tmp_path / "file" / "out")
+    stderr = bad(capfd, "run", DEMO, "--out", out, "--link", "local", *TINY)
+    assert "cannot be written" in stderr
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
+def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
+    """A scan on a disk that another program fills: what is on it stays good and is gone on with."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200m", "tmpfs", str(disk)])
+    if mounted.returncode:
+        pytest.skip("this machine lets no one mount a small disk")
+    try:
+        out = disk / "out"
+        arguments = ["run", DEMO, "--out", str(out), "--link", "local", *TINY]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "twinct", *arguments, "--set", "trajectory.views=200"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        give_up = time.monotonic() + 120
+        while not (out / "scan.zarr" / "status" / "c" / "3").exists():
+            assert process.poll() is None and time.monotonic() < give_up
+            time.sleep(0.01)
+        filler = disk / "filler"
+        with filler.open("wb") as stream:
+            try:
+                while True:
+                    stream.write(b"0" * 2**16)
+                    stream.flush()
+            except OSError:
+                pass
+        _, stderr = process.communicate(timeout=120)
+        assert process.returncode == 2 and "disk is full" in stderr
+        kept = np.array(
+            [(out / "scan.zarr/status/c" / str(view)).exists() for view in range(200)]
+        ).sum()
+        assert kept >= 4
+        filler.unlink()
+        from twinct.scan import ScanStore
+
+        assert ScanStore(out / "scan.zarr").acquired >= kept - 1
+    finally:
+        subprocess.run(["umount", str(disk)], check=False)
+
+
+def test_schema_is_json(capsys) -> None:
+    assert run_command(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "twinct scenario"
+
+
+@pytest.mark.parametrize("name", ["check", "run", "render", "node", "schema", "specimen", "report"])
+def test_every_command_has_a_help_text(name: str, capsys) -> None:
+    assert run_command([name, "--help"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 5
