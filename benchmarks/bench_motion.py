@@ -58,7 +58,9 @@ def measure(views: int, trigger: str) -> dict[str, object]:
     clock, processor = time.perf_counter() - clock, time.process_time() - processor
     errors = {}
     for side in ("source", "detector"):
-        pairs = [(getattr(r, side), getattr(t, side)) for r, t in zip(reached, targets, strict=True)]
+        pairs = [
+            (getattr(r, side), getattr(t, side)) for r, t in zip(reached, targets, strict=True)
+        ]
         errors[side] = {
             "position_mm": _spread([a.distance_mm(b) for a, b in pairs]),
             "rotation_deg": _spread([a.angle_deg(b) for a, b in pairs]),

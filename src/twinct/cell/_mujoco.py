@@ -8,9 +8,8 @@ from types import ModuleType
 
 from twinct.errors import MissingExtraError
 
-
-# MUJOCO_GL is read when MuJoCo is first imported, so it must be set before; a value that the user set
-# stays. EGL shares a process with gVXR's context, GLFW does not.
+# MUJOCO_GL is read when MuJoCo is first imported, so it must be set before; a value that the user
+# set stays. EGL shares a process with gVXR's context, GLFW does not.
 if sys.platform.startswith("linux"):
     os.environ.setdefault("MUJOCO_GL", "egl")
 

@@ -150,9 +150,9 @@ class Clearance:
     def over(self, joints: Floats) -> Gap:
         """The smallest distance over a sequence of joint configurations.
 
-        Two bodies cannot come nearer from one configuration to the next than the joints between them
-        turn, times their levers. With the distances at both ends of a stretch known, that bounds the
-        distance in between; a stretch is halved until the bound shows that it holds no smaller one.
+        Two bodies cannot come nearer from one configuration to the next than the joints between
+        them turn, times their levers. With the distances at both ends of a stretch known, that
+        bounds the distance in between; a stretch is halved until it can hold no smaller one.
 
         Args:
             joints: rad, (steps, n).
@@ -169,7 +169,7 @@ class Clearance:
         self._limit = self._smallest + float(approach.max(initial=0)) + SLACK_M
         first = self._distances(pairs)
         if last > 0:
-            # Most motions go one way, so that one of the ends is the nearest instant or close to it.
+            # Most motions go one way, so that one of the ends is the nearest instant or near it.
             self._place(joints[-1])
             self._between(joints, turned, 0, last, pairs, first, self._distances(pairs))
         return self._gap(self._smallest, self._which)

@@ -52,7 +52,8 @@ class CellModel:
         torque_limits: what the arms may use (published limit times ``torque_scale``), N m, (n,).
         speed_limits: published joint speeds, rad/s, (n,).
         speed_scales: share of them that a move may use, (n,).
-        pairs: geom ids of all pairs of non-adjacent bodies that can move against each other, (p, 2).
+        pairs: geom ids of all pairs of non-adjacent bodies that can move against each other,
+            (p, 2).
         lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n);
             zero where the joint does not move the body.
     """
@@ -410,7 +411,6 @@ def _link_of(body: Any) -> Any:
 def _compiled(
     spec: mujoco.MjSpec, cell: Cell, panel: Panel, arms: list[ArmModel], names: tuple[str, ...]
 ) -> CellModel:
-    mujoco = mujoco_module()
     model = spec.compile()
     if tuple(model.joint(i).name for i in range(model.njnt)) != names:
         raise AssertionError("joints are not in the order source arm, detector arm")

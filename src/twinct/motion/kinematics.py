@@ -155,7 +155,7 @@ class Kinematics:
                 for site, task in zip(self._cell.site_ids, self._tasks, strict=True)
             ]
         )
-        position_mm = position * MM_PER_M
+        position_mm = np.asarray(position * MM_PER_M, dtype=np.float64)
         rotation_deg = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
         solved = (position_mm <= self._ik.position_tolerance_mm) & (
             rotation_deg <= self._ik.rotation_tolerance_deg

@@ -26,7 +26,7 @@ else:
     mujoco = mujoco_module()
 
 RESTARTS = 60
-"""Random starts in the middle view; both arms of all two UR10e have shown their eight ways by 40."""
+"""Random starts in one view; two UR10e have shown all their ways by 40."""
 
 BRANCHES = 16
 """Ways of one arm that are followed at most."""
@@ -300,6 +300,7 @@ def _home(
     Both tools drawn back from the isocentre along the beam, as far as reach and clearance allow.
     """
     clearance = Clearance(cell)
+    scratch = mujoco.MjData(cell.model)
     outwards = first.source.position - first.detector.position
     outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
     for distance in WITHDRAWN_MM:
@@ -312,9 +313,7 @@ def _home(
             result, largest = kinematics.follow(joints, target)
             if not result.solved.all() or largest.max() > FLIP_RAD:
                 continue
-            gap = clearance.over(
-                straight_path(cell, mujoco.MjData(cell.model), joints, result.joints)
-            )
+            gap = clearance.over(straight_path(cell, scratch, joints, result.joints))
             if gap.distance_mm >= motion.clearance_mm:
                 return result.joints
     raise TrajectoryError(

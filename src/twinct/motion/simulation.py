@@ -25,8 +25,10 @@ else:
 SIDES = ("source", "detector")
 
 REFUSED_SHARE = 0.5
-"""A target is refused where its path leaves less than this share of the clearance that a plan keeps:
-the rest is room for the solver's tolerance and the servos' lag."""
+"""A target is refused where its path leaves less than this share of a plan's clearance.
+
+The rest is room for the solver's tolerance and the servos' lag.
+"""
 
 BREAKAWAY_RAD_S = 0.002
 """Speed from which a joint's dry friction is compensated in full."""
@@ -195,7 +197,9 @@ class RobotSimulation:
         memory = data.userdata
         path = self._reference.towards(memory[: 3 * n].reshape(3, n), goal)
         wanted = np.array([target.source_m[:3], target.detector_m[:3]])
-        sites = list(self._cell.site_ids)
+        # Views of MuJoCo's memory: looking them up at every step costs as much as the step.
+        spots = [data.site_xpos[site] for site in self._cell.site_ids]
+        joints, speeds, torques, control = data.qpos, data.qvel, data.qfrc_actuator, data.ctrl
         tolerance_m = motion.tolerance_mm / MM_PER_M
         settled = motion.trigger == "settled"
         timestep = model.opt.timestep
@@ -206,13 +210,13 @@ class RobotSimulation:
         mujoco.mj_step1(model, data)
         for step in range(steps + 1):
             row = record[step]
-            row[0], row[1], row[2] = data.qpos, data.qvel, data.qfrc_actuator
+            row[0], row[1], row[2] = joints, speeds, torques
             if data.ncon:
                 self._note_contacts(watch)
             if on_step is not None:
                 on_step(data)
-            off = data.site_xpos[sites] - wanted
-            near = (off * off).sum(axis=1).max() < tolerance_m * tolerance_m
+            to_source, to_detector = spots[0] - wanted[0], spots[1] - wanted[1]
+            near = max(to_source @ to_source, to_detector @ to_detector) < tolerance_m**2
             # What a move finds before its first step is the last one's doing.
             if step and near and (not settled or self._at_rest(step * timestep, path.duration)):
                 self._judge(watch, record[: step + 1])
@@ -221,7 +225,7 @@ class RobotSimulation:
             position, velocity, acceleration = state = path.at((step + 1) * timestep)
             mujoco.mj_mulM(model, data, feedforward, acceleration)
             memory[: 3 * n] = state.ravel()
-            data.ctrl[:] = (
+            control[:] = (
                 position
                 + (
                     feedforward
@@ -245,7 +249,7 @@ class RobotSimulation:
         return StepWatch(np.zeros(self._n), np.zeros(self._n), set())
 
     def _at_rest(self, elapsed_s: float, duration_s: float) -> bool:
-        """The reference has stopped, both end-effectors stand still, and nothing still creeps in."""
+        """The reference has stopped and both end-effectors stand still."""
         if elapsed_s < duration_s:
             return False
         limit = self._motion.settle_speed_mm_s / MM_PER_M
