@@ -13,6 +13,7 @@ import pytest
 from twinct.errors import InputError, LinkError
 from twinct.ros import RosRig
 from twinct.ros.environment import Domain, sweep_shared_memory
+from twinct.ros.robots_node import own_targets
 
 pytestmark = pytest.mark.ros
 
@@ -77,6 +78,15 @@ def test_a_node_that_dies_ends_the_scan(scan, gone, victim):
     assert code == 1
     assert complaint.startswith(f"LinkError: the {victim} node was ended by SIGKILL")
     assert sorted(path.name for path in running.log_dir.iterdir()) == ["robots.log", "xray.log"]
+
+
+def test_a_node_that_dies_takes_the_other_with_it_while_nobody_asks(scenario, fake_command, gone):
+    with closing(RosRig(scenario, node_command=fake_command)) as rig:
+        robots, xray = (node.pid for node in rig._nodes)
+        os.kill(robots, signal.SIGKILL)
+        assert gone([robots, xray], END_S)
+        with pytest.raises(LinkError, match="robots node was ended by SIGKILL"):
+            rig.move(0, own_targets(scenario)[0])
 
 
 def test_a_killed_parent_takes_its_nodes_with_it_even_at_work(scan, gone, notes):
