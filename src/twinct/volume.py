@@ -7,6 +7,7 @@ from pathlib import Path
 import nibabel
 import numpy as np
 from nibabel.filebasedimages import ImageFileError
+from nibabel.wrapstruct import WrapStructError
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
@@ -45,5 +46,5 @@ def read_volume(path: Path) -> tuple[NDArray[np.float32], str]:
         image = nibabel.Nifti1Image.from_filename(path)
         note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")
         return np.asarray(image.dataobj, dtype=np.float32).T, note
-    except (OSError, ImageFileError) as error:
+    except (OSError, ImageFileError, WrapStructError) as error:
         raise InputError(f"{path}: not a readable NIfTI volume: {error}") from None

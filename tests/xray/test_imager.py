@@ -74,6 +74,37 @@ def test_the_next_imager_finds_nothing_of_the_last_one():
     assert image.min() == pytest.approx(np.exp(-MU * 40), rel=0.01)
 
 
+def test_an_image_does_not_depend_on_what_was_imaged_before():
+    """gVXR switches its artefact filter on with the first view on a panel of another size.
+
+    In a process of its own, where no earlier test has taken that first view.
+    """
+    code = """
+    import numpy as np
+    from twinct.geometry import Pose
+    from twinct.scenario import Detector, SinusoidTrajectory, Source, Specimen
+    from twinct.specimen import build_specimen
+    from twinct.trajectory import commanded_views
+    from twinct.xray import Imager
+
+    ball = {"shape": {"kind": "sphere", "radius_mm": 12}, "position_mm": (20, -30, 40)}
+    specimen = build_specimen(Specimen(parts=(ball,)))
+    path = SinusoidTrajectory(kind="sinusoid", views=8)
+    small = Detector(columns=64, rows=48, pixel_pitch_mm=5.0)
+    other = Detector(columns=80, rows=40, pixel_pitch_mm=4.0)
+    seen = {}
+    for detector in (small, small, other, small, other):
+        views = commanded_views(path, detector.panel)
+        with Imager(Source(), detector, specimen) as imager:
+            images = np.array([imager.render(view, Pose.identity()) for view in views])
+        np.testing.assert_array_equal(images, seen.setdefault(detector.columns, images))
+    """
+    result = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+
+
 def test_an_imager_that_failed_or_was_forgotten_does_not_block_the_next():
     with pytest.raises(SpecimenError):
         Imager(Source(), DETECTOR, specimen())
