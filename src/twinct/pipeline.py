@@ -305,14 +305,12 @@ def judge(scan: Scan, volume: NDArray[np.float32], truth: Truth) -> ImageFigures
     )
 
 
-def require_extras(scenario: Scenario, *, ros: bool) -> None:
+def require_extras(scenario: Scenario) -> None:
     """Refuse before any work what is not installed.
 
     Raises:
         MissingExtraError: naming the extra that brings it.
     """
-    if ros and importlib.util.find_spec("rclpy") is None:
-        raise MissingExtraError("rclpy", "ros", "or use --link local")
     if importlib.util.find_spec("mujoco") is None:
         raise MissingExtraError("mujoco", "robots")
     if importlib.util.find_spec("gvxrPython3") is None:

@@ -41,8 +41,8 @@ def render_cell(
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat[:] = (0.0, 0.0, -0.42)
-    camera.distance, camera.azimuth, camera.elevation = 3.2, 125.0, -20.0
+    camera.lookat[:] = (0.0, 0.0, -0.30)
+    camera.distance, camera.azimuth, camera.elevation = 2.8, 125.0, -16.0
     option = mujoco.MjvOption()
     option.geomgroup[:] = (1, 1, 1, 0, 0, 0)
     option.sitegroup[:] = 0

@@ -41,7 +41,7 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
-    require_extras(loaded, ros=False)
+    require_extras(loaded)
     Console().print(summary(Workshop(loaded)))
 
 
@@ -73,7 +73,7 @@ def render(
     scenario: ScenarioFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("room.png"),
-    view: int = 0,
+    view: int | None = None,
     width: int = 1600,
     height: int = 1000,
     set_: Overrides = (),
@@ -82,7 +82,7 @@ def render(
 
     Args:
         out: File to write.
-        view: Which view the arms shall be at.
+        view: Which view the arms shall be at; the middle one unless given.
         width: Width of the picture in pixels.
         height: Height of the picture in pixels.
     """
@@ -92,11 +92,12 @@ def render(
     from twinct.scan.store import storage_errors
 
     workshop = Workshop(load_scenario(scenario, set_))
+    view = len(workshop.targets) // 2 if view is None else view
     if not 0 <= view < len(workshop.targets):
         raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
     with storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        render_cell(workshop.cell, out, workshop.plan.joints[view], width=width, height=height)
+        render_cell(workshop.room, out, workshop.plan.joints[view], width=width, height=height)
     Console().print(f"wrote {out}", highlight=False)
 
 
@@ -107,8 +108,6 @@ def node(
     ],
     scenario: ScenarioFile,
     *,
-    epoch: str | None = None,
-    restore: Path | None = None,
     set_: Overrides = (),
 ) -> None:
     """Start one simulation as a ROS 2 node of its own, until it is interrupted.
@@ -118,14 +117,12 @@ def node(
 
     Args:
         which: The robot simulation or the X-ray simulation.
-        epoch: Stamp of the scan this node belongs to; other targets are then refused.
-        restore: Simulator state to start from (a .npy file).
     """
     from twinct.ros import spin_robots, spin_xray
 
     loaded = load_scenario(scenario, set_)
     if which == "robots":
-        code = spin_robots(loaded, epoch=epoch, restore=restore)
+        code = spin_robots(loaded)
     else:
         code = spin_xray(loaded)
     if code:

@@ -136,7 +136,11 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     folder, seconds, console = Folder(out), _Seconds(), Console()
     if not resume:
         folder.refuse_if_taken()
-    require_extras(scenario, ros=link == "ros2")
+    require_extras(scenario)
+    if link == "ros2":
+        from twinct.ros import require_ros
+
+        require_ros()
     if resume and folder.finished(scenario):
         console.print(f"{folder.path} is complete; the report is {folder.report}", highlight=False)
         return
@@ -312,12 +316,12 @@ def _simulated_s(scan: Scan, views: int) -> float:
 
 
 def _room(workshop: Workshop) -> bytes:
-    """Picture of the room with the arms at the first view."""
+    """Picture of the room with the arms in the middle of the path."""
     from twinct.cell import render_cell
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "room.png"
-        render_cell(workshop.cell, path, workshop.plan.joints[0])
+        render_cell(workshop.room, path, workshop.plan.joints[len(workshop.targets) // 2])
         return path.read_bytes()
 
 

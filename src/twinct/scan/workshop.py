@@ -16,6 +16,8 @@ from twinct.trajectory import commanded_views
 from twinct.views import PosePairs, Target
 
 if TYPE_CHECKING:
+    from trimesh import Trimesh
+
     from twinct.cell import CellModel
     from twinct.motion import MotionPlan, RobotSimulation
     from twinct.xray import Imager
@@ -50,12 +52,20 @@ class Workshop:
 
     @cached_property
     def cell(self) -> CellModel:
-        """The operating room."""
+        """The operating room, the specimen as its convex hull: what the simulation needs."""
+        return self._cell_with(self.specimen.hull())
+
+    @cached_property
+    def room(self) -> CellModel:
+        """The same room with the specimen as it looks, for pictures."""
+        return self._cell_with(self.specimen.surface())
+
+    def _cell_with(self, mesh: Trimesh) -> CellModel:
         from twinct.cell import build_cell
 
         return build_cell(
             self.scenario.cell,
-            self.specimen.hull(),
+            mesh,
             self.specimen.world_from_specimen,
             self.scenario.detector.panel,
         )

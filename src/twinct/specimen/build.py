@@ -80,6 +80,10 @@ class BuiltSpecimen:
         outermost = np.unique(np.concatenate([(points @ b.T).argmax(axis=0) for b in blocks]))
         return trimesh.convex.convex_hull(points[outermost])
 
+    def surface(self) -> trimesh.Trimesh:
+        """The surfaces of all parts as one mesh in the specimen's frame, mm, for pictures."""
+        return trimesh.util.concatenate([part.mesh for part in self.parts])
+
     def truth(
         self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None
     ) -> NDArray[np.float32]:

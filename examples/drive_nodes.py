@@ -1,0 +1,77 @@
+"""Drive the standalone robot and X-ray nodes view by view, with standard messages only.
+
+In two other terminals:
+
+    twinct node robots scenarios/demo.yaml
+    twinct node xray scenarios/demo.yaml
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Pose, PoseArray
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image
+
+from twinct.scenario import load_scenario
+from twinct.trajectory import commanded_views
+
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+REPEAT_S = 2.0
+
+
+def message_of(pose) -> Pose:
+    """Metres and a quaternion (x, y, z, w)."""
+    message = Pose()
+    position, quat = pose.to_metres()
+    message.position.x, message.position.y, message.position.z = map(float, position)
+    orientation = message.orientation
+    orientation.x, orientation.y, orientation.z, orientation.w = map(float, quat)
+    return message
+
+
+class Driver(Node):
+    """Sends a target, waits for its image, sends the next."""
+
+    def __init__(self) -> None:
+        super().__init__("driver")
+        scenario = load_scenario("scenarios/demo.yaml")
+        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+        self.targets = list(zip(geometry.source_poses(), geometry.detector_poses(), strict=True))[
+            :5
+        ]
+        self.view = 0
+        self.publisher = self.create_publisher(PoseArray, "/scan/target", LATCHED)
+        self.create_subscription(Image, "/xray/image", self.on_image, LATCHED)
+        self.create_timer(REPEAT_S, self.ask)
+        self.ask()
+
+    def ask(self) -> None:
+        message = PoseArray()
+        message.header.frame_id = "world"
+        message.header.stamp.sec = 1000 + self.view
+        message.poses = [message_of(pose) for pose in self.targets[self.view]]
+        self.publisher.publish(message)
+
+    def on_image(self, message: Image) -> None:
+        if message.header.stamp.sec != 1000 + self.view:
+            return
+        print(f"view {self.view}: mean {np.frombuffer(message.data, dtype=np.float32).mean():.4f}")
+        self.view += 1
+        if self.view == len(self.targets):
+            raise SystemExit
+        self.ask()
+
+
+def main() -> None:
+    rclpy.init()
+    try:
+        rclpy.spin(Driver())
+    except (KeyboardInterrupt, SystemExit):
+        pass
+
+
+if __name__ == "__main__":
+    main()
