@@ -136,6 +136,8 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     folder, seconds, console = Folder(out), _Seconds(), Console()
     if not resume:
         folder.refuse_if_taken()
+    elif folder.scan.exists():
+        ScanStore(folder.scan).refuse_other(scenario)
     require_extras(scenario)
     if link == "ros2":
         from twinct.ros import require_ros

@@ -108,15 +108,23 @@ class ScanStore:
             ScanExistsError: it holds the scan of another scenario.
         """
         store = cls(path)
-        if store._group.attrs.get("digest") != scenario.digest():
-            raise ScanExistsError(
-                f"{path} holds the scan of another scenario (digest "
-                f"{str(store._group.attrs.get('digest'))[:12]}, this one has "
-                f"{scenario.digest()[:12]}): choose another --out"
-            )
+        store.refuse_other(scenario)
         with storage_errors(path):
             store._remove_unfinished()
         return store
+
+    def refuse_other(self, scenario: Scenario) -> None:
+        """Make sure that this is the scan of a scenario.
+
+        Raises:
+            ScanExistsError: it is another one's.
+        """
+        own, other = str(self._group.attrs.get("digest")), scenario.digest()
+        if own != other:
+            raise ScanExistsError(
+                f"{self.path} holds the scan of another scenario (digest {own[:12]}, this one has "
+                f"{other[:12]}): choose another --out"
+            )
 
     @property
     def acquired(self) -> int:
