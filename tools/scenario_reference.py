@@ -25,10 +25,10 @@ extends: paper.yaml     # build on another file, relative to this one
 trajectory: {views: 100}
 ```
 
-`extends` merges mappings key by key and replaces everything else; a section of another `kind` starts
-afresh. `--set KEY=VALUE` on the command line overrides a key: `--set specimen.parts.0.material=water`.
-Unknown keys are refused. Lengths are mm, angles degrees, and each key says so in its name. A `path` is
-relative to the file that names it.
+`extends` merges mappings key by key and replaces everything else; a section of another `kind`
+starts afresh. `--set KEY=VALUE` on the command line overrides a key:
+`--set specimen.parts.0.material=water`. Unknown keys are refused. Lengths are mm, angles degrees,
+and each key says so in its name. A `path` is relative to the file that names it.
 """
 
 

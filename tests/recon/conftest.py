@@ -14,7 +14,7 @@ def random_geometry():
             tilted = beam @ Rotation.from_rotvec(rng.uniform(-tilt, tilt, 3)).as_matrix()
             shift = rng.normal(size=3) * 3
             rows.append((sod * beam[:, 2], shift - odd * beam[:, 2], tilted[:, 0], tilted[:, 1]))
-        return ScanGeometry(*(np.array(column) for column in zip(*rows)), panel)
+        return ScanGeometry(*(np.array(column) for column in zip(*rows, strict=True)), panel)
 
     return make
 

@@ -82,7 +82,7 @@ def test_blob_projects_where_the_geometry_says(random_geometry, turned_grid):
     images = Projector(views, turned_grid)(x)
     expected = views.project((turned_grid.affine @ [i, j, k, 1.0])[:3])[:, 0]
     rows, columns = np.indices(images.shape[1:])
-    for image, (column, row) in zip(images, expected):
+    for image, (column, row) in zip(images, expected, strict=True):
         if not (4 < column < 116 and 4 < row < 116):
             continue
         assert abs((image * columns).sum() / image.sum() - column) < 0.25  # of a 0.8 mm pixel

@@ -1,8 +1,7 @@
 """Eight bilinear samples at a time, as explicit vector code.
 
-LLVM turns neither scattered reads in a loop into good vector code nor knows that the two neighbours
-along x lie side by side. Written out, eight samples cost about 45 instructions where the scalar loop
-takes some 130.
+LLVM makes no good vector code of scattered reads in a loop, and does not know that the two
+neighbours along x lie side by side. Written out, a view of the paper's SART takes 0.6 of the time.
 """
 
 from __future__ import annotations
@@ -10,8 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+from numba import njit, types
+from numba.extending import intrinsic as numba_intrinsic
+
+# A call leaves out the typing context that the function takes, so the type checker may not look.
+intrinsic: Any = numba_intrinsic
 
 LANES = 8
 """Samples that one call blends; scratch arrays are padded to a multiple of it."""
@@ -90,7 +92,7 @@ def _emit(adjacent: bool) -> Any:
                     (_read_single(builder, base, indices), _read_single(builder, beside, indices))
                 )
         share = builder.load(_vector_at(builder, fs, first), align=4)
-        low, high = (_mix(builder, *row, share) for row in rows)
+        low, high = (_mix(builder, left, right, share) for left, right in rows)
         share = builder.load(_vector_at(builder, gs, first), align=4)
         builder.store(_mix(builder, low, high, share), _vector_at(builder, out, first), align=4)
         return context.get_dummy_value()
@@ -99,8 +101,9 @@ def _emit(adjacent: bool) -> Any:
 
 
 def _signature(array: Any, at: Any, fs: Any, gs: Any, out: Any) -> Any:
-    index = types.int64
-    return types.void(array, at, fs, gs, index, index, index, out)
+    number = types.int64
+    void: Any = types.void
+    return void(array, at, fs, gs, number, number, number, out)
 
 
 @intrinsic
@@ -117,3 +120,22 @@ def blend(typingctx, array, at, fs, gs, first, near, far, out):
     (share gs[n]), where a = at[n]. All of them must lie inside.
     """
     return _signature(array, at, fs, gs, out), _emit(adjacent=False)
+
+
+@intrinsic
+def index(typingctx, low, stride, high):
+    """``low + stride * high`` in 32 bits, which numba would widen to 64."""
+    signature = types.int32(types.int32, types.int32, types.int32)
+
+    def codegen(context, builder, signature, args):
+        product = builder.mul(args[1], args[2], flags=["nsw"])
+        return builder.add(args[0], product, flags=["nsw"])
+
+    return signature, codegen
+
+
+@njit(inline="always", cache=True, fastmath=True, nogil=True, error_model="numpy")
+def pad(at, count):
+    """Let the unused lanes of the last eight read the first voxel."""
+    for p in range(count, (count + LANES - 1) // LANES * LANES):
+        at[p] = 0

@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError
 from twinct.geometry import ScanGeometry, VolumeGrid
-from twinct.recon import _kernels
+from twinct.recon._adjoint import adjoint
+from twinct.recon._forward import forward
+from twinct.recon._rays import chords
 
 Volume = NDArray[np.float32]
 
@@ -18,8 +20,8 @@ class Projector:
     """The linear operator from a volume to its projections.
 
     ``A(x)`` samples each ray once per plane of voxel centres along the axis it crosses fastest,
-    bilinearly within the plane (Joseph). The grid's outermost voxels are held over their outer half, and
-    outside of the grid there is nothing. Rays run on behind the panel.
+    bilinearly within the plane (Joseph). The grid's outermost voxels are held over their outer
+    half, and outside of the grid there is nothing. Rays run on behind the panel.
 
     Attributes:
         geometry: the views, in the world.
@@ -37,7 +39,7 @@ class Projector:
         """
         if min(grid.shape) < 2:
             raise InputError(
-                f"the grid has {grid.shape} voxels along (z, y, x): at least 2 along each axis needed"
+                f"the grid has {grid.shape} voxels along (z, y, x): at least 2 along each needed"
             )
         if np.prod(grid.shape, dtype=np.int64) >= 2**31:
             raise InputError(
@@ -56,16 +58,16 @@ class Projector:
         """Line integrals (views, rows, columns), mm times the unit of ``x`` (z, y, x)."""
         x = _as_float32(x, self.domain_shape, "the volume")
         y = np.empty(self.range_shape, np.float32)
-        for view, image in zip(self._rays, y):
-            _kernels.forward(x, view, image)
+        for view, image in zip(self._rays, y, strict=True):
+            forward(x, view, image)
         return y
 
     def T(self, y: ArrayLike) -> Volume:  # noqa: N802 - the transpose, by its usual name
         """The exact adjoint: <A(x), y> = <x, A.T(y)>, (z, y, x)."""
         y = _as_float32(y, self.range_shape, "the projections")
         x = np.zeros(self.domain_shape, np.float32)
-        for view, image in zip(self._rays, y):
-            _kernels.adjoint(image, view, x)
+        for view, image in zip(self._rays, y, strict=True):
+            adjoint(image, view, x)
         return x
 
     def __getitem__(self, views: Any) -> Projector:
@@ -88,8 +90,8 @@ class Projector:
     def chords(self) -> Volume:
         """Length of each ray inside the grid, (views, rows, columns), mm; 0 where it misses."""
         lengths = np.empty(self.range_shape, np.float32)
-        for view, image in zip(self._rays, lengths):
-            _kernels.chords(view, self.domain_shape, image)
+        for view, image in zip(self._rays, lengths, strict=True):
+            chords(view, self.domain_shape, image)
         return lengths
 
 
@@ -101,7 +103,7 @@ def _as_float32(values: ArrayLike, shape: tuple[int, ...], name: str) -> Volume:
 
 
 def _index_rays(local: ScanGeometry, grid: VolumeGrid) -> NDArray[np.float64]:
-    """(views, 5, 3): source, pixel (0, 0), steps per column and per row as indices; the voxel edges."""
+    """(views, 5, 3): source, pixel (0, 0), steps per column and row as indices; voxel edges, mm."""
     panel, voxel = local.panel, grid.voxel
     centre = (np.array(grid.shape_xyz) - 1) / 2
     across, up = local.u * panel.pitch_u, local.v * panel.pitch_v

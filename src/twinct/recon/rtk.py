@@ -1,5 +1,8 @@
 """RTK's SART on the CPU, an independent implementation to compare with."""
 
+# itk makes its names when it is imported, so the type checker finds none of them.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -63,7 +66,7 @@ def rtk_sart(
         raise InputError(f"x0 has shape {x.shape}: the grid needs {grid.shape} (z, y, x)")
     local = grid.world_from_grid.inverse() @ geometry
     image_type = itk.Image[itk.F, 3]
-    volume_origin = [float(-(n - 1) / 2 * e) for n, e in zip(grid.shape_xyz, grid.voxel)]
+    volume_origin = -(np.array(grid.shape_xyz) - 1) / 2 * grid.voxel
     for iteration in range(iterations):
         for update, view in enumerate(order):
             numbers = local[view].to_rtk()

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError
-from twinct.recon import _kernels
+from twinct.recon._forward import forward
+from twinct.recon._rays import chords
+from twinct.recon._spread import residual, spread
 from twinct.recon.projector import Projector, Volume
 
 Callback = Callable[[int, int, Volume], None]
@@ -17,9 +19,9 @@ Callback = Callable[[int, int, Volume], None]
 def spread_order(views: int) -> NDArray[np.int64]:
     """The default order of updates: each view far from the ones just used, (views,).
 
-    View i takes the rank of the fractional part of i times the golden ratio, so that consecutive updates
-    lie 0.38 of the path apart. Neighbouring views are nearly the same equations: used one after the
-    other they converge more slowly and leave streaks.
+    View i takes the rank of the fractional part of i times the golden ratio, so that consecutive
+    updates lie 0.38 of the path apart. Neighbouring views are nearly the same equations: used one
+    after the other they converge more slowly and leave streaks.
     """
     ratio = (np.sqrt(5.0) - 1.0) / 2.0
     return np.argsort(np.argsort((np.arange(views) * ratio) % 1.0))
@@ -42,23 +44,23 @@ def sart(
 
         x <- x + relaxation * B_i[(p_i - A_i x) / L_i] / B_i[1]
 
-    L_i is each ray's length inside the grid; rays shorter than the smallest voxel edge inside of it count
-    as missing it and are left out. B_i is not the adjoint of A_i but the voxel-driven back projection:
-    what the image holds where the voxel's centre projects, bilinear between pixel centres, border pixels
-    held over their outer half. It is faster, and its B_i[1] is 1 wherever all rays count. A voxel that
-    projects beside the panel is not updated.
+    L_i is each ray's length inside the grid; rays shorter than the smallest voxel edge inside of it
+    count as missing it and are left out. B_i is not the adjoint of A_i but the voxel-driven back
+    projection: what the image holds where the voxel's centre projects, bilinear between pixel
+    centres, border pixels held over their outer half. It is faster, and its B_i[1] is 1 wherever
+    all rays count. A voxel that projects beside the panel is not updated.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: passes over all views, at least 1.
         relaxation: between 0 and 2, both excluded.
-        x0: start, (z, y, x); zero if not given. n iterations and then m from their result are, to the
-            last bit, n + m iterations.
+        x0: start, (z, y, x); zero if not given. n iterations and then m from their result are, to
+            the last bit, n + m iterations.
         nonnegative: clip at zero after every update (and ``x0`` before the first).
         order: permutation of the views; ``spread_order`` if not given.
-        callback: called as ``callback(iteration, update, x)`` after each update, both counted from 0.
-            ``x`` is the volume being worked on, not a copy.
+        callback: called as ``callback(iteration, update, x)`` after each update, both counted from
+            0. ``x`` is the volume being worked on, not a copy.
 
     Returns:
         The volume (z, y, x), float32.
@@ -81,13 +83,13 @@ def sart(
     missing = np.empty((rows + 3, columns + 3), np.int32)
     for iteration in range(iterations):
         for update, view in enumerate(order):
-            _kernels.forward(x, A._rays[view], estimate)
-            _kernels.chords(A._rays[view], A.domain_shape, length)
+            forward(x, A._rays[view], estimate)
+            chords(A._rays[view], A.domain_shape, length)
             measured = np.ascontiguousarray(p[view], dtype=np.float32)
-            _kernels.residual(
+            residual(
                 measured, estimate, length, np.float32(relaxation), shortest, image, mask, missing
             )
-            _kernels.spread(x, A._pixels[view], image, mask, missing, floor)
+            spread(x, A._pixels[view], image, mask, missing, floor)
             if callback is not None:
                 callback(iteration, update, x)
     return x

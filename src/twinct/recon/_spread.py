@@ -1,0 +1,156 @@
+"""Kernels of SART's update: the weighted residual, and its voxel-driven back projection."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from twinct.recon._blend import LANES, blend_adjacent, index, pad
+from twinct.recon._rays import CHUNK, OPTIONS
+
+
+@njit(**OPTIONS)
+def residual(measured, estimate, length, relaxation, shortest, image, mask, missing):
+    """Relaxation * (measured - estimate) / length of the rays that count, framed by its border.
+
+    Args:
+        measured: p_i, (rows, columns).
+        estimate: A_i x, (rows, columns).
+        length: L_i, (rows, columns), mm.
+        relaxation: factor.
+        shortest: rays with a shorter length do not count, mm.
+        image: (rows + 2, columns + 2), overwritten; 0 where a ray does not count.
+        mask: same shape, overwritten: 1 where a ray counts, else 0.
+        missing: (rows + 3, columns + 3), overwritten as ``spread`` needs it.
+    """
+    rows, columns = measured.shape
+    missing[0] = 0
+    for row in range(rows + 2):
+        r = min(max(row - 1, 0), rows - 1)
+        so_far = 0
+        missing[row + 1, 0] = 0
+        for column in range(columns + 2):
+            c = min(max(column - 1, 0), columns - 1)
+            if length[r, c] >= shortest:
+                image[row, column] = relaxation * (measured[r, c] - estimate[r, c]) / length[r, c]
+                mask[row, column] = 1.0
+            else:
+                image[row, column] = 0.0
+                mask[row, column] = 0.0
+                so_far += 1
+            missing[row + 1, column + 1] = missing[row, column + 1] + so_far
+
+
+@njit(inline="always", **OPTIONS)
+def _span(lo, hi, at_start, slope):
+    """Part of lo <= i <= hi where at_start + i slope >= 0 (float64)."""
+    if slope > 0.0:
+        lo = max(lo, -at_start / slope)
+    elif slope < 0.0:
+        hi = min(hi, -at_start / slope)
+    elif at_start < 0.0:
+        hi = lo - 1.0
+    return lo, hi
+
+
+@njit(inline="always", **OPTIONS)
+def _shadow(a, e, d, a1, e1, d1, columns, rows, nx):
+    """Range of i in which a line of voxels along x projects onto the panel."""
+    lo, hi = 0.0, nx - 1.0
+    lo, hi = _span(lo, hi, a + 0.5 * d, a1 + 0.5 * d1)
+    lo, hi = _span(lo, hi, (columns - 0.5) * d - a, (columns - 0.5) * d1 - a1)
+    lo, hi = _span(lo, hi, e + 0.5 * d, e1 + 0.5 * d1)
+    lo, hi = _span(lo, hi, (rows - 0.5) * d - e, (rows - 0.5) * d1 - e1)
+    if hi < lo:
+        return 0, -1
+    return int(np.ceil(lo)), int(np.floor(hi))
+
+
+@njit(inline="always", **OPTIONS)
+def _missing(missing, first_column, last_column, first_row, last_row):
+    """Number of pixels that do not count in a box of the framed image."""
+    rows, columns = missing.shape[0] - 1, missing.shape[1] - 1
+    left = min(max(int(min(first_column, last_column)) - 1, 0), columns)
+    right = min(max(int(max(first_column, last_column)) + 3, 0), columns)
+    low = min(max(int(min(first_row, last_row)) - 1, 0), rows)
+    high = min(max(int(max(first_row, last_row)) + 3, 0), rows)
+    return missing[high, right] - missing[low, right] - missing[high, left] + missing[low, left]
+
+
+@njit(**OPTIONS)
+def _update_line(
+    line, first, last, image, mask, missing, width, a, e, d, a1, e1, d1, floor, at, work
+):
+    """line[i] <- max(line[i] + mean of the counting pixels around the voxel's, bilinear, floor)."""
+    one, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
+    fs, gs, values, weights = work[0], work[1], work[2], work[3]
+    for start in range(first, last + 1, CHUNK):
+        count = min(CHUNK, last + 1 - start)
+        for p in range(count):
+            t = np.float32(np.int32(start + p))
+            scale = one / (d + t * d1)
+            column = (a + t * a1) * scale + one
+            row = (e + t * e1) * scale + one
+            c = np.int32(column)
+            r = np.int32(row)
+            at[p] = index(c, np.int32(width), r)
+            fs[p] = column - np.float32(c)
+            gs[p] = row - np.float32(r)
+        pad(at, count)
+        for p in range(0, count, LANES):
+            blend_adjacent(image, at, fs, gs, p, 1, width, values)
+        # The line's shadow is straight: the box of its ends holds every pixel it reads.
+        begin, end = at[0], at[count - 1]
+        if _missing(missing, begin % width, end % width, begin // width, end // width) > 0:
+            for p in range(0, count, LANES):
+                blend_adjacent(mask, at, fs, gs, p, 1, width, weights)
+            for p in range(count):
+                change = values[p] / max(weights[p], least)
+                values[p] = change if weights[p] > least else zero
+        for p in range(count):
+            line[start + p] = max(line[start + p] + values[p], floor)
+
+
+@njit(parallel=True, **OPTIONS)
+def spread(x, matrix, image, mask, missing, floor):
+    """Add to each voxel of ``x`` (z, y, x) what ``image`` holds where the voxel projects, bilinear.
+
+    Args:
+        x: volume (z, y, x), changed in place.
+        matrix: (3, 4) float64: voxel index (i, j, k, 1) to (column, row, 1) times depth, depth > 0.
+        image: (rows + 2, columns + 2), the outermost pixels repeated once.
+        mask: same shape, 1 where a pixel counts; image is 0 elsewhere.
+        missing: (rows + 3, columns + 3): [r, c] counts the pixels with mask 0 above and left of it.
+        floor: voxels in the shadow do not fall below it.
+    """
+    nz, ny, nx = x.shape
+    rows, columns = image.shape[0] - 2, image.shape[1] - 2
+    a1, e1, d1 = matrix[0, 0], matrix[1, 0], matrix[2, 0]
+    for k in prange(nz):
+        at = np.zeros(CHUNK, np.int32)
+        work = np.zeros((4, CHUNK), np.float32)
+        for j in range(ny):
+            a = matrix[0, 1] * j + matrix[0, 2] * k + matrix[0, 3]
+            e = matrix[1, 1] * j + matrix[1, 2] * k + matrix[1, 3]
+            d = matrix[2, 1] * j + matrix[2, 2] * k + matrix[2, 3]
+            first, last = _shadow(a, e, d, a1, e1, d1, columns, rows, nx)
+            if last < first:
+                continue
+            _update_line(
+                x[k, j],
+                first,
+                last,
+                image,
+                mask,
+                missing,
+                columns + 2,
+                np.float32(a),
+                np.float32(e),
+                np.float32(d),
+                np.float32(a1),
+                np.float32(e1),
+                np.float32(d1),
+                floor,
+                at,
+                work,
+            )
