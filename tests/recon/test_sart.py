@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -93,7 +95,7 @@ def test_residual_falls_and_blobs_come_back_in_place(random_geometry, turned_gri
             seen.append(np.linalg.norm(A(x) - p))
 
     x = sart(A, p, iterations=6, relaxation=0.5, nonnegative=True, callback=watch)
-    assert all(later < earlier for earlier, later in zip(seen, seen[1:], strict=True))
+    assert all(later < earlier for earlier, later in pairwise(seen))
     assert x.min() >= 0
     assert np.corrcoef(x.ravel(), truth.ravel())[0, 1] > 0.95
 
