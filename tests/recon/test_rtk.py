@@ -11,9 +11,9 @@ from twinct.recon import Projector, rtk_sart, sart
 from twinct.recon.sart import spread_order
 
 AGREEMENT = 0.005
-"""RMS difference relative to the ball's value, near the ball; measured 0.0029. RTK's first step
-from zero is about 1 % larger than ours. Red beyond it: views in reverse order 0.0065, relaxation 10 %
-higher 0.0070, a shift by half a pixel 0.032, mirrored columns 0.31."""
+"""RMS difference relative to the ball's value, near the ball; measured 0.0029. Red beyond it: views
+in reverse order 0.0065, relaxation 10 % higher 0.0070, images shifted by half a pixel 0.032,
+mirrored columns 0.31."""
 
 CENTRE, RADIUS = np.array([4.0, -3.0, 2.0]), 12.0
 
