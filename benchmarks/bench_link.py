@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from bench_xray import bare_loop
 
-from twinct.scan import LocalRig, Rig, ScanStore, View, Workshop, acquire
+from twinct.scan import LocalRig, Rig, ScanStore, Stopwatch, View, Workshop, acquire
 from twinct.scenario import load_scenario
 from twinct.views import Reached
 
@@ -60,7 +60,8 @@ def scan(workshop: Workshop, views: int, rig: Rig) -> tuple[list[float], dict[st
             ends.append(time.perf_counter())
 
         start = time.perf_counter()
-        watch = acquire(rig, workshop.scenario, workshop.targets[:views], keep)
+        watch = Stopwatch()
+        acquire(rig, workshop.scenario, workshop.targets[:views], keep, watch=watch)
     shares = {"move": watch.motion_s / views, "expose": watch.xray_s / views}
     return np.diff([start, *ends]).tolist(), shares
 

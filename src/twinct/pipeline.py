@@ -98,8 +98,9 @@ def acquire_to_store(
     make_rig: Callable[[int, NDArray[np.float64] | None], Rig],
     *,
     resume: bool,
+    watch: Stopwatch | None = None,
     progress: Progress = SILENT,
-) -> tuple[ScanStore, Stopwatch]:
+) -> ScanStore:
     """Take the views that the store lacks; each is on disk before the next is requested.
 
     Args:
@@ -107,6 +108,7 @@ def acquire_to_store(
         path: the store.
         make_rig: gives a rig for the first view to take and the simulator state before it.
         resume: go on with a store that is there.
+        watch: counts the seconds of this call.
         progress: told of each view.
 
     Raises:
@@ -116,7 +118,7 @@ def acquire_to_store(
     store = ScanStore.resume(path, scenario) if resume and path.exists() else None
     first = store.acquired if store else 0
     if store and first == len(targets):
-        return store, Stopwatch()
+        return store
     state = store.state(first - 1) if store and first else None
     with (
         progress.stage("views", len(targets), first) as step,
@@ -138,9 +140,9 @@ def acquire_to_store(
             )
             step()
 
-        watch = acquire(rig, scenario, targets, keep, first=first)
+        acquire(rig, scenario, targets, keep, first=first, watch=watch)
     assert store is not None
-    return store, watch
+    return store
 
 
 def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:

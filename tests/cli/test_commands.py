@@ -73,6 +73,7 @@ def test_a_run_keeps_the_contract(finished: Path) -> None:
     )  # fmt: skip
     assert (finished / "report.html").read_text().lower().startswith("<!doctype html>")
     assert not (finished / "checkpoints").exists()
+    assert not (finished / "seconds.json").exists()
 
 
 def test_a_finished_run_is_neither_touched_nor_done_again(finished: Path) -> None:
@@ -132,6 +133,7 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     _, stderr = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "--resume goes on" in stderr and "Traceback" not in stderr
+    assert json.loads((out / "seconds.json").read_text())["motion"] > 0
 
 
 def test_report_rewrites_what_a_run_found(finished: Path) -> None:

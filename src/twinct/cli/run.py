@@ -35,7 +35,15 @@ from twinct.pipeline import (
     truth_of,
 )
 from twinct.report import ReportData, build_metrics, cross_sections, write_report
-from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, storage_errors
+from twinct.scan import (
+    Rig,
+    Scan,
+    ScanStore,
+    Stopwatch,
+    Workshop,
+    check_space,
+    storage_errors,
+)
 from twinct.scenario import Scenario, load_scenario
 from twinct.volume import read_volume, write_volume
 
@@ -48,19 +56,45 @@ _SHOWN_VIEWS = 4
 
 @dataclass
 class _Seconds:
-    """Wall-clock seconds of each stage of this run."""
+    """Wall-clock seconds of each stage, also of runs that were interrupted before."""
 
+    path: Path
     start: float = field(default_factory=time.perf_counter)
     stages: dict[str, float] = field(default_factory=dict)
+    before: dict[str, float] = field(default_factory=dict)
 
     @contextlib.contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: str, keep: bool = False) -> Iterator[None]:
         start = time.perf_counter()
-        yield
-        self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
+        try:
+            yield
+        finally:
+            self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
+            if keep:
+                self.keep()
+
+    @contextlib.contextmanager
+    def views(self) -> Iterator[Stopwatch]:
+        """A stopwatch for the views; its seconds are kept, however the block ends."""
+        watch = Stopwatch()
+        try:
+            yield watch
+        finally:
+            self.stages |= {"motion": watch.motion_s, "xray": watch.xray_s}
+            self.stages["simulated"] = watch.simulated_s
+            self.keep()
+
+    def go_on(self) -> None:
+        """Count from where an interrupted run of before stood."""
+        with contextlib.suppress(OSError, ValueError):
+            self.before = json.loads(self.path.read_text(encoding="utf-8"))
+
+    def keep(self) -> None:
+        write_text(self.path, json.dumps(self.finished()))
 
     def finished(self) -> dict[str, float]:
-        return self.stages | {"total": time.perf_counter() - self.start}
+        now = self.stages | {"total": time.perf_counter() - self.start}
+        return {name: now.get(name, 0.0) + self.before.get(name, 0.0) for name in now | self.before}
 
 
 @dataclass(frozen=True)
@@ -100,6 +134,11 @@ class Folder:
         return self.path / "scenario.yaml"
 
     @property
+    def seconds(self) -> Path:
+        """Seconds of a run that is under way."""
+        return self.path / "seconds.json"
+
+    @property
     def logs(self) -> Path:
         """What the nodes of the ROS 2 link said."""
         return self.path / "log"
@@ -133,7 +172,8 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     Raises:
         InputError: whatever can be known before work starts; nothing has been written then.
     """
-    folder, seconds, console = Folder(out), _Seconds(), Console()
+    folder, console = Folder(out), Console()
+    seconds = _Seconds(folder.seconds)
     if not resume:
         folder.refuse_if_taken()
     elif folder.scan.exists():
@@ -158,20 +198,23 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
         log.info(
             "twinct run %s, %s link, scenario digest %s", scenario.name, link, scenario.digest()
         )
-        store, watch = acquire_to_store(
-            workshop,
-            folder.scan,
-            partial(_rig, workshop, link, folder, console),
-            resume=resume,
-            progress=progress,
-        )
-        seconds.stages |= {"motion": watch.motion_s, "xray": watch.xray_s}
+        if resume:
+            seconds.go_on()
+        with seconds.views() as watch:
+            store = acquire_to_store(
+                workshop,
+                folder.scan,
+                partial(_rig, workshop, link, folder, console),
+                resume=resume,
+                watch=watch,
+                progress=progress,
+            )
         scan = store.read()
         truth = truth_of(scan, workshop, progress)
         figures: dict[str, ImageFigures] = {}
         kept: NDArray[np.float32] | None = None
         for which in scenario.reconstruction.geometries:
-            with seconds.stage("reconstruction"):
+            with seconds.stage("reconstruction", keep=True):
                 volume = reconstruct(
                     scan, geometry=which, checkpoints=folder.checkpoints, progress=progress
                 )
@@ -185,9 +228,12 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
                 step()
             del volume
         assert kept is not None
-        factor = _simulated_s(scan, watch.views) / watch.motion_s if watch.views else float("nan")
-        _report(folder, scan, workshop, kept, truth, figures, seconds.finished(), factor)
+        stages = seconds.finished()
+        simulated = stages.pop("simulated")
+        factor = simulated / stages["motion"] if stages["motion"] else float("nan")
+        _report(folder, scan, workshop, kept, truth, figures, stages, factor)
         shutil.rmtree(folder.checkpoints, ignore_errors=True)
+        folder.seconds.unlink(missing_ok=True)
     _say_result(console, folder)
 
 
@@ -271,7 +317,7 @@ def _report(
     truth: Truth,
     figures: dict[str, ImageFigures],
     seconds: dict[str, float],
-    real_time_factor: float,
+    real_time_factor: float | None,
 ) -> None:
     """Write metrics.json and report.html, each complete or not at all."""
     scenario = scan.scenario
@@ -309,12 +355,6 @@ def _report(
 
 def _as_yaml(scenario: Scenario) -> str:
     return yaml.safe_dump(scenario_as_data(scenario), sort_keys=False)
-
-
-def _simulated_s(scan: Scan, views: int) -> float:
-    """Simulated seconds of the last ``views`` views."""
-    before = scan.simulated_s[-views - 1] if views < len(scan) else 0.0
-    return float(scan.simulated_s[-1] - before)
 
 
 def _room(workshop: Workshop) -> bytes:

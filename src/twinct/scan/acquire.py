@@ -15,11 +15,17 @@ from twinct.views import Reached, Target
 
 @dataclass
 class Stopwatch:
-    """Wall-clock seconds of the two halves of an acquisition; never stored with the scan."""
+    """Wall-clock seconds of the two halves of an acquisition; never stored with the scan.
+
+    Attributes:
+        motion_s: seconds in ``Rig.move``.
+        xray_s: seconds in ``Rig.expose``.
+        simulated_s: simulated seconds of those moves.
+    """
 
     motion_s: float = 0.0
     xray_s: float = 0.0
-    views: int = 0
+    simulated_s: float = 0.0
 
 
 def acquire(
@@ -29,7 +35,8 @@ def acquire(
     keep: Callable[[int, View, Reached], None],
     *,
     first: int = 0,
-) -> Stopwatch:
+    watch: Stopwatch | None = None,
+) -> None:
     """Move, expose and keep each view; the next is requested only once ``keep`` returned.
 
     Args:
@@ -38,11 +45,10 @@ def acquire(
         targets: of all views.
         keep: called with the index, the view and what the robots reached.
         first: index of the first view to take.
-
-    Returns:
-        The seconds spent in moving and in exposing.
+        watch: counts the seconds spent in moving and in exposing.
     """
-    watch = Stopwatch()
+    watch = watch or Stopwatch()
+    before_s: float | None = 0.0 if first == 0 else None
     for index in range(first, len(targets)):
         start = time.perf_counter()
         reached = rig.move(index, targets[index])
@@ -61,7 +67,8 @@ def acquire(
             reached.clearance_mm,
         )
         keep(index, view, reached)
-        watch.motion_s += moved - start
         watch.xray_s += exposed - moved
-        watch.views += 1
-    return watch
+        if before_s is not None:  # a resumed scan cannot tell how long its first move took
+            watch.simulated_s += reached.time_s - before_s
+            watch.motion_s += moved - start
+        before_s = reached.time_s
