@@ -17,7 +17,7 @@ from twinct.ros.robots_node import own_targets
 
 pytestmark = pytest.mark.ros
 
-END_S = 4.0
+END_S = 20.0
 """A couple of seconds, and some for a machine that others use too."""
 PARENT = Path(__file__).with_name("scan_parent.py")
 

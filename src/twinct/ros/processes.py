@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-TERM_S, KILL_S = 3.0, 5.0
+TERM_S, KILL_S = 15.0, 10.0
 TAIL_BYTES, TAIL_LINES = 8192, 15
 
 

@@ -1,0 +1,32 @@
+"""What needs no ROS, no gVXR and no MuJoCo imports without them; so does the whole command line."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+BLOCKED = ("mujoco", "mink", "ruckig", "gvxrPython3", "rclpy", "sensor_msgs", "itk")
+MODULES = (
+    "twinct",
+    "twinct.cell",
+    "twinct.cli.commands",
+    "twinct.evaluate",
+    "twinct.pipeline",
+    "twinct.recon",
+    "twinct.report",
+    "twinct.ros",
+    "twinct.scan",
+    "twinct.scenario",
+    "twinct.specimen",
+    "twinct.trajectory",
+    "twinct.uncertainty",
+    "twinct.xray",
+)
+
+
+def test_modules_import_without_the_extras() -> None:
+    code = f"import sys\nfor name in {BLOCKED!r}:\n    sys.modules[name] = None\n" + "\n".join(
+        f"import {module}" for module in MODULES
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
