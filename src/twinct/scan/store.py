@@ -129,7 +129,7 @@ class ScanStore:
     @property
     def acquired(self) -> int:
         """Number of views on disk; views are taken in order."""
-        status = np.asarray(self._group["status"][:])
+        status = np.asarray(self._array("status")[:])
         done = status == ACQUIRED
         return int(len(done) if done.all() else done.argmin())
 

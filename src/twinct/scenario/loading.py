@@ -139,17 +139,17 @@ def _construct(
 
 def _merge(base: _Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key) -> None:
     """Lay data over the draft: mappings merge, all else replaces, a new ``kind`` starts afresh."""
-    here = base.data
+    here: Any = base.data
     for step in key:
         here = here[step]
     for name, value in data.items():
         inner = (*key, name)
         old = here.get(name)
-        same_kind = isinstance(old, dict) and isinstance(value, dict)
-        same_kind = same_kind and value.get("kind", old.get("kind")) == old.get("kind")
-        if same_kind:
-            _merge(base, value, origins, inner)
-            continue
+        if isinstance(old, dict) and isinstance(value, dict):
+            kind = old.get("kind")
+            if value.get("kind", kind) == kind:
+                _merge(base, value, origins, inner)
+                continue
         here[name] = value
         stale = [k for k in base.origins if k[: len(inner)] == inner]
         for k in stale:

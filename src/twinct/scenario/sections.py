@@ -31,17 +31,17 @@ class Source(Section):
     """The X-ray source: a monochromatic point."""
 
     energy_kev: float = Field(
-        80.0, ge=5, le=500, description="Photon energy of the monochromatic source."
+        default=80.0, ge=5, le=500, description="Photon energy of the monochromatic source."
     )
 
 
 class Detector(Section):
     """The flat panel: a lattice of ideal pixels."""
 
-    columns: int = Field(640, ge=1, le=8192, description="Pixels along u.")
-    rows: int = Field(480, ge=1, le=8192, description="Pixels along v.")
+    columns: int = Field(default=640, ge=1, le=8192, description="Pixels along u.")
+    rows: int = Field(default=480, ge=1, le=8192, description="Pixels along v.")
     pixel_pitch_mm: Positive | tuple[Positive, Positive] = Field(
-        0.5, description="Pixel pitch; two numbers for (u, v)."
+        default=0.5, description="Pixel pitch; two numbers for (u, v)."
     )
 
     @property
@@ -54,11 +54,12 @@ class Detector(Section):
 
 class _Orbit(Section):
     views: int = Field(ge=1, le=100_000, description="Number of projections.")
-    isocentre_mm: Vector = Field((0.0, 0.0, 0.0), description="Centre of the orbit.")
-    sod_mm: Positive = Field(300.0, description="Distance from source to isocentre.")
-    sdd_mm: Positive = Field(600.0, description="Distance from source to panel centre.")
+    isocentre_mm: Vector = Field(default=(0.0, 0.0, 0.0), description="Centre of the orbit.")
+    sod_mm: Positive = Field(default=300.0, description="Distance from source to isocentre.")
+    sdd_mm: Positive = Field(default=600.0, description="Distance from source to panel centre.")
     centre_longitude_deg: Finite = Field(
-        0.0, description="Longitude of the source in the middle of the path; 0 is +x, 90 is +y."
+        default=0.0,
+        description="Longitude of the source in the middle of the path; 0 is +x, 90 is +y.",
     )
 
     @model_validator(mode="after")
@@ -75,24 +76,24 @@ class SinusoidTrajectory(_Orbit):
     """The paper's path: a sine of latitude over an arc of longitude, on a sphere."""
 
     kind: Literal["sinusoid"]
-    longitude_range_deg: float = Field(210.0, gt=0, le=360)
-    latitude_amplitude_deg: float = Field(30.0, ge=0, lt=90)
-    periods: Positive = Field(1.0, description="Sine periods over the range.")
+    longitude_range_deg: float = Field(default=210.0, gt=0, le=360)
+    latitude_amplitude_deg: float = Field(default=30.0, ge=0, lt=90)
+    periods: Positive = Field(default=1.0, description="Sine periods over the range.")
 
 
 class CircleTrajectory(_Orbit):
     """A full circle; the first and last view are one step apart."""
 
     kind: Literal["circle"]
-    tilt_deg: Finite = Field(0.0, description="Tilt of the circle about the x axis.")
+    tilt_deg: Finite = Field(default=0.0, description="Tilt of the circle about the x axis.")
 
 
 class ArcTrajectory(_Orbit):
     """Part of a circle of constant latitude, both ends included."""
 
     kind: Literal["arc"]
-    longitude_range_deg: float = Field(210.0, gt=0, le=360)
-    latitude_deg: float = Field(0.0, gt=-90, lt=90)
+    longitude_range_deg: float = Field(default=210.0, gt=0, le=360)
+    latitude_deg: float = Field(default=0.0, gt=-90, lt=90)
 
 
 class HelixTrajectory(_Orbit):
@@ -100,7 +101,7 @@ class HelixTrajectory(_Orbit):
 
     kind: Literal["helix"]
     turns: Positive = 2.0
-    pitch_mm: Finite = Field(50.0, description="Rise for each turn.")
+    pitch_mm: Finite = Field(default=50.0, description="Rise for each turn.")
 
 
 class FileTrajectory(Section):
@@ -119,9 +120,11 @@ Trajectory = Annotated[
 class Composition(Section):
     """A material by its elements."""
 
-    formula: str | None = Field(None, description="Chemical formula, such as Ca10(PO4)6(OH)2.")
+    formula: str | None = Field(
+        default=None, description="Chemical formula, such as Ca10(PO4)6(OH)2."
+    )
     mass_fractions: dict[str, Positive] | None = Field(
-        None, description="Element symbol to share of mass; the shares add up to 1."
+        default=None, description="Element symbol to share of mass; the shares add up to 1."
     )
     density_g_cm3: Positive
 
@@ -136,9 +139,9 @@ class Skull(Section):
     """The built-in adult skull from implicit surfaces."""
 
     kind: Literal["skull"]
-    scale: Positive = Field(1.0, description="1 is adult size.")
+    scale: Positive = Field(default=1.0, description="1 is adult size.")
     mesh_resolution_mm: Positive = Field(
-        1.0, description="Cell of the lattice on which the surface mesh is extracted."
+        default=1.0, description="Cell of the lattice on which the surface mesh is extracted."
     )
 
 
@@ -176,8 +179,10 @@ class MeshFile(Section):
 
     kind: Literal["mesh"]
     path: Path
-    unit_mm: Positive = Field(1.0, description="Length of the file's unit.")
-    centre: bool = Field(False, description="Move the middle of its bounds to the part's origin.")
+    unit_mm: Positive = Field(default=1.0, description="Length of the file's unit.")
+    centre: bool = Field(
+        default=False, description="Move the middle of its bounds to the part's origin."
+    )
 
 
 class CtVolume(Section):
@@ -187,14 +192,16 @@ class CtVolume(Section):
     path: Path = Field(description="NIfTI file, folder of one DICOM series, or InVesalius .inv3.")
     threshold_hu: Finite = 300.0
     smoothing_mm: NonNegative = Field(
-        0.0, description="Sigma of a Gaussian filter before the threshold."
+        default=0.0, description="Sigma of a Gaussian filter before the threshold."
     )
     smallest_part_cm3: NonNegative = Field(
-        0.1,
+        default=0.1,
         description="Connected pieces below this volume are left out: crumbs by default; a larger "
         "number leaves out a head rest or other things around the patient.",
     )
-    centre: bool = Field(True, description="Move the middle of its bounds to the part's origin.")
+    centre: bool = Field(
+        default=True, description="Move the middle of its bounds to the part's origin."
+    )
 
 
 Shape = Annotated[
@@ -205,11 +212,15 @@ Shape = Annotated[
 class Part(Section):
     """One body of one material. Where parts overlap the later one wins."""
 
-    name: str = Field("", description="Shown in messages; the kind of shape where empty.")
+    name: str = Field(default="", description="Shown in messages; the kind of shape where empty.")
     shape: Shape
     material: str | Composition = "bone"
-    position_mm: Vector = Field((0.0, 0.0, 0.0), description="Origin in the specimen's frame.")
-    rotation_deg: Vector = Field((0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z.")
+    position_mm: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Origin in the specimen's frame."
+    )
+    rotation_deg: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
+    )
 
     @property
     def specimen_from_part(self) -> Pose:
@@ -226,8 +237,10 @@ class Specimen(Section):
     """What is imaged, and where it stands."""
 
     parts: tuple[Part, ...] = Field(min_length=1)
-    position_mm: Vector = Field((0.0, 0.0, 0.0), description="Origin in the world.")
-    rotation_deg: Vector = Field((0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z.")
+    position_mm: Vector = Field(default=(0.0, 0.0, 0.0), description="Origin in the world.")
+    rotation_deg: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
+    )
 
     @property
     def world_from_specimen(self) -> Pose:
@@ -239,27 +252,35 @@ class Arm(Section):
     """One arm and what it carries."""
 
     model: str = Field(
-        "ur10e",
+        default="ur10e",
         pattern=r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$",
         description="ur10e, lbr_iiwa14, or menagerie:NAME.",
     )
     base_position_mm: Vector
     base_rotation_deg: Vector = (0.0, 0.0, 0.0)
     standoff_mm: Positive = Field(
-        150.0, description="From flange to focal spot, or to panel centre, along the flange axis."
+        default=150.0,
+        description="From flange to focal spot, or to panel centre, along the flange axis.",
     )
     tool_rotation_deg: Finite = Field(
-        0.0, description="Turn of the tool about the flange axis when it was mounted."
+        default=0.0, description="Turn of the tool about the flange axis when it was mounted."
     )
     tool_mass_kg: Positive
     torque_scale: float = Field(
-        1.0, gt=0, le=1, description="Share of the published torque limits that may be used."
+        default=1.0,
+        gt=0,
+        le=1,
+        description="Share of the published torque limits that may be used.",
     )
     speed_scale: float = Field(
-        0.5, gt=0, le=1, description="Share of the published joint speeds that a move may use."
+        default=0.5,
+        gt=0,
+        le=1,
+        description="Share of the published joint speeds that a move may use.",
     )
     joint_speed_deg_s: Positive = Field(
-        90.0, description="Limit of every joint's speed, for a Menagerie model: those state none."
+        default=90.0,
+        description="Limit of every joint's speed, for a Menagerie model: those state none.",
     )
 
 
@@ -282,9 +303,11 @@ class Table(Section):
     """The table and the post that carries the specimen."""
 
     present: bool = True
-    size_mm: Lengths = Field((500.0, 900.0, 50.0), description="Top plate along x, y, z.")
-    top_z_mm: Finite = Field(-450.0, description="Height of the upper face of the plate.")
-    holder_radius_mm: Positive = Field(30.0, description="Radius of the specimen holder's post.")
+    size_mm: Lengths = Field(default=(500.0, 900.0, 50.0), description="Top plate along x, y, z.")
+    top_z_mm: Finite = Field(default=-450.0, description="Height of the upper face of the plate.")
+    holder_radius_mm: Positive = Field(
+        default=30.0, description="Radius of the specimen holder's post."
+    )
 
 
 class Cell(Section):
@@ -293,8 +316,10 @@ class Cell(Section):
     source_arm: SourceArm = SourceArm()
     detector_arm: DetectorArm = DetectorArm()
     table: Table = Table()
-    floor_z_mm: Finite = Field(-1200.0, description="Height of the floor.")
-    timestep_ms: float = Field(2.0, gt=0, le=10, description="Step of the dynamic simulation.")
+    floor_z_mm: Finite = Field(default=-1200.0, description="Height of the floor.")
+    timestep_ms: float = Field(
+        default=2.0, gt=0, le=10, description="Step of the dynamic simulation."
+    )
 
 
 class InverseKinematics(Section):
@@ -302,7 +327,7 @@ class InverseKinematics(Section):
 
     position_tolerance_mm: Positive = 0.1
     rotation_tolerance_deg: Positive = 0.05
-    max_iterations: int = Field(200, ge=1)
+    max_iterations: int = Field(default=200, ge=1)
 
 
 class Motion(Section):
@@ -310,20 +335,24 @@ class Motion(Section):
 
     ik: InverseKinematics = InverseKinematics()
     trigger: Literal["on_entry", "settled"] = Field(
-        "on_entry",
+        default="on_entry",
         description="on_entry: first step with both end-effectors within the tolerance, still "
         "moving; settled: at rest.",
     )
-    tolerance_mm: Positive = Field(1.0, description="Distance at which a target counts as reached.")
+    tolerance_mm: Positive = Field(
+        default=1.0, description="Distance at which a target counts as reached."
+    )
     clearance_mm: NonNegative = Field(
-        10.0, description="Smallest gap between bodies that a plan may have."
+        default=10.0, description="Smallest gap between bodies that a plan may have."
     )
-    acceleration_deg_s2: Positive = Field(300.0, description="Largest joint acceleration.")
-    jerk_deg_s3: Positive = Field(5000.0, description="Largest joint jerk.")
+    acceleration_deg_s2: Positive = Field(default=300.0, description="Largest joint acceleration.")
+    jerk_deg_s3: Positive = Field(default=5000.0, description="Largest joint jerk.")
     settle_speed_mm_s: Positive = Field(
-        0.05, description="Speed of both end-effectors below which they count as at rest."
+        default=0.05, description="Speed of both end-effectors below which they count as at rest."
     )
-    timeout_s: Positive = Field(10.0, description="Simulated time in which a move must arrive.")
+    timeout_s: Positive = Field(
+        default=10.0, description="Simulated time in which a move must arrive."
+    )
 
 
 class PositionNoise(Section):
@@ -344,9 +373,11 @@ class Grid(Section):
     """The voxels of the reconstruction."""
 
     voxels: Annotated[int, Field(ge=2, le=4096)] | tuple[int, int, int] = Field(
-        512, description="Voxels along each axis; three numbers for (x, y, z)."
+        default=512, description="Voxels along each axis; three numbers for (x, y, z)."
     )
-    voxel_mm: Positive | Lengths = Field(0.31, description="Voxel edge; three for (x, y, z).")
+    voxel_mm: Positive | Lengths = Field(
+        default=0.31, description="Voxel edge; three for (x, y, z)."
+    )
     centre_mm: Vector = (0.0, 0.0, 0.0)
     rotation_deg: Vector = (0.0, 0.0, 0.0)
 
@@ -373,12 +404,12 @@ class Reconstruction(Section):
 
     algorithm: Literal["sart"] = "sart"
     engine: Literal["twinct", "rtk"] = Field(
-        "twinct", description="rtk is the independent cross-check; it needs the extra rtk."
+        default="twinct", description="rtk is the independent cross-check; it needs the extra rtk."
     )
-    iterations: int = Field(10, ge=1, le=10_000)
-    relaxation: float = Field(0.3, gt=0, lt=2)
+    iterations: int = Field(default=10, ge=1, le=10_000)
+    relaxation: float = Field(default=0.3, gt=0, lt=2)
     geometry: GeometryName | tuple[GeometryName, ...] = Field(
-        "believed",
+        default="believed",
         description="Geometry to reconstruct from; several are judged side by side, and the first "
         "one's volume is kept.",
     )
@@ -399,9 +430,9 @@ class Reconstruction(Section):
 class Scenario(Section):
     """Everything one simulation needs."""
 
-    name: str = Field("scan", min_length=1)
+    name: str = Field(default="scan", min_length=1)
     description: str = ""
-    seed: int = Field(0, ge=0, lt=2**63, description="Every random draw is keyed by it.")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="Every random draw is keyed by it.")
     source: Source = Source()
     detector: Detector = Detector()
     trajectory: Trajectory

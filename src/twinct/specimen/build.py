@@ -82,7 +82,9 @@ class BuiltSpecimen:
 
     def surface(self) -> trimesh.Trimesh:
         """The surfaces of all parts as one mesh in the specimen's frame, mm, for pictures."""
-        return trimesh.util.concatenate([part.mesh for part in self.parts])
+        whole = trimesh.util.concatenate([part.mesh for part in self.parts])
+        assert isinstance(whole, trimesh.Trimesh)
+        return whole
 
     def truth(
         self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None
