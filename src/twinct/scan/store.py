@@ -162,7 +162,7 @@ class ScanStore:
             self._array("transmission")[index] = view.transmission
             for name, values in _columns(view).items():
                 self._put(name, index, np.asarray(values, dtype="<f8"))
-            self._put("status", index, np.asarray(ACQUIRED, dtype="u1"))
+            self._finish(index)
 
     def read(self) -> Scan:
         """The scan, images included.
@@ -198,10 +198,14 @@ class ScanStore:
 
         Through Zarr itself each of the twenty small chunks of a view takes 1 to 2 ms.
         """
-        chunk = self.path.joinpath(name, "c", str(index), *["0"] * values.ndim)
-        chunk.parent.mkdir(parents=True, exist_ok=True)
+        with open(f"{self.path}/{name}/{_chunk(index, values.ndim)}", "wb", buffering=0) as file:
+            file.write(values.tobytes())
+
+    def _finish(self, index: int) -> None:
+        """Write the status of a view, whole or not at all."""
+        chunk = self.path / "status" / _chunk(index, 0)
         draft = chunk.with_name(chunk.name + ".partial")
-        draft.write_bytes(values.tobytes())
+        draft.write_bytes(bytes([ACQUIRED]))
         draft.replace(chunk)
 
     def _poses(self, which: str) -> PosePairs:
@@ -229,14 +233,15 @@ class ScanStore:
         for file in self.path.rglob("*"):
             if not file.is_file():
                 continue
-            chunk = file.relative_to(self.path).parts
-            unfinished = "c" in chunk and chunk[0] != "commanded"
-            unfinished = unfinished and int(chunk[chunk.index("c") + 1].split(".")[0]) >= first
-            if unfinished or file.suffix == ".partial":
+            mark, _, view = file.name.partition(".")
+            unfinished = mark == "c" and "commanded" not in file.parts[len(self.path.parts) :]
+            if unfinished and int(view.split(".")[0]) >= first or file.suffix == ".partial":
                 file.unlink()
-        for folder in sorted((p for p in self.path.rglob("*") if p.is_dir()), reverse=True):
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+
+
+def _chunk(index: int, dimensions: int) -> str:
+    """Name of a view's chunk. Without a folder of its own it takes a quarter of the time."""
+    return ".".join(["c", str(index), *["0"] * dimensions])
 
 
 def _columns(view: View) -> dict[str, Any]:
@@ -289,6 +294,7 @@ def _write_frame(
             dtype=dtype,
             fill_value=0 if dtype == "u1" else np.nan,
             compressors=BloscCodec(cname="lz4", shuffle="shuffle") if compressed else None,
+            chunk_key_encoding={"name": "default", "separator": "."},
         )
 
     add("transmission", panel.shape, "f4", compressed=True)
