@@ -35,31 +35,31 @@ def forward(x, view, out):
     """Line integrals of ``x`` (z, y, x) along each ray of one view into ``out`` (rows, columns)."""
     rows, columns = out.shape
     shape, flat = x.shape, x.reshape(-1)
-    for band in prange((rows + TILE_ROWS - 1) // TILE_ROWS):
-        top, bottom = band * TILE_ROWS, min((band + 1) * TILE_ROWS, rows)
-        out[top:bottom] = 0.0
+    across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
+    for tile in prange((rows + TILE_ROWS - 1) // TILE_ROWS * across):
+        top, left = tile // across * TILE_ROWS, tile % across * TILE_COLUMNS
+        bottom, right = min(top + TILE_ROWS, rows), min(left + TILE_COLUMNS, columns)
+        out[top:bottom, left:right] = 0.0
         scratch = room()
         blocks, ranges, pixels, steps, groups, _, brick = scratch
-        for left in range(0, columns, TILE_COLUMNS):
-            right = min(left + TILE_COLUMNS, columns)
-            load(view, shape, (top, bottom), (left, right), False, scratch)
-            for axis in range(3):
-                if groups[axis] == 0:
-                    continue
-                planes = planes_of(axis, shape)
-                rays, bounds = blocks[axis], ranges[axis]
-                for start in range(0, planes, PLANES):
-                    end = min(start + PLANES, planes) - 1
-                    box = box_of(rays, bounds, groups[axis], axis, shape, start, end)
-                    if fits(box):
-                        take(flat, shape, axis, box, brick)
-                        lattice = in_brick(box, axis, shape)
-                        _sum_slab(brick, lattice, start, end, rays, bounds, groups[axis])
-                    else:
-                        lattice = in_volume(axis, shape)
-                        _sum_slab(flat, lattice, start, end, rays, bounds, groups[axis])
-                for slot in range(groups[axis] * LANES):
-                    pixel = pixels[axis, slot]
-                    if pixel >= 0:
-                        total = rays[slot // LANES * BLOCK + VALUE + slot % LANES]
-                        out[pixel // 65536, pixel % 65536] = steps[axis, slot] * total
+        load(view, shape, (top, bottom), (left, right), False, scratch)
+        for axis in range(3):
+            if groups[axis] == 0:
+                continue
+            planes = planes_of(axis, shape)
+            rays, bounds = blocks[axis], ranges[axis]
+            for start in range(0, planes, PLANES):
+                end = min(start + PLANES, planes) - 1
+                box = box_of(rays, bounds, groups[axis], axis, shape, start, end)
+                if fits(box):
+                    take(flat, shape, axis, box, brick)
+                    lattice = in_brick(box, axis, shape)
+                    _sum_slab(brick, lattice, start, end, rays, bounds, groups[axis])
+                else:
+                    lattice = in_volume(axis, shape)
+                    _sum_slab(flat, lattice, start, end, rays, bounds, groups[axis])
+            for slot in range(groups[axis] * LANES):
+                pixel = pixels[axis, slot]
+                if pixel >= 0:
+                    total = rays[slot // LANES * BLOCK + VALUE + slot % LANES]
+                    out[pixel // 65536, pixel % 65536] = steps[axis, slot] * total
