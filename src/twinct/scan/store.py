@@ -56,13 +56,27 @@ def check_space(folder: Path, scenario: Scenario, views: int) -> None:
     """
     grid = scenario.reconstruction.grid.volume_grid
     images = views * scenario.detector.rows * scenario.detector.columns * 4
-    needed = images + 2 * int(np.prod(grid.shape)) * 4 + _SPARE_BYTES
+    volumes = 2 * int(np.prod(grid.shape)) * 4
+    require_space(folder, images + volumes, "the scan and its volume need")
+
+
+def require_space(folder: Path, size: int, what: str) -> None:
+    """Refuse to start what the disk cannot hold.
+
+    Args:
+        folder: where it shall go; need not exist yet.
+        size: bytes to write.
+        what: subject and verb of the message, such as "the scan needs".
+
+    Raises:
+        StorageError: with the bytes needed and the bytes free.
+    """
+    needed = size + _SPARE_BYTES
     existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     free = shutil.disk_usage(existing).free
     if free < needed:
         raise StorageError(
-            f"{folder}: the scan and its volume need up to {needed / 2**30:.2f} GiB, "
-            f"only {free / 2**30:.2f} GiB are free"
+            f"{folder}: {what} up to {needed / 2**30:.2f} GiB, only {free / 2**30:.2f} GiB are free"
         )
 
 
@@ -152,6 +166,10 @@ class ScanStore:
         """The full simulator state of a view."""
         return np.asarray(self._array("state")[view])
 
+    def transmission(self, view: int) -> NDArray[np.float32]:
+        """I/I0 of a view, (rows, columns)."""
+        return np.asarray(self._array("transmission")[view])
+
     def write(self, index: int, view: View) -> None:
         """Put one view on disk; it counts once its status is written.
 
@@ -183,10 +201,10 @@ class ScanStore:
         return Scan(
             self.scenario,
             everything["transmission"],
-            self._poses("commanded"),
-            self._poses("executed"),
+            self.poses("commanded"),
+            self.poses("executed"),
             tuple(Pose(p, q) for p, q in zip(*objects, strict=True)),
-            self._poses("believed"),
+            self.poses("believed"),
             self.joint_names,
             everything["joints"],
             everything["simulated_s"],
@@ -204,13 +222,15 @@ class ScanStore:
         draft.write_bytes(values.tobytes())
         draft.replace(chunk)
 
-    def _poses(self, which: str) -> PosePairs:
+    def poses(self, which: str) -> PosePairs:
+        """``commanded``, ``executed`` or ``believed`` poses of the views on disk."""
+        views = self.acquired
         pairs = [
             tuple(
                 Pose(p, q)
                 for p, q in zip(
-                    self._array(f"{which}/{body}")[:],
-                    self._array(f"{which}/{body}_quat")[:],
+                    self._array(f"{which}/{body}")[:views],
+                    self._array(f"{which}/{body}_quat")[:views],
                     strict=True,
                 )
             )

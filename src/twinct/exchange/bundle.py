@@ -1,0 +1,159 @@
+"""A folder with all that another toolkit needs to reconstruct a scan, and a script to load it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import ScanExistsError
+from twinct.exchange.astra import astra_arrays
+from twinct.exchange.cil import cil_arrays
+from twinct.exchange.leap import leap_arrays
+from twinct.exchange.rtk import rtk_geometry_xml
+from twinct.exchange.stack import Image, write_mha, write_npy
+from twinct.exchange.tigre import tigre_arrays
+from twinct.geometry import ScanGeometry, VolumeGrid
+
+Toolkit = Literal["rtk", "astra", "leap", "cil", "tigre"]
+TOOLKITS: tuple[Toolkit, ...] = get_args(Toolkit)
+
+Arrays = dict[str, NDArray[Any]]
+_ARRAYS: dict[str, Callable[[ScanGeometry, VolumeGrid], Arrays]] = {
+    "astra": astra_arrays,
+    "leap": leap_arrays,
+    "cil": cil_arrays,
+    "tigre": tigre_arrays,
+}
+_NAMES = {
+    "rtk": "RTK",
+    "astra": "the ASTRA Toolbox",
+    "leap": "LEAP",
+    "cil": "CIL",
+    "tigre": "TIGRE",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """What is handed over.
+
+    Attributes:
+        geometry: the views in world coordinates.
+        grid: the voxels that the other toolkit shall reconstruct.
+        images: one image (rows, columns) for each view, float32, in the order of ``geometry``.
+        values: what a pixel holds, such as "line integrals -ln(I/I0)".
+        origin: what this is a copy of, for the text files.
+    """
+
+    geometry: ScanGeometry
+    grid: VolumeGrid
+    images: Iterable[Image]
+    values: str
+    origin: dict[str, str]
+
+    @property
+    def local(self) -> ScanGeometry:
+        """The views in the grid's own frame: axis-aligned, centred on the origin."""
+        return self.grid.world_from_grid.inverse() @ self.geometry
+
+
+def bundle_bytes(geometry: ScanGeometry) -> int:
+    """Bytes that a bundle takes on disk, at most."""
+    return len(geometry) * (int(np.prod(geometry.panel.shape)) * 4 + 4096) + 2**20
+
+
+def write_bundle(folder: Path, toolkit: Toolkit, bundle: Bundle) -> None:
+    """Write a bundle; the folder appears under its name only when it is complete.
+
+    Args:
+        folder: must not exist.
+        toolkit: for whom.
+        bundle: what to write.
+
+    Raises:
+        ScanExistsError: the folder exists; it is not touched.
+        InputError: the toolkit cannot take the grid or a view; nothing is written then.
+        OSError: the disk is full or may not be written; nothing is left then.
+    """
+    if folder.exists():
+        raise ScanExistsError(f"{folder} exists already: choose another --out")
+    views, panel, local = len(bundle.geometry), bundle.geometry.panel, bundle.local
+    xml = rtk_geometry_xml(local) if toolkit == "rtk" else ""
+    arrays = {} if toolkit == "rtk" else _ARRAYS[toolkit](local, bundle.grid)
+    draft = folder.with_name(f".{folder.name}.partial")
+    shutil.rmtree(draft, ignore_errors=True)
+    try:
+        draft.mkdir(parents=True)
+        if toolkit == "rtk":
+            (draft / "geometry.xml").write_text(xml, encoding="ascii")
+            write_mha(draft / "projections.mha", bundle.images, views, panel)
+        else:
+            np.savez(draft / "geometry.npz", allow_pickle=False, **arrays)
+            write_npy(draft / "projections.npy", bundle.images, views, panel)
+        (draft / "export.json").write_text(json.dumps(_facts(bundle), indent=2) + "\n")
+        script = files("twinct.exchange").joinpath("scripts", f"{toolkit}.py")
+        (draft / "load.py").write_text(script.read_text(encoding="utf-8"), encoding="utf-8")
+        (draft / "README.txt").write_text(_readme(toolkit, bundle), encoding="utf-8")
+        draft.rename(folder)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
+def _facts(bundle: Bundle) -> dict[str, Any]:
+    grid, panel = bundle.grid, bundle.geometry.panel
+    return {
+        **bundle.origin,
+        "values": bundle.values,
+        "projections": {
+            "shape_view_row_column": [len(bundle.geometry), *panel.shape],
+            "pitch_u_v_mm": [panel.pitch_u, panel.pitch_v],
+        },
+        "volume": {
+            "shape_z_y_x": list(grid.shape),
+            "voxel_x_y_z_mm": grid.voxel.tolist(),
+            "world_from_voxel": grid.affine.tolist(),
+        },
+    }
+
+
+def _readme(toolkit: Toolkit, bundle: Bundle) -> str:
+    grid, panel = bundle.grid, bundle.geometry.panel
+    stack = (
+        "projections.mha  ITK image stack, (column, row, view) from the fastest axis on\n"
+        "geometry.xml     RTK's geometry, one Projection for each view"
+        if toolkit == "rtk"
+        else "projections.npy  NumPy array (view, row, column), float32\n"
+        "geometry.npz     one array for each argument, by the toolkit's own names"
+    )
+    origin = "".join(f"{name}: {value}\n" for name, value in bundle.origin.items())
+    voxels = " x ".join(map(str, grid.shape))
+    edges = " x ".join(f"{edge:g}" for edge in grid.voxel)
+    return f"""A CT scan for {_NAMES[toolkit]}, written by twinct
+
+{origin}pixels: {bundle.values}, {len(bundle.geometry)} views of {panel.rows} x {panel.columns} \
+(rows x columns)
+
+{stack}
+export.json      sizes, and where the volume is in the world
+load.py          loads all of it: python load.py --help
+
+    python load.py --iterations 10 --out volume.npy
+
+reconstructs it and writes the volume as (z, y, x): {voxels} voxels, {edges} mm along
+(x, y, z), in 1/mm. twinct's own volume of the same scan lies on the same voxels, in the same order.
+
+Coordinates are mm in the frame of the voxel grid: origin at its centre, axes along its own.
+"world_from_voxel" in export.json maps voxel indices (x, y, z) to world mm, as in NIfTI. Columns run
+along +u, rows along +v of the panel; row 0, column 0 is the corner at -u, -v. Pixel (row, column)
+is centred at D + (column - (columns - 1)/2) pitch u + (row - (rows - 1)/2) pitch v, D the panel's
+centre.
+"""
