@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from twinct.exchange import write_bundle
-from twinct.exchange.rtk import rtk_parameters
 from twinct.recon import Projector, sart
 
 itk = pytest.importorskip("itk", reason="needs the extra rtk")
 
 POINT_PX = 1e-9
-"""Float64 on both sides; measured 2e-12."""
-PROJECTION = 1e-4
-"""RMS difference of two Joseph projectors in float32, relative to the largest line integral; measured
-2e-6. Red beyond it: a flipped or swapped axis of the volume 0.1 and more, images shifted by 0.01
-pixels 6e-4."""
+"""Float64 on both sides; measured 1e-13."""
+PROJECTION = 1e-5
+"""RMS difference of two Joseph projectors, relative to the largest line integral; measured 3e-8.
+Red beyond it: a flipped axis of the volume 0.16, images shifted by 0.001 pixels 2.9e-5."""
+VOLUME = 0.02
+"""RMS difference of the volumes, relative to the object; measured 0.010. RTK takes the views in a
+random order. Red beyond it: a flipped axis 0.17."""
 
 
 @pytest.fixture
@@ -72,33 +73,11 @@ def test_rtk_projects_the_volume_to_the_images_of_the_files(
 def test_rtk_reconstructs_what_we_reconstruct(folder, bundle, grid, corner_object) -> None:
     """From the files, in a process of its own, as a user does."""
     out = folder.parent / "volume.npy"
-    arguments = [sys.executable, str(folder / "load.py"), "--iterations", "8", "--out", str(out)]
+    arguments = [sys.executable, str(folder / "load.py"), "--iterations", "3", "--out", str(out)]
     result = subprocess.run(arguments, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     assert "46 views" in result.stdout
     theirs = np.load(out)
-    ours = sart(
-        Projector(bundle.geometry, grid), bundle.images, iterations=8, relaxation=0.3
-    )
+    ours = sart(Projector(bundle.geometry, grid), bundle.images, iterations=3, relaxation=0.3)
     scale = corner_object.max()
-    assert np.sqrt(np.mean((theirs - ours) ** 2)) < 0.02 * scale
-    assert np.sqrt(np.mean((theirs - corner_object) ** 2)) < 0.1 * scale
-
-
-def test_a_view_as_rtk_adds_it_itself(bundle) -> None:
-    from itk import RTK
-
-    local = bundle.local
-    ours = rtk_parameters(local)
-    for view in range(len(local)):
-        words = local[view].to_rtk()
-        geometry = RTK.ThreeDCircularProjectionGeometry.New()
-        points = [itk.Point[itk.D, 3](words[name][0].tolist()) for name in ("source", "detector")]
-        axes = [itk.Vector[itk.D, 3](words[name][0].tolist()) for name in ("row", "column")]
-        assert geometry.AddProjection(*points, *axes)
-        assert geometry.GetSourceToDetectorDistances()[0] == pytest.approx(
-            ours["SourceToDetectorDistance"][view], abs=1e-9
-        )
-        assert geometry.GetProjectionOffsetsY()[0] == pytest.approx(
-            ours["ProjectionOffsetY"][view], abs=1e-9
-        )
+    assert np.sqrt(np.mean((theirs - ours) ** 2)) < VOLUME * scale

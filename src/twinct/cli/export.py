@@ -54,7 +54,7 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
     geometry = store.poses(which).geometry(scenario.detector.panel)
     require_space(out, bundle_bytes(geometry), "the export needs")
     with (
-        storage_errors(out),
+        storage_errors(out, "nothing of the export is left, the scan is as it was"),
         TerminalProgress().stage("export", views) as step,
     ):
 

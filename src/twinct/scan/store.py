@@ -34,13 +34,18 @@ _POSE_COLUMNS = {"source": 3, "detector": 3, "u": 3, "v": 3, "source_quat": 4, "
 
 
 @contextlib.contextmanager
-def storage_errors(path: Path) -> Iterator[None]:
-    """Turn a full disk or a missing permission into one clear message."""
+def storage_errors(path: Path, left: str = "what was written before is kept") -> Iterator[None]:
+    """Turn a full disk or a missing permission into one clear message.
+
+    Args:
+        path: what is being written.
+        left: what a full disk leaves of it.
+    """
     try:
         yield
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            message = f"{path}: the disk is full; what was written before is kept"
+            message = f"{path}: the disk is full; {left}"
         elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EDQUOT):
             message = f"{path}: cannot be written: {error.strerror}"
         else:
