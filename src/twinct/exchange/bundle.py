@@ -156,4 +156,15 @@ Coordinates are mm in the frame of the voxel grid: origin at its centre, axes al
 along +u, rows along +v of the panel; row 0, column 0 is the corner at -u, -v. Pixel (row, column)
 is centred at D + (column - (columns - 1)/2) pitch u + (row - (rows - 1)/2) pitch v, D the panel's
 centre.
+{_program(grid) if toolkit == "rtk" else ""}"""
+
+
+def _program(grid: VolumeGrid) -> str:
+    count = ",".join(map(str, grid.shape_xyz))
+    edges = ",".join(repr(edge) for edge in grid.voxel.tolist())
+    return f"""
+RTK's own programs read the folder as well:
+
+    rtkconjugategradient -g geometry.xml -p . -r projections.mha -o volume.mha -n 10 \\
+        --dimension {count} --spacing {edges} --nodisplaced
 """
