@@ -64,4 +64,4 @@ def corner_object(grid):
 def bundle(free_views, grid, corner_object):
     """The free views of that object."""
     images = Projector(free_views, grid)(corner_object)
-    return Bundle(free_views, grid, images, "line integrals", {"scan": "test", "views": "46 of 46"})
+    return Bundle(free_views, grid, images, "line-integrals", {"scan": "test", "views": "46 of 46"})

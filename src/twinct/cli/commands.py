@@ -179,7 +179,7 @@ def export(
         tyro.conf.arg(metavar="SCAN", help="What twinct run --out wrote, or the scan.zarr in it."),
     ],
     *,
-    to: Literal["rtk", "astra", "leap", "cil", "tigre"],
+    to: Literal["rtk", "astra", "leap", "cil", "tigre", "openct"],
     geometry: Literal["believed", "executed", "commanded"] = "believed",
     values: Literal["line-integrals", "transmission"] = "line-integrals",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -191,7 +191,7 @@ def export(
     as it is.
 
     Args:
-        to: The toolkit.
+        to: The toolkit, or openct for programs that read an OpenCT free trajectory.
         geometry: What the system reports, where the arms really were, or what was asked of them.
         values: Pixels as -ln(I/I0), or as I/I0.
         out: Folder to write, which must not exist; export-TOOLKIT beside the scan unless given.

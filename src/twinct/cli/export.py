@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +11,9 @@ from rich.console import Console
 
 from twinct.cli.progress import TerminalProgress
 from twinct.errors import InputError, ScanExistsError
-from twinct.exchange import Bundle, Toolkit, bundle_bytes, write_bundle
+from twinct.exchange import Bundle, Toolkit, Values, bundle_bytes, write_bundle
 from twinct.pipeline import line_integrals
 from twinct.scan import ScanStore, require_space, storage_errors
-
-Values = Literal["line-integrals", "transmission"]
-_MEANING = {
-    "line-integrals": "line integrals -ln(I/I0), mm times 1/mm",
-    "transmission": "transmission I/I0",
-}
 
 
 def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: Path | None) -> None:
@@ -68,7 +61,7 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
             geometry,
             scenario.reconstruction.grid.volume_grid,
             images(),
-            _MEANING[values],
+            values,
             {
                 "scan": scenario.name,
                 "scan digest": scenario.digest(),

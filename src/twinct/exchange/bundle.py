@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -17,12 +18,13 @@ from twinct.errors import ScanExistsError
 from twinct.exchange.astra import astra_arrays
 from twinct.exchange.cil import cil_arrays
 from twinct.exchange.leap import leap_arrays
+from twinct.exchange.openct import openct_files, openct_json
 from twinct.exchange.rtk import rtk_geometry_xml
-from twinct.exchange.stack import Image, write_mha, write_npy
+from twinct.exchange.stack import Image, write_mha, write_npy, write_raw
 from twinct.exchange.tigre import tigre_arrays
 from twinct.geometry import ScanGeometry, VolumeGrid
 
-Toolkit = Literal["rtk", "astra", "leap", "cil", "tigre"]
+Toolkit = Literal["rtk", "astra", "leap", "cil", "tigre", "openct"]
 TOOLKITS: tuple[Toolkit, ...] = get_args(Toolkit)
 
 Arrays = dict[str, NDArray[Any]]
@@ -38,6 +40,12 @@ _NAMES = {
     "leap": "LEAP",
     "cil": "CIL",
     "tigre": "TIGRE",
+    "openct": "readers of OpenCT",
+}
+Values = Literal["line-integrals", "transmission"]
+_MEANING = {
+    "line-integrals": "line integrals -ln(I/I0), mm times 1/mm",
+    "transmission": "transmission I/I0",
 }
 
 
@@ -49,14 +57,14 @@ class Bundle:
         geometry: the views in world coordinates.
         grid: the voxels that the other toolkit shall reconstruct.
         images: one image (rows, columns) for each view, float32, in the order of ``geometry``.
-        values: what a pixel holds, such as "line integrals -ln(I/I0)".
+        values: what a pixel holds.
         origin: what this is a copy of, for the text files.
     """
 
     geometry: ScanGeometry
     grid: VolumeGrid
     images: Iterable[Image]
-    values: str
+    values: Values
     origin: dict[str, str]
 
     @property
@@ -85,19 +93,13 @@ def write_bundle(folder: Path, toolkit: Toolkit, bundle: Bundle) -> None:
     """
     if folder.exists():
         raise ScanExistsError(f"{folder} exists already: choose another --out")
-    views, panel, local = len(bundle.geometry), bundle.geometry.panel, bundle.local
-    xml = rtk_geometry_xml(local) if toolkit == "rtk" else ""
-    arrays = {} if toolkit == "rtk" else _ARRAYS[toolkit](local, bundle.grid)
+    contents = _contents(toolkit, bundle)
     draft = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(draft, ignore_errors=True)
     try:
         draft.mkdir(parents=True)
-        if toolkit == "rtk":
-            (draft / "geometry.xml").write_text(xml, encoding="ascii")
-            write_mha(draft / "projections.mha", bundle.images, views, panel)
-        else:
-            np.savez(draft / "geometry.npz", allow_pickle=False, **arrays)
-            write_npy(draft / "projections.npy", bundle.images, views, panel)
+        for name, write in contents.items():
+            write(draft / name)
         (draft / "export.json").write_text(json.dumps(_facts(bundle), indent=2) + "\n")
         script = files("twinct.exchange").joinpath("scripts", f"{toolkit}.py")
         (draft / "load.py").write_text(script.read_text(encoding="utf-8"), encoding="utf-8")
@@ -108,11 +110,38 @@ def write_bundle(folder: Path, toolkit: Toolkit, bundle: Bundle) -> None:
         raise
 
 
+def _contents(toolkit: Toolkit, bundle: Bundle) -> dict[str, Callable[[Path], object]]:
+    """The toolkit's own files, and what writes each; the refusals come here."""
+    views, panel, local = len(bundle.geometry), bundle.geometry.panel, bundle.local
+    if toolkit == "rtk":
+        xml = rtk_geometry_xml(local)
+        return {
+            "geometry.xml": lambda path: path.write_text(xml, encoding="ascii"),
+            "projections.mha": partial(write_mha, images=bundle.images, views=views, panel=panel),
+        }
+    if toolkit == "openct":
+        words = openct_json(
+            local,
+            bundle.grid,
+            bundle.origin.get("scan", ""),
+            transmission=bundle.values == "transmission",
+        )
+        return {
+            "openct.json": lambda path: path.write_text(json.dumps(words, indent=1) + "\n"),
+            "projections": partial(write_raw, images=bundle.images, names=openct_files(views)),
+        }
+    arrays = _ARRAYS[toolkit](local, bundle.grid)
+    return {
+        "geometry.npz": lambda path: np.savez(path, allow_pickle=False, **arrays),
+        "projections.npy": partial(write_npy, images=bundle.images, views=views, panel=panel),
+    }
+
+
 def _facts(bundle: Bundle) -> dict[str, Any]:
     grid, panel = bundle.grid, bundle.geometry.panel
     return {
         **bundle.origin,
-        "values": bundle.values,
+        "values": _MEANING[bundle.values],
         "projections": {
             "shape_view_row_column": [len(bundle.geometry), *panel.shape],
             "pitch_u_v_mm": [panel.pitch_u, panel.pitch_v],
@@ -125,38 +154,51 @@ def _facts(bundle: Bundle) -> dict[str, Any]:
     }
 
 
+_FILES = {
+    "rtk": """projections.mha  ITK image stack, (column, row, view) from the fastest axis on
+geometry.xml     RTK's geometry, one Projection for each view""",
+    "openct": """projections/     one image for each view: float32, first row on top, nothing else
+openct.json      the scan as an OpenCT free trajectory""",
+}
+_ARRAY_FILES = """projections.npy  NumPy array (view, row, column), float32
+geometry.npz     one array for each argument, by the toolkit's own names"""
+
+
 def _readme(toolkit: Toolkit, bundle: Bundle) -> str:
-    grid, panel = bundle.grid, bundle.geometry.panel
-    stack = (
-        "projections.mha  ITK image stack, (column, row, view) from the fastest axis on\n"
-        "geometry.xml     RTK's geometry, one Projection for each view"
-        if toolkit == "rtk"
-        else "projections.npy  NumPy array (view, row, column), float32\n"
-        "geometry.npz     one array for each argument, by the toolkit's own names"
-    )
+    panel = bundle.geometry.panel
     origin = "".join(f"{name}: {value}\n" for name, value in bundle.origin.items())
-    voxels = " x ".join(map(str, grid.shape))
-    edges = " x ".join(f"{edge:g}" for edge in grid.voxel)
     return f"""A CT scan for {_NAMES[toolkit]}, written by twinct
 
-{origin}pixels: {bundle.values}, {len(bundle.geometry)} views of {panel.rows} x {panel.columns} \
-(rows x columns)
+{origin}pixels: {_MEANING[bundle.values]}, {len(bundle.geometry)} views of \
+{panel.rows} x {panel.columns} (rows x columns)
 
-{stack}
+{_FILES.get(toolkit, _ARRAY_FILES)}
 export.json      sizes, and where the volume is in the world
 load.py          loads all of it: python load.py --help
+{_OPENCT if toolkit == "openct" else _reconstruct(bundle.grid)}
+Coordinates are mm in the frame of the voxel grid: origin at its centre, axes along its own.
+"world_from_voxel" in export.json maps voxel indices (x, y, z) to world mm, as in NIfTI.
+{_program(bundle.grid) if toolkit == "rtk" else ""}"""
 
+
+_OPENCT = """
+Each matrix maps (x, y, z, 1) to (right w, down w, w), mm from the centre of the panel.
+"""
+
+
+def _reconstruct(grid: VolumeGrid) -> str:
+    voxels = " x ".join(map(str, grid.shape))
+    edges = " x ".join(f"{edge:g}" for edge in grid.voxel)
+    return f"""
     python load.py --iterations 10 --out volume.npy
 
 reconstructs it and writes the volume as (z, y, x): {voxels} voxels, {edges} mm along
 (x, y, z), in 1/mm. twinct's own volume of the same scan lies on the same voxels, in the same order.
 
-Coordinates are mm in the frame of the voxel grid: origin at its centre, axes along its own.
-"world_from_voxel" in export.json maps voxel indices (x, y, z) to world mm, as in NIfTI. Columns run
-along +u, rows along +v of the panel; row 0, column 0 is the corner at -u, -v. Pixel (row, column)
-is centred at D + (column - (columns - 1)/2) pitch u + (row - (rows - 1)/2) pitch v, D the panel's
-centre.
-{_program(grid) if toolkit == "rtk" else ""}"""
+Columns run along +u, rows along +v of the panel; row 0, column 0 is the corner at -u, -v. Pixel
+(row, column) is centred at D + (column - (columns - 1)/2) pitch u + (row - (rows - 1)/2) pitch v, D
+the panel's centre.
+"""
 
 
 def _program(grid: VolumeGrid) -> str:

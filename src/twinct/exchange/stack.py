@@ -23,6 +23,13 @@ def write_npy(path: Path, images: Iterable[Image], views: int, panel: Panel) -> 
             stream.write(np.ascontiguousarray(image, "<f4").tobytes())
 
 
+def write_raw(folder: Path, images: Iterable[Image], names: Iterable[str]) -> None:
+    """Write one file of bare float32 values for each image, its last row first."""
+    folder.mkdir()
+    for name, image in zip(names, images, strict=True):
+        (folder / name).write_bytes(np.ascontiguousarray(image[::-1], "<f4").tobytes())
+
+
 def write_mha(path: Path, images: Iterable[Image], views: int, panel: Panel) -> None:
     """Write images as one MetaImage stack (column, row, view), centred on the panel, mm.
 
