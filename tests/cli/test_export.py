@@ -114,6 +114,20 @@ def test_a_scan_under_way_is_exported_as_far_as_it_is(
     assert store.acquired == 3
 
 
+def test_files_of_the_scenario_may_be_gone(tmp_path: Path, commanded: PosePairs) -> None:
+    import trimesh
+
+    trimesh.creation.box((10, 10, 10)).export(tmp_path / "part.stl")
+    demo = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
+    part = f"specimen.parts=[{{shape: {{kind: mesh, path: {tmp_path}/part.stl}}}}]"
+    small = [f"trajectory.views={VIEWS}", "detector.columns=7", "detector.rows=5"]
+    store = scan_in(tmp_path, load_scenario(demo, [part, *small]), commanded, VIEWS)
+    (tmp_path / "part.stl").unlink()
+    assert run_command(["export", str(tmp_path), "--to", "openct"]) == 0
+    facts = json.loads((tmp_path / "export-openct" / "export.json").read_text())
+    assert facts["scan digest"] == store.digest
+
+
 def test_what_is_no_scan_is_named(
     tmp_path: Path, scenario: Scenario, commanded: PosePairs, capfd
 ) -> None:

@@ -44,7 +44,8 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
             highlight=False,
             soft_wrap=True,
         )
-    geometry = store.poses(which).geometry(scenario.detector.panel)
+    # A scan under way may have gone on since the views were counted.
+    geometry = store.poses(which).geometry(scenario.detector.panel)[:views]
     require_space(out, bundle_bytes(geometry), "the export needs")
     with (
         storage_errors(out, "nothing of the export is left, the scan is as it was"),
@@ -64,13 +65,13 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
             values,
             {
                 "scan": scenario.name,
-                "scan digest": scenario.digest(),
+                "scan digest": store.digest,
                 "geometry": which,
                 "views": f"{views} of {store.views}",
             },
         )
         write_bundle(out, toolkit, bundle)
-    console.print(f"wrote {out}; python {out / 'load.py'} --help", highlight=False, soft_wrap=True)
+    console.print(f"wrote {out}; its README.txt says more", highlight=False, soft_wrap=True)
 
 
 def _store_path(scan: Path) -> Path:

@@ -174,7 +174,7 @@ def _readme(toolkit: Toolkit, bundle: Bundle) -> str:
 
 {_FILES.get(toolkit, _ARRAY_FILES)}
 export.json      sizes, and where the volume is in the world
-load.py          loads all of it: python load.py --help
+load.py          loads all of it
 {_OPENCT if toolkit == "openct" else _reconstruct(bundle.grid)}
 Coordinates are mm in the frame of the voxel grid: origin at its centre, axes along its own.
 "world_from_voxel" in export.json maps voxel indices (x, y, z) to world mm, as in NIfTI.

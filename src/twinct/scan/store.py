@@ -138,7 +138,7 @@ class ScanStore:
         Raises:
             ScanExistsError: it is another one's.
         """
-        own, other = str(self._group.attrs.get("digest")), scenario.digest()
+        own, other = self.digest, scenario.digest()
         if own != other:
             raise ScanExistsError(
                 f"{self.path} holds the scan of another scenario (digest {own[:12]}, this one has "
@@ -161,6 +161,11 @@ class ScanStore:
     def scenario(self) -> Scenario:
         """The scenario the scan was taken with."""
         return parse_scenario(json.loads(str(self._group.attrs["scenario"])))
+
+    @property
+    def digest(self) -> str:
+        """Digest of that scenario, files included as they were then."""
+        return str(self._group.attrs.get("digest"))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
