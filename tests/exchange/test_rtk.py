@@ -21,7 +21,7 @@ PROJECTION = 1e-5
 Red beyond it: a flipped axis of the volume 0.16, images shifted by 0.001 pixels 2.9e-5."""
 VOLUME = 0.02
 """RMS difference of the volumes, relative to the object; measured 0.010. RTK takes the views in a
-random order. Red beyond it: a flipped axis 0.17."""
+random order. Red beyond it: a flipped axis 0.16."""
 
 
 @pytest.fixture
