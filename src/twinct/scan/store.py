@@ -34,13 +34,18 @@ _POSE_COLUMNS = {"source": 3, "detector": 3, "u": 3, "v": 3, "source_quat": 4, "
 
 
 @contextlib.contextmanager
-def storage_errors(path: Path) -> Iterator[None]:
-    """Turn a full disk or a missing permission into one clear message."""
+def storage_errors(path: Path, left: str = "what was written before is kept") -> Iterator[None]:
+    """Turn a full disk or a missing permission into one clear message.
+
+    Args:
+        path: what is being written.
+        left: what a full disk leaves of it.
+    """
     try:
         yield
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            message = f"{path}: the disk is full; what was written before is kept"
+            message = f"{path}: the disk is full; {left}"
         elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EDQUOT):
             message = f"{path}: cannot be written: {error.strerror}"
         else:
@@ -56,13 +61,27 @@ def check_space(folder: Path, scenario: Scenario, views: int) -> None:
     """
     grid = scenario.reconstruction.grid.volume_grid
     images = views * scenario.detector.rows * scenario.detector.columns * 4
-    needed = images + 2 * int(np.prod(grid.shape)) * 4 + _SPARE_BYTES
+    volumes = 2 * int(np.prod(grid.shape)) * 4
+    require_space(folder, images + volumes, "the scan and its volume need")
+
+
+def require_space(folder: Path, size: int, what: str) -> None:
+    """Refuse to start what the disk cannot hold.
+
+    Args:
+        folder: where it shall go; need not exist yet.
+        size: bytes to write.
+        what: subject and verb of the message, such as "the scan needs".
+
+    Raises:
+        StorageError: with the bytes needed and the bytes free.
+    """
+    needed = size + _SPARE_BYTES
     existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     free = shutil.disk_usage(existing).free
     if free < needed:
         raise StorageError(
-            f"{folder}: the scan and its volume need up to {needed / 2**30:.2f} GiB, "
-            f"only {free / 2**30:.2f} GiB are free"
+            f"{folder}: {what} up to {needed / 2**30:.2f} GiB, only {free / 2**30:.2f} GiB are free"
         )
 
 
@@ -119,7 +138,7 @@ class ScanStore:
         Raises:
             ScanExistsError: it is another one's.
         """
-        own, other = str(self._group.attrs.get("digest")), scenario.digest()
+        own, other = self.digest, scenario.digest()
         if own != other:
             raise ScanExistsError(
                 f"{self.path} holds the scan of another scenario (digest {own[:12]}, this one has "
@@ -144,6 +163,11 @@ class ScanStore:
         return parse_scenario(json.loads(str(self._group.attrs["scenario"])))
 
     @property
+    def digest(self) -> str:
+        """Digest of that scenario, files included as they were then."""
+        return str(self._group.attrs.get("digest"))
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, source arm first."""
         return tuple(self._group.attrs["joint_names"])  # type: ignore[arg-type]
@@ -151,6 +175,10 @@ class ScanStore:
     def state(self, view: int) -> NDArray[np.float64]:
         """The full simulator state of a view."""
         return np.asarray(self._array("state")[view])
+
+    def transmission(self, view: int) -> NDArray[np.float32]:
+        """I/I0 of a view, (rows, columns)."""
+        return np.asarray(self._array("transmission")[view])
 
     def write(self, index: int, view: View) -> None:
         """Put one view on disk; it counts once its status is written.
@@ -183,10 +211,10 @@ class ScanStore:
         return Scan(
             self.scenario,
             everything["transmission"],
-            self._poses("commanded"),
-            self._poses("executed"),
+            self.poses("commanded"),
+            self.poses("executed"),
             tuple(Pose(p, q) for p, q in zip(*objects, strict=True)),
-            self._poses("believed"),
+            self.poses("believed"),
             self.joint_names,
             everything["joints"],
             everything["simulated_s"],
@@ -208,13 +236,15 @@ class ScanStore:
         draft.write_bytes(bytes([ACQUIRED]))
         draft.replace(chunk)
 
-    def _poses(self, which: str) -> PosePairs:
+    def poses(self, which: str) -> PosePairs:
+        """``commanded``, ``executed`` or ``believed`` poses of the views on disk."""
+        views = self.acquired
         pairs = [
             tuple(
                 Pose(p, q)
                 for p, q in zip(
-                    self._array(f"{which}/{body}")[:],
-                    self._array(f"{which}/{body}_quat")[:],
+                    self._array(f"{which}/{body}")[:views],
+                    self._array(f"{which}/{body}_quat")[:views],
                     strict=True,
                 )
             )
