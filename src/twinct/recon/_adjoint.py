@@ -11,7 +11,7 @@ from twinct.recon._rays import OPTIONS
 from twinct.recon._vectors import LANES
 
 PLANES = 16
-"""Planes of a slab, which one thread owns; a cache line of voxels along x."""
+"""Planes of a slab: a cache line of voxels along x."""
 
 
 @njit(**OPTIONS)
@@ -41,35 +41,39 @@ def _add_slab(x, lattice, start, end, rays, ranges, groups):
 
 
 @njit(parallel=True, **OPTIONS)
-def adjoint(y, view, out):
+def adjoint(y, view, out, parts):
     """Add the exact transpose of ``forward`` applied to ``y`` (rows, columns) to ``out`` (z, y, x).
 
-    A slab of planes across the axis that a ray crosses fastest belongs to one thread, so that no
-    two threads write to one voxel, and the order of the sums does not depend on their number.
+    Slabs of planes across the axis that a ray crosses fastest are shared out in ``parts``, one for
+    each thread, so that no two of them write to one voxel. The order of the sums does not depend on
+    their number.
     """
     rows, columns = y.shape
     shape, flat = out.shape, out.reshape(-1)
     for axis in range(3):
         planes = planes_of(axis, shape)
-        for slab in prange((planes + PLANES - 1) // PLANES):
-            start, end = slab * PLANES, min((slab + 1) * PLANES, planes) - 1
+        slabs = (planes + PLANES - 1) // PLANES
+        for part in prange(parts):
             scratch = room()
             rays, bounds, brick = scratch[0][axis], scratch[1][axis], scratch[6]
+            own = slabs * part // parts, slabs * (part + 1) // parts
             for top in range(0, rows, TILE_ROWS):
                 bottom = min(top + TILE_ROWS, rows)
                 for left in range(0, columns, TILE_COLUMNS):
                     right = min(left + TILE_COLUMNS, columns)
                     load(view, shape, (top, bottom), (left, right), True, scratch)
                     groups = scratch[4][axis]
-                    box = box_of(rays, bounds, groups, axis, shape, start, end)
-                    if box[1] == 0:
-                        continue
                     _weigh(y, rays, scratch[2][axis], scratch[3][axis], groups)
-                    if fits(box):
-                        take(flat, shape, axis, box, brick)
-                        lattice = in_brick(box, axis, shape)
-                        _add_slab(brick, lattice, start, end, rays, bounds, groups)
-                        put(brick, shape, axis, box, flat)
-                    else:
-                        lattice = in_volume(axis, shape)
-                        _add_slab(flat, lattice, start, end, rays, bounds, groups)
+                    for slab in range(own[0], own[1]):
+                        start, end = slab * PLANES, min((slab + 1) * PLANES, planes) - 1
+                        box = box_of(rays, bounds, groups, axis, shape, start, end)
+                        if box[1] == 0:
+                            continue
+                        if fits(box):
+                            take(flat, shape, axis, box, brick)
+                            lattice = in_brick(box, axis, shape)
+                            _add_slab(brick, lattice, start, end, rays, bounds, groups)
+                            put(brick, shape, axis, box, flat)
+                        else:
+                            lattice = in_volume(axis, shape)
+                            _add_slab(flat, lattice, start, end, rays, bounds, groups)
