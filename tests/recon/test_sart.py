@@ -90,9 +90,9 @@ def test_residual_falls_and_blobs_come_back_in_place(random_geometry, turned_gri
     p = A(truth)
     seen = []
 
-    def watch(iteration, update, x):
-        if update == len(A) - 1:
-            seen.append(np.linalg.norm(A(x) - p))
+    def watch(step):
+        if step.update == step.updates - 1:
+            seen.append(np.linalg.norm(A(step.volume) - p))
 
     x = sart(A, p, iterations=6, relaxation=0.5, nonnegative=True, callback=watch)
     assert all(later < earlier for earlier, later in pairwise(seen))
