@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct import pipeline
+from twinct import reconstruction
 from twinct.evaluate import pose_errors
 from twinct.pipeline import judge, line_integrals, reconstruct, simulate, truth_of
 from twinct.scan import Scan, Workshop
@@ -123,18 +123,18 @@ def test_a_scan_is_a_function_of_scenario_and_seed(scenario: Scenario, scan: Sca
 
 def test_reconstruction_goes_on_from_its_checkpoint(scan: Scan, tmp_path, monkeypatch) -> None:
     whole = reconstruct(scan)
-    kept = pipeline._Checkpoints.keep
+    kept = reconstruction._Checkpoints.keep
 
-    def killed(self, iterations, volume) -> None:
-        kept(self, iterations, volume)
+    def killed(self, iterations, volume, residuals) -> None:
+        kept(self, iterations, volume, residuals)
         if iterations == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(pipeline._Checkpoints, "keep", killed)
+        patch.setattr(reconstruction._Checkpoints, "keep", killed)
         with pytest.raises(KeyboardInterrupt):
             reconstruct(scan, checkpoints=tmp_path)
-    assert [p.name.rpartition("-")[2] for p in tmp_path.iterdir()] == ["0002.npy"]
+    assert [p.name.rpartition("-")[2] for p in tmp_path.iterdir()] == ["0002.npz"]
     np.testing.assert_array_equal(reconstruct(scan, checkpoints=tmp_path), whole)
 
 

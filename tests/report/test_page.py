@@ -64,7 +64,7 @@ def page(html):
 @pytest.fixture
 def undrawn(monkeypatch):
     """For what concerns text alone: drawing is what takes the time."""
-    names = ("room", "path", "errors", "slices", "projections")
+    names = ("room", "path", "errors", "slices", "convergence", "projections")
     monkeypatch.setattr(twinct.report.page, "_pictures", lambda _: dict.fromkeys(names, DOT))
 
 
@@ -77,6 +77,7 @@ def test_every_image_is_inside_and_can_be_read(page):
     assert [image["alt"] for image in page.images] == [
         "Path of the source around the isocentre",
         "Cross-sections of reconstruction, truth and error",
+        "Residual of each iteration",
         "Pose errors and clearance over the views",
         "Projections",
     ]

@@ -31,7 +31,7 @@ def cgls(
     and then m from their result are not n + m steps: the directions start afresh, and converge more
     slowly.
 
-    Memory at its peak: 3 volumes and 3.25 times the projections, with those given.
+    Memory at its peak: 3 volumes and 2.25 times the projections, beside the projections.
 
     Args:
         A: the projector, with the believed geometry.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import scipy.fft
@@ -77,15 +77,14 @@ def fdk(
     if pixels is not None and pixels.ndim == 3 and not pixels.any(axis=(1, 2)).all():
         view = int(pixels.any(axis=(1, 2)).argmin())
         checks.problems.append(f"the mask leaves no pixel of view {view}: fdk needs some of each")
-    circle = fan = None
+    circle = None
     try:
-        circle = fit_circle(A.geometry)
-        fan = _fan(A.geometry, circle)
-        _check_arc(circle, float(np.abs(fan).max()))
+        circle = circular(A.geometry)
     except InputError as error:
         checks.problems.extend(error.problems)
     checks.done()
-    assert circle is not None and fan is not None
+    assert circle is not None
+    fan = _fan(A.geometry, circle)
     require_memory("fdk", A)
     n = A.geometry.normal
     sdd = np.einsum("vk,vk->v", A.geometry.source - A.geometry.detector, n)
@@ -129,13 +128,20 @@ def _fan(geometry: ScanGeometry, circle: Circle) -> Floats:
     return np.arctan(sign[:, None] * _coordinates(geometry, circle)[0] / sdd[:, None])
 
 
-def _check_arc(circle: Circle, half_fan: float) -> None:
-    needed = math.pi + 2 * half_fan
+def circular(geometry: ScanGeometry) -> Circle:
+    """The circle of a scan that fdk can reconstruct.
+
+    Raises:
+        InputError: it leaves a circle by more than the bounds, or the arc is too short.
+    """
+    circle = fit_circle(geometry)
+    needed = math.pi + 2 * float(np.abs(_fan(geometry, circle)).max())
     if not circle.full and circle.span < needed - 1e-9:
         raise InputError(
             f"the arc covers {math.degrees(circle.span):.1f} deg: fdk needs 180 deg and the fan, "
             f"{math.degrees(needed):.1f} deg, or a whole turn"
         )
+    return circle
 
 
 def _redundancy(circle: Circle, view: int, fan: Floats) -> Floats | float:
@@ -174,12 +180,14 @@ def _response(columns: int, window: str) -> Volume:
         "hamming": 0.54 + 0.46 * np.cos(2 * math.pi * f),
         "hann": 0.5 + 0.5 * np.cos(2 * math.pi * f),
     }
-    return (scipy.fft.rfft(kernel).real * shapes[window]).astype(np.float32)
+    spectrum: Any = scipy.fft.rfft(kernel)
+    return (spectrum.real * shapes[window]).astype(np.float32)
 
 
 def _padded(columns: int) -> int:
     """Length at which no end of a row, led to zero, reaches the other."""
-    return scipy.fft.next_fast_len(4 * columns, real=True)
+    length: Any = scipy.fft.next_fast_len(4 * columns, real=True)
+    return length
 
 
 def _filtered(image: Volume, response: Volume) -> Volume:
@@ -189,9 +197,10 @@ def _filtered(image: Volume, response: Volume) -> Volume:
     fade = (0.5 + 0.5 * np.cos(math.pi * np.arange(1, reach + 1) / (reach + 1))).astype(np.float32)
     padded = np.concatenate([image[:, :1] * fade[::-1], image, image[:, -1:] * fade], axis=1)
     size = _padded(columns)
-    spectrum = scipy.fft.rfft(padded, n=size, axis=1, workers=-1)
+    spectrum: Any = scipy.fft.rfft(padded, n=size, axis=1, workers=-1)
     spectrum *= response
-    return scipy.fft.irfft(spectrum, n=size, axis=1, workers=-1)[:, reach : reach + columns]
+    rows: Any = scipy.fft.irfft(spectrum, n=size, axis=1, workers=-1)
+    return rows[:, reach : reach + columns]
 
 
 def _complete(image: Volume, mask: Mask | None, view: int) -> Volume:

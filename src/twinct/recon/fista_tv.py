@@ -56,7 +56,8 @@ def fista_tv(
     n iterations and then m from their result are not n + m iterations: momentum and dual start
     afresh.
 
-    Memory at its peak: 8 volumes, and once the projections, beside the projections and weights.
+    Memory at its peak: 8 volumes and twice the projections (hardly more than once with many
+    subsets), beside the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.

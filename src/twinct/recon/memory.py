@@ -16,7 +16,7 @@ PEAKS: dict[str, tuple[float, float]] = {
     "sirt": (3, 2.25),
     "cgls": (3, 2.25),
     "fdk": (1, 0),
-    "fista_tv": (8, 1),
+    "fista_tv": (8, 2),
     "rtk": (4, 0),
 }
 """(volumes, projections) at the peak, float32, beside the projections and the x0 that are given."""

@@ -30,7 +30,7 @@ def sirt(
     ``sart``; C divides by A^T 1 over the rays that count. The transpose is exact, so for a
     relaxation of 1 the iteration converges to a minimum of the residual weighted by R.
 
-    Memory at its peak: 3 volumes and 3 times the projections, with those given.
+    Memory at its peak: 3 volumes and 2.25 times the projections, beside the projections.
 
     Args:
         A: the projector, with the believed geometry.
@@ -82,7 +82,7 @@ def sirt(
         change = A.T(rest)
         change *= columns
         x += change
-        del change
+        del change, rest
         if nonnegative:
             np.maximum(x, 0.0, out=x)
         if report(iteration, 0, square, rays, x):
