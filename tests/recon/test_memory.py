@@ -13,11 +13,11 @@ from twinct.recon import Projector, cgls, fdk, fista_tv, os_sart, sart, sirt
 from twinct.recon.memory import PEAKS
 
 RUNS = {
-    "sart": partial(sart, iterations=1, relaxation=0.5),
-    "os_sart": partial(os_sart, iterations=1, relaxation=0.8, subsets=2),
+    "sart": partial(sart, iterations=2, relaxation=0.5),
+    "os_sart": partial(os_sart, iterations=2, relaxation=0.8, subsets=2),
     "sirt": partial(sirt, iterations=2),
     "cgls": partial(cgls, iterations=2),
-    "fista_tv": partial(fista_tv, iterations=1, regularisation=0.01, subsets=1, tv_steps=1),
+    "fista_tv": partial(fista_tv, iterations=2, regularisation=0.01, subsets=1, tv_steps=1),
     "fdk": fdk,
 }
 SLACK = 0.3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -144,6 +145,20 @@ def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Volume:
     if mask is None:
         return image
     return np.where(mask_of(mask, view), image, np.float32(0.0))
+
+
+def remainder(
+    A: Projector,  # noqa: N803
+    x: Volume,
+    p: NDArray[Any],
+    views: Iterable[int],
+    mask: Mask | None,
+) -> Volume:
+    """The line integrals of some views less A x, the operator of these views."""
+    rest = A(x)
+    for view, image in zip(views, rest, strict=True):
+        np.subtract(masked_image(p, view, mask), image, out=image)
+    return rest
 
 
 def counting_rays(A: Projector, mask: Mask | None) -> tuple[Mask, Volume]:  # noqa: N803

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.recon._tv import ascend, primal
-from twinct.recon.checks import Checks, counting_rays, masked_image, start_volume
+from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.order import subsets_of
 from twinct.recon.projector import Projector, Volume
@@ -108,15 +108,14 @@ def fista_tv(
     report = Reporter(callback, subsets)
     for iteration in range(iterations):
         for update, (part, views) in enumerate(parts):
-            rest = part(z)
+            rest = remainder(part, z, p, views, pixels)
             square, rays = 0.0, 0
-            for view, image in zip(views, rest, strict=True):
-                np.subtract(masked_image(p, view, pixels), image, out=image)
+            for here, view in enumerate(views):
                 if report.wanted:
                     counts = trust[view] > 0
-                    square += sum_of_squares(image[None, counts])
+                    square += sum_of_squares(rest[here][None, counts])
                     rays += int(counts.sum())
-                image *= trust[view]
+                rest[here] *= trust[view]
             step = part.T(rest)
             del rest
             step *= np.float32(subsets / mean)

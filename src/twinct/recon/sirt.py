@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.recon.checks import Checks, counting_rays, masked_image, start_volume
+from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.projector import Projector, Volume
 from twinct.recon.steps import Callback, Reporter, sum_of_squares
@@ -72,11 +72,9 @@ def sirt(
     del touched
     report = Reporter(callback)
     for iteration in range(iterations):
-        rest = A(x)
-        for view, image in enumerate(rest):
-            np.subtract(masked_image(p, view, pixels), image, out=image)
-            if report.wanted:
-                image[rows[view] == 0] = 0.0
+        rest = remainder(A, x, p, range(len(A)), pixels)
+        if report.wanted:
+            rest[rows == 0] = 0.0
         square = sum_of_squares(rest) if report.wanted else 0.0
         rest *= rows
         change = A.T(rest)
