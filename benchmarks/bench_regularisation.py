@@ -112,13 +112,16 @@ def regularised(scan: Scan, p: np.ndarray, strength: float) -> tuple[np.ndarray,
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--columns", type=int, default=160, help="pixels along u")
+    parser.add_argument("--strengths", type=float, nargs="+", default=STRENGTHS)
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args()
     scan = Scan(options.columns)
     shape = scan.projector.range_shape
     print(f"{shape} pixels, {scan.grid.shape} voxels, {PHOTONS:g} photons a pixel")
     print(f"tuning of fista_tv on seed {TUNING_SEED}")
-    tuning = [regularised(scan, scan.noisy(TUNING_SEED), strength)[1] for strength in STRENGTHS]
+    tuning = [
+        regularised(scan, scan.noisy(TUNING_SEED), strength)[1] for strength in options.strengths
+    ]
     strength = min(tuning, key=lambda f: f["near_bone"])["regularisation"]
     print(f"judged on seed {SEED}")
     p = scan.noisy(SEED)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from dataclasses import replace
 from pathlib import Path
 
@@ -231,14 +232,18 @@ def test_what_cannot_be_done_is_refused_before_work(scenario: Scenario, workshop
         require_feasible(changed("reconstruction.algorithm=fdk"), views)
     with pytest.raises(InputError, match="behind the source"):
         require_feasible(changed("reconstruction.grid.voxel_mm=30"), views)
-    with pytest.raises(MemoryShortageError, match=r"fista_tv .* needs 3\d\d\.\d\d GiB of memory"):
-        require_feasible(
-            changed(
-                "reconstruction.algorithm=fista_tv",
-                "reconstruction.grid={voxels: [4096, 2048, 1024], voxel_mm: 0.05}",
-            ),
-            views,
-        )
+    large = changed(
+        "reconstruction.algorithm=fista_tv",
+        "reconstruction.grid={voxels: 512, voxel_mm: 0.31}",
+    )
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 2**30, limits[1]))
+    try:
+        with pytest.raises(MemoryShortageError, match=r"fista_tv .* needs 4\.\d\d GiB of memory"):
+            require_feasible(large, views)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
 
 
 def test_fdk_reconstructs_what_the_arms_scanned_on_an_arc() -> None:

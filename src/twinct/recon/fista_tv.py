@@ -43,8 +43,7 @@ def fista_tv(
         0.5 |A x - p|_W^2 / d + regularisation * TV(x),   TV(x) = integral of |grad x| over mm^3
 
     d is the mean over the grid of A^T W A 1, for each mm^3. It makes the regularisation a pure
-    number that is the same for any number of views, pixels or voxels: contrast (1/mm) times size
-    (mm) of what vanishes, as in denoising.
+    number that means the same for any number of views, pixels or voxels.
 
     FISTA (Beck, Teboulle 2009) with ordered subsets of views and a momentum that goes on from
     subset to subset (Kim, Ramani, Fessler 2015); the step of each voxel is the inverse of the row
@@ -63,7 +62,8 @@ def fista_tv(
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: passes over all views, at least 1.
-        regularisation: 0 or more; 0.0005 to 0.005 for bone in 1/mm.
+        regularisation: 0 or more; about 0.0001 for bone (0.04/mm) and 1e4 photons a pixel, in
+            proportion to the contrast.
         subsets: from 1 to the number of views; one for each 10 views if not given.
         tv_steps: dual steps after each update, at least 1.
         weights: W, of the shape of the projections, 0 or more; for Poisson noise the expected

@@ -56,7 +56,7 @@ class Reporter:
         view.flags.writeable = False
         residual = math.sqrt(square / rays) if rays else 0.0
         step = Step(iteration, update, self.updates, residual, rays, view)
-        return self.callback(step) is True
+        return bool(self.callback(step))
 
 
 def sum_of_squares(values: np.ndarray) -> float:

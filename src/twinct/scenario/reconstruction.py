@@ -41,10 +41,7 @@ GeometryName = Literal["commanded", "executed", "believed"]
 
 
 class Surroundings(Section):
-    """What lies around the grid is reconstructed coarsely first, and taken out of the projections.
-
-    For specimens that reach out of the grid.
-    """
+    """A coarse reconstruction of more than the grid, to take out what lies around the grid."""
 
     margin_mm: Positive = Field(
         description="By how much the coarse grid is larger on each side; the specimen should end "
@@ -79,8 +76,8 @@ class Reconstruction(Section):
     )
     regularisation: NonNegative = Field(
         default=1e-4,
-        description="Strength of the total variation, for fista_tv: contrast (1/mm) times size (mm)"
-        " of what vanishes; it does not depend on views, pixels or voxels.",
+        description="Strength of the total variation, for fista_tv: a pure number that means the "
+        "same for any number of views, pixels or voxels.",
     )
     weighting: Literal["uniform", "counts"] = Field(
         default="uniform",
