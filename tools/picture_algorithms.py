@@ -36,11 +36,13 @@ IMAGES = ROOT / "docs" / "images"
 PHOTONS, SEED = 1e4, 1
 ARC = "trajectory={kind: arc, views: 100, longitude_range_deg: 212}"
 ALGORITHMS: dict[str, Callable[..., np.ndarray]] = {
-    "sart, 4 iterations of 0.3": lambda A, p: sart(A, p, iterations=4, relaxation=0.3),
-    "os_sart, 10 subsets,\n12 iterations of 1": lambda A, p: os_sart(
-        A, p, iterations=12, relaxation=1.0
+    "sart, 5 iterations of 0.3": lambda A, p: sart(
+        A, p, iterations=5, relaxation=0.3, nonnegative=True
     ),
-    "sirt, 60 iterations": lambda A, p: sirt(A, p, iterations=60),
+    "os_sart, 10 subsets,\n12 iterations of 1": lambda A, p: os_sart(
+        A, p, iterations=12, relaxation=1.0, nonnegative=True
+    ),
+    "sirt, 80 iterations": lambda A, p: sirt(A, p, iterations=80, nonnegative=True),
     "cgls, 10 iterations": lambda A, p: cgls(A, p, iterations=10),
     "fista_tv, 10 iterations,\nregularisation 0.0001": lambda A, p: fista_tv(
         A, p, iterations=10, regularisation=1e-4
@@ -71,16 +73,19 @@ def near_bone(volume: np.ndarray, geometry: ScanGeometry) -> tuple[float, float]
     return 100 * figures.rmse_bone_rel, 100 * figures.rmse_rel
 
 
-def draw(path: Path, volumes: dict[str, np.ndarray], region: np.ndarray, columns: int) -> None:
+Panels = dict[str, tuple[np.ndarray, np.ndarray]]
+"""Volume and region by title."""
+
+
+def draw(path: Path, panels: Panels, columns: int) -> None:
     """Sagittal cross-sections in one grey window, with the region's outline."""
-    rows = -(-len(volumes) // columns)
+    rows = -(-len(panels) // columns)
     figure = Figure(figsize=(2.5 * columns, 2.95 * rows), layout="constrained", dpi=110)
     middle = grid.shape[2] // 2 + 6
     half = grid.size_mm[1] / 2, grid.size_mm[2] / 2
     extent = (-half[0], half[0], -half[1], half[1])
-    for axes, (title, volume) in zip(
-        figure.subplots(rows, columns, squeeze=False).flat, volumes.items(), strict=False
-    ):
+    grid_of_axes = figure.subplots(rows, columns, squeeze=False)
+    for axes, (title, (volume, region)) in zip(grid_of_axes.flat, panels.items(), strict=False):
         axes.imshow(
             volume[:, :, middle], cmap="gray", vmin=0, vmax=1.15 * mu, origin="lower", extent=extent
         )
@@ -95,36 +100,30 @@ def main() -> None:
     geometry = workshop.commanded
     region = region_of_interest(geometry, grid)
     p, A = line_integrals(geometry), Projector(geometry, grid)
-    say = sys.stdout.write
-    volumes = {"truth": truth}
+    panels: Panels = {"truth": (truth, region)}
 
     def keep(name: str, volume: np.ndarray, views: ScanGeometry) -> None:
         near, all_over = near_bone(volume, views)
-        say(f"{name!r}: {near:.1f} % near bone, {all_over:.1f} % in the region\n")
-        volumes[f"{name}: {near:.1f} %"] = volume
+        sys.stdout.write(f"{name!r}: {near:.1f} % near bone, {all_over:.1f} % in the region\n")
+        panels[f"{name}: {near:.1f} %"] = volume, region_of_interest(views, grid)
 
     for name, run in ALGORITHMS.items():
         keep(name, run(A, p), geometry)
     rest = without_surroundings(p, geometry, grid, **AROUND)
-    keep(
-        "fista_tv,\nsurroundings taken out",
-        fista_tv(A, rest, iterations=10, regularisation=1e-4),
-        geometry,
-    )
+    tv = fista_tv(A, rest, iterations=10, regularisation=1e-4)
+    keep("fista_tv,\nsurroundings taken out", tv, geometry)
     arc = commanded_views(
         load_scenario(ROOT / "scenarios" / "demo.yaml", [ARC]).trajectory, demo.detector.panel
     )
-    keep(
-        "fdk, hann,\non an arc of 212 deg",
-        fdk(Projector(arc, grid), line_integrals(arc), window="hann"),
-        arc,
-    )
-    draw(IMAGES / "algorithms.png", volumes, region, 4)
+    filtered = fdk(Projector(arc, grid), line_integrals(arc), window="hann", nonnegative=True)
+    keep("fdk, hann,\non an arc of 212 deg", filtered, arc)
+    draw(IMAGES / "algorithms.png", panels, 4)
 
-    volumes = {"truth": truth}
-    keep("sart", sart(A, p, iterations=4, relaxation=0.3), geometry)
-    keep("sart, surroundings\ntaken out", sart(A, rest, iterations=4, relaxation=0.3), geometry)
-    draw(IMAGES / "truncation.png", volumes, region, 3)
+    panels = {"truth": (truth, region)}
+    for name, data in (("sart", p), ("sart, surroundings\ntaken out", rest)):
+        volume = sart(A, data, iterations=5, relaxation=0.3, nonnegative=True)
+        keep(name, volume, geometry)
+    draw(IMAGES / "truncation.png", panels, 3)
 
 
 if __name__ == "__main__":

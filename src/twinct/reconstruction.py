@@ -82,7 +82,8 @@ def reconstruct(
         checkpoints: folder in which each iteration is kept, and from which a later call goes on;
             see ``RESUMABLE``.
         watch: called after each iteration, also those of the call before, with its number from 1
-            and the root mean square of p - A x, taken during it before each update.
+            and the root mean square of p - A x, taken during it before each update; not for ``fdk``
+            and the engine ``rtk``, which have none.
         progress: told of each update.
 
     Returns:
@@ -102,9 +103,9 @@ def reconstruct(
     folder = checkpoints if section.algorithm in RESUMABLE and section.engine == "twinct" else None
     kept = _Checkpoints(folder, f"{which}-{reconstruction_digest(scan.scenario)[:16]}")
     done, volume, residuals = kept.newest(grid)
-    for iteration, residual in enumerate(residuals if watch else ()):
-        assert watch is not None
-        watch(iteration + 1, residual)
+    if watch is not None:
+        for number, residual in enumerate(residuals, start=1):
+            watch(number, residual)
     if volume is not None and done >= section.iterations:
         return volume
     updates = _updates(section, len(scan))
@@ -263,12 +264,15 @@ class _Follower:
         if step.update + 1 < step.updates:
             return
         number = self.done + step.iteration + 1
-        self.residuals.append(math.sqrt(self.square / self.rays) if self.rays else 0.0)
+        residual = math.sqrt(self.square / self.rays) if self.rays else 0.0
         self.square, self.rays = 0.0, 0
+        log.info("iteration %d: residual %.5f", number, residual)
+        if math.isnan(residual):
+            return
+        self.residuals.append(residual)
         self.kept.keep(number, step.volume, self.residuals)
-        log.info("iteration %d: residual %.5f", number, self.residuals[-1])
         if self.watch is not None:
-            self.watch(number, self.residuals[-1])
+            self.watch(number, residual)
 
 
 @dataclass(frozen=True)
