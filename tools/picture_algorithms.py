@@ -2,8 +2,8 @@
 
     python tools/picture_algorithms.py
 
-Projections are gVXR's from the commanded poses, with Poisson noise of 1e4 photons a pixel; fdk gets
-an arc of as many views in their place.
+Projections are gVXR's from the commanded poses, with Poisson noise of 1e4 photons a pixel in the
+first picture; fdk gets an arc of as many views in their place.
 """
 
 from __future__ import annotations
@@ -58,11 +58,13 @@ truth = workshop.specimen.truth(grid, energy)
 mu = workshop.specimen.reference_mu(energy)
 
 
-def line_integrals(geometry: ScanGeometry) -> np.ndarray:
-    """Noisy line integrals of the skull where it stands."""
+def line_integrals(geometry: ScanGeometry, noisy: bool = True) -> np.ndarray:
+    """Line integrals of the skull where it stands."""
     stand = workshop.specimen.world_from_specimen
     with workshop.imager() as imager:
         transmission = np.stack([imager.render(view, stand) for view in geometry])
+    if not noisy:
+        return -np.log(transmission)
     counts = np.random.default_rng(SEED).poisson(transmission * PHOTONS)
     return -np.log(np.maximum(counts, 1) / PHOTONS).astype(np.float32)
 
@@ -120,9 +122,10 @@ def main() -> None:
     draw(IMAGES / "algorithms.png", panels, 4)
 
     panels = {"truth": (truth, region)}
+    p = line_integrals(geometry, noisy=False)
+    rest = without_surroundings(p, geometry, grid, **AROUND)
     for name, data in (("sart", p), ("sart, surroundings\ntaken out", rest)):
-        volume = sart(A, data, iterations=5, relaxation=0.3, nonnegative=True)
-        keep(name, volume, geometry)
+        keep(name, sart(A, data, iterations=10, relaxation=0.3), geometry)
     draw(IMAGES / "truncation.png", panels, 3)
 
 

@@ -11,7 +11,7 @@ from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, fdk, fit_circle
 
 MID_PLANE = 0.01
-"""Share of the true value; the issue's figure. Measured at most 0.0008."""
+"""Share of the true value. Measured at most 0.0004 for the mean."""
 PANEL = Panel(96, 100, 1.5, 1.5)
 SPHERE = [((4.0, -3.0, 2.0), (20.0, 20.0, 20.0))]
 DEFRISE = [((2.0, 1.0, z), (24.0, 22.0, 3.0)) for z in (-24.0, -12.0, 0.0, 12.0, 24.0)]
@@ -37,7 +37,7 @@ def test_mid_plane_has_the_true_value(arc, bodies, window, circle, ellipsoid_int
     square = ((x - cx) / a) ** 2 + (((y - cy) / b) ** 2)[:, None] + (cz / c) ** 2
     body, air = volume[1][square < 0.7], volume[1][(square > 1.4) & (square < 2)]
     assert abs(body.mean() - 1) < MID_PLANE
-    assert np.abs(body - 1).max() < 5 * MID_PLANE
+    assert np.abs(body - 1).max() < 2 * MID_PLANE
     assert abs(air.mean()) < MID_PLANE
 
 

@@ -5,8 +5,8 @@ from scipy.optimize import nnls
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fista_tv
 
-OBJECTIVE = 2e-3
-"""Above the minimum found by another algorithm in float64, relative. Measured 1e-5 to 4e-4."""
+OBJECTIVE = 1e-4
+"""Away from the minimum found by another algorithm in float64, relative. Measured 1.4e-6."""
 
 
 def gradients(shape, voxel):
@@ -82,11 +82,11 @@ def test_reaches_the_minimum(problem, weighted):
         tv_steps=30,
         weights=weights if weighted else None,
     )
-    assert cost(ours.ravel().astype(float)) < (1 + OBJECTIVE) * least
+    assert abs(cost(ours.ravel().astype(float)) / least - 1) < OBJECTIVE
     # The minimum is not trivial: neither zero nor the least squares.
     assert least < 0.8 * cost(0 * ours.ravel())
     assert least < 0.95 * cost(nnls(M * np.sqrt(w)[:, None], b * np.sqrt(w))[0])
-    # Ordered subsets come near it in a few passes.
+    # Ordered subsets come near it in a few passes; measured 0.4 % above.
     fast = fista_tv(
         A,
         p,
@@ -95,7 +95,7 @@ def test_reaches_the_minimum(problem, weighted):
         subsets=2,
         weights=weights if weighted else None,
     )
-    assert cost(fast.ravel().astype(float)) < 1.02 * least
+    assert cost(fast.ravel().astype(float)) < 1.01 * least
 
 
 def test_without_regularisation_it_is_least_squares(problem):

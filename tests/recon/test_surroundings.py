@@ -43,7 +43,7 @@ def test_error_falls_where_every_view_sees(algorithm, truncated):
         )
         return np.sqrt(np.mean((volume - truth)[region] ** 2))
 
-    assert error(rest) < 0.6 * error(p)
+    assert error(rest) < 0.3 * error(p)  # measured 0.18 and 0.20
 
 
 def test_nothing_outside_leaves_the_line_integrals_nearly_alone(circle, ellipsoid_integrals):

