@@ -37,12 +37,14 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
     Names every view that an arm cannot reach or that would collide.
     """
     from twinct.cli.run import summary
-    from twinct.pipeline import require_extras
+    from twinct.pipeline import require_extras, require_feasible
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
-    Console().print(summary(Workshop(loaded)))
+    workshop = Workshop(loaded)
+    require_feasible(loaded, workshop.commanded)
+    Console().print(summary(workshop))
 
 
 @app.command

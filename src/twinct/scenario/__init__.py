@@ -1,6 +1,7 @@
 """The scenario: one YAML file that initialises everything."""
 
 from twinct.scenario.loading import load_scenario, parse_scenario, scenario_schema
+from twinct.scenario.reconstruction import Grid, Reconstruction, Surroundings
 from twinct.scenario.sections import (
     ArcTrajectory,
     Arm,
@@ -13,14 +14,12 @@ from twinct.scenario.sections import (
     Detector,
     Ellipsoid,
     FileTrajectory,
-    Grid,
     HelixTrajectory,
     InverseKinematics,
     MeshFile,
     Motion,
     Part,
     PositionNoise,
-    Reconstruction,
     Scenario,
     SinusoidTrajectory,
     Skull,
@@ -57,6 +56,7 @@ __all__ = [
     "Source",
     "Specimen",
     "Sphere",
+    "Surroundings",
     "Table",
     "Uncertainty",
     "load_scenario",
