@@ -137,8 +137,8 @@ def _peak_mb(size, threads):
     return int(re.search(r"VmHWM:\s+(\d+)", status)[1]) / 1024
 
 
-def _two_updates(_iteration, update, _x):
-    return update == 1
+def _two_updates(step):
+    return step.update == 1
 
 
 def setting(size, views):

@@ -5,6 +5,7 @@ import sys
 import tracemalloc
 from functools import partial
 
+import numba
 import numpy as np
 import pytest
 
@@ -22,6 +23,8 @@ RUNS = {
 }
 SLACK = 0.3
 """Images, planes and interpreter objects, in volumes or projections of this size."""
+SCRATCH = 500_000
+"""Bytes that each thread of a projector works in, whatever the size of the volume."""
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -45,7 +48,7 @@ def test_peak_is_as_stated(name, large, circle):
     volumes, projections = PEAKS[name]
     share = 4 * (volumes * np.prod(grid.shape) + projections * p.size)
     unit = 4 * np.prod(grid.shape) if large == "volume" else p.nbytes
-    assert peak < share + SLACK * unit
+    assert peak < share + SLACK * unit + SCRATCH * numba.get_num_threads()
     assert peak > share - 0.6 * unit, "stated more than is taken"
 
 
