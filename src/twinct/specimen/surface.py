@@ -94,6 +94,26 @@ def simplified(mesh: trimesh.Trimesh, max_triangles: int = MAX_TRIANGLES) -> tri
     return from_manifold(smaller)
 
 
+def refined(mesh: trimesh.Trimesh, longest_edge_mm: float) -> trimesh.Trimesh:
+    """The same solid with no edge much longer than a length: neighbours stay joined.
+
+    Args:
+        mesh: closed.
+        longest_edge_mm: edges end up shorter than about 1.5 times this.
+
+    Raises:
+        SpecimenError: the mesh is no solid that can be refined.
+    """
+    if not len(mesh.faces) or mesh.edges_unique_length.max() <= 1.5 * longest_edge_mm:
+        return mesh
+    solid = to_manifold(mesh)
+    if solid.is_empty():
+        raise SpecimenError(
+            "a mesh with long edges must be refined, but its surface is not an orientable manifold"
+        )
+    return from_manifold(solid.refine_to_length(longest_edge_mm))
+
+
 def subtract(
     mesh: trimesh.Trimesh, others: Sequence[trimesh.Trimesh], name: str
 ) -> trimesh.Trimesh:

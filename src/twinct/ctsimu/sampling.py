@@ -1,0 +1,100 @@
+"""Where rays start and end: focal spot and pixel, sampled together.
+
+A point source: each pixel is cut into equal parts, one ray to the middle of each. A focal spot: one
+ray from each of its points, each to another place in the pixel, so that a pass over the panel
+costs one ray a pixel and both averages come from the same passes. The points are those of a
+sequence of low discrepancy in four dimensions, x_k = frac(1/2 + k / g^j) with g the root of
+g^5 = g + 1 (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+from twinct.ctsimu.images import read_image
+from twinct.ctsimu.scene import Spot
+from twinct.errors import InputError
+from twinct.geometry import Floats
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Passes over the panel; the image is their mean.
+
+    Attributes:
+        spot_mm: where the rays of each pass start, along u and v of the source, (passes, 2).
+        shift: where they end in the pixel, pixels off its middle along u and v, (passes, 2).
+        samples: rays along each pixel edge in every pass.
+    """
+
+    spot_mm: Floats
+    shift: Floats
+    samples: int
+
+
+def sampling(spot: Spot, samples: int, spot_points: int) -> Sampling:
+    """Passes for a focal spot.
+
+    Args:
+        spot: point, Gaussian, or image.
+        samples: rays along each pixel edge, for a point.
+        spot_points: passes for a spot with extent.
+
+    Raises:
+        InputError: an image without intensity.
+    """
+    if spot.is_point:
+        return Sampling(np.zeros((1, 2)), np.zeros((1, 2)), samples)
+    cube = _low_discrepancy(spot_points, 4)
+    if spot.image is not None:
+        points = _from_image(spot, cube[:, :2])
+    else:
+        points = _standardised(ndtri(cube[:, :2])) * np.array(spot.sigma_mm)
+    return Sampling(points, cube[:, 2:] - 0.5, 1)
+
+
+def _from_image(spot: Spot, uniform: Floats) -> Floats:
+    """Points with the density of an image: first the row, then the column in it."""
+    assert spot.image is not None
+    weights = read_image(spot.image)
+    weights = weights - min(0.0, weights.min())
+    total = weights.sum()
+    if not total > 0:
+        raise InputError(f"{spot.image.path}: a focal spot without intensity")
+    rows, columns = weights.shape
+    across, down = (np.arange(columns) + 0.5) / columns - 0.5, (np.arange(rows) + 0.5) / rows - 0.5
+    points = np.empty((len(uniform), 2))
+    for i, (first, second) in enumerate(uniform):
+        row = _inverse(weights.sum(axis=1), first)
+        column = _inverse(weights[min(int(row), rows - 1)], second)
+        points[i] = column / columns - 0.5, row / rows - 0.5
+    # The image's own mean and spread, which few points miss.
+    shares = weights / total
+    means = np.array([shares.sum(axis=0) @ across, shares.sum(axis=1) @ down])
+    seconds = np.array([shares.sum(axis=0) @ across**2, shares.sum(axis=1) @ down**2])
+    spread = np.sqrt(np.maximum(seconds - means**2, 0.0))
+    return (_standardised(points) * spread + means) * np.array(spot.size_mm)
+
+
+def _inverse(weights: Floats, share: float) -> float:
+    """Place below which a share of the weights lies; bins have width 1."""
+    edges = np.concatenate([[0.0], np.cumsum(weights)])
+    return float(np.interp(share * edges[-1], edges, np.arange(len(edges))))
+
+
+def _standardised(points: Floats) -> Floats:
+    """Mean 0 and standard deviation 1 along each axis; one point stays where the middle is."""
+    points = points - points.mean(axis=0)
+    spread = points.std(axis=0)
+    return points / np.where(spread > 0, spread, 1.0)
+
+
+def _low_discrepancy(count: int, dimensions: int) -> Floats:
+    root = 1.5
+    for _ in range(60):
+        root = (1 + root) ** (1 / (dimensions + 1))
+    steps = root ** -np.arange(1.0, dimensions + 1)
+    return (0.5 + np.arange(count)[:, None] * steps) % 1.0
