@@ -1,4 +1,4 @@
-"""Where source and panel must not be: gVXR would give a wrong image there, without an error."""
+"""What gVXR would get wrong without an error: meshes, and where source and panel must not be."""
 
 from __future__ import annotations
 
@@ -12,6 +12,17 @@ from twinct.geometry import Floats, ScanGeometry
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
+
+
+def mesh_fault(mesh: Trimesh) -> str | None:
+    """Why gVXR cannot image a mesh; None where it can."""
+    if not len(mesh.faces):
+        return "is empty: its mesh has no triangles"
+    if not mesh.is_watertight:
+        return "is an open mesh: gVXR would get its path lengths wrong"
+    if mesh.volume <= 0:
+        return "is inside out: its triangles must be wound outwards"
+    return None
 
 
 class Placement:

@@ -13,7 +13,7 @@ from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.xray._engine import ENGINE, Body
-from twinct.xray._placement import Placement
+from twinct.xray._placement import Placement, mesh_fault
 
 if TYPE_CHECKING:
     from twinct.specimen import BuiltPart, BuiltSpecimen
@@ -121,12 +121,8 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float) -> list[Body]:
 
 
 def _fault(part: BuiltPart, mu_per_mm: float) -> str | None:
-    if not len(part.mesh.faces):
-        return "is empty: its mesh has no triangles"
-    if not part.mesh.is_watertight:
-        return "is an open mesh: gVXR would get its path lengths wrong"
-    if part.mesh.volume <= 0:
-        return "is inside out: its triangles must be wound outwards"
+    if fault := mesh_fault(part.mesh):
+        return fault
     if not (np.isfinite(mu_per_mm) and mu_per_mm >= 0):
         return f"has an attenuation of {mu_per_mm:g}/mm"
     return None
