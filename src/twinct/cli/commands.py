@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from twinct.cli.ctsimu import ctsimu
 from twinct.scenario import load_scenario, scenario_schema
 
 app = tyro.extras.SubcommandApp()
@@ -184,3 +185,8 @@ def report(
     from twinct.cli.run import report_again
 
     report_again(folder)
+
+
+app.command(
+    ctsimu, name="ctsimu", help="Scenarios of the CTSimU format: render, export, qualify."
+)
