@@ -102,7 +102,8 @@ class Camera:
 
     def _sampling(self, frame: Frame) -> Sampling:
         if self._plan is None or self._plan[0] != frame.spot:
-            plan = sampling(frame.spot, self._samples, self._spot_points)
+            pixels = max(frame.panel.shape)
+            plan = sampling(frame.spot, self._samples, self._spot_points, pixels)
             self._plan = frame.spot, plan
         return self._plan[1]
 

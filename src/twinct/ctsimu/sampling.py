@@ -20,6 +20,10 @@ from twinct.errors import InputError
 from twinct.geometry import Floats
 
 
+LARGEST_PASS = 2048
+"""Rays along the longer edge of the panel in one pass: the largest texture of software OpenGL."""
+
+
 @dataclass(frozen=True)
 class Sampling:
     """Passes over the panel; the image is their mean.
@@ -35,25 +39,34 @@ class Sampling:
     samples: int
 
 
-def sampling(spot: Spot, samples: int, spot_points: int) -> Sampling:
+def sampling(spot: Spot, samples: int, spot_points: int, pixels: int) -> Sampling:
     """Passes for a focal spot.
 
     Args:
         spot: point, Gaussian, or image.
-        samples: rays along each pixel edge, for a point.
+        samples: rays along each pixel edge, for a point; they are spread over several passes
+            where one would be too large.
         spot_points: passes for a spot with extent.
+        pixels: along the longer edge of the panel.
 
     Raises:
         InputError: an image without intensity.
     """
     if spot.is_point:
-        return Sampling(np.zeros((1, 2)), np.zeros((1, 2)), samples)
+        inner = max(n for n in _divisors(samples) if n == 1 or pixels * n <= LARGEST_PASS)
+        steps = (np.arange(samples // inner) + 0.5) / samples - 0.5 / inner
+        shift = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        return Sampling(np.zeros_like(shift), shift, inner)
     cube = _low_discrepancy(spot_points, 4)
     if spot.image is not None:
         points = _from_image(spot, cube[:, :2])
     else:
         points = _standardised(ndtri(cube[:, :2])) * np.array(spot.sigma_mm)
     return Sampling(points, cube[:, 2:] - 0.5, 1)
+
+
+def _divisors(number: int) -> list[int]:
+    return [n for n in range(1, number + 1) if number % n == 0]
 
 
 def _from_image(spot: Spot, uniform: Floats) -> Floats:
