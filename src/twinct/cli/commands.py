@@ -187,6 +187,4 @@ def report(
     report_again(folder)
 
 
-app.command(
-    ctsimu, name="ctsimu", help="Scenarios of the CTSimU format: render, export, qualify."
-)
+app.command(ctsimu, name="ctsimu", help="Scenarios of the CTSimU format: render, export, qualify.")

@@ -200,9 +200,7 @@ class Section:
             self._inner[key] = Section(data, place, self.moment, self.folder, self.problems)
         return self._inner[key]
 
-    def _parameter(
-        self, key: str, unit: str
-    ) -> tuple[Any, list[Mapping[str, Any]], float] | None:
+    def _parameter(self, key: str, unit: str) -> tuple[Any, list[Mapping[str, Any]], float] | None:
         """Value, drifts that count at this moment, and the scale of the unit."""
         self._read.add(key)
         data = self.data.get(key)

@@ -132,9 +132,7 @@ def _check_version(section: Section) -> None:
     version = section.section("file_format_version")
     found = version.whole("major", 0), version.whole("minor", 0)
     if not (1, 0) <= found <= FORMAT:
-        section.problem(
-            "file_format_version", f"{found[0]}.{found[1]} is not one of 1.0, 1.1, 1.2"
-        )
+        section.problem("file_format_version", f"{found[0]}.{found[1]} is not one of 1.0, 1.1, 1.2")
 
 
 def _field_images(section: Section) -> FieldImages:
@@ -324,9 +322,7 @@ def _raw_image(section: Section, shape: tuple[int, int]) -> RawImage | None:
     return RawImage(path, np.dtype(kind).newbyteorder(order).str, shape[0], shape[1], header)
 
 
-def _body(
-    section: Section, stage: Any, materials: dict[str, Material | None]
-) -> Body | None:
+def _body(section: Section, stage: Any, materials: dict[str, Material | None]) -> Body | None:
     name = section.text("name") or section.place
     file, unit = section.file("file"), section.text("unit") or "mm"
     if unit not in UNITS["mm"]:
@@ -351,9 +347,7 @@ def _environment(section: Section, materials: dict[str, Material | None]) -> Mat
     return _of(section, materials) if section.has("material_id") else None
 
 
-def _layers(
-    section: Section, key: str, materials: dict[str, Material | None]
-) -> list[Layer]:
+def _layers(section: Section, key: str, materials: dict[str, Material | None]) -> list[Layer]:
     found = [_layer(item, materials) for item in section.sections(key)]
     return [layer for layer in found if layer is not None]
 

@@ -58,8 +58,9 @@ def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) ->
 def to_manifold(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
     """The solid that the surface bounds; empty where the modeller cannot make sense of it."""
     raw = manifold3d.Mesh64(
-        vert_properties=np.ascontiguousarray(mesh.vertices, dtype=np.float64),
-        tri_verts=np.ascontiguousarray(mesh.faces, dtype=np.uint64),
+        # Copies: the modeller takes no read-only arrays, such as those it gave itself.
+        vert_properties=np.array(mesh.vertices, dtype=np.float64, order="C"),
+        tri_verts=np.array(mesh.faces, dtype=np.uint64, order="C"),
     )
     solid = manifold3d.Manifold(raw)
     if solid.status() != manifold3d.Error.NoError:

@@ -96,9 +96,9 @@ class Case:
         for part in self.parts:
             mesh = part.mesh()
             middle = np.asarray(mesh.bounds).mean(axis=0)
-            file = folder / f"{self.name}_{part.name}.stl"
-            mesh.copy().apply_translation(-middle).export(file)
-            # STL keeps single floats: they round better about the middle.
+            # Single floats, as in STL, would open the seams.
+            file = folder / f"{self.name}_{part.name}.obj"
+            mesh.copy().apply_translation(-middle).export(file, digits=12)
             entries.append(
                 {
                     "name": part.name,

@@ -8,14 +8,14 @@ at the origin.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import manifold3d
 import numpy as np
 import trimesh
 
 from twinct.geometry import Floats
-from twinct.specimen.surface import from_manifold, surface, to_manifold
+from twinct.specimen.surface import from_manifold, surface
 
 TILT_RAD = np.radians(3.0)
 """By how much edge and wires are turned, clockwise in the image."""
@@ -26,6 +26,9 @@ WEDGE_STEPS_MM = (41.0, 35.89, 30.79, 25.68, 20.58, 15.47, 10.36, 5.26, 0.15)
 WEDGE_LEFT_PX, WEDGE_RIGHT_PX, WEDGE_JOINT_PX = 90.0, 900.0, 500.0
 WEDGE_RADIUS_MM = 400.0
 """Inner radius of the shells around the focal spot."""
+
+APART_PX = 1e-5
+"""The steps are solids of their own: what touches would share edges."""
 
 WIRE_MM = (0.8, 0.63, 0.5, 0.4, 0.32, 0.25, 0.2, 0.16, 0.13, 0.1, 0.08, 0.063, 0.05)
 """Diameters and gaps of the duplex wires (ISO 19232-5)."""
@@ -113,16 +116,15 @@ def wedge(
     parts = []
     for step, thickness in enumerate(WEDGE_STEPS_MM):
         top, bottom = ((len(WEDGE_STEPS_MM) - step + k) * WEDGE_PANEL_PX / 11 for k in (0, 1))
+        top, bottom = top + APART_PX, bottom - APART_PX
         ys = np.linspace(top, bottom, int(np.ceil((bottom - top) / grid_px)) + 1)
         columns = int(np.ceil((WEDGE_RIGHT_PX - WEDGE_LEFT_PX) / grid_px)) + 1
         share = np.linspace(0, 1, columns)
-        # Just inside the step at its ends: left and right may jump from step to step.
-        inside = np.clip(ys, top + 1e-9, bottom - 1e-9)
-        xs = np.array([left(y) + share * (right(y) - left(y)) for y in inside])
+        xs = np.array([left(y) + share * (right(y) - left(y)) for y in ys])
         rays = directions(xs, np.repeat(ys[:, None], columns, axis=1))
         inner, outer = WEDGE_RADIUS_MM * rays, (WEDGE_RADIUS_MM + thickness) * rays
         parts.append(_slab(inner, outer))
-    return _union(parts)
+    return trimesh.util.concatenate(parts)
 
 
 def overlap_px(y: float) -> float:
@@ -163,11 +165,6 @@ def _quads(index: np.ndarray) -> np.ndarray:
 def _strip(border: np.ndarray, last: int) -> np.ndarray:
     """Between the border of the first grid, walked with the slab on one side, and the second's."""
     return np.stack([border[1:], border[:-1], border[:-1] + last, border[1:] + last], axis=-1)
-
-
-def _union(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    solids = [to_manifold(part) for part in parts]
-    return from_manifold(manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add))
 
 
 def _hull(points: Floats) -> trimesh.Trimesh:
