@@ -90,9 +90,9 @@ def test_what_cannot_be_rendered_is_refused():
     ball = sphere((0, 0, 0), 10, 2)
     open_mesh = ball.copy()
     open_mesh.update_faces(np.arange(len(ball.faces)) > 0)
-    with pytest.raises(SpecimenError, match="body 1 .water. is an open mesh"):
+    with pytest.raises(SpecimenError, match="part .water. is an open mesh"):
         PathRenderer([Body(ball, BONE), Body(open_mesh, WATER)], panel)
-    with pytest.raises(SpecimenError, match="no body"):
+    with pytest.raises(SpecimenError, match="nothing to image"):
         PathRenderer([], panel)
     with PathRenderer([Body(ball, BONE)], panel) as renderer:
         with pytest.raises(ValueError, match="2 poses for 1 bodies"):

@@ -36,7 +36,9 @@ QUEUE_BYTES = 64 * 2**20
 class XRay(Protocol):
     """What the node needs of an ``Imager``."""
 
-    def render(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
+    def render(
+        self, geometry: ScanGeometry, world_from_object: Pose, view: int = 0
+    ) -> NDArray[np.float32]:
         """Transmission of one view."""
         ...
 

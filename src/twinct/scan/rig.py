@@ -66,7 +66,7 @@ class LocalRig:
             raise ValueError(f"view {view} was not reached: move before you expose")
         reached = self._reached[1]
         geometry = ScanGeometry.from_poses([reached.source], [reached.detector], self._panel)
-        return self._imager.render(geometry, reached.object)
+        return self._imager.render(geometry, reached.object, view)
 
     def close(self) -> None:
         """See ``Rig.close``."""

@@ -91,7 +91,14 @@ class Workshop:
         """An X-ray simulation of the specimen."""
         from twinct.xray import Imager
 
-        return Imager(self.scenario.source, self.scenario.detector, self.specimen)
+        scenario = self.scenario
+        return Imager(
+            scenario.source,
+            scenario.detector,
+            self.specimen,
+            reference=self.commanded[0],
+            seed=scenario.seed,
+        )
 
 
 def commanded_targets(scenario: Scenario) -> list[Target]:

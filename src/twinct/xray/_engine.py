@@ -35,7 +35,7 @@ from twinct.errors import InputError, MissingExtraError, TwinctError
 from twinct.geometry import Floats, Panel
 
 Result = TypeVar("Result")
-Body = tuple[Floats, NDArray[np.integer], float]
+Upload = tuple[Floats, NDArray[np.integer], float]
 """Vertices (n, 3) in mm, triangles (m, 3) wound outwards, attenuation in 1/mm."""
 
 ADVICE = (
@@ -45,7 +45,7 @@ ADVICE = (
 )
 
 
-_PRIMER: Body = (
+_PRIMER: Upload = (
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
     0.01,
@@ -68,7 +68,7 @@ class Engine:
         self._shown: int | None = None
         self._bodies = 0
 
-    def acquire(self, bodies: Sequence[Body], energy_kev: float, panel: Panel) -> None:
+    def acquire(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
         """Fill the scene. The caller owns it until ``release``.
 
         Raises:
@@ -125,7 +125,7 @@ class Engine:
             # What SWIG makes of C++ exceptions.
             raise TwinctError(f"gVXR failed: {str(error).strip()}{self._complaints()}") from error
 
-    def _fill(self, bodies: Sequence[Body], energy_kev: float, panel: Panel) -> None:
+    def _fill(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
         if self._gvxr is None:
             self._start()
         gvxr = self._gvxr

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -12,11 +14,28 @@ from numpy.typing import NDArray
 from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Detector, Source
-from twinct.xray._engine import ENGINE, Body
+from twinct.xray._engine import ENGINE, Upload
 from twinct.xray._placement import Placement, mesh_fault
+from twinct.xray.build import build_spot, physical_panel
+from twinct.xray.chain import Chain, Frame
+from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.spot import moved_source
 
 if TYPE_CHECKING:
     from twinct.specimen import BuiltPart, BuiltSpecimen
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """Where everything was while the shutter was open.
+
+    Attributes:
+        geometry: source and panel, one view, in the world.
+        world_from_object: pose of the specimen's frame.
+    """
+
+    geometry: ScanGeometry
+    world_from_object: Pose
 
 
 class Imager:
@@ -25,54 +44,131 @@ class Imager:
     The meshes are uploaded once, in the specimen's frame; each view is expressed in that frame.
     Only one imager can be open in a process. It may be used from any thread, by one at a time.
 
-    A pixel is sampled at its centre. What later physics needs has its place here: a spectrum in
-    what ``source`` gives to the constructor; blur, noise and the detector's response in ``render``,
-    between the transmission that gVXR gives and what is returned.
+    A monochromatic point source and an ideal detector give gVXR's own image, a pixel sampled at its
+    centre. Anything else goes by path lengths (``PathRenderer``) through a ``Chain``; an image then
+    costs a render for each point of the focal spot times each instant of the exposure.
     """
 
-    def __init__(self, source: Source, detector: Detector, specimen: BuiltSpecimen) -> None:
+    def __init__(
+        self,
+        source: Source,
+        detector: Detector,
+        specimen: BuiltSpecimen,
+        *,
+        reference: ScanGeometry | None = None,
+        seed: int = 0,
+    ) -> None:
         """Upload the specimen.
 
         Args:
-            source: gives the photon energy.
-            detector: gives the panel that every view must have.
+            source: the photons.
+            detector: gives the panel that every view must have, and what it makes of photons.
             specimen: parts that do not overlap, closed meshes in mm, in the specimen's frame.
+            reference: one view that sets the detector's gain, such as the scan's first commanded
+                one; the first view rendered where None.
+            seed: keys the noise, with the index of the view.
 
         Raises:
             SpecimenError: nothing to image, an open mesh, or an attenuation that is no number.
-            MissingExtraError: gVXR is not installed.
-            InputError: a system library that gVXR needs is missing.
+            MissingExtraError: gVXR or SpekPy is not installed.
+            InputError: a system library that gVXR needs is missing, or a file of the sections
+                cannot be used.
             TwinctError: another imager is open in this process, or gVXR failed.
         """
-        bodies = _bodies(specimen, source.energy_kev)
         self.panel = detector.panel
-        self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
+        self._source, self._detector, self._seed = source, detector, seed
+        self._reference = reference
+        self._paths: PathRenderer | None = None
+        self._chain: Chain | None = None
         self._open = False
-        ENGINE.acquire(bodies, source.energy_kev, self.panel)
+        if source.ideal and detector.ideal:
+            bodies = _bodies(specimen, source.energy_kev)
+            self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
+            ENGINE.acquire(bodies, source.energy_kev, self.panel)
+        else:
+            self._spot = build_spot(source)
+            self._materials = tuple(dict.fromkeys(part.material for part in specimen.parts))
+            if reference is not None:  # now, so that what is wrong with a file is said at once
+                self._chain = self._new_chain(reference)
+            self._paths = PathRenderer(
+                [Body(part.mesh, part.material, part.name) for part in specimen.parts],
+                physical_panel(detector),
+                detector.pixel_samples,
+            )
         self._open = True
 
-    def render(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
-        """Take one view.
+    def render(
+        self, geometry: ScanGeometry, world_from_object: Pose, view: int = 0
+    ) -> NDArray[np.float32]:
+        """Take one view at one instant.
 
         Args:
             geometry: exactly one view, in the world, with the panel of this imager.
             world_from_object: pose of the specimen's frame at exposure.
+            view: index of the view, which keys its noise.
 
         Returns:
-            Transmission I/I0, (rows, columns); 1 in the free beam.
+            Transmission I/I0 as the flat and dark images give it, (rows, columns); 1 in the free
+            beam, but for noise.
 
         Raises:
             ValueError: not one view, or another panel.
             TwinctError: the imager was closed, the specimen reaches through the panel, the source
                 is inside it, or gVXR failed.
         """
+        return self.expose([Exposure(geometry, world_from_object)], view)
+
+    def expose(self, path: Sequence[Exposure], view: int = 0) -> NDArray[np.float32]:
+        """Take one view while things move: the mean over the instants of the path.
+
+        Args:
+            path: instants of equal duration, at least one; flat images are taken at the middle one.
+            view: index of the view, which keys its noise.
+
+        Returns:
+            Transmission, (rows, columns). See ``render``, also for what it raises.
+        """
         if not self._open:
             raise TwinctError("the X-ray imager was closed")
-        if len(geometry) != 1:
-            raise ValueError(f"render takes one view at a time, not {len(geometry)}")
-        if geometry.panel != self.panel:
-            raise ValueError(f"the view has {geometry.panel}, the imager was made for {self.panel}")
-        view = world_from_object.inverse() @ geometry
+        for instant in path:
+            geometry = instant.geometry
+            if len(geometry) != 1:
+                raise ValueError(f"render takes one view at a time, not {len(geometry)}")
+            if geometry.panel != self.panel:
+                raise ValueError(
+                    f"the view has {geometry.panel}, the imager was made for {self.panel}"
+                )
+        if self._paths is not None:
+            return self.frame(path, view).transmission
+        images = [self._ideal(instant) for instant in path]
+        if len(images) == 1:
+            return images[0]
+        return np.asarray(np.mean(images, axis=0, dtype=np.float64), dtype=np.float32)
+
+    def frame(self, path: Sequence[Exposure], view: int = 0) -> Frame:
+        """The same, with raw, flat and dark images; not for an ideal detector, which has none."""
+        if self._paths is None:
+            raise ValueError("an ideal source and detector give a transmission and nothing else")
+        middle = path[len(path) // 2].geometry
+        if self._chain is None:
+            self._chain = self._new_chain(self._reference or middle)
+        chain = self._chain
+        expected = chain.blank()
+        share = 1.0 / (len(path) * len(self._spot))
+        for instant in path:
+            for offset in self._spot:
+                seen = chain.physical(instant.geometry)
+                if offset.any():
+                    seen = moved_source(seen, offset)
+                paths = self._paths.render(seen, instant.world_from_object)
+                chain.add(paths, seen, expected, share)
+        return chain.frame(expected, chain.physical(middle), view)
+
+    def _new_chain(self, reference: ScanGeometry) -> Chain:
+        return Chain(self._source, self._detector, self._materials, reference, self._seed)
+
+    def _ideal(self, instant: Exposure) -> NDArray[np.float32]:
+        view = instant.world_from_object.inverse() @ instant.geometry
         self._placement.check(view)
         image = np.empty(self.panel.shape, dtype=np.float32)
         ENGINE.expose(view.source[0], view.detector[0], view.u[0], view.v[0], image)
@@ -82,7 +178,10 @@ class Imager:
         """Hand the scene over to the next imager; closing twice does no harm."""
         if self._open:
             self._open = False
-            ENGINE.release()
+            if self._paths is not None:
+                self._paths.close()
+            else:
+                ENGINE.release()
 
     def __enter__(self) -> Imager:
         return self
@@ -103,11 +202,11 @@ class Imager:
                 self.close()
 
 
-def _bodies(specimen: BuiltSpecimen, energy_kev: float) -> list[Body]:
+def _bodies(specimen: BuiltSpecimen, energy_kev: float) -> list[Upload]:
     if not specimen.parts:
         raise SpecimenError("the specimen has no parts: there is nothing to image")
     problems: list[str] = []
-    bodies: list[Body] = []
+    bodies: list[Upload] = []
     for part in specimen.parts:
         mu_per_mm = float(part.material.mu_per_mm(energy_kev))
         fault = _fault(part, mu_per_mm)

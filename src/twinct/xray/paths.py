@@ -32,10 +32,19 @@ _TILE_PIXELS = 4096 * 4096
 
 
 class Body(NamedTuple):
-    """A closed mesh in its own frame, mm, counter-clockwise seen from outside, and its material."""
+    """A closed mesh in its own frame, mm, counter-clockwise seen from outside, and its material.
+
+    Messages call it by its name.
+    """
 
     mesh: Trimesh
     material: Material
+    name: str = ""
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return self.name or self.material.name
 
 
 class PathRenderer:
@@ -67,19 +76,17 @@ class PathRenderer:
             TwinctError: another imager is open in this process, or gVXR failed.
         """
         if not bodies:
-            raise SpecimenError("there is no body to image")
+            raise SpecimenError("the specimen has no parts: there is nothing to image")
         if samples < 1:
             raise ValueError(f"{samples} samples along a pixel edge: at least 1 is needed")
         faults = [
-            f"body {i} ({body.material.name}) {fault}"
-            for i, body in enumerate(bodies)
-            if (fault := mesh_fault(body.mesh))
+            f"part {body.label!r} {fault}" for body in bodies if (fault := mesh_fault(body.mesh))
         ]
         if faults:
             raise SpecimenError(faults)
         self.materials: tuple[Material, ...] = tuple(dict.fromkeys(b.material for b in bodies))
         self._material = [self.materials.index(body.material) for body in bodies]
-        self._placements = [Placement([(f"{i}", b.mesh)]) for i, b in enumerate(bodies)]
+        self._placements = [Placement([(b.label, b.mesh)]) for b in bodies]
         self._corners = [_corners(body.mesh) for body in bodies]
         self.panel, self.samples = panel, samples
         rows, columns = panel.rows * samples, panel.columns * samples

@@ -43,10 +43,12 @@ class Signal:
         energies = spectrum.energies_kev
         mean = spectrum.photons * response.mean(energies)
         square = spectrum.photons * response.square(energies)
-        mus = np.array([attenuation(material, energies) for material in materials]).T
+        mus = np.zeros((len(energies), len(materials)))
+        for m, material in enumerate(materials):
+            mus[:, m] = attenuation(material, energies)
         self.free: Floats = np.array([mean.sum(), square.sum()])
         self._mean, self._square = mean.astype(np.float32), square.astype(np.float32)
-        self._mus = np.ascontiguousarray(mus.reshape(len(energies), -1), dtype=np.float32)
+        self._mus = mus.astype(np.float32)
         self._longest, self._table = 0.0, np.zeros((3, 0))
         if len(materials) == 1:
             self._longest, self._table = _tabulate(mus[:, 0], mean, square)
