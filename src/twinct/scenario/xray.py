@@ -97,6 +97,13 @@ class Source(Section):
     )
     current_ma: Positive = Field(default=1.0, description="Tube current.")
     exposure_ms: Positive = Field(default=10.0, description="How long the shutter is open.")
+    motion_samples: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="Instants of the exposure, at equal distances, whose mean the image is: motion "
+        "blur. 1: all stands as when the image was triggered. An image costs as many renders.",
+    )
     focal_spot: Spot | None = Field(default=None, description="A point where there is none.")
 
     @property
@@ -269,7 +276,10 @@ class Detector(Section):
         default=None, description="Dead pixels; correction fills them from their neighbours."
     )
     lag: float = Field(
-        default=0.0, ge=0, lt=1, description="Share of a view's signal that appears in the next."
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="Share of a view's signal that appears in the next one. It doubles the cost.",
     )
     correction: Correction = Correction()
     scatter: Scatter | None = Field(default=None, description="None where null.")
