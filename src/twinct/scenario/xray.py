@@ -236,6 +236,29 @@ class Correction(Section):
     )
 
 
+class OneMaterialHardening(Section):
+    """Beam hardening of one material, undone by a table of the known spectrum."""
+
+    kind: Literal["one_material"]
+    material: str | Composition | None = Field(
+        default=None, description="The specimen's part with the largest volume where null."
+    )
+
+
+class TwoMaterialHardening(Section):
+    """Beam hardening of two materials; the dense one is segmented in a first volume."""
+
+    kind: Literal["two_materials"]
+    base: str | Composition = "soft_tissue"
+    dense: str | Composition = "bone"
+    first_iterations: int = Field(
+        default=3, ge=1, description="SART iterations of the volume that is segmented."
+    )
+
+
+BeamHardening = Annotated[OneMaterialHardening | TwoMaterialHardening, Field(discriminator="kind")]
+
+
 class Scatter(Section):
     """Scattered radiation, estimated by a kernel; see ``twinct.xray.scatter``."""
 
