@@ -20,7 +20,6 @@ from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.specimen.materials import material
 from twinct.xray import Imager
 from twinct.xray.build import build_spectrum, effective_energy_kev
-from twinct.xray.imager import Exposure
 
 PANEL = {"columns": 160, "rows": 120, "pixel_pitch_mm": 1.5}
 VIEW = front_view(Detector(**PANEL).panel)
@@ -51,7 +50,7 @@ def frame(detector, source=None, view=0, **options):
         reference=VIEW,
         **options,
     ) as imager:
-        return imager.frame([Exposure(VIEW, Pose.identity())], view)
+        return imager.frame([(VIEW, Pose.identity())], view)
 
 
 def test_an_ideal_chain_gives_what_gvxr_gives():

@@ -83,9 +83,13 @@ class Workshop:
 
     def robots(self) -> RobotSimulation:
         """A robot simulation at rest in the plan's home."""
-        from twinct.motion import RobotSimulation
+        from twinct.motion import RobotSimulation, Shutter
 
-        return RobotSimulation(self.cell, self.scenario.motion, self.plan.home)
+        source = self.scenario.source
+        shutter = Shutter(
+            source.exposure_ms / 1000, source.motion_samples, self.scenario.detector.lag > 0
+        )
+        return RobotSimulation(self.cell, self.scenario.motion, self.plan.home, shutter)
 
     def imager(self) -> Imager:
         """An X-ray simulation of the specimen."""

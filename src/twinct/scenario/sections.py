@@ -22,7 +22,7 @@ from twinct.scenario.keys import (
     Section,
     Vector,
 )
-from twinct.scenario.xray import Detector, Source, TubeSpectrum
+from twinct.scenario.xray import BeamHardening, Detector, Source, TubeSpectrum
 
 
 class _Orbit(Section):
@@ -367,6 +367,9 @@ class Reconstruction(Section):
         default="believed",
         description="Geometry to reconstruct from; several are judged side by side, and the first "
         "one's volume is kept.",
+    )
+    beam_hardening: BeamHardening | None = Field(
+        default=None, description="Correction of line integrals before reconstruction."
     )
     grid: Grid = Grid()
 

@@ -97,6 +97,13 @@ class Source(Section):
     )
     current_ma: Positive = Field(default=1.0, description="Tube current.")
     exposure_ms: Positive = Field(default=10.0, description="How long the shutter is open.")
+    motion_samples: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="Instants of the exposure, at equal distances, whose mean the image is: motion "
+        "blur. 1: all stands as when the image was triggered. An image costs as many renders.",
+    )
     focal_spot: Spot | None = Field(default=None, description="A point where there is none.")
 
     @property
@@ -229,6 +236,29 @@ class Correction(Section):
     )
 
 
+class OneMaterialHardening(Section):
+    """Beam hardening of one material, undone by a table of the known spectrum."""
+
+    kind: Literal["one_material"]
+    material: str | Composition | None = Field(
+        default=None, description="The specimen's part with the largest volume where null."
+    )
+
+
+class TwoMaterialHardening(Section):
+    """Beam hardening of two materials; the dense one is segmented in a first volume."""
+
+    kind: Literal["two_materials"]
+    base: str | Composition = "soft_tissue"
+    dense: str | Composition = "bone"
+    first_iterations: int = Field(
+        default=3, ge=1, description="SART iterations of the volume that is segmented."
+    )
+
+
+BeamHardening = Annotated[OneMaterialHardening | TwoMaterialHardening, Field(discriminator="kind")]
+
+
 class Scatter(Section):
     """Scattered radiation, estimated by a kernel; see ``twinct.xray.scatter``."""
 
@@ -269,7 +299,10 @@ class Detector(Section):
         default=None, description="Dead pixels; correction fills them from their neighbours."
     )
     lag: float = Field(
-        default=0.0, ge=0, lt=1, description="Share of a view's signal that appears in the next."
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="Share of a view's signal that appears in the next one. It doubles the cost.",
     )
     correction: Correction = Correction()
     scatter: Scatter | None = Field(default=None, description="None where null.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -25,17 +24,8 @@ if TYPE_CHECKING:
     from twinct.specimen import BuiltPart, BuiltSpecimen
 
 
-@dataclass(frozen=True, eq=False)
-class Exposure:
-    """Where everything was while the shutter was open.
-
-    Attributes:
-        geometry: source and panel, one view, in the world.
-        world_from_object: pose of the specimen's frame.
-    """
-
-    geometry: ScanGeometry
-    world_from_object: Pose
+Placed = tuple[ScanGeometry, Pose]
+"""Where everything was at one instant: source and panel, one view, and ``world_from_object``."""
 
 
 class Imager:
@@ -116,22 +106,24 @@ class Imager:
             TwinctError: the imager was closed, the specimen reaches through the panel, the source
                 is inside it, or gVXR failed.
         """
-        return self.expose([Exposure(geometry, world_from_object)], view)
+        return self.expose([(geometry, world_from_object)], view)
 
-    def expose(self, path: Sequence[Exposure], view: int = 0) -> NDArray[np.float32]:
+    def expose(
+        self, path: Sequence[Placed], view: int = 0, before: Placed | None = None
+    ) -> NDArray[np.float32]:
         """Take one view while things move: the mean over the instants of the path.
 
         Args:
             path: instants of equal duration, at least one; flat images are taken at the middle one.
             view: index of the view, which keys its noise.
+            before: where the last view was taken, whose signal lags; none in the first view.
 
         Returns:
             Transmission, (rows, columns). See ``render``, also for what it raises.
         """
         if not self._open:
             raise TwinctError("the X-ray imager was closed")
-        for instant in path:
-            geometry = instant.geometry
+        for geometry, _ in path:
             if len(geometry) != 1:
                 raise ValueError(f"render takes one view at a time, not {len(geometry)}")
             if geometry.panel != self.panel:
@@ -139,36 +131,45 @@ class Imager:
                     f"the view has {geometry.panel}, the imager was made for {self.panel}"
                 )
         if self._paths is not None:
-            return self.frame(path, view).transmission
-        images = [self._ideal(instant) for instant in path]
+            return self.frame(path, view, before).transmission
+        images = [self._ideal(*instant) for instant in path]
         if len(images) == 1:
             return images[0]
         return np.asarray(np.mean(images, axis=0, dtype=np.float64), dtype=np.float32)
 
-    def frame(self, path: Sequence[Exposure], view: int = 0) -> Frame:
+    def frame(self, path: Sequence[Placed], view: int = 0, before: Placed | None = None) -> Frame:
         """The same, with raw, flat and dark images; not for an ideal detector, which has none."""
         if self._paths is None:
             raise ValueError("an ideal source and detector give a transmission and nothing else")
-        middle = path[len(path) // 2].geometry
+        middle = path[len(path) // 2][0]
         if self._chain is None:
             self._chain = self._new_chain(self._reference or middle)
         chain = self._chain
+        expected = self._expected(chain, path)
+        lag = np.float32(self._detector.lag)
+        if lag and before is not None:
+            expected *= 1 - lag
+            expected += lag * self._expected(chain, [before])
+        return chain.frame(expected, chain.physical(middle), view)
+
+    def _expected(self, chain: Chain, path: Sequence[Placed]) -> NDArray[np.float32]:
+        """Mean and mean square of the signal, (2, rows, columns) of the physical pixels."""
+        assert self._paths is not None
         expected = chain.blank()
         share = 1.0 / (len(path) * len(self._spot))
-        for instant in path:
+        for geometry, world_from_object in path:
             for offset in self._spot:
-                seen = chain.physical(instant.geometry)
+                seen = chain.physical(geometry)
                 if offset.any():
                     seen = moved_source(seen, offset)
-                paths = self._paths.render(seen, instant.world_from_object)
-                chain.add(paths, seen, expected, share)
-        return chain.frame(expected, chain.physical(middle), view)
+                chain.add(self._paths.render(seen, world_from_object), seen, expected, share)
+        return expected
 
     def _new_chain(self, reference: ScanGeometry) -> Chain:
         return Chain(self._source, self._detector, self._materials, reference, self._seed)
 
-    def _ideal(self, instant: Exposure) -> NDArray[np.float32]:
-        view = instant.world_from_object.inverse() @ instant.geometry
+    def _ideal(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
+        view = world_from_object.inverse() @ geometry
         self._placement.check(view)
         image = np.empty(self.panel.shape, dtype=np.float32)
         ENGINE.expose(view.source[0], view.detector[0], view.u[0], view.v[0], image)
