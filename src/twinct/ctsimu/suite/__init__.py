@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import shutil
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from twinct.ctsimu.render import Files, Options, render
 from twinct.ctsimu.scenario import load_ctsimu
@@ -69,6 +71,7 @@ def _judged(test: str, folder: Path) -> list[Verdict]:
         (folder / "toolbox.log").open("w") as log,
         contextlib.redirect_stdout(log),
         warnings.catch_warnings(),
+        _true_rotation(),
     ):
         warnings.simplefilter("ignore")
         if "" in renderings:
@@ -76,6 +79,29 @@ def _judged(test: str, folder: Path) -> list[Verdict]:
         else:
             toolbox(test, **renderings)
     return verdicts(test, results)
+
+
+@contextlib.contextmanager
+def _true_rotation() -> Iterator[None]:
+    """Make the toolbox turn its reference edge, which version 1.7 shears.
+
+    Its ``Vector.rotate_2D_xy`` computes y from the x that was turned already: an edge of 3 deg
+    comes out as 3.008 deg on one side and 2.996 deg on the other. Turned rightly, the analytic
+    image has the 1053 partly covered pixels that BAM states; sheared, 1050.
+    """
+    from ctsimu.primitives import Vector
+
+    def rotate(self: Any, angle: float) -> None:
+        x, y = self.x(), self.y()
+        self.set_x(x * math.cos(angle) - y * math.sin(angle))
+        self.set_y(x * math.sin(angle) + y * math.cos(angle))
+
+    kept = Vector.rotate_2D_xy
+    Vector.rotate_2D_xy = rotate
+    try:
+        yield
+    finally:
+        Vector.rotate_2D_xy = kept
 
 
 def _toolbox() -> Callable[..., object]:

@@ -226,7 +226,10 @@ def _wires() -> list[Case]:
 
 
 def _wedge(name: str, of: str, **ends: Callable[[float], float]) -> Part:
-    return Part(name, lambda: samples.wedge(WEDGE_PANEL_MM, WEDGE_PITCH_MM, **ends), of)
+    steps = samples.IRON_STEPS_MM if of == "Fe" else samples.WEDGE_STEPS_MM
+    return Part(
+        name, lambda: samples.wedge(WEDGE_PANEL_MM, WEDGE_PITCH_MM, steps_mm=steps, **ends), of
+    )
 
 
 def _wedge_case(test: str, key: str, parts: list[Part], voltage_kv: float, **more: object) -> Case:
