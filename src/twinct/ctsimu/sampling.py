@@ -61,7 +61,7 @@ def sampling(spot: Spot, samples: int, spot_points: int, pixels: int) -> Samplin
     if spot.image is not None:
         points = _from_image(spot, cube[:, :2])
     else:
-        points = _standardised(ndtri(cube[:, :2])) * np.array(spot.sigma_mm)
+        points = _gaussian(cube[:, :2]) * np.array(spot.sigma_mm)
     return Sampling(points, cube[:, 2:] - 0.5, 1)
 
 
@@ -69,27 +69,28 @@ def _divisors(number: int) -> list[int]:
     return [n for n in range(1, number + 1) if number % n == 0]
 
 
+def _gaussian(uniform: Floats) -> Floats:
+    """Mean of a normal variable in the equal stratum that each number falls into."""
+    count = len(uniform)
+    edges = np.exp(-(ndtri(np.arange(count + 1) / count) ** 2) / 2) / np.sqrt(2 * np.pi)
+    means = count * (edges[:-1] - edges[1:])
+    return means[np.floor(uniform * count).astype(int)]
+
+
 def _from_image(spot: Spot, uniform: Floats) -> Floats:
     """Points with the density of an image: first the row, then the column in it."""
     assert spot.image is not None
     weights = read_image(spot.image)
     weights = weights - min(0.0, weights.min())
-    total = weights.sum()
-    if not total > 0:
+    if not weights.sum() > 0:
         raise InputError(f"{spot.image.path}: a focal spot without intensity")
     rows, columns = weights.shape
-    across, down = (np.arange(columns) + 0.5) / columns - 0.5, (np.arange(rows) + 0.5) / rows - 0.5
     points = np.empty((len(uniform), 2))
     for i, (first, second) in enumerate(uniform):
         row = _inverse(weights.sum(axis=1), first)
         column = _inverse(weights[min(int(row), rows - 1)], second)
         points[i] = column / columns - 0.5, row / rows - 0.5
-    # The image's own mean and spread, which few points miss.
-    shares = weights / total
-    means = np.array([shares.sum(axis=0) @ across, shares.sum(axis=1) @ down])
-    seconds = np.array([shares.sum(axis=0) @ across**2, shares.sum(axis=1) @ down**2])
-    spread = np.sqrt(np.maximum(seconds - means**2, 0.0))
-    return (_standardised(points) * spread + means) * np.array(spot.size_mm)
+    return points * np.array(spot.size_mm)
 
 
 def _inverse(weights: Floats, share: float) -> float:
@@ -98,16 +99,11 @@ def _inverse(weights: Floats, share: float) -> float:
     return float(np.interp(share * edges[-1], edges, np.arange(len(edges))))
 
 
-def _standardised(points: Floats) -> Floats:
-    """Mean 0 and standard deviation 1 along each axis; one point stays where the middle is."""
-    points = points - points.mean(axis=0)
-    spread = points.std(axis=0)
-    return points / np.where(spread > 0, spread, 1.0)
-
-
 def _low_discrepancy(count: int, dimensions: int) -> Floats:
     root = 1.5
     for _ in range(60):
         root = (1 + root) ** (1 / (dimensions + 1))
     steps = root ** -np.arange(1.0, dimensions + 1)
-    return (0.5 + np.arange(count)[:, None] * steps) % 1.0
+    points = (0.5 + np.arange(count)[:, None] * steps) % 1.0
+    # One point in each equal stratum of every axis.
+    return (points.argsort(axis=0).argsort(axis=0) + 0.5) / count

@@ -336,7 +336,8 @@ def _body(section: Section, stage: Any, materials: dict[str, Material | None]) -
     pose = stage @ placed.outer_from_part if placed.on_stage else placed.outer_from_part
     material = _of(section, materials)
     if file is None:
-        section.problem("file", "is missing")
+        if not section.has("file"):
+            section.problem("file", "is missing")
         return None
     mm = UNITS["mm"].get(unit, 1.0)
     return Body(name, file, (mm * scale[0], mm * scale[1], mm * scale[2]), material, pose)

@@ -85,9 +85,8 @@ def _judged(test: str, folder: Path) -> list[Verdict]:
 def _true_rotation() -> Iterator[None]:
     """Make the toolbox turn its reference edge, which version 1.7 shears.
 
-    Its ``Vector.rotate_2D_xy`` computes y from the x that was turned already: an edge of 3 deg
-    comes out as 3.008 deg on one side and 2.996 deg on the other. Turned rightly, the analytic
-    image has the 1053 partly covered pixels that BAM states; sheared, 1050.
+    Its ``Vector.rotate_2D_xy`` computes y from the x that was turned already: the edge of 3 deg
+    comes out as 3.008 deg on one side and 2.996 deg on the other, 0.07 pixels off at its ends.
     """
     from ctsimu.primitives import Vector
 
