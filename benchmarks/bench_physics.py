@@ -29,7 +29,7 @@ EVERYTHING = {
     "noise": {"kind": "quantum"},
     "readout": {"electronic_noise": 5.0},
     "bad_pixels": {"kind": "random", "share": 1e-3},
-#SC
+    # SC
     "correction": {"flat_frames": 20, "dark_frames": 20},
 }
 
@@ -82,7 +82,7 @@ def main() -> None:
         def effects() -> None:
             expected = chain.blank()  # noqa: B023
             chain.add(paths, view, expected)  # noqa: B023
-            chain.frame(expected, view, 1)  # noqa: B023
+            chain.frame(expected, view, 1, 300.0)  # noqa: B023
 
         print(
             f"spectrum and all detector effects, {len(materials)} material(s): "
