@@ -200,3 +200,14 @@ def test_a_map_of_another_panel_is_refused(tmp_path):
     section = {"bad_pixels": {"kind": "file", "path": tmp_path / "map.npy"}}
     with pytest.raises(InputError, match="the panel has"):
         image(section)
+
+
+def test_scatter_lifts_what_lies_in_the_shadow():
+    clean = image({"readout": Readout(bits=None)})
+    lifted = image({"readout": Readout(bits=None), "scatter": {"kind": "kernel"}})
+    dark = clean < 0.2
+    added = lifted - clean
+    assert added.min() > 0
+    # A ball of bone of 50 mm: a few per cent of the free beam, smooth over the panel.
+    assert 0.002 < added[dark].mean() < 0.05
+    assert added[dark].std() < 0.2 * added[dark].mean()

@@ -12,8 +12,8 @@ from twinct.xray.response import Response
 from twinct.xray.signal import Signal
 from twinct.xray.spectrum import Spectrum
 
-RELATIVE = 2e-6
-"""Single precision: an exponent of 20 is known to 1e-6."""
+RELATIVE = 5e-6
+"""Single precision: an exponent of 20 is known to 1e-6, a place in the table to 1e-3 of a node."""
 
 ENERGIES = np.linspace(20, 120, 60)
 SPECTRUM = Spectrum(ENERGIES, 1e3 * (130 - ENERGIES) * np.exp(-((25 / ENERGIES) ** 3)))

@@ -260,12 +260,12 @@ BeamHardening = Annotated[OneMaterialHardening | TwoMaterialHardening, Field(dis
 
 
 class Scatter(Section):
-    """Scattered radiation, estimated by a kernel; see ``twinct.xray.scatter``."""
+    """Scattered radiation, a forward-scatter estimate; ``twinct.xray.scatter`` says how valid."""
 
     kind: Literal["kernel"]
-    scale: NonNegative = Field(default=1.0, description="Factor on the published amplitude.")
-    grid_ratio: Positive = Field(
-        default=1.0, description="Share of the scatter that an anti-scatter grid lets through."
+    scale: NonNegative = Field(
+        default=1.0,
+        description="Factor: above 1 for scatter of higher order, below 1 for a grid.",
     )
 
 
@@ -305,7 +305,9 @@ class Detector(Section):
         description="Share of a view's signal that appears in the next one. It doubles the cost.",
     )
     correction: Correction = Correction()
-    scatter: Scatter | None = Field(default=None, description="None where null.")
+    scatter: Scatter | None = Field(
+        default=None, description="Scattered radiation; none where null."
+    )
 
     @property
     def panel(self) -> Panel:

@@ -19,10 +19,12 @@ from twinct.xray.build import (
     build_response,
     build_spectrum,
     build_spread,
+    effective_energy_kev,
     physical_panel,
 )
 from twinct.xray.noise import normal_noise, quantum_noise
 from twinct.xray.readout import Readout, correct, mend_bad_pixels
+from twinct.xray.scatter import ScatterKernel, compton_per_mm
 from twinct.xray.signal import Signal
 
 Image = NDArray[np.float32]
@@ -96,6 +98,11 @@ class Chain:
         to_source = reference.source[0] - reference.detector[0]
         at_middle = MM_PER_M**2 * float(to_source @ reference.normal[0]) / distance**3
         self.free: Floats = self._signal.free * float(self._scale) * at_middle
+        self._kernel: ScatterKernel | None = None
+        if detector.scatter is not None:
+            energy = effective_energy_kev(source, detector)
+            self._kernel = ScatterKernel(energy, detector.scatter.scale)
+            self._compton = np.array([compton_per_mm(m, energy) for m in materials], np.float32)
         self._spread = build_spread(detector)
         self._bad = build_bad_pixels(detector, seed)
         self._readout, self._electronic = self._amplifier(detector.readout)
@@ -118,8 +125,12 @@ class Chain:
         return ScanGeometry(view.source, view.detector, view.u, view.v, self.panel)
 
     def blank(self) -> Image:
-        """Where exposures add up: mean and mean square of the signal, (2, rows, columns)."""
-        return np.zeros((2, *self.panel.shape), dtype=np.float32)
+        """Where exposures add up, (2 or 3, rows, columns).
+
+        Mean and mean square of the signal and, where scatter is asked for, what is scattered.
+        """
+        planes = 2 if self._kernel is None else 3
+        return np.zeros((planes, *self.panel.shape), dtype=np.float32)
 
     def add(self, paths: Image, view: ScanGeometry, out: Image, share: float = 1.0) -> None:
         """Add one render to an exposure.
@@ -131,17 +142,31 @@ class Chain:
             share: weight among the renders of this exposure.
         """
         beam = fall_off(view, self.samples)
-        self._signal.add(paths, beam, out, samples=self.samples, share=share * float(self._scale))
+        before = None if self._kernel is None else out[0].copy()
+        self._signal.add(
+            paths, beam, out[:2], samples=self.samples, share=share * float(self._scale)
+        )
+        if before is not None:
+            optical = _binned(np.tensordot(self._compton, paths, axes=1), self.samples)
+            out[2] += (out[0] - before) * optical
 
-    def frame(self, expected: Image, view: ScanGeometry, index: int) -> Frame:
+    def frame(
+        self, expected: Image, view: ScanGeometry, index: int, object_mm: float = 0.0
+    ) -> Frame:
         """The machine's images of one view.
 
         Args:
-            expected: mean and mean square from ``add``.
+            expected: what ``add`` made.
             view: where source and panel were, on the physical pixels.
             index: of the view; keys the noise.
+            object_mm: from the middle of the object to the panel, for scatter.
         """
         rng = view_rng(self._seed, "detector noise", index)
+        if self._kernel is not None:
+            pitch = self.panel.pitch_u, self.panel.pitch_v
+            scatter = self._kernel.spread(expected[2], *pitch, object_mm)
+            of_one = np.float32(self.free[1] / self.free[0])
+            expected = np.stack([expected[0] + scatter, expected[1] + of_one * scatter])
         raw = self._digitise(expected, rng)
         flat, dark = self._flat(view), self._dark_image()
         transmission = correct(raw, flat, dark, self._floor())

@@ -77,6 +77,8 @@ class Imager:
             ENGINE.acquire(bodies, source.energy_kev, self.panel)
         else:
             self._spot = build_spot(source)
+            corners = np.array([part.mesh.bounds for part in specimen.parts])
+            self._centre = (corners[:, 0].min(axis=0) + corners[:, 1].max(axis=0)) / 2
             self._materials = tuple(dict.fromkeys(part.material for part in specimen.parts))
             if reference is not None:  # now, so that what is wrong with a file is said at once
                 self._chain = self._new_chain(reference)
@@ -150,7 +152,12 @@ class Imager:
         if lag and before is not None:
             expected *= 1 - lag
             expected += lag * self._expected(chain, [before])
-        return chain.frame(expected, chain.physical(middle), view)
+        return chain.frame(expected, chain.physical(middle), view, self._object_mm(*path[0]))
+
+    def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
+        """From the middle of the specimen to the panel, along its normal."""
+        centre = world_from_object.apply(self._centre)
+        return float((centre - geometry.detector[0]) @ geometry.normal[0])
 
     def _expected(self, chain: Chain, path: Sequence[Placed]) -> NDArray[np.float32]:
         """Mean and mean square of the signal, (2, rows, columns) of the physical pixels."""
