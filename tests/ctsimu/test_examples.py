@@ -38,7 +38,7 @@ def test_simple_scans_frame_by_frame(tmp_path, name):
     render(scenario, tmp_path)
     theirs = stack(DATA / name / "projections", name, scenario.frames)
     off = rms(stack(tmp_path, name, scenario.frames), theirs, 60000)
-    print(f"{name}: worst frame {100 * off.max():.4f} % of full scale")
+    print(f"{name}: worst frame {100 * off.max():.4f} % of full scale")  # noqa: T201
     assert off.max() < 0.0005
 
 
@@ -56,5 +56,5 @@ def test_full_example(tmp_path):
         flat = stack(folder, name, 3, "_flat").mean(axis=0)
         corrected.append((stack(folder, name, 21) - dark) / (flat - dark))
     off = rms(*corrected, 1.0)
-    print(f"{name}: mean over frames {100 * off.mean():.3f} %, worst {100 * off.max():.3f} %")
+    print(f"{name}: frames {100 * off.mean():.3f} % in the mean, {100 * off.max():.3f} at worst")  # noqa: T201
     assert off.mean() < 0.006

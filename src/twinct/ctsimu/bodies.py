@@ -19,8 +19,8 @@ from twinct.errors import SpecimenError
 from twinct.geometry import Floats, Pose
 from twinct.specimen.surface import open_edges, refined, subtract, surface
 
-OVERLAP_MM3 = 1e-9
-"""Less than this is rounding of two faces that touch."""
+OVERLAP = 1e-9
+"""A smaller share of a volume than this is rounding of two faces that touch."""
 
 MIN_DISTANCE_MM = 1.0
 """Nearer to the source no mesh is made finer."""
@@ -91,7 +91,7 @@ class Solids:
                 for _, pose, shape in near
             ]
             left = subtract(mesh, tools, body.name)
-            changed = abs(left.volume - mesh.volume) > OVERLAP_MM3
+            changed = not len(left.faces) or left.volume < (1 - OVERLAP) * mesh.volume
             self._cut[key] = left if changed else mesh
         return self._cut[key]
 

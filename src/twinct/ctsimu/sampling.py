@@ -19,7 +19,6 @@ from twinct.ctsimu.scene import Spot
 from twinct.errors import InputError
 from twinct.geometry import Floats
 
-
 LARGEST_PASS = 2048
 """Rays along the longer edge of the panel in one pass: the largest texture of software OpenGL."""
 

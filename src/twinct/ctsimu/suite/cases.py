@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from trimesh import Trimesh
@@ -178,7 +179,7 @@ def cases(tests: Sequence[str]) -> list[Case]:
 
 
 def _free_beams() -> list[Case]:
-    shared = {"columns": 1000, "rows": 1000, "pitch_mm": 0.1, "panel_mm": 10000.0}
+    shared: dict[str, Any] = {"columns": 1000, "rows": 1000, "pitch_mm": 0.1, "panel_mm": 10000.0}
     return [
         Case("2D-FB-1", f"SNR{snr}", **shared, voltage_kv=150.0, snr=snr, flat=False)
         for snr in (100, 250)
@@ -225,18 +226,18 @@ def _wires() -> list[Case]:
     ]  # fmt: skip
 
 
-def _wedge(name: str, of: str, **ends: Callable[[float], float]) -> Part:
+def _wedge(name: str, of: str, **ends: Any) -> Part:
     steps = samples.IRON_STEPS_MM if of == "Fe" else samples.WEDGE_STEPS_MM
     return Part(
         name, lambda: samples.wedge(WEDGE_PANEL_MM, WEDGE_PITCH_MM, steps_mm=steps, **ends), of
     )
 
 
-def _wedge_case(test: str, key: str, parts: list[Part], voltage_kv: float, **more: object) -> Case:
+def _wedge_case(test: str, key: str, parts: list[Part], voltage_kv: float, **more: Any) -> Case:
     size = samples.WEDGE_PANEL_PX
     return Case(
         test, key, size, size, WEDGE_PITCH_MM, WEDGE_PANEL_MM, voltage_kv, parts=parts, **more
-    )  # type: ignore[arg-type]
+    )
 
 
 def _scintillators() -> list[Case]:

@@ -24,8 +24,8 @@ WEDGE_PANEL_PX = 1000
 WEDGE_STEPS_MM = (41.0, 35.89, 30.79, 25.68, 20.58, 15.47, 10.36, 5.26, 0.15)
 """Thickness of each step; step 1 is the lowest."""
 IRON_STEPS_MM = tuple(np.linspace(10.0, 0.02, 9).round(4).tolist())
-"""Of the iron wedge. Nobody states them: the Monte Carlo references for one energy (2D-SW-1, 100 keV)
-are those of equal steps from 10 to 0.02 mm, each to within 0.005 mm."""
+"""Of the iron wedge. Nobody states them: the Monte Carlo references for one energy (2D-SW-1,
+100 keV) are those of equal steps from 10 to 0.02 mm, each to within 0.005 mm."""
 WEDGE_LEFT_PX, WEDGE_RIGHT_PX, WEDGE_JOINT_PX = 90.0, 900.0, 500.0
 WEDGE_RADIUS_MM = 400.0
 """Inner radius of the shells around the focal spot."""
@@ -89,7 +89,7 @@ def duplex_wires(
                 ends.append(np.column_stack([depth, -flat * scale[:, None]]))
             wires.append(_hull(np.concatenate(ends)))
         place += 3 * diameter + WIRE_APART_MM
-    return trimesh.util.concatenate(wires)
+    return _together(wires)
 
 
 def wedge(
@@ -129,7 +129,7 @@ def wedge(
         rays = directions(xs, np.repeat(ys[:, None], columns, axis=1))
         inner, outer = WEDGE_RADIUS_MM * rays, (WEDGE_RADIUS_MM + thickness) * rays
         parts.append(_slab(inner, outer))
-    return trimesh.util.concatenate(parts)
+    return _together(parts)
 
 
 def overlap_px(y: float) -> float:
@@ -170,6 +170,15 @@ def _quads(index: np.ndarray) -> np.ndarray:
 def _strip(border: np.ndarray, last: int) -> np.ndarray:
     """Between the border of the first grid, walked with the slab on one side, and the second's."""
     return np.stack([border[1:], border[:-1], border[:-1] + last, border[1:] + last], axis=-1)
+
+
+def _together(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of solids that do not touch."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    return surface(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + first for part, first in zip(parts, starts, strict=True)]),
+    )
 
 
 def _hull(points: Floats) -> trimesh.Trimesh:
