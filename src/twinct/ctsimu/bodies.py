@@ -22,6 +22,9 @@ from twinct.specimen.surface import open_edges, refined, subtract, surface
 OVERLAP = 1e-9
 """A smaller share of a volume than this is rounding of two faces that touch."""
 
+KEPT = 16
+"""Relative positions that are remembered: samples that pass each other have a new one each frame."""
+
 MIN_DISTANCE_MM = 1.0
 """Nearer to the source no mesh is made finer."""
 
@@ -86,6 +89,9 @@ class Solids:
             (b.file, b.scale, tuple(np.round(pose.matrix, 9).ravel())) for b, pose, _ in near
         )
         if key not in self._cut:
+            if len(self._cut) >= KEPT:
+                self._cut.clear()
+                self._fine.clear()
             tools = [
                 surface(pose.apply(np.asarray(shape.vertices)), np.asarray(shape.faces))
                 for _, pose, shape in near

@@ -206,17 +206,6 @@ class _Run:
         return detector.stored(stored)
 
     def _check_range(self) -> None:
-        """Refuse grey values that nothing gives."""
-        response = self.first.response
-        in_joule = response.curve is not None or (
-            response.factor is not None and response.offset is not None
-        )
-        if in_joule and self.first.tube.monochromatic:
-            raise ScenarioError(
-                f"{self.scenario.path}: detector.gray_value: grey values for an energy in J need "
-                "a source whose number of photons is known, and a monochromatic one has none: "
-                "give imin and imax"
-            )
         if not self.free_beam_j > 0:
             raise ScenarioError(f"{self.scenario.path}: no radiation reaches the detector")
 

@@ -38,6 +38,13 @@ def read_frame(root: Section) -> Frame | None:
     panel = _panel(panel_section, binned)
     response = _response(panel_section, materials)
     tube, spot = _tube(root.section("source"), materials)
+    in_joule = response.curve is not None or None not in (response.factor, response.offset)
+    if in_joule and tube.monochromatic:
+        panel_section.problem(
+            "gray_value",
+            "a grey value for an energy in J needs a source whose number of photons is known, and "
+            "a monochromatic one has none: give imin and imax",
+        )
     bodies = [_body(s, stage, materials) for s in root.sections("samples")]
     environment = _environment(root.section("environment"), materials)
     root.finish()
