@@ -23,7 +23,7 @@ OVERLAP = 1e-9
 """A smaller share of a volume than this is rounding of two faces that touch."""
 
 KEPT = 16
-"""Relative positions that are remembered: samples that pass each other have a new one each frame."""
+"""Relative positions remembered: samples that pass each other have a new one each frame."""
 
 MIN_DISTANCE_MM = 1.0
 """Nearer to the source no mesh is made finer."""
