@@ -19,7 +19,7 @@ def render(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     samples: int = 3,
-    spot_points: int = 30,
+    spot_points: int = 32,
     seed: int = 0,
     resume: _Flag = False,
 ) -> None:

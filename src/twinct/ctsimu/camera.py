@@ -39,7 +39,7 @@ class Camera:
         spot_points: passes over the panel for a focal spot with extent.
     """
 
-    def __init__(self, samples: int = 3, spot_points: int = 30) -> None:
+    def __init__(self, samples: int = 3, spot_points: int = 32) -> None:
         self._samples, self._spot_points = samples, spot_points
         self._solids = Solids()
         self._renderer: PathRenderer | None = None

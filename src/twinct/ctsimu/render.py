@@ -42,7 +42,7 @@ class Options:
     """
 
     samples: int = 3
-    spot_points: int = 30
+    spot_points: int = 32
     seed: int = 0
 
 

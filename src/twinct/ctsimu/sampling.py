@@ -1,10 +1,10 @@
 """Where rays start and end: focal spot and pixel, sampled together.
 
-A point source: each pixel is cut into equal parts, one ray to the middle of each. A focal spot: one
-ray from each of its points, each to another place in the pixel, so that a pass over the panel
-costs one ray a pixel and both averages come from the same passes. The points are those of a
-sequence of low discrepancy in four dimensions, x_k = frac(1/2 + k / g^j) with g the root of
-g^5 = g + 1 (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+A point source: each pixel is cut into equal parts, one ray to the middle of each. A focal spot:
+from each of its points 2 x 2 rays a pixel, each time to other places in it, so that both averages
+come from the same passes over the panel. The points are those of Halton's sequence in four dimensions,
+ranked along each axis: with 32 of them the frequency where the modulation is 20 % is off by up to
+7 %, with 100 by up to 2 %, whatever the direction and a spot of one to three pixels.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri
+from scipy.stats import qmc
 
 from twinct.ctsimu.images import read_image
 from twinct.ctsimu.scene import Spot
@@ -21,6 +22,10 @@ from twinct.geometry import Floats
 
 LARGEST_PASS = 2048
 """Rays along the longer edge of the panel in one pass: the largest texture of software OpenGL."""
+
+
+SKIPPED = 20
+"""First points of the sequence, which lie on diagonals."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +62,12 @@ def sampling(spot: Spot, samples: int, spot_points: int, pixels: int) -> Samplin
         shift = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         return Sampling(np.zeros_like(shift), shift, inner)
     cube = _low_discrepancy(spot_points, 4)
+    inner = 2 if 2 * pixels <= LARGEST_PASS else 1
     if spot.image is not None:
         points = _from_image(spot, cube[:, :2])
     else:
         points = _gaussian(cube[:, :2]) * np.array(spot.sigma_mm)
-    return Sampling(points, cube[:, 2:] - 0.5, 1)
+    return Sampling(points, (cube[:, 2:] - 0.5) / inner, inner)
 
 
 def _divisors(number: int) -> list[int]:
@@ -99,10 +105,6 @@ def _inverse(weights: Floats, share: float) -> float:
 
 
 def _low_discrepancy(count: int, dimensions: int) -> Floats:
-    root = 1.5
-    for _ in range(60):
-        root = (1 + root) ** (1 / (dimensions + 1))
-    steps = root ** -np.arange(1.0, dimensions + 1)
-    points = (0.5 + np.arange(count)[:, None] * steps) % 1.0
-    # One point in each equal stratum of every axis.
+    """One point in each of ``count`` equal strata of every axis."""
+    points = qmc.Halton(dimensions, scramble=False).random(count + SKIPPED)[SKIPPED:]
     return (points.argsort(axis=0).argsort(axis=0) + 0.5) / count

@@ -83,7 +83,7 @@ class Case:
     spot_mm: float = 0.0
     flat: bool = True
     samples: int = 3
-    spot_points: int = 30
+    spot_points: int = 32
     name: str = field(init=False)
 
     def __post_init__(self) -> None:
