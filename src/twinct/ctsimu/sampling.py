@@ -2,9 +2,9 @@
 
 A point source: each pixel is cut into equal parts, one ray to the middle of each. A focal spot:
 from each of its points 2 x 2 rays a pixel, each time to other places in it, so that both averages
-come from the same passes over the panel. The points are those of Halton's sequence in four dimensions,
+come from the same passes over the panel. The points are Halton's sequence in four dimensions,
 ranked along each axis: with 32 of them the frequency where the modulation is 20 % is off by up to
-7 %, with 100 by up to 2 %, whatever the direction and a spot of one to three pixels.
+7 %, with 100 by up to 2 %, whatever the direction, for spots of one to three pixels.
 """
 
 from __future__ import annotations
