@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-BLOCKED = ("mujoco", "mink", "ruckig", "gvxrPython3", "rclpy", "sensor_msgs", "itk")
+BLOCKED = ("mujoco", "mink", "ruckig", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk")
 MODULES = (
     "twinct",
     "twinct.cell",
