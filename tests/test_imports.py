@@ -5,7 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 
-BLOCKED = ("mujoco", "mink", "ruckig", "gvxrPython3", "rclpy", "sensor_msgs", "itk", "ctsimu")
+BLOCKED = (
+    *("mujoco", "mink", "ruckig", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk"),
+    "ctsimu",
+)
 MODULES = (
     "twinct",
     "twinct.cell",

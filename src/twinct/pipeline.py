@@ -10,22 +10,25 @@ import hashlib
 import importlib.util
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import MissingExtraError
+from twinct.errors import InputError, MissingExtraError
 from twinct.evaluate import ImageFigures, image_figures, region_of_interest
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.scan import LocalRig, Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire
 from twinct.scan.store import storage_errors
 from twinct.scenario import Scenario
-from twinct.views import Reached
+from twinct.views import Instant, Reached
+
+if TYPE_CHECKING:
+    from twinct.xray.chain import Frame
 
 log = logging.getLogger(__name__)
 
@@ -273,6 +276,42 @@ def _rtk(
         volume = rtk_sart(integrals, geometry, grid, iterations=iterations, relaxation=relaxation)
         step()
     return volume
+
+
+def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[Frame]:
+    """Raw, flat and dark images of views of a scan, rendered again from the executed poses.
+
+    A scan stores transmission only; these are the images that it came from, to the last bit.
+
+    Args:
+        scan: with its executed poses.
+        workshop: the scenario's parts.
+        views: their indices.
+
+    Raises:
+        InputError: an ideal source and detector, which have no such images; or lag together with
+            motion blur, for which the scan does not hold where the last exposure ended.
+    """
+    source, detector = scan.scenario.source, scan.scenario.detector
+    if source.ideal and detector.ideal:
+        raise InputError("an ideal source and detector have no raw images: set detector.readout")
+    if detector.lag and scan.exposure is not None:
+        raise InputError("raw images with detector.lag and source.motion_samples cannot be redone")
+    geometry = scan.executed.geometry(detector.panel)
+
+    def instant(view: int) -> tuple[ScanGeometry, Pose]:
+        return geometry[view], scan.executed_object[view]
+
+    with workshop.imager() as imager:
+        for view in views:
+            path = [instant(view)]
+            if scan.exposure is not None:
+                triples = (
+                    Instant(*map(tuple, numbers)) for numbers in scan.exposure[view].tolist()
+                )
+                path = [triple.placed(detector.panel) for triple in triples]
+            before = instant(view - 1) if detector.lag and view else None
+            yield imager.frame(path, view, before)
 
 
 def reconstruction_digest(scenario: Scenario) -> str:

@@ -55,7 +55,7 @@ def test_a_tube_gives_the_kerma_and_the_half_value_layer_that_spekpy_states():
 
 def test_files_are_read_and_what_is_wrong_with_them_is_said(tmp_path):
     file = tmp_path / "tube.tsv"
-    file.write_text("# keV photons\n0 0\n20\t1e5\n30\t3e5\n40 0\n")
+    file.write_text("# keV photons\n0 0\n20,1e5\n30\t3e5\n40 0\n")
     spectrum = Spectrum.read(file)
     np.testing.assert_array_equal(spectrum.energies_kev, [20, 30])
     assert not spectrum.absolute

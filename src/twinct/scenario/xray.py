@@ -154,7 +154,9 @@ class GaussianSpread(Section):
     """A Gaussian point spread."""
 
     kind: Literal["gaussian"]
-    sigma_mm: Positive = Field(description="Standard deviation: the basic spatial resolution.")
+    sigma_mm: Positive = Field(
+        description="Standard deviation: the basic spatial resolution of ISO 19232-5 over 1.41."
+    )
 
 
 class FileSpread(Section):

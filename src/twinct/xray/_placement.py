@@ -9,6 +9,7 @@ import numpy as np
 
 from twinct.errors import TwinctError
 from twinct.geometry import Floats, ScanGeometry
+from twinct.specimen.surface import refined
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -23,6 +24,24 @@ def mesh_fault(mesh: Trimesh) -> str | None:
     if mesh.volume <= 0:
         return "is inside out: its triangles must be wound outwards"
     return None
+
+
+DEPTH_MM = 0.02
+"""Error of a path that a triangle's size may make."""
+
+
+def longest_edge(source_to_body_mm: float) -> float:
+    """Longest edge of a triangle that gVXR images to ``DEPTH_MM``, mm.
+
+    It interpolates the distance to the source linearly inside a triangle, which is wrong by up to
+    edge^2 / (8 distance).
+    """
+    return float(np.sqrt(8 * source_to_body_mm * DEPTH_MM))
+
+
+def split(mesh: Trimesh, longest_edge_mm: float | None) -> Trimesh:
+    """The same solid without longer edges; the very mesh where there are none."""
+    return mesh if longest_edge_mm is None else refined(mesh, longest_edge_mm / 1.5)
 
 
 class Placement:

@@ -14,10 +14,10 @@ from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.xray._engine import ENGINE, Upload
-from twinct.xray._placement import Placement, mesh_fault
+from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
 from twinct.xray.build import build_spot, physical_panel
 from twinct.xray.chain import Chain, Frame
-from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 from twinct.xray.spot import moved_source
 
 if TYPE_CHECKING:
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 Placed = tuple[ScanGeometry, Pose]
 """Where everything was at one instant: source and panel, one view, and ``world_from_object``."""
+
+
+_NEAREST_MM = 150.0
+"""Distance from source to specimen where no reference view tells it."""
 
 
 class Imager:
@@ -71,8 +75,9 @@ class Imager:
         self._paths: PathRenderer | None = None
         self._chain: Chain | None = None
         self._open = False
-        if source.ideal and detector.ideal:
-            bodies = _bodies(specimen, source.energy_kev)
+        edge = longest_edge(_nearest_mm(specimen, reference))
+        if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
+            bodies = _bodies(specimen, source.energy_kev, edge)
             self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
             ENGINE.acquire(bodies, source.energy_kev, self.panel)
         else:
@@ -86,6 +91,7 @@ class Imager:
                 [Body(part.mesh, part.material, part.name) for part in specimen.parts],
                 physical_panel(detector),
                 detector.pixel_samples,
+                edge,
             )
         self._open = True
 
@@ -210,7 +216,18 @@ class Imager:
                 self.close()
 
 
-def _bodies(specimen: BuiltSpecimen, energy_kev: float) -> list[Upload]:
+def _nearest_mm(specimen: BuiltSpecimen, reference: ScanGeometry | None) -> float:
+    """From the source to the nearest of the specimen, about; never 0."""
+    if reference is None or not specimen.parts:
+        return _NEAREST_MM
+    corners = np.array([part.mesh.bounds for part in specimen.parts])
+    low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    centre = specimen.world_from_specimen.apply((low + high) / 2)
+    distance = float(np.linalg.norm(reference.source[0] - centre))
+    return max(distance - float(np.linalg.norm(high - low)) / 2, distance / 10)
+
+
+def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) -> list[Upload]:
     if not specimen.parts:
         raise SpecimenError("the specimen has no parts: there is nothing to image")
     problems: list[str] = []
@@ -221,7 +238,8 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float) -> list[Upload]:
         if fault:
             problems.append(f"part '{part.name}' {fault}")
         else:
-            bodies.append((np.asarray(part.mesh.vertices), np.asarray(part.mesh.faces), mu_per_mm))
+            mesh = split(part.mesh, longest_edge_mm)
+            bodies.append((np.asarray(mesh.vertices), np.asarray(mesh.faces), mu_per_mm))
     if problems:
         raise SpecimenError(problems)
     return bodies

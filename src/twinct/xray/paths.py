@@ -14,7 +14,7 @@ from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.specimen.materials import Material
 from twinct.xray._engine import ENGINE
-from twinct.xray._placement import Placement, mesh_fault
+from twinct.xray._placement import Placement, mesh_fault, split
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -27,8 +27,8 @@ end at 1.7 m. What is left is gVXR's own depth: 1e-4 mm at most at a distance of
 """
 
 _DARKEST = np.float32(np.finfo(np.float32).tiny)
-_TILE_PIXELS = 4096 * 4096
-"""A panel with more samples is taken in strips of rows: gVXR keeps several images of this size."""
+LARGEST_TILE = 2048
+"""Pixels along an edge that gVXR can draw at once with software OpenGL; larger panels are tiled."""
 
 
 class Body(NamedTuple):
@@ -61,13 +61,20 @@ class PathRenderer:
         samples: samples along each pixel edge.
     """
 
-    def __init__(self, bodies: Sequence[Body], panel: Panel, samples: int = 1) -> None:
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        panel: Panel,
+        samples: int = 1,
+        longest_edge_mm: float | None = None,
+    ) -> None:
         """Upload the bodies.
 
         Args:
             bodies: what is imaged; at least one.
             panel: the pixel lattice of every view.
             samples: samples along each pixel edge; the cost grows with their square.
+            longest_edge_mm: longer edges of the meshes are split; see ``longest_edge``.
 
         Raises:
             SpecimenError: no body, an open mesh, or one that is inside out.
@@ -90,12 +97,11 @@ class PathRenderer:
         self._corners = [_corners(body.mesh) for body in bodies]
         self.panel, self.samples = panel, samples
         rows, columns = panel.rows * samples, panel.columns * samples
-        strips = -(-rows * columns // _TILE_PIXELS)
         self._fine = Panel(rows, columns, panel.pitch_u / samples, panel.pitch_v / samples)
-        self._tile_rows = -(-rows // strips)
-        tile = Panel(self._tile_rows, columns, self._fine.pitch_u, self._fine.pitch_v)
+        tile = Panel(_even(rows), _even(columns), self._fine.pitch_u, self._fine.pitch_v)
         self._tile = np.empty(tile.shape, dtype=np.float32)
-        uploads = [(np.asarray(b.mesh.vertices), np.asarray(b.mesh.faces), PATH_MU) for b in bodies]
+        meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
+        uploads = [(np.asarray(m.vertices), np.asarray(m.faces), PATH_MU) for m in meshes]
         self._open = False
         ENGINE.acquire(uploads, 80.0, tile)
         self._open = True
@@ -138,36 +144,35 @@ class PathRenderer:
             self._placements[body].check(seen)
             if _misses(seen, self._corners[body]):
                 continue
-            for start in self._strips():
-                self._add(body, seen, start, paths[material], filled[material])
+            for row in range(0, self._fine.rows, self._tile.shape[0]):
+                for column in range(0, self._fine.columns, self._tile.shape[1]):
+                    self._add(body, seen, (row, column), paths[material], filled[material])
             filled[material] = True
         return paths
-
-    def _strips(self) -> list[int]:
-        """First row of each strip; the last strip may reach past the panel."""
-        return list(range(0, self._fine.rows, self._tile_rows))
 
     def _add(
         self,
         body: int,
         view: ScanGeometry,
-        start: int,
+        start: tuple[int, int],
         out: NDArray[np.float32],
         filled: bool,
     ) -> None:
-        rows, tile = self._tile_rows, self._tile
-        inside = min(rows, self._fine.rows - start)
-        shift = start + (rows - 1) / 2 - (self._fine.rows - 1) / 2
-        centre = view.detector[0] + shift * self._fine.pitch_v * view.v[0]
+        """Render one tile; it may reach past the panel."""
+        tile, fine = self._tile, self._fine
+        row, column = start
+        down = (row + (tile.shape[0] - fine.rows) / 2) * fine.pitch_v
+        right = (column + (tile.shape[1] - fine.columns) / 2) * fine.pitch_u
+        centre = view.detector[0] + right * view.u[0] + down * view.v[0]
         ENGINE.expose(view.source[0], centre, view.u[0], view.v[0], tile, body)
         np.clip(tile, _DARKEST, 1.0, out=tile)
         np.log(tile, out=tile)
         np.multiply(tile, np.float32(-1 / PATH_MU), out=tile)
-        part = out[start : start + inside]
+        part = out[row : row + tile.shape[0], column : column + tile.shape[1]]
         if filled:
-            part += tile[:inside]
+            part += tile[: part.shape[0], : part.shape[1]]
         else:
-            part[:] = tile[:inside]
+            part[:] = tile[: part.shape[0], : part.shape[1]]
 
     def close(self) -> None:
         """Hand the scene over; closing twice does no harm."""
@@ -205,3 +210,8 @@ def _misses(view: ScanGeometry, corners: Floats) -> bool:
         return False
     size = np.array([view.panel.columns, view.panel.rows])
     return bool((shadow.max(axis=0) < -1).any() or (shadow.min(axis=0) > size).any())
+
+
+def _even(count: int) -> int:
+    """Size of equal tiles that cover an edge."""
+    return -(-count // -(-count // LARGEST_TILE))

@@ -127,11 +127,14 @@ def attenuation(material: Material, energies_kev: Floats) -> Floats:
 def read_columns(path: Path, columns: int) -> Floats:
     """Columns of numbers from a text file, (columns, rows); more columns are left out.
 
+    Blanks, commas or semicolons stand between them.
+
     Raises:
         InputError: it cannot be read; names the file.
     """
     try:
-        table = np.loadtxt(path, comments="#", ndmin=2, usecols=range(columns))
+        lines = path.read_text(encoding="utf-8").replace(",", " ").replace(";", " ").splitlines()
+        table = np.loadtxt(lines, comments="#", ndmin=2, usecols=range(columns))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: not {columns} columns of numbers: {error}") from None
     if not len(table):
