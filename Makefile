@@ -12,7 +12,7 @@ VENV := .venv/bin
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test check lint format bench docs lock clean
+.PHONY: help setup demo paper test check lint format bench qualify docs lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -48,6 +48,9 @@ bench: setup ## Time the parts of the simulation (benchmarks/)
 	@shopt -s nullglob; scripts=(benchmarks/*.py); \
 	[ $${#scripts[@]} -gt 0 ] || { echo "No benchmarks yet: put scripts into benchmarks/"; exit 0; }; \
 	for script in "$${scripts[@]}"; do echo "== $$script"; $(VENV)/python "$$script" || exit 1; done
+
+qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; half an hour)
+	@$(VENV)/twinct ctsimu qualify --out out/qualify
 
 docs: setup ## Regenerate the pictures of the documentation, check its links
 	@[ ! -e tools/gallery.py ] || $(VENV)/python tools/gallery.py

@@ -5,11 +5,17 @@ from __future__ import annotations
 import subprocess
 import sys
 
-BLOCKED = ("mujoco", "mink", "ruckig", "gvxrPython3", "rclpy", "sensor_msgs", "itk")
+BLOCKED = (
+    *("mujoco", "mink", "ruckig", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk"),
+    "ctsimu",
+)
 MODULES = (
     "twinct",
     "twinct.cell",
     "twinct.cli.commands",
+    "twinct.ctsimu",
+    "twinct.ctsimu.export",
+    "twinct.ctsimu.suite",
     "twinct.evaluate",
     "twinct.exchange",
     "twinct.pipeline",

@@ -12,9 +12,13 @@ import pytest
 from twinct import reconstruction
 from twinct.errors import InputError, MemoryShortageError
 from twinct.evaluate import pose_errors
+from twinct.geometry import Pose
 from twinct.pipeline import (
+    corrected_integrals,
+    effective_energy,
     judge,
     line_integrals,
+    machine_frames,
     reconstruct,
     require_feasible,
     simulate,
@@ -22,7 +26,7 @@ from twinct.pipeline import (
 )
 from twinct.recon import Projector, cgls, fista_tv, os_sart, random_order, sart, sirt
 from twinct.scan import Scan, Workshop
-from twinct.scenario import Scenario, load_scenario
+from twinct.scenario import Scenario, load_scenario, parse_scenario
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 BALL_MM = np.array([20.0, -30.0, 40.0])
@@ -268,3 +272,65 @@ def test_opaque_pixels_give_finite_line_integrals() -> None:
     integrals = line_integrals(np.array([[1.0, 0.5, 0.0]], dtype=np.float32))
     np.testing.assert_allclose(integrals[0, :2], [0, np.log(2)], rtol=1e-6)
     assert 16 < integrals[0, 2] < 17
+
+
+@pytest.mark.parametrize("blur", [False, True])
+def test_raw_images_are_those_that_the_transmission_came_from(blur):
+    physics = {
+        "source": {"spectrum": {"kind": "tube", "kvp": 80}, "motion_samples": 2 if blur else 1},
+        "detector": {
+            **{"columns": 32, "rows": 24, "pixel_pitch_mm": 10.0, "noise": {"kind": "quantum"}},
+            **{"readout": {"electronic_noise": 4.0}, "lag": 0.0 if blur else 0.1},
+        },
+        "trajectory": {"kind": "arc", "views": 3, "longitude_range_deg": 10},
+        "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 60}}]},
+    }
+    workshop = Workshop(parse_scenario(physics))
+    scan = simulate(workshop.scenario, workshop=workshop)
+    frames = list(machine_frames(scan, workshop, range(3)))
+    for frame, transmission in zip(frames, scan.transmission, strict=True):
+        np.testing.assert_array_equal(frame.transmission, transmission)
+        light = np.maximum(frame.raw - frame.dark, 0.5) / (frame.flat - frame.dark)
+        np.testing.assert_allclose(light, transmission, rtol=1e-6)
+    assert not np.array_equal(frames[0].raw, frames[1].raw)
+
+
+@pytest.mark.parametrize("kind", ["one_material", "two_materials"])
+def test_hardened_line_integrals_are_brought_to_one_energy(kind):
+    """A ball of bone in water, without robots, against an image of one energy."""
+    ball, core = (
+        {"shape": {"kind": "sphere", "radius_mm": r}, "material": m}
+        for r, m in ((50, "water"), (15, "bone"))
+    )
+    hardening = {"kind": kind} | (
+        {"base": "water", "first_iterations": 5} if kind == "two_materials" else {}
+    )
+    scenario = parse_scenario(
+        {
+            "source": {"spectrum": {"kind": "tube", "kvp": 80}},
+            "detector": {"columns": 64, "rows": 48, "pixel_pitch_mm": 5.0},
+            "trajectory": {"kind": "circle", "views": 24},
+            "specimen": {"parts": [ball] if kind == "one_material" else [ball, core]},
+            "reconstruction": {"grid": {"voxels": 48, "voxel_mm": 3}, "beam_hardening": hardening},
+        }
+    )
+    workshop = Workshop(scenario)
+    geometry = workshop.commanded
+    with workshop.imager() as imager:
+        images = np.stack([imager.render(view, Pose.identity()) for view in geometry])
+    poses = workshop.commanded_poses
+    still = (Pose.identity(),) * len(geometry)
+    none = np.zeros((24, 0))
+    scan = Scan(scenario, images, poses, poses, still, poses, (), none, none, none)
+    found = corrected_integrals(scan, geometry)
+    ideal = parse_scenario(
+        scenario.model_dump(mode="json", exclude={"source", "reconstruction"})
+        | {"source": {"energy_kev": effective_energy(scenario)}}
+    )
+    with Workshop(ideal).imager() as imager:
+        truth = line_integrals(np.stack([imager.render(v, Pose.identity()) for v in geometry]))
+    raw = line_integrals(images)
+    dark = truth > 0.5 * truth.max()
+    errors = [np.abs(p - truth)[dark].mean() / truth[dark].mean() for p in (raw, found)]
+    assert errors[0] > 0.015
+    assert errors[1] < (0.002 if kind == "one_material" else 0.5 * errors[0])

@@ -117,10 +117,19 @@ def _default(info: Any) -> str:
         return "**needed**"
     if info.default is None or info.default == "":
         return "none"
-    value = info.default
+    if isinstance(info.default, BaseModel) and not hasattr(info.default, "kind"):
+        return "see its section"
+    return f"`{_plain(info.default)}`"
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, BaseModel):
+        keys = ("kind",) if hasattr(value, "kind") else tuple(type(value).model_fields)
+        given = {key: getattr(value, key) for key in keys}
+        return f"{{{', '.join(f'{key}: {_plain(item)}' for key, item in given.items())}}}"
     if isinstance(value, tuple):
-        return f"`[{', '.join(f'{x:g}' for x in value)}]`"
-    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+        return f"[{', '.join(_plain(item) for item in value)}]"
+    return f"{value:g}" if isinstance(value, float) else f"{value}"
 
 
 if __name__ == "__main__":

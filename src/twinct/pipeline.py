@@ -9,37 +9,44 @@ from __future__ import annotations
 import importlib.util
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import MissingExtraError
+from twinct.errors import InputError, MissingExtraError
 from twinct.evaluate import ImageFigures, image_figures, region_of_interest
-from twinct.geometry import Pose
+from twinct.geometry import Pose, ScanGeometry
+from twinct.integrals import corrected_integrals, effective_energy, line_integrals
 from twinct.reconstruction import (
     SILENT,
     Progress,
-    line_integrals,
     reconstruct,
     reconstruction_digest,
     require_feasible,
 )
 from twinct.scan import LocalRig, Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire
 from twinct.scenario import Scenario
-from twinct.views import Reached
+from twinct.views import Instant, Reached
+
+if TYPE_CHECKING:
+    from twinct.xray.chain import Frame
 
 __all__ = [
     "SILENT",
     "Progress",
     "Truth",
     "acquire_to_store",
+    "corrected_integrals",
+    "effective_energy",
     "judge",
     "line_integrals",
     "local_rig",
+    "machine_frames",
     "mean_pose",
     "reconstruct",
     "reconstruction_digest",
@@ -143,6 +150,42 @@ def acquire_to_store(
     return store
 
 
+def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[Frame]:
+    """Raw, flat and dark images of views of a scan, rendered again from the executed poses.
+
+    A scan stores transmission only; these are the images that it came from, to the last bit.
+
+    Args:
+        scan: with its executed poses.
+        workshop: the scenario's parts.
+        views: their indices.
+
+    Raises:
+        InputError: an ideal source and detector, which have no such images; or lag together with
+            motion blur, for which the scan does not hold where the last exposure ended.
+    """
+    source, detector = scan.scenario.source, scan.scenario.detector
+    if source.ideal and detector.ideal:
+        raise InputError("an ideal source and detector have no raw images: set detector.readout")
+    if detector.lag and scan.exposure is not None:
+        raise InputError("raw images with detector.lag and source.motion_samples cannot be redone")
+    geometry = scan.executed.geometry(detector.panel)
+
+    def instant(view: int) -> tuple[ScanGeometry, Pose]:
+        return geometry[view], scan.executed_object[view]
+
+    with workshop.imager() as imager:
+        for view in views:
+            path = [instant(view)]
+            if scan.exposure is not None:
+                triples = (
+                    Instant(*map(tuple, numbers)) for numbers in scan.exposure[view].tolist()
+                )
+                path = [triple.placed(detector.panel) for triple in triples]
+            before = instant(view - 1) if detector.lag and view else None
+            yield imager.frame(path, view, before)
+
+
 @dataclass(frozen=True, eq=False)
 class Truth:
     """What a reconstruction is judged against.
@@ -162,7 +205,7 @@ def truth_of(scan: Scan, workshop: Workshop, progress: Progress = SILENT) -> Tru
     """The truth of a scan, where the specimen really was, and the region every view sees."""
     scenario = scan.scenario
     grid = scenario.reconstruction.grid.volume_grid
-    energy = scenario.source.energy_kev
+    energy = effective_energy(scenario)
     with progress.stage("truth", 2) as step:
         volume = workshop.specimen.truth(grid, energy, mean_pose(scan.executed_object))
         step()

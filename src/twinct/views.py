@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,9 +58,37 @@ class Target:
         return from_seven(self.detector_m)
 
 
+class Instant(NamedTuple):
+    """Where everything is at one instant, in the numbers that the links carry.
+
+    Attributes:
+        source_m: executed ``world_from_source``.
+        object_m: executed ``world_from_object``.
+        detector_m: executed ``world_from_detector``.
+    """
+
+    source_m: SevenNumbers
+    object_m: SevenNumbers
+    detector_m: SevenNumbers
+
+    def placed(self, panel: Panel) -> tuple[ScanGeometry, Pose]:
+        """Source and panel as one view, and ``world_from_object``.
+
+        Raises:
+            ValueError: these numbers are no poses.
+        """
+        geometry = ScanGeometry.from_poses(
+            [from_seven(self.source_m)], [from_seven(self.detector_m)], panel
+        )
+        return geometry, from_seven(self.object_m)
+
+
 @dataclass(frozen=True, eq=False)
 class Reached:
     """What the robot simulation has at the step that triggers the image.
+
+    Where an exposure takes its time, the poses are those in the middle of it, and joints, state and
+    time those at its end.
 
     Attributes:
         source_m: executed ``world_from_source``.
@@ -72,6 +101,9 @@ class Reached:
         state: the full simulator state (``mjSTATE_INTEGRATION``), (n,).
         time_s: simulated time.
         clearance_mm: smallest gap between non-adjacent bodies at any step of the move.
+        exposure: instants of equal duration over the exposure; none where it is a single one.
+        before: where the arms were when the move began, which is where the last view was taken;
+            only where the detector's lag asks for it.
     """
 
     source_m: SevenNumbers
@@ -84,6 +116,13 @@ class Reached:
     state: NDArray[np.float64]
     time_s: float
     clearance_mm: float
+    exposure: tuple[Instant, ...] = ()
+    before: Instant | None = None
+
+    @property
+    def path(self) -> tuple[Instant, ...]:
+        """The instants that make the image, at least one."""
+        return self.exposure or (Instant(self.source_m, self.object_m, self.detector_m),)
 
     @property
     def source(self) -> Pose:

@@ -56,7 +56,8 @@ class FakeImager:
     def __init__(self, detector):
         self.shape = detector.rows, detector.columns
 
-    def render(self, geometry, world_from_object):
+    def expose(self, path, view=0, before=None):
+        geometry, world_from_object = path[0]
         _note("render", geometry.source[0].tolist())
         if (folder := os.environ.get("FAKE_NOTES")) and (Path(folder) / "render_s").exists():
             time.sleep(float((Path(folder) / "render_s").read_text()))

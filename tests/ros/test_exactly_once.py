@@ -162,7 +162,7 @@ def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets, n
     expected = [epoch.at(view) for view in range(4)]
     for messages in (disturbed.reached, disturbed.images, disturbed.joints):
         assert [Stamp.of(message.header.stamp) for message in messages] == expected
-    assert executed_of(disturbed.reached[0]).source_m == first.source_m
+    assert executed_of(disturbed.reached[0]).view.source_m == first.source_m
     assert notes.count("move") == notes.count("render") == disturbed.next
 
 
@@ -277,7 +277,7 @@ def test_the_command_line_starts_the_real_nodes(short, foreign, domain, node):
     somebody.until(lambda: out.get_subscription_count() >= 1, timeout_s=60)
     message = target_message(Stamp(5, 0), targets[0])
     somebody.ask(out, message, lambda: reached and images, timeout_s=60)
-    source = executed_of(reached[0]).source_m[:3]
+    source = executed_of(reached[0]).view.source_m[:3]
     asked = targets[0].source_m[:3]
     assert sum((a - b) ** 2 for a, b in zip(source, asked, strict=True)) ** 0.5 < 1.1e-3
     assert image_of(images[0]).min() < 0.9

@@ -1,5 +1,6 @@
 """One contract for every rig: the link must not be seen in anything it returns."""
 
+import json
 from contextlib import closing
 
 import numpy as np
@@ -9,12 +10,28 @@ from twinct.errors import LinkError, MotionError
 from twinct.ros import RosRig
 from twinct.ros.robots_node import own_targets
 from twinct.scan import LocalRig, build_imager, build_robots, commanded_targets
+from twinct.scenario import parse_scenario
 from twinct.views import Reached, Target
 
 pytestmark = pytest.mark.ros
 
-NUMBERS = ("source_m", "object_m", "detector_m", "joint_names", "time_s", "clearance_mm")
+POSES = ("source_m", "object_m", "detector_m", "exposure", "before")
+NUMBERS = (*POSES, "joint_names", "time_s", "clearance_mm")
 ARRAYS = ("position", "velocity", "effort", "state")
+
+
+PHYSICS = {
+    "source": {
+        "spectrum": {"kind": "tube", "kvp": 80},
+        "exposure_ms": 8.0,
+        "motion_samples": 2,
+        "focal_spot": {"kind": "gaussian", "sigma_mm": 0.3, "samples": 2},
+    },
+    "detector": {
+        **{"columns": 32, "rows": 24, "pixel_pitch_mm": 10.0},
+        **{"noise": {"kind": "quantum"}, "readout": {"electronic_noise": 3.0}, "lag": 0.1},
+    },
+}
 
 
 def assert_same(one: Reached, other: Reached) -> None:
@@ -83,7 +100,10 @@ def test_the_nodes_know_the_targets_of_the_scan(scenario):
     assert own_targets(scenario) == commanded_targets(scenario)
 
 
-def test_real_engines_give_the_same_bits_over_both_links_and_after_a_resume(short):
+@pytest.mark.parametrize("physics", [False, True], ids=["ideal", "physics"])
+def test_real_engines_give_the_same_bits_over_both_links_and_after_a_resume(short, physics):
+    if physics:
+        short = parse_scenario(json.loads(short.resolved()) | PHYSICS)
     targets = commanded_targets(short)
     rig = LocalRig(build_robots(short), build_imager(short), short.detector.panel)
     local = take(rig, targets)

@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from twinct.cli.ctsimu import ctsimu
 from twinct.scenario import load_scenario, scenario_schema
 
 app = tyro.extras.SubcommandApp()
@@ -149,6 +150,7 @@ def specimen(
     Args:
         out: Folder for PART.stl, truth.nii and specimen.png.
     """
+    from twinct.pipeline import effective_energy
     from twinct.scan import Workshop
     from twinct.scan.store import storage_errors
     from twinct.specimen.preview import preview_specimen
@@ -156,7 +158,7 @@ def specimen(
 
     loaded = load_scenario(scenario, set_)
     built = Workshop(loaded).specimen
-    grid, energy = loaded.reconstruction.grid.volume_grid, loaded.source.energy_kev
+    grid, energy = loaded.reconstruction.grid.volume_grid, effective_energy(loaded)
     table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -215,3 +217,6 @@ def report(
     from twinct.cli.run import report_again
 
     report_again(folder)
+
+
+app.command(ctsimu, name="ctsimu", help="Scenarios of the CTSimU format: render, export, qualify.")

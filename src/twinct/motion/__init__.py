@@ -5,6 +5,7 @@ MuJoCo, mink and Ruckig are imported when they are used, not when this package i
 
 from twinct.motion.kinematics import IkResult, Kinematics
 from twinct.motion.plan import MotionPlan, plan_motion
+from twinct.motion.shutter import Shutter
 from twinct.motion.simulation import RobotSimulation
 
-__all__ = ["IkResult", "Kinematics", "MotionPlan", "RobotSimulation", "plan_motion"]
+__all__ = ["IkResult", "Kinematics", "MotionPlan", "RobotSimulation", "Shutter", "plan_motion"]

@@ -14,8 +14,9 @@ from twinct.geometry import MM_PER_M, Floats
 from twinct.motion.kinematics import Kinematics, site_pose
 from twinct.motion.plan import FLIP_RAD, readable, straight_path
 from twinct.motion.reference import Reference
+from twinct.motion.shutter import Shutter
 from twinct.scenario import Motion
-from twinct.views import Reached, Target, to_seven
+from twinct.views import Instant, Reached, Target, to_seven
 
 if TYPE_CHECKING:
     import mujoco
@@ -60,19 +61,28 @@ class RobotSimulation:
     function of it and of the targets.
     """
 
-    def __init__(self, cell_model: CellModel, motion: Motion, home: Floats) -> None:
+    def __init__(
+        self,
+        cell_model: CellModel,
+        motion: Motion,
+        home: Floats,
+        shutter: Shutter | None = None,
+    ) -> None:
         """Start at rest.
 
         Args:
             cell_model: the room.
             motion: trigger, tolerances, limits of the joint path.
             home: joint positions, rad, (n,), source arm first.
+            shutter: how long an image takes; none: no time.
 
         Raises:
             MissingExtraError: MuJoCo, mink or Ruckig is not installed.
         """
         self._cell = cell_model
         self._motion = motion
+        self._shutter = shutter or Shutter()
+        self._taken = False
         self._model = cell_model.model
         self._data = mujoco.MjData(self._model)
         self._kinematics = Kinematics(cell_model, motion.ik)
@@ -132,6 +142,7 @@ class RobotSimulation:
             )
         mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_step1(self._model, self._data)
+        self._taken = True
 
     def move(self, target: Target) -> Reached:
         """Solve the target from the joints as they are, and move there.
@@ -204,11 +215,15 @@ class RobotSimulation:
         settled = motion.trigger == "settled"
         timestep = model.opt.timestep
         steps = round(motion.timeout_s / timestep)
-        record = np.zeros((steps + 1, 3, n))
+        shutter = self._shutter
+        open_steps = shutter.steps(timestep)
+        record = np.zeros((steps + open_steps + 1, 3, n))
+        instants: list[Instant] = []
         watch = self._watch = self._new_watch()
         feedforward = np.zeros(model.nv)
         mujoco.mj_step1(model, data)
-        for step in range(steps + 1):
+        before = self._instant() if shutter.remember and self._taken else None
+        for step in range(steps + open_steps + 1):
             row = record[step]
             row[0], row[1], row[2] = joints, speeds, torques
             if data.ncon:
@@ -218,10 +233,16 @@ class RobotSimulation:
             to_source, to_detector = spots[0] - wanted[0], spots[1] - wanted[1]
             near = max(to_source @ to_source, to_detector @ to_detector) < tolerance_m**2
             # What a move finds before its first step is the last one's doing.
-            if step and near and (not settled or self._at_rest(step * timestep, path.duration)):
-                self._judge(watch, record[: step + 1])
-                gap = self._clearance.over(record[: step + 1, 0])
-                return self._reached(gap.distance_mm)
+            opens = step and near and (not settled or self._at_rest(step * timestep, path.duration))
+            if instants or opens:
+                instants.append(self._instant())
+                if len(instants) > open_steps:
+                    self._judge(watch, record[: step + 1])
+                    gap = self._clearance.over(record[: step + 1, 0])
+                    self._taken = True
+                    return self._reached(gap.distance_mm, instants, before)
+            elif step >= steps:
+                break
             position, velocity, acceleration = state = path.at((step + 1) * timestep)
             mujoco.mj_mulM(model, data, feedforward, acceleration)
             memory[: 3 * n] = state.ravel()
@@ -259,18 +280,24 @@ class RobotSimulation:
                 return False
         return True
 
-    def _reached(self, clearance_mm: float) -> Reached:
+    def _instant(self) -> Instant:
+        data, body = self._data, self._cell.specimen_body
+        source, detector = (to_seven(site_pose(data, site)) for site in self._cell.site_ids)
+        quat = np.roll(data.xquat[body], -1)
+        return Instant(source, (*data.xpos[body].tolist(), *quat.tolist()), detector)
+
+    def _reached(
+        self, clearance_mm: float, instants: list[Instant], before: Instant | None
+    ) -> Reached:
         model, data = self._model, self._data
+        middle, exposure = self._shutter.over(instants, self._model.opt.timestep)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
         state = np.zeros(size)
         mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        body = self._cell.specimen_body
-        source, detector = (to_seven(site_pose(data, site)) for site in self._cell.site_ids)
-        quat = np.roll(data.xquat[body], -1)
         return Reached(
-            source_m=source,
-            object_m=(*data.xpos[body].tolist(), *quat.tolist()),
-            detector_m=detector,
+            source_m=middle.source_m,
+            object_m=middle.object_m,
+            detector_m=middle.detector_m,
             joint_names=self._cell.joint_names,
             position=data.qpos.copy(),
             velocity=data.qvel.copy(),
@@ -278,6 +305,8 @@ class RobotSimulation:
             state=state,
             time_s=float(data.time),
             clearance_mm=clearance_mm,
+            exposure=exposure,
+            before=before,
         )
 
     def _note_contacts(self, watch: StepWatch) -> None:

@@ -23,7 +23,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 from twinct.geometry import ScanGeometry
 from twinct.scenario import Scenario
-from twinct.views import Reached, SevenNumbers, Target
+from twinct.views import Instant, Reached, SevenNumbers, Target
 
 WORLD_FRAME = "world"
 IMAGE_FRAME = "detector_optical"
@@ -122,13 +122,14 @@ def _numbers(pose: Pose) -> SevenNumbers:
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
-def _poses(message: PoseArray, names: tuple[str, ...]) -> tuple[SevenNumbers, ...]:
+def _poses(
+    message: PoseArray, names: tuple[str, ...], *, repeated: bool = False
+) -> tuple[SevenNumbers, ...]:
     if message.header.frame_id not in (WORLD_FRAME, ""):
         raise MalformedError(f"frame {message.header.frame_id!r}, expected {WORLD_FRAME!r}")
-    if len(message.poses) != len(names):
-        raise MalformedError(
-            f"{len(message.poses)} poses, expected {len(names)}: {', '.join(names)}"
-        )
+    count = len(message.poses)
+    if count != len(names) and not (repeated and count and count % len(names) == 0):
+        raise MalformedError(f"{count} poses, expected {len(names)}: {', '.join(names)}")
     return tuple(_numbers(pose) for pose in message.poses)
 
 
@@ -153,30 +154,58 @@ def target_of(message: PoseArray) -> Target:
 
 
 class Executed(NamedTuple):
-    """What ``/scan/reached`` carries: all that an image depends on."""
+    """What ``/scan/reached`` carries: all that an image depends on.
 
-    source_m: SevenNumbers
-    object_m: SevenNumbers
-    detector_m: SevenNumbers
+    Attributes:
+        view: the executed poses, in the middle of the exposure.
+        more: the instants of the exposure, where it takes its time, and last, with a lag, where the
+            view before was taken.
+    """
+
+    view: Instant
+    more: tuple[Instant, ...] = ()
+
+    def exposure(self, samples: int) -> tuple[tuple[Instant, ...], Instant | None]:
+        """The instants of the exposure, none where it takes no time, and where the last view was.
+
+        Args:
+            samples: the scenario's ``source.motion_samples``.
+
+        Raises:
+            MalformedError: another number of instants.
+        """
+        expected = samples if samples > 1 else 0
+        rest = self.more[expected:]
+        if len(self.more) < expected or len(rest) > 1:
+            raise MalformedError(
+                f"{3 + 3 * len(self.more)} poses, expected {3 + 3 * expected}, and three more with "
+                "a lag: source, object, detector of each instant"
+            )
+        return self.more[:expected], rest[0] if rest else None
 
 
 def executed(reached: Reached) -> Executed:
     """The poses of a view that was reached."""
-    return Executed(reached.source_m, reached.object_m, reached.detector_m)
+    before = () if reached.before is None else (reached.before,)
+    view = Instant(reached.source_m, reached.object_m, reached.detector_m)
+    return Executed(view, (*reached.exposure, *before))
 
 
 def reached_message(stamp: Stamp, poses: Executed) -> PoseArray:
     """For ``/scan/reached``."""
-    return PoseArray(header=_header(stamp, WORLD_FRAME), poses=[_pose(pose) for pose in poses])
+    numbers = [pose for instant in (poses.view, *poses.more) for pose in instant]
+    return PoseArray(header=_header(stamp, WORLD_FRAME), poses=[_pose(pose) for pose in numbers])
 
 
 def executed_of(message: PoseArray) -> Executed:
     """From ``/scan/reached``.
 
     Raises:
-        MalformedError: not three poses in the world frame.
+        MalformedError: not three poses in the world frame, or a multiple of three.
     """
-    return Executed(*_poses(message, Executed._fields))
+    poses = _poses(message, Instant._fields, repeated=True)
+    view, *more = (Instant(*poses[i : i + 3]) for i in range(0, len(poses), 3))
+    return Executed(view, tuple(more))
 
 
 def joints_message(stamp: Stamp, reached: Reached) -> JointState:
@@ -211,13 +240,26 @@ def state_stamp(message: Float64MultiArray) -> Stamp | None:
         return None
 
 
-def reached_of(poses: Executed, joints: JointState, state: Float64MultiArray) -> Reached:
-    """What was reached, from the three messages that carry it."""
+def reached_of(
+    poses: Executed, joints: JointState, state: Float64MultiArray, samples: int = 1
+) -> Reached:
+    """What was reached, from the three messages that carry it.
+
+    Args:
+        poses: from ``/scan/reached``.
+        joints: from ``/joint_states``.
+        state: from ``/scan/state``.
+        samples: the scenario's ``source.motion_samples``.
+
+    Raises:
+        MalformedError: another number of instants.
+    """
     time_s, clearance_mm = state.data[:2]
+    exposure, before = poses.exposure(samples)
     return Reached(
-        source_m=poses.source_m,
-        object_m=poses.object_m,
-        detector_m=poses.detector_m,
+        source_m=poses.view.source_m,
+        object_m=poses.view.object_m,
+        detector_m=poses.view.detector_m,
         joint_names=tuple(joints.name),
         position=np.array(joints.position),
         velocity=np.array(joints.velocity),
@@ -225,6 +267,8 @@ def reached_of(poses: Executed, joints: JointState, state: Float64MultiArray) ->
         state=np.array(state.data[2:]),
         time_s=time_s,
         clearance_mm=clearance_mm,
+        exposure=exposure,
+        before=before,
     )
 
 

@@ -107,6 +107,7 @@ class RosRig:
         settle(os.environ)
         self.epoch = Epoch.of(scenario)
         self._answer_s = answer_s
+        self._samples = scenario.source.motion_samples
         self._views: dict[Stamp, _View] = {}
         self._asked: tuple[int, Stamp, PoseArray] | None = None
         self._ready: set[str] = set()
@@ -294,7 +295,7 @@ class RosRig:
         if self._refusal is not None:
             raise TargetRefusedError(f"view {view}: {self._refusal}")
         assert got.poses is not None and got.joints is not None and got.state is not None
-        return reached_of(got.poses, got.joints, got.state)
+        return reached_of(got.poses, got.joints, got.state, self._samples)
 
     def expose(self, view: int) -> NDArray[np.float32]:
         """See ``Rig.expose``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -23,7 +23,6 @@ from twinct.ros.messages import (
 from twinct.ros.node import Ledger, RefusedError, Reporter, run_node
 from twinct.ros.station import CAMERA, IMAGE, REACHED, Station
 from twinct.scenario import Scenario
-from twinct.views import from_seven
 
 NAME = "twinct_xray"
 MEMORY_BYTES = 256 * 2**20
@@ -36,7 +35,12 @@ QUEUE_BYTES = 64 * 2**20
 class XRay(Protocol):
     """What the node needs of an ``Imager``."""
 
-    def render(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
+    def expose(
+        self,
+        path: Sequence[tuple[ScanGeometry, Pose]],
+        view: int = 0,
+        before: tuple[ScanGeometry, Pose] | None = None,
+    ) -> NDArray[np.float32]:
         """Transmission of one view."""
         ...
 
@@ -76,7 +80,9 @@ def spin_xray(
     return run_node(
         NAME,
         build_engine,
-        lambda station, reporter, imager: XRayNode(station, reporter, imager, panel, own),
+        lambda station, reporter, imager: XRayNode(
+            station, reporter, imager, panel, own, scenario.source.motion_samples
+        ),
         lifeline=lifeline,
         largest_message=image_bytes(panel),
     )
@@ -97,11 +103,13 @@ class XRayNode:
         imager: XRay,
         panel: Panel,
         epoch: Epoch | None = None,
+        samples: int = 1,
     ) -> None:
         """Make the endpoints; from now on views are imaged."""
         self._imager = imager
         self._panel = panel
         self._epoch = epoch
+        self._samples = samples
         self._ledger: Ledger[Executed, tuple[CameraInfo, Image]] = Ledger(
             keep=min(max(MEMORY_BYTES // image_bytes(panel), 2), 32)
         )
@@ -135,13 +143,18 @@ class XRayNode:
         if self._epoch is not None and self._epoch.view(stamp) is None:
             raise RefusedError("a scan is running and the stamp of this view is none of its stamps")
         try:
-            geometry = ScanGeometry.from_poses(
-                [from_seven(poses.source_m)], [from_seven(poses.detector_m)], self._panel
-            )
-            world_from_object = from_seven(poses.object_m)
+            exposure, before = poses.exposure(self._samples)
+            geometry, _ = poses.view.placed(self._panel)
+            path = [instant.placed(self._panel) for instant in exposure or (poses.view,)]
+            last = before.placed(self._panel) if before else None
         except ValueError as error:
             raise MalformedError(str(error)) from None
-        image = self._imager.render(geometry, world_from_object)
+        image = self._imager.expose(path, self._index(stamp), last)
         answer = camera_message(stamp, geometry), image_message(stamp, image)
         self._ledger.enter(stamp, poses, answer)
         return answer
+
+    def _index(self, stamp: Stamp) -> int:
+        """What keys the noise: the view, or the stamp itself where there is no scan."""
+        view = self._epoch.view(stamp) if self._epoch is not None else None
+        return stamp.sec * 1_000_000_000 + stamp.nanosec if view is None else view

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from twinct.scan.data import View
 from twinct.scan.rig import Rig
 from twinct.scenario import Scenario
@@ -65,6 +67,7 @@ def acquire(
             reached.state,
             reached.time_s,
             reached.clearance_mm,
+            np.array(reached.exposure) if reached.exposure else None,
         )
         keep(index, view, reached)
         watch.xray_s += exposed - moved

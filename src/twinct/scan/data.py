@@ -25,6 +25,8 @@ class View:
         state: full simulator state, (n,).
         simulated_s: simulated time at exposure.
         clearance_mm: smallest gap between non-adjacent bodies on the way to this view.
+        exposure: instants of the exposure, (instants, 3, 7): source, object and detector in metres
+            and quaternions (x, y, z, w); none where an image takes no time.
     """
 
     transmission: NDArray[np.float32]
@@ -35,6 +37,7 @@ class View:
     state: NDArray[np.float64]
     simulated_s: float
     clearance_mm: float
+    exposure: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,7 @@ class Scan:
         joints: joint positions, (views, joints), rad.
         simulated_s: simulated time at exposure, (views,).
         clearance_mm: smallest gap on the way to each view, (views,).
+        exposure: instants of each exposure, (views, instants, 3, 7), as in ``View``.
     """
 
     scenario: Scenario
@@ -67,6 +71,7 @@ class Scan:
     joints: NDArray[np.float64]
     simulated_s: NDArray[np.float64]
     clearance_mm: NDArray[np.float64]
+    exposure: NDArray[np.float64] | None = None
 
     @classmethod
     def from_views(
@@ -88,6 +93,7 @@ class Scan:
             np.stack([view.joints for view in views]),
             np.array([view.simulated_s for view in views]),
             np.array([view.clearance_mm for view in views]),
+            None if views[0].exposure is None else np.array([view.exposure for view in views]),
         )
 
     def __len__(self) -> int:

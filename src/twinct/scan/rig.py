@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Panel, ScanGeometry
+from twinct.geometry import Panel
 from twinct.views import Reached, Target
 
 if TYPE_CHECKING:
@@ -65,8 +65,9 @@ class LocalRig:
         if self._reached is None or self._reached[0] != view:
             raise ValueError(f"view {view} was not reached: move before you expose")
         reached = self._reached[1]
-        geometry = ScanGeometry.from_poses([reached.source], [reached.detector], self._panel)
-        return self._imager.render(geometry, reached.object)
+        path = [instant.placed(self._panel) for instant in reached.path]
+        before = reached.before.placed(self._panel) if reached.before else None
+        return self._imager.expose(path, view, before)
 
     def close(self) -> None:
         """See ``Rig.close``."""

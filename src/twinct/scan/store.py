@@ -27,6 +27,8 @@ from twinct.views import PosePairs
 
 FORMAT = 1
 ACQUIRED = 1
+EXPOSURE = "executed/exposure"
+"""Present where an exposure has several instants."""
 _SPARE_BYTES = 64 * 2**20
 """Disk space to leave free beside the scan and its volume."""
 
@@ -219,6 +221,7 @@ class ScanStore:
             everything["joints"],
             everything["simulated_s"],
             everything["clearance_mm"],
+            self._array(EXPOSURE)[:] if EXPOSURE in self._group else None,
         )
 
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
@@ -287,6 +290,8 @@ def _columns(view: View) -> dict[str, Any]:
             f"{which}/source_quat": source.quat,
             f"{which}/detector_quat": detector.quat,
         }
+    if view.exposure is not None:
+        columns[EXPOSURE] = view.exposure
     return columns | {
         "executed/object": view.executed_object.position,
         "executed/object_quat": view.executed_object.quat,
@@ -333,6 +338,8 @@ def _write_frame(
             add(f"{which}/{name}", (width,))
     add("executed/object", (3,))
     add("executed/object_quat", (4,))
+    if scenario.source.motion_samples > 1:
+        add(EXPOSURE, (scenario.source.motion_samples, 3, 7))
     add("joints", (len(joint_names),))
     add("state", (state_size,))
     add("simulated_s", ())

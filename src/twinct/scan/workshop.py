@@ -83,15 +83,26 @@ class Workshop:
 
     def robots(self) -> RobotSimulation:
         """A robot simulation at rest in the plan's home."""
-        from twinct.motion import RobotSimulation
+        from twinct.motion import RobotSimulation, Shutter
 
-        return RobotSimulation(self.cell, self.scenario.motion, self.plan.home)
+        source = self.scenario.source
+        shutter = Shutter(
+            source.exposure_ms / 1000, source.motion_samples, self.scenario.detector.lag > 0
+        )
+        return RobotSimulation(self.cell, self.scenario.motion, self.plan.home, shutter)
 
     def imager(self) -> Imager:
         """An X-ray simulation of the specimen."""
         from twinct.xray import Imager
 
-        return Imager(self.scenario.source, self.scenario.detector, self.specimen)
+        scenario = self.scenario
+        return Imager(
+            scenario.source,
+            scenario.detector,
+            self.specimen,
+            reference=self.commanded[0],
+            seed=scenario.seed,
+        )
 
 
 def commanded_targets(scenario: Scenario) -> list[Target]:

@@ -1,5 +1,6 @@
 """The scenario: one YAML file that initialises everything."""
 
+from twinct.scenario.keys import Composition
 from twinct.scenario.loading import load_scenario, parse_scenario, scenario_schema
 from twinct.scenario.reconstruction import Grid, Reconstruction, Surroundings
 from twinct.scenario.sections import (
@@ -8,10 +9,8 @@ from twinct.scenario.sections import (
     Box,
     Cell,
     CircleTrajectory,
-    Composition,
     CtVolume,
     Cylinder,
-    Detector,
     Ellipsoid,
     FileTrajectory,
     HelixTrajectory,
@@ -23,12 +22,12 @@ from twinct.scenario.sections import (
     Scenario,
     SinusoidTrajectory,
     Skull,
-    Source,
     Specimen,
     Sphere,
     Table,
     Uncertainty,
 )
+from twinct.scenario.xray import Detector, Source
 
 __all__ = [
     "ArcTrajectory",

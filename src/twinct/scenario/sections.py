@@ -12,34 +12,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twinct.geometry import Panel, Pose
+from twinct.geometry import Pose
+from twinct.scenario.keys import (
+    Composition,
+    Finite,
+    Lengths,
+    NonNegative,
+    Positive,
+    Section,
+    Vector,
+)
 from twinct.scenario.reconstruction import Reconstruction
-from twinct.scenario.section import Finite, Lengths, NonNegative, Positive, Section, Vector
-
-
-class Source(Section):
-    """The X-ray source: a monochromatic point."""
-
-    energy_kev: float = Field(
-        default=80.0, ge=5, le=500, description="Photon energy of the monochromatic source."
-    )
-
-
-class Detector(Section):
-    """The flat panel: a lattice of ideal pixels."""
-
-    columns: int = Field(default=640, ge=1, le=8192, description="Pixels along u.")
-    rows: int = Field(default=480, ge=1, le=8192, description="Pixels along v.")
-    pixel_pitch_mm: Positive | tuple[Positive, Positive] = Field(
-        default=0.5, description="Pixel pitch; two numbers for (u, v)."
-    )
-
-    @property
-    def panel(self) -> Panel:
-        """The pixel lattice."""
-        pitch = self.pixel_pitch_mm
-        pitch_u, pitch_v = pitch if isinstance(pitch, tuple) else (pitch, pitch)
-        return Panel(self.rows, self.columns, pitch_u, pitch_v)
+from twinct.scenario.xray import Detector, Source, TubeSpectrum
 
 
 class _Orbit(Section):
@@ -105,24 +89,6 @@ Trajectory = Annotated[
     SinusoidTrajectory | CircleTrajectory | ArcTrajectory | HelixTrajectory | FileTrajectory,
     Field(discriminator="kind"),
 ]
-
-
-class Composition(Section):
-    """A material by its elements."""
-
-    formula: str | None = Field(
-        default=None, description="Chemical formula, such as Ca10(PO4)6(OH)2."
-    )
-    mass_fractions: dict[str, Positive] | None = Field(
-        default=None, description="Element symbol to share of mass; the shares add up to 1."
-    )
-    density_g_cm3: Positive
-
-    @model_validator(mode="after")
-    def _one_description(self) -> Composition:
-        if (self.formula is None) == (self.mass_fractions is None):
-            raise ValueError("give either formula or mass_fractions")
-        return self
 
 
 class Skull(Section):
@@ -384,6 +350,17 @@ class Scenario(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _photon_number(self) -> Scenario:
+        quantum = self.detector.noise is not None and self.detector.noise.kind == "quantum"
+        tube = isinstance(self.source.spectrum, TubeSpectrum)
+        if quantum and not tube and self.source.photons_per_mm2_mas is None:
+            raise ValueError(
+                "detector.noise of kind 'quantum' needs a photon number: give "
+                "source.photons_per_mm2_mas, or a source.spectrum of kind 'tube'"
+            )
+        return self
+
     def resolved(self) -> str:
         """The whole scenario, defaults included, as canonical JSON."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
@@ -405,6 +382,17 @@ class Scenario(Section):
         for i, part in enumerate(self.specimen.parts):
             if isinstance(part.shape, MeshFile | CtVolume):
                 files[f"specimen.parts.{i}.shape.path"] = part.shape.path
+        chain = {
+            "source.spectrum": self.source.spectrum,
+            "source.focal_spot": self.source.focal_spot,
+            "detector.response": self.detector.response,
+            "detector.point_spread": self.detector.point_spread,
+            "detector.bad_pixels": self.detector.bad_pixels,
+        }
+        for key, section in chain.items():
+            path = getattr(section, "path", None)
+            if path is not None:
+                files[f"{key}.path"] = path
         return files
 
 

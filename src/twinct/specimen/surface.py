@@ -58,8 +58,9 @@ def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) ->
 def to_manifold(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
     """The solid that the surface bounds; empty where the modeller cannot make sense of it."""
     raw = manifold3d.Mesh64(
-        vert_properties=np.ascontiguousarray(mesh.vertices, dtype=np.float64),
-        tri_verts=np.ascontiguousarray(mesh.faces, dtype=np.uint64),
+        # Copies: the modeller takes no read-only arrays, such as those it gave itself.
+        vert_properties=np.array(mesh.vertices, dtype=np.float64, order="C"),
+        tri_verts=np.array(mesh.faces, dtype=np.uint64, order="C"),
     )
     solid = manifold3d.Manifold(raw)
     if solid.status() != manifold3d.Error.NoError:
@@ -92,6 +93,26 @@ def simplified(mesh: trimesh.Trimesh, max_triangles: int = MAX_TRIANGLES) -> tri
         smaller = solid.simplify(tolerance)
         tolerance *= 1.5
     return from_manifold(smaller)
+
+
+def refined(mesh: trimesh.Trimesh, longest_edge_mm: float) -> trimesh.Trimesh:
+    """The same solid with no edge much longer than a length: neighbours stay joined.
+
+    Args:
+        mesh: closed.
+        longest_edge_mm: edges end up shorter than about 1.5 times this.
+
+    Raises:
+        SpecimenError: the mesh is no solid that can be refined.
+    """
+    if not len(mesh.faces) or mesh.edges_unique_length.max() <= 1.5 * longest_edge_mm:
+        return mesh
+    solid = to_manifold(mesh)
+    if solid.is_empty():
+        raise SpecimenError(
+            "a mesh with long edges must be refined, but its surface is not an orientable manifold"
+        )
+    return from_manifold(solid.refine_to_length(longest_edge_mm))
 
 
 def subtract(

@@ -35,7 +35,7 @@ from twinct.errors import InputError, MissingExtraError, TwinctError
 from twinct.geometry import Floats, Panel
 
 Result = TypeVar("Result")
-Body = tuple[Floats, NDArray[np.integer], float]
+Upload = tuple[Floats, NDArray[np.integer], float]
 """Vertices (n, 3) in mm, triangles (m, 3) wound outwards, attenuation in 1/mm."""
 
 ADVICE = (
@@ -45,7 +45,7 @@ ADVICE = (
 )
 
 
-_PRIMER: Body = (
+_PRIMER: Upload = (
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
     0.01,
@@ -65,8 +65,10 @@ class Engine:
         self._gvxr: ModuleType | None = None
         self._log = -1
         self._owned = threading.Lock()
+        self._shown: int | None = None
+        self._bodies = 0
 
-    def acquire(self, bodies: Sequence[Body], energy_kev: float, panel: Panel) -> None:
+    def acquire(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
         """Fill the scene. The caller owns it until ``release``.
 
         Raises:
@@ -93,7 +95,13 @@ class Engine:
             self._owned.release()
 
     def expose(
-        self, source: Floats, detector: Floats, u: Floats, v: Floats, image: NDArray[np.float32]
+        self,
+        source: Floats,
+        detector: Floats,
+        u: Floats,
+        v: Floats,
+        image: NDArray[np.float32],
+        body: int | None = None,
     ) -> None:
         """Take one view in the frame of the meshes.
 
@@ -104,8 +112,9 @@ class Engine:
             v: unit vector along +row, (3,).
             image: receives photons for each one that left the source, (rows, columns). gVXR writes
                 as many pixels as its panel has, whatever the size of this array.
+            body: index of the one body to image; all of them where None.
         """
-        self._call(self._shoot, source, detector, u, v, image)
+        self._call(self._shoot, source, detector, u, v, image, body)
 
     def _call(self, function: Callable[..., Result], *args: object) -> Result:
         if self._thread is None:
@@ -116,13 +125,14 @@ class Engine:
             # What SWIG makes of C++ exceptions.
             raise TwinctError(f"gVXR failed: {str(error).strip()}{self._complaints()}") from error
 
-    def _fill(self, bodies: Sequence[Body], energy_kev: float, panel: Panel) -> None:
+    def _fill(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
         if self._gvxr is None:
             self._start()
         gvxr = self._gvxr
         assert gvxr is not None
         with self._quiet():
             gvxr.removePolygonMeshesFromSceneGraph()
+            self._shown = None
             gvxr.usePointSource()
             gvxr.setDetectorNumberOfPixels(panel.columns, panel.rows)
             gvxr.setDetectorPixelSize(panel.pitch_u, panel.pitch_v, "mm")
@@ -135,13 +145,27 @@ class Engine:
             # The first view on a new panel switches the filter on again, whatever was set before.
             gvxr.disableArtefactFiltering()
             for index, body in enumerate(bodies):
-                self._add(f"part-{index}", *body)
+                self._add(_label(index), *body)
+        self._bodies = len(bodies)
+        self._shown = None
 
     def _shoot(
-        self, source: Floats, detector: Floats, u: Floats, v: Floats, image: NDArray[np.float32]
+        self,
+        source: Floats,
+        detector: Floats,
+        u: Floats,
+        v: Floats,
+        image: NDArray[np.float32],
+        body: int | None = None,
     ) -> None:
         gvxr = self._gvxr
         assert gvxr is not None
+        if body != self._shown:
+            # The meshes stay uploaded: this takes less than a microsecond.
+            gvxr.removePolygonMeshesFromXRayRenderer()
+            for index in range(self._bodies) if body is None else (body,):
+                gvxr.addPolygonMeshAsInnerSurface(_label(index))
+            self._shown = body
         gvxr.setSourcePosition(*source.tolist(), "mm")
         gvxr.setDetectorPosition(*detector.tolist(), "mm")
         gvxr.setDetectorRightVector(*u.tolist())
@@ -197,6 +221,10 @@ class Engine:
         text = os.pread(self._log, 4000, max(0, size - 4000)).decode(errors="replace")
         lines = [line.split(") ", 1)[1] for line in text.splitlines() if "(EE) " in line]
         return "".join(f"\n{line}" for line in lines[-3:])
+
+
+def _label(body: int) -> str:
+    return f"part-{body}"
 
 
 def _import_gvxr() -> ModuleType:

@@ -1,4 +1,4 @@
-"""Where source and panel must not be: gVXR would give a wrong image there, without an error."""
+"""What gVXR would get wrong without an error: meshes, and where source and panel must not be."""
 
 from __future__ import annotations
 
@@ -9,9 +9,39 @@ import numpy as np
 
 from twinct.errors import TwinctError
 from twinct.geometry import Floats, ScanGeometry
+from twinct.specimen.surface import refined
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
+
+
+def mesh_fault(mesh: Trimesh) -> str | None:
+    """Why gVXR cannot image a mesh; None where it can."""
+    if not len(mesh.faces):
+        return "is empty: its mesh has no triangles"
+    if not mesh.is_watertight:
+        return "is an open mesh: gVXR would get its path lengths wrong"
+    if mesh.volume <= 0:
+        return "is inside out: its triangles must be wound outwards"
+    return None
+
+
+DEPTH_MM = 0.02
+"""Error of a path that a triangle's size may make."""
+
+
+def longest_edge(source_to_body_mm: float) -> float:
+    """Longest edge of a triangle that gVXR images to ``DEPTH_MM``, mm.
+
+    It interpolates the distance to the source linearly inside a triangle, which is wrong by up to
+    edge^2 / (8 distance).
+    """
+    return float(np.sqrt(8 * source_to_body_mm * DEPTH_MM))
+
+
+def split(mesh: Trimesh, longest_edge_mm: float | None) -> Trimesh:
+    """The same solid without longer edges; the very mesh where there are none."""
+    return mesh if longest_edge_mm is None else refined(mesh, longest_edge_mm / 1.5)
 
 
 class Placement:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -12,11 +13,23 @@ from numpy.typing import NDArray
 from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Detector, Source
-from twinct.xray._engine import ENGINE, Body
-from twinct.xray._placement import Placement
+from twinct.xray._engine import ENGINE, Upload
+from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
+from twinct.xray.build import build_spot, physical_panel
+from twinct.xray.chain import Chain, Frame
+from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
+from twinct.xray.spot import moved_source
 
 if TYPE_CHECKING:
     from twinct.specimen import BuiltPart, BuiltSpecimen
+
+
+Placed = tuple[ScanGeometry, Pose]
+"""Where everything was at one instant: source and panel, one view, and ``world_from_object``."""
+
+
+_NEAREST_MM = 150.0
+"""Distance from source to specimen where no reference view tells it."""
 
 
 class Imager:
@@ -25,53 +38,150 @@ class Imager:
     The meshes are uploaded once, in the specimen's frame; each view is expressed in that frame.
     Only one imager can be open in a process. It may be used from any thread, by one at a time.
 
-    A pixel is sampled at its centre. What later physics needs has its place here: a spectrum in
-    what ``source`` gives to the constructor; blur, noise and the detector's response in ``render``,
-    between the transmission that gVXR gives and what is returned.
+    A monochromatic point source and an ideal detector give gVXR's own image, a pixel sampled at its
+    centre. Anything else goes by path lengths (``PathRenderer``) through a ``Chain``; an image then
+    costs a render for each point of the focal spot times each instant of the exposure.
     """
 
-    def __init__(self, source: Source, detector: Detector, specimen: BuiltSpecimen) -> None:
+    def __init__(
+        self,
+        source: Source,
+        detector: Detector,
+        specimen: BuiltSpecimen,
+        *,
+        reference: ScanGeometry | None = None,
+        seed: int = 0,
+    ) -> None:
         """Upload the specimen.
 
         Args:
-            source: gives the photon energy.
-            detector: gives the panel that every view must have.
+            source: the photons.
+            detector: gives the panel that every view must have, and what it makes of photons.
             specimen: parts that do not overlap, closed meshes in mm, in the specimen's frame.
+            reference: one view that sets the detector's gain, such as the scan's first commanded
+                one; the first view rendered where None.
+            seed: keys the noise, with the index of the view.
 
         Raises:
             SpecimenError: nothing to image, an open mesh, or an attenuation that is no number.
-            MissingExtraError: gVXR is not installed.
-            InputError: a system library that gVXR needs is missing.
+            MissingExtraError: gVXR or SpekPy is not installed.
+            InputError: a system library that gVXR needs is missing, or a file of the sections
+                cannot be used.
             TwinctError: another imager is open in this process, or gVXR failed.
         """
-        bodies = _bodies(specimen, source.energy_kev)
         self.panel = detector.panel
-        self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
+        self._source, self._detector, self._seed = source, detector, seed
+        self._reference = reference
+        self._paths: PathRenderer | None = None
+        self._chain: Chain | None = None
         self._open = False
-        ENGINE.acquire(bodies, source.energy_kev, self.panel)
+        edge = longest_edge(_nearest_mm(specimen, reference))
+        if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
+            bodies = _bodies(specimen, source.energy_kev, edge)
+            self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
+            ENGINE.acquire(bodies, source.energy_kev, self.panel)
+        else:
+            self._spot = build_spot(source)
+            corners = np.array([part.mesh.bounds for part in specimen.parts])
+            self._centre = (corners[:, 0].min(axis=0) + corners[:, 1].max(axis=0)) / 2
+            self._materials = tuple(dict.fromkeys(part.material for part in specimen.parts))
+            if reference is not None:  # now, so that what is wrong with a file is said at once
+                self._chain = self._new_chain(reference)
+            self._paths = PathRenderer(
+                [Body(part.mesh, part.material, part.name) for part in specimen.parts],
+                physical_panel(detector),
+                detector.pixel_samples,
+                edge,
+            )
         self._open = True
 
-    def render(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
-        """Take one view.
+    def render(
+        self, geometry: ScanGeometry, world_from_object: Pose, view: int = 0
+    ) -> NDArray[np.float32]:
+        """Take one view at one instant.
 
         Args:
             geometry: exactly one view, in the world, with the panel of this imager.
             world_from_object: pose of the specimen's frame at exposure.
+            view: index of the view, which keys its noise.
 
         Returns:
-            Transmission I/I0, (rows, columns); 1 in the free beam.
+            Transmission I/I0 as the flat and dark images give it, (rows, columns); 1 in the free
+            beam, but for noise.
 
         Raises:
             ValueError: not one view, or another panel.
             TwinctError: the imager was closed, the specimen reaches through the panel, the source
                 is inside it, or gVXR failed.
         """
+        return self.expose([(geometry, world_from_object)], view)
+
+    def expose(
+        self, path: Sequence[Placed], view: int = 0, before: Placed | None = None
+    ) -> NDArray[np.float32]:
+        """Take one view while things move: the mean over the instants of the path.
+
+        Args:
+            path: instants of equal duration, at least one; flat images are taken at the middle one.
+            view: index of the view, which keys its noise.
+            before: where the last view was taken, whose signal lags; none in the first view.
+
+        Returns:
+            Transmission, (rows, columns). See ``render``, also for what it raises.
+        """
         if not self._open:
             raise TwinctError("the X-ray imager was closed")
-        if len(geometry) != 1:
-            raise ValueError(f"render takes one view at a time, not {len(geometry)}")
-        if geometry.panel != self.panel:
-            raise ValueError(f"the view has {geometry.panel}, the imager was made for {self.panel}")
+        for geometry, _ in path:
+            if len(geometry) != 1:
+                raise ValueError(f"render takes one view at a time, not {len(geometry)}")
+            if geometry.panel != self.panel:
+                raise ValueError(
+                    f"the view has {geometry.panel}, the imager was made for {self.panel}"
+                )
+        if self._paths is not None:
+            return self.frame(path, view, before).transmission
+        images = [self._ideal(*instant) for instant in path]
+        if len(images) == 1:
+            return images[0]
+        return np.asarray(np.mean(images, axis=0, dtype=np.float64), dtype=np.float32)
+
+    def frame(self, path: Sequence[Placed], view: int = 0, before: Placed | None = None) -> Frame:
+        """The same, with raw, flat and dark images; not for an ideal detector, which has none."""
+        if self._paths is None:
+            raise ValueError("an ideal source and detector give a transmission and nothing else")
+        middle = path[len(path) // 2][0]
+        if self._chain is None:
+            self._chain = self._new_chain(self._reference or middle)
+        chain = self._chain
+        expected = self._expected(chain, path)
+        lag = np.float32(self._detector.lag)
+        if lag and before is not None:
+            expected *= 1 - lag
+            expected += lag * self._expected(chain, [before])
+        return chain.frame(expected, chain.physical(middle), view, self._object_mm(*path[0]))
+
+    def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
+        """From the middle of the specimen to the panel, along its normal."""
+        centre = world_from_object.apply(self._centre)
+        return float((centre - geometry.detector[0]) @ geometry.normal[0])
+
+    def _expected(self, chain: Chain, path: Sequence[Placed]) -> NDArray[np.float32]:
+        """Mean and mean square of the signal, (2, rows, columns) of the physical pixels."""
+        assert self._paths is not None
+        expected = chain.blank()
+        share = 1.0 / (len(path) * len(self._spot))
+        for geometry, world_from_object in path:
+            for offset in self._spot:
+                seen = chain.physical(geometry)
+                if offset.any():
+                    seen = moved_source(seen, offset)
+                chain.add(self._paths.render(seen, world_from_object), seen, expected, share)
+        return expected
+
+    def _new_chain(self, reference: ScanGeometry) -> Chain:
+        return Chain(self._source, self._detector, self._materials, reference, self._seed)
+
+    def _ideal(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
         view = world_from_object.inverse() @ geometry
         self._placement.check(view)
         image = np.empty(self.panel.shape, dtype=np.float32)
@@ -82,7 +192,10 @@ class Imager:
         """Hand the scene over to the next imager; closing twice does no harm."""
         if self._open:
             self._open = False
-            ENGINE.release()
+            if self._paths is not None:
+                self._paths.close()
+            else:
+                ENGINE.release()
 
     def __enter__(self) -> Imager:
         return self
@@ -103,30 +216,38 @@ class Imager:
                 self.close()
 
 
-def _bodies(specimen: BuiltSpecimen, energy_kev: float) -> list[Body]:
+def _nearest_mm(specimen: BuiltSpecimen, reference: ScanGeometry | None) -> float:
+    """From the source to the nearest of the specimen, about; never 0."""
+    if reference is None or not specimen.parts:
+        return _NEAREST_MM
+    corners = np.array([part.mesh.bounds for part in specimen.parts])
+    low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    centre = specimen.world_from_specimen.apply((low + high) / 2)
+    distance = float(np.linalg.norm(reference.source[0] - centre))
+    return max(distance - float(np.linalg.norm(high - low)) / 2, distance / 10)
+
+
+def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) -> list[Upload]:
     if not specimen.parts:
         raise SpecimenError("the specimen has no parts: there is nothing to image")
     problems: list[str] = []
-    bodies: list[Body] = []
+    bodies: list[Upload] = []
     for part in specimen.parts:
         mu_per_mm = float(part.material.mu_per_mm(energy_kev))
         fault = _fault(part, mu_per_mm)
         if fault:
             problems.append(f"part '{part.name}' {fault}")
         else:
-            bodies.append((np.asarray(part.mesh.vertices), np.asarray(part.mesh.faces), mu_per_mm))
+            mesh = split(part.mesh, longest_edge_mm)
+            bodies.append((np.asarray(mesh.vertices), np.asarray(mesh.faces), mu_per_mm))
     if problems:
         raise SpecimenError(problems)
     return bodies
 
 
 def _fault(part: BuiltPart, mu_per_mm: float) -> str | None:
-    if not len(part.mesh.faces):
-        return "is empty: its mesh has no triangles"
-    if not part.mesh.is_watertight:
-        return "is an open mesh: gVXR would get its path lengths wrong"
-    if part.mesh.volume <= 0:
-        return "is inside out: its triangles must be wound outwards"
+    if fault := mesh_fault(part.mesh):
+        return fault
     if not (np.isfinite(mu_per_mm) and mu_per_mm >= 0):
         return f"has an attenuation of {mu_per_mm:g}/mm"
     return None

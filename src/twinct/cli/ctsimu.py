@@ -1,0 +1,116 @@
+"""``twinct ctsimu``: scenarios of the CTSimU format, in and out, and the suite that judges us."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+ctsimu = tyro.extras.SubcommandApp()
+
+_Flag = tyro.conf.FlagCreatePairsOff[bool]
+
+
+@ctsimu.command
+def render(
+    scenario: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.json")],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    samples: int = 3,
+    spot_points: int = 32,
+    seed: int = 0,
+    resume: _Flag = False,
+) -> None:
+    """Render a CTSimU scenario: TIFF projections, dark and flat images, metadata.
+
+    Writes NAME_0000.tif ..., NAME_dark.tif, NAME_flat.tif and NAME_metadata.json into DIR.
+
+    Args:
+        scenario: CTSimU scenario, file format 1.0 to 1.2.
+        out: Folder for the images; what is there is never touched without --resume.
+        samples: Rays along each pixel edge, for a point source; the time grows with its square.
+        spot_points: Points that a focal spot with extent is sampled by; the time grows with it.
+        seed: Seed of the noise.
+        resume: Go on with a rendering that was interrupted.
+    """
+    from twinct.cli.progress import TerminalProgress
+    from twinct.ctsimu import Options, load_ctsimu, render
+    from twinct.errors import InputError
+
+    low = [f"--{n} {v}: must be at least 1" for n, v in _counts(samples, spot_points) if v < 1]
+    if low:
+        raise InputError(low)
+    loaded = load_ctsimu(scenario)
+    options = Options(samples, spot_points, seed)
+    with TerminalProgress().stage("projections", loaded.frames) as step:
+        files = render(loaded, out, options, resume=resume, step=step)
+    Console().print(f"wrote {files.metadata}", highlight=False)
+
+
+@ctsimu.command
+def export(
+    scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    ideal: _Flag = False,
+) -> None:
+    """Write a finished scan as a CTSimU scenario and as an OpenCT free trajectory.
+
+    Writes NAME.json, NAME_openCT.json, a mesh for each part and the projections into DIR.
+
+    Args:
+        scan: What ``twinct run --out`` wrote, or its scan.zarr.
+        out: Folder for the files.
+        ideal: Describe an ideal source and detector, whatever the scan's were.
+    """
+    from twinct.ctsimu.export import export_scan
+    from twinct.errors import InputError
+    from twinct.scan import ScanStore, Workshop
+
+    store = scan if scan.suffix == ".zarr" else scan / "scan.zarr"
+    if not store.is_dir():
+        raise InputError(f"{scan}: no scan there: it needs a scan.zarr, which 'twinct run' writes")
+    taken = ScanStore(store).read()
+    files = export_scan(taken, Workshop(taken.scenario).specimen, out, ideal=ideal)
+    Console().print(f"wrote {files.scenario} and {files.trajectory}", highlight=False)
+
+
+@ctsimu.command
+def qualify(
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    tests: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TEST")] = (),
+) -> None:
+    """Run the CTSimU qualification suite and let BAM's toolbox judge our images.
+
+    Ends with 1 where a figure that must be reached is not. What is there is not rendered again.
+
+    Args:
+        out: Folder for samples, images and results; figures go to qualification.json.
+        tests: Names such as 2D-FB-1; all of them where none is given.
+    """
+    from rich.table import Table
+
+    from twinct.ctsimu.suite import TESTS, qualify
+
+    console = Console()
+
+    def say(name: str) -> None:
+        Console(stderr=True).print(name, highlight=False)
+
+    table = Table("test", "figure", "asked for", "measured", "")
+    marks = {True: "passed", False: "FAILED", None: ""}
+    found = qualify(out, tests or TESTS, step=say)
+    for verdict in found:
+        table.add_row(
+            verdict.test, verdict.what, verdict.asked, verdict.measured, marks[verdict.passed]
+        )
+    console.print(table)
+    if any(verdict.passed is False for verdict in found):
+        raise SystemExit(1)
+
+
+def _counts(samples: int, spot_points: int) -> list[tuple[str, int]]:
+    return [("samples", samples), ("spot-points", spot_points)]

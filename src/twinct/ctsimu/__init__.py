@@ -1,0 +1,6 @@
+"""CTSimU: scenarios of BAM's open format, rendered and exported, and the suite that judges us."""
+
+from twinct.ctsimu.render import Options, render
+from twinct.ctsimu.scenario import CtsimuScenario, load_ctsimu
+
+__all__ = ["CtsimuScenario", "Options", "load_ctsimu", "render"]

@@ -1,0 +1,197 @@
+"""The energy that each pixel collects in one frame, without noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh import Trimesh
+
+from twinct.ctsimu import scene
+from twinct.ctsimu.bodies import Solids
+from twinct.ctsimu.sampling import Sampling, sampling
+from twinct.ctsimu.scene import Frame, Layer, Tube
+from twinct.ctsimu.tables import read_table
+from twinct.errors import InputError
+from twinct.geometry import Floats, Panel, ScanGeometry
+from twinct.specimen import Material
+from twinct.xray.beam import fall_off
+from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.response import Response
+from twinct.xray.signal import Signal
+from twinct.xray.spectrum import Spectrum
+from twinct.xray.tube import tube_spectrum
+
+J_PER_KEV = 1.602176634e-16
+MM2_AT_1M_PER_SR = 1e6
+TAKE_OFF_DEG = 45.0
+"""Of a target that says nothing of it."""
+
+
+class Camera:
+    """Takes frames of one scenario; gVXR is open as long as the camera is.
+
+    Args:
+        samples: rays along each pixel edge, for a point source.
+        spot_points: passes over the panel for a focal spot with extent.
+    """
+
+    def __init__(self, samples: int = 3, spot_points: int = 32) -> None:
+        self._samples, self._spot_points = samples, spot_points
+        self._solids = Solids()
+        self._renderer: PathRenderer | None = None
+        self._uploaded: object = None
+        self._plan: tuple[scene.Spot, Sampling] | None = None
+        self._signal: tuple[object, Signal, bool] | None = None
+
+    def expose(self, frame: Frame, *, samples_in: bool = True) -> NDArray[np.float64]:
+        """Energy in J that each pixel collects, (rows, columns) in our order of rows.
+
+        A monochromatic source has no known number of photons: its energies are relative.
+
+        Args:
+            frame: everything about it.
+            samples_in: whether the samples stand in the beam.
+
+        Raises:
+            InputError: a file that does not hold what the scenario says; names it.
+            TwinctError: a sample reaches through the panel or around the source.
+        """
+        plan = self._sampling(frame)
+        solids = self._solids.of(frame.bodies, frame.view.source[0]) if samples_in else []
+        materials, renderer = self._open(frame.panel, plan.samples, solids)
+        room = [frame.environment] if frame.environment is not None else []
+        signal, absolute = self._response(frame, (*materials, *room))
+        poses = [body.world_from_body for body, _ in solids]
+        image = np.zeros((2, *frame.panel.shape), dtype=np.float32)
+        for start, shift in zip(plan.spot_mm, plan.shift, strict=True):
+            view = _shifted(frame, start, shift)
+            beam = fall_off(view, plan.samples)
+            paths = np.zeros((0, *beam.shape), dtype=np.float32)
+            if renderer is not None:
+                paths = renderer.render(view, poses)
+            if room:
+                rest = _ray_lengths(view, plan.samples) - paths.sum(axis=0)
+                paths = np.concatenate([paths, np.maximum(rest, 0.0)[None]])
+            signal.add(paths, beam, image, samples=plan.samples, share=1 / len(plan.shift))
+        area = frame.panel.pitch_u * frame.panel.pitch_v
+        charge_mas = frame.tube.current_ma * frame.exposure_s if absolute else 1.0
+        return image[0].astype(np.float64) * (area * charge_mas * J_PER_KEV)
+
+    def close(self) -> None:
+        """Hand gVXR over."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer, self._uploaded = None, None
+
+    def __enter__(self) -> Self:
+        """Use as a context."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close, whatever happened."""
+        self.close()
+
+    def _sampling(self, frame: Frame) -> Sampling:
+        if self._plan is None or self._plan[0] != frame.spot:
+            pixels = max(frame.panel.shape)
+            plan = sampling(frame.spot, self._samples, self._spot_points, pixels)
+            self._plan = frame.spot, plan
+        return self._plan[1]
+
+    def _open(
+        self, panel: Panel, samples: int, solids: Sequence[tuple[scene.Body, Trimesh]]
+    ) -> tuple[tuple[Material, ...], PathRenderer | None]:
+        if not solids:
+            return (), None
+        bodies = [Body(mesh, b.material) for b, mesh in solids if b.material is not None]
+        key = panel, samples, [(id(body.mesh), body.material) for body in bodies]
+        if key != self._uploaded or self._renderer is None:
+            self.close()
+            self._renderer, self._uploaded = PathRenderer(bodies, panel, samples), key
+        return self._renderer.materials, self._renderer
+
+    def _response(self, frame: Frame, media: tuple[Material, ...]) -> tuple[Signal, bool]:
+        key = frame.tube, frame.response, media
+        if self._signal is None or self._signal[0] != key:
+            spectrum = spectrum_of(frame.tube)
+            signal = Signal(spectrum, media, response_of(frame.response))
+            self._signal = key, signal, spectrum.absolute
+        return self._signal[1:]
+
+
+def spectrum_of(tube: Tube) -> Spectrum:
+    """The spectrum behind all filters, photons per mm^2 at 1 m and mAs where that is known.
+
+    Raises:
+        InputError: a file that is no spectrum; names it.
+    """
+    if tube.monochromatic:
+        spectrum = Spectrum.monochromatic(tube.voltage_kv)
+    elif tube.spectrum is not None:
+        energies, photons = read_table(tube.spectrum)
+        keep = energies > 0
+        try:
+            spectrum = Spectrum(energies[keep], photons[keep] / MM2_AT_1M_PER_SR)
+        except InputError as error:
+            raise InputError([f"{tube.spectrum}: {p}" for p in error.problems]) from None
+    else:
+        angle = TAKE_OFF_DEG if tube.take_off_deg is None else tube.take_off_deg
+        spectrum = _behind(tube_spectrum(tube.voltage_kv, angle), tube.window)
+    return _behind(spectrum, tube.filters)
+
+
+def response_of(detector: scene.Response) -> Response:
+    """What the detector collects of a photon, by energy.
+
+    Raises:
+        InputError: an efficiency file that is none; names it.
+    """
+    response = Response.integrating()
+    if detector.real and detector.efficiency is not None:
+        response = Response.efficiency(*read_table(detector.efficiency))
+    elif detector.real and detector.scintillator is not None:
+        layer = detector.scintillator
+        response = Response.scintillator(layer.material, layer.thickness_mm)
+    for layer in detector.front:
+        response = response.behind(layer.material, layer.thickness_mm)
+    return response
+
+
+def _behind(spectrum: Spectrum, layers: tuple[Layer, ...]) -> Spectrum:
+    for layer in layers:
+        spectrum = spectrum.filtered(layer.material, layer.thickness_mm)
+    return spectrum
+
+
+def _shifted(frame: Frame, start: Floats, shift: Floats) -> ScanGeometry:
+    """The view from one point of the focal spot to one place in the pixels."""
+    view, panel = frame.view, frame.panel
+    return ScanGeometry(
+        view.source + start @ frame.source_axes,
+        view.detector + shift[0] * panel.pitch_u * view.u + shift[1] * panel.pitch_v * view.v,
+        view.u,
+        view.v,
+        panel,
+    )
+
+
+def _ray_lengths(view: ScanGeometry, samples: int) -> NDArray[np.float32]:
+    """From the source to each sample, mm."""
+    panel = view.panel
+    fine = Panel(
+        panel.rows * samples,
+        panel.columns * samples,
+        panel.pitch_u / samples,
+        panel.pitch_v / samples,
+    )
+    places = ScanGeometry(view.source, view.detector, view.u, view.v, fine).pixel_centres(0)
+    return np.linalg.norm(places - view.source[0], axis=-1).astype(np.float32)

@@ -1,0 +1,160 @@
+"""Source and detector of a scenario of ours in the words of CTSimU; what has none is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from twinct.ctsimu.camera import MM2_AT_1M_PER_SR
+from twinct.ctsimu.writing import Json, as_material, quantity
+from twinct.errors import InputError
+from twinct.geometry import Floats
+from twinct.scenario import Scenario
+from twinct.scenario import xray as sections
+from twinct.specimen import Material, material
+from twinct.xray.build import SCINTILLATORS, build_spectrum, physical_panel
+from twinct.xray.spectrum import read_columns
+
+FREE_BEAM = 60000
+
+
+@dataclass(frozen=True)
+class Description:
+    """Sections of a CTSimU file.
+
+    Attributes:
+        source: the section ``source``.
+        detector: the section ``detector``.
+        binning: the section ``acquisition.pixel_binning``.
+        materials: those that these name.
+    """
+
+    source: Json
+    detector: Json
+    binning: Json
+    materials: list[Json]
+
+
+def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Description:
+    """Describe source and detector; their curves become files in the folder.
+
+    Args:
+        scenario: of ours.
+        folder: where the curves go.
+        name: start of their names.
+        ideal: a monochromatic point and an ideal panel, whatever the scenario says.
+
+    Raises:
+        InputError: what CTSimU cannot say; names every key.
+    """
+    source, detector = scenario.source, scenario.detector
+    if not ideal:
+        problems = [f"{key}: CTSimU cannot say this" for key in _unsaid(scenario)]
+        if problems:
+            raise InputError([*problems, "--ideal exports an ideal source and detector instead"])
+    panel = physical_panel(detector)
+    seen: Json = {
+        "type": "ideal",
+        "columns": quantity(panel.columns, "px"),
+        "rows": quantity(panel.rows, "px"),
+        "pixel_pitch": {
+            "u": quantity(panel.pitch_u, "mm"),
+            "v": quantity(panel.pitch_v, "mm"),
+        },
+        "bit_depth": quantity(16),
+        "integration_time": quantity(source.exposure_ms, "ms"),
+        "gray_value": {"imax": quantity(FREE_BEAM), "imin": quantity(0)},
+    }
+    beam: Json = {
+        "voltage": quantity(source.energy_kev, "kV"),
+        "current": quantity(source.current_ma, "mA"),
+        "spectrum": {"monochromatic": True, "file": None},
+        "window": [],
+        "filters": [],
+    }
+    materials: list[Json] = []
+    if not ideal:
+        beam |= _beam(source, folder, name)
+        more, materials = _seen(detector, folder, name)
+        more["gray_value"] = seen["gray_value"] | more.get("gray_value", {})
+        seen |= more
+    binning = {axis: detector.binning for axis in "uv"}
+    return Description(beam, seen, binning, materials)
+
+
+def _unsaid(scenario: Scenario) -> list[str]:
+    source, detector = scenario.source, scenario.detector
+    spot, response = source.focal_spot, detector.response
+    table = {
+        "source.focal_spot": spot is not None and not isinstance(spot, sections.GaussianSpot),
+        "source.motion_samples": source.motion_samples > 1,
+        "detector.response": source.spectrum is not None
+        and isinstance(response, sections.CountingResponse),
+        "detector.noise": isinstance(detector.noise, sections.QuantumNoise),
+        "detector.readout": detector.readout is not None,
+        "detector.bad_pixels": detector.bad_pixels is not None,
+        "detector.scatter": detector.scatter is not None,
+    }
+    return [key for key, wrong in table.items() if wrong]
+
+
+def _beam(source: sections.Source, folder: Path, name: str) -> Json:
+    found: Json = {}
+    if source.spectrum is not None:
+        spectrum = build_spectrum(source)
+        file = folder / f"{name}_spectrum.tsv"
+        _write_table(file, spectrum.energies_kev, spectrum.photons * MM2_AT_1M_PER_SR)
+        found["spectrum"] = {"monochromatic": False, "file": {"value": file.name}}
+        found["voltage"] = quantity(float(spectrum.energies_kev[-1]), "kV")
+    if isinstance(source.focal_spot, sections.GaussianSpot):
+        sigma = source.focal_spot.sigma_mm
+        across, down = sigma if isinstance(sigma, tuple) else (sigma, sigma)
+        spot = {"u": quantity(across, "mm"), "v": quantity(down, "mm")}
+        found["spot"] = {"sigma": spot | {"w": quantity(0.0, "mm")}}
+    return found
+
+
+def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, list[Json]]:
+    found: Json = {}
+    materials: list[Json] = []
+    response, spread = detector.response, detector.point_spread
+    if isinstance(response, sections.ScintillatorResponse):
+        layer = _substance(response.material)
+        materials.append(as_material(layer))
+        thickness = quantity(response.thickness_mm, "mm")
+        found["type"] = "real"
+        found["scintillator"] = {"material_id": layer.name, "thickness": thickness}
+    elif isinstance(response, sections.FileResponse):
+        file = folder / f"{name}_efficiency.tsv"
+        _write_table(file, *read_columns(response.path, 2))
+        found["type"] = "real"
+        found["gray_value"] = {"efficiency_characteristics_file": {"value": file.name}}
+    if isinstance(spread, sections.GaussianSpread):
+        panel = physical_panel(detector)
+        pixel = panel.pitch_u * panel.pitch_v / 12
+        # The pixel is part of it: see ``Detector.blurred``.
+        resolution = float(np.sqrt(2 * (spread.sigma_mm**2 + pixel)))
+        found["unsharpness"] = {"basic_spatial_resolution": quantity(resolution, "mm")}
+    elif isinstance(spread, sections.FileSpread):
+        file = folder / f"{name}_mtf.tsv"
+        _write_table(file, *read_columns(spread.path, 2))
+        found["unsharpness"] = {"mtf": {"value": file.name}}
+    if isinstance(detector.noise, sections.SnrNoise):
+        found["noise"] = {"snr_at_imax": quantity(detector.noise.snr)}
+    if detector.lag:
+        found["image_lag"] = quantity(detector.lag)
+    return found, materials
+
+
+def _substance(of: object) -> Material:
+    if isinstance(of, str):
+        made = material(SCINTILLATORS[of])
+        return Material(of, made.density_g_cm3, made.mass_fractions)
+    return material(of)  # type: ignore[arg-type]
+
+
+def _write_table(path: Path, first: Floats, second: Floats) -> None:
+    lines = [f"{a:.12g}\t{b:.12g}\n" for a, b in zip(first, second, strict=True)]
+    path.write_text("".join(lines), encoding="utf-8")

@@ -1,0 +1,118 @@
+"""From collected energy to grey values, as the file describes the detector.
+
+Grey values follow, in this order of precedence, the intensity file, ``factor`` and ``offset`` (both
+take the energy a pixel collects, in J), or ``imin`` and ``imax``: linear, ``imax`` at the brightest
+pixel of the free beam in frame 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.ctsimu.images import read_image
+from twinct.ctsimu.scene import Response
+from twinct.ctsimu.tables import read_table
+from twinct.geometry import Floats, Panel
+from twinct.xray.spread import PointSpread
+
+Image = NDArray[np.float64]
+
+MTF_REACH_MM = 5.0
+"""How far a point spread given by its MTF is followed."""
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A detector that is ready to take images.
+
+    Attributes:
+        response: what the file says.
+        panel: its pixels, not binned.
+        free_beam_j: energy in the brightest pixel of the free beam in frame 0.
+    """
+
+    response: Response
+    panel: Panel
+    free_beam_j: float
+
+    def grey(self, energy_j: Image) -> Image:
+        """Mean grey values of what the pixels collect, J; not rounded, not cut off."""
+        response = self.response
+        if response.curve is not None:
+            return _on_and_on(energy_j, *read_table(response.curve))
+        if response.factor is not None and response.offset is not None:
+            return response.factor * energy_j + response.offset
+        return response.imin + (response.imax - response.imin) * (energy_j / self.free_beam_j)
+
+    @property
+    def brightest(self) -> float:
+        """Grey value of the brightest pixel of the free beam in frame 0."""
+        return float(self.grey(np.array([self.free_beam_j]))[0])
+
+    def deviation(self, grey: Image) -> Image | None:
+        """Standard deviation of the noise of one frame, grey values; None without noise.
+
+        From the noise file; else that of quanta, whose SNR grows with the root of the intensity.
+        """
+        response = self.response
+        if response.noise is not None:
+            ratio = np.interp(grey, *read_table(response.noise))
+            return np.where(ratio > 0, np.abs(grey) / np.where(ratio > 0, ratio, 1.0), 0.0)
+        if response.snr is None:
+            return None
+        dark = float(self.grey(np.zeros(1))[0])
+        share = np.clip((grey - dark) / (self.brightest - dark), 0.0, None)
+        return self.brightest / response.snr * np.sqrt(share)
+
+    def blurred(self, image: Image) -> Image:
+        """Convolve with the point spread; beyond the rim the image is mirrored."""
+        response, panel = self.response, self.panel
+        if response.mtf is not None:
+            spread = PointSpread.tabulated(*read_table(response.mtf), reach_mm=MTF_REACH_MM)
+        elif (sigma_mm := self._sigma_mm()) > 0:
+            spread = PointSpread.gaussian(sigma_mm)
+        else:
+            return image
+        # Single floats would do for the image, but not for energies of 1e-9 J.
+        level = float(image.max()) or 1.0
+        relative = (image / level).astype(np.float32)
+        return spread.apply(relative, panel.pitch_u, panel.pitch_v).astype(np.float64) * level
+
+    def _sigma_mm(self) -> float:
+        """Of the Gaussian that, together with the pixel, has the basic spatial resolution.
+
+        ISO 19232-5 defines that resolution by the pair of wires whose profile dips by 20 % between
+        them: for thin wires behind a Gaussian, diameter = gap = sqrt(2) sigma.
+        """
+        pixel = self.panel.pitch_u * self.panel.pitch_v / 12
+        return float(np.sqrt(max(self.response.resolution_mm**2 / 2 - pixel, 0.0)))
+
+    def with_bad_pixels(self, image: Image) -> Image:
+        """Put the given grey values where pixels are bad."""
+        if self.response.bad_pixels is None:
+            return image
+        wrong = read_image(self.response.bad_pixels, image.shape)
+        return np.where(wrong == -1, image, wrong)
+
+    def stored(self, image: Image) -> NDArray[np.uint16]:
+        """Rounded and cut off at the bit depth."""
+        return np.clip(np.rint(image), 0, 2**self.response.bits - 1).astype(np.uint16)
+
+
+def binned(image: Image, binning: tuple[int, int]) -> Image:
+    """Mean of blocks of (u, v) pixels."""
+    across, down = binning
+    rows, columns = image.shape
+    return image.reshape(rows // down, down, columns // across, across).mean(axis=(1, 3))
+
+
+def _on_and_on(values: Image, places: Floats, results: Floats) -> Image:
+    """Linear between the places, and on beyond the last two."""
+    inside = np.interp(values, places, results)
+    if len(places) < 2:
+        return inside
+    slope = (results[-1] - results[-2]) / (places[-1] - places[-2])
+    return np.where(values > places[-1], results[-1] + slope * (values - places[-1]), inside)

@@ -1,0 +1,274 @@
+"""``twinct ctsimu export``: a scan of ours as a CTSimU scenario and as an OpenCT free trajectory.
+
+CTSimU knows a stage that turns; ours stands still in the world, and source, detector and specimen
+move by drifts: of their centres, and of three rotations about the world's axes through them. What
+is believed is the part known to the reconstruction; what was executed beyond that is not.
+
+OpenCT holds one projection matrix a view, of the believed geometry. Ours maps world mm to mm on the
+panel, from its centre, u to the right and v down; row 0 of the images is their top.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from twinct.ctsimu.describe import describe
+from twinct.ctsimu.images import write_tiff
+from twinct.ctsimu.writing import Json, as_material, header, quantity, vector, write_json
+from twinct.errors import ScanExistsError
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.scan import Scan
+from twinct.scan.store import storage_errors
+from twinct.specimen import BuiltSpecimen
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        scenario: the CTSimU scenario.
+        trajectory: the OpenCT free trajectory.
+    """
+
+    scenario: Path
+    trajectory: Path
+
+
+def export_scan(
+    scan: Scan, specimen: BuiltSpecimen, folder: Path, *, ideal: bool = False
+) -> Exported:
+    """Write scenario, trajectory, meshes and projections.
+
+    Args:
+        scan: what was acquired.
+        specimen: what was scanned.
+        folder: where to; made if it is missing.
+        ideal: write an ideal source and detector, whatever the scan's were.
+
+    Raises:
+        InputError: source or detector do something that CTSimU cannot say; names it.
+        ScanExistsError: the folder holds an export.
+        StorageError: it cannot be written.
+    """
+    name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scan.scenario.name)
+    files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json")
+    taken = [p.name for p in (files.scenario, files.trajectory) if p.exists()]
+    if taken:
+        raise ScanExistsError(f"{folder} already holds {', '.join(taken)}: choose another --out")
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(files.scenario, _scenario(scan, specimen, folder, name, ideal))
+        images = folder / "projections"
+        images.mkdir(exist_ok=True)
+        for view, image in enumerate(scan.transmission):
+            write_tiff(images / f"{name}_{view:04d}.tif", np.ascontiguousarray(image[::-1]))
+        write_json(files.trajectory, _trajectory(scan, name))
+    return files
+
+
+def to_openct(geometry: ScanGeometry) -> Floats:
+    """One matrix a view, (views, 3, 4): (u, v, 1) ~ P (x, y, z, 1), mm, v down the image.
+
+    With n the unit vector from the source to the panel's plane, d their distance, and (a, b) the
+    foot of the source on the panel: P = [d u + a n; d v + b n; n] [I | -S], scaled so that the last
+    element is 1.
+    """
+    down, n = -geometry.v, -geometry.normal
+    to_panel = geometry.detector - geometry.source
+    d = np.einsum("vk,vk->v", to_panel, n)[:, None]
+    a = -np.einsum("vk,vk->v", to_panel, geometry.u)[:, None]
+    b = -np.einsum("vk,vk->v", to_panel, down)[:, None]
+    left = np.stack([d * geometry.u + a * n, d * down + b * n, n], axis=1)
+    right = -np.einsum("vij,vj->vi", left, geometry.source)
+    matrices = np.concatenate([left, right[:, :, None]], axis=2)
+    return matrices / matrices[:, 2:, 3:]
+
+
+def from_openct(matrices: ArrayLike, panel: Panel) -> ScanGeometry:
+    """The geometry of such matrices.
+
+    Args:
+        matrices: (views, 3, 4).
+        panel: the pixel lattice.
+    """
+    sources, centres, axes_u, axes_v = [], [], [], []
+    for matrix in np.asarray(matrices, dtype=np.float64):
+        source = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+        rows = matrix[:, :3] / np.linalg.norm(matrix[2, :3])
+        # The scale may be negative: u, v (down) and n are right-handed.
+        rows *= np.sign(np.linalg.det(rows))
+        n = rows[2]
+        a, b = rows[0] @ n, rows[1] @ n
+        u, down = rows[0] - a * n, rows[1] - b * n
+        d = (np.linalg.norm(u) + np.linalg.norm(down)) / 2
+        u, down = u / np.linalg.norm(u), down / np.linalg.norm(down)
+        sources.append(source)
+        centres.append(source + d * n - a * u - b * down)
+        axes_u.append(u)
+        axes_v.append(-down)
+    return ScanGeometry(
+        np.array(sources), np.array(centres), np.array(axes_u), np.array(axes_v), panel
+    )
+
+
+def _scenario(scan: Scan, specimen: BuiltSpecimen, folder: Path, name: str, ideal: bool) -> Json:
+    turned = Rotation.from_euler("x", 180, degrees=True)  # ours looks to the source, w away from it
+
+    def away(poses: Sequence[Pose]) -> list[Pose]:
+        return [Pose(p.position, (Rotation.from_quat(p.quat) * turned).as_quat()) for p in poses]
+
+    detector = _moving(away(scan.believed.detector), away(scan.executed.detector))
+    source = _moving(scan.believed.source, scan.executed.source)
+    parts, samples = {}, []
+    for index, part in enumerate(specimen.parts):
+        middle = np.asarray(part.mesh.bounds).mean(axis=0)
+        file = folder / f"{name}_{index}_{part.name}.obj"
+        part.mesh.copy().apply_translation(-middle).export(file, digits=12)
+        shift = Pose(middle, np.array([0.0, 0.0, 0.0, 1.0]))
+        poses = [pose @ shift for pose in scan.executed_object]
+        parts[part.material.name] = as_material(part.material)
+        samples.append(
+            {
+                "name": part.name,
+                "file": {"value": os.path.basename(file)},
+                "unit": "mm",
+                "scaling_factor": {axis: quantity(1.0) for axis in "rst"},
+                "material_id": part.material.name,
+                "position": _moving(poses, poses, "rt"),
+            }
+        )
+    views = len(scan)
+    description = describe(scan.scenario, folder, name, ideal)
+    still = _moving([Pose.identity()], [Pose.identity()])
+    return {
+        "file": header(scan.scenario.name, "Scan of a twin robotic CT system, by twinct"),
+        "environment": {"material_id": None},
+        "geometry": {
+            "detector": detector,
+            "source": {"type": "cone"} | source,
+            "stage": still,
+        },
+        "detector": description.detector,
+        "source": description.source,
+        "samples": samples,
+        "acquisition": {
+            "start_angle": quantity(0.0, "deg"),
+            "stop_angle": quantity(0.0, "deg"),
+            "direction": "CCW",
+            "scan_mode": "stop+go",
+            "number_of_projections": views,
+            "include_final_angle": True,
+            "frame_average": 1,
+            "dark_field": {"number": 0},
+            "flat_field": {"number": 1, "frame_average": 1, "ideal": True},
+            "pixel_binning": description.binning,
+            "scattering": False,
+        },
+        "materials": [*parts.values(), *description.materials],
+        "simulation": {"twinct": {"scenario": scan.scenario.resolved()}},
+    }
+
+
+def _moving(believed: Sequence[Pose], executed: Sequence[Pose], keys: str = "uw") -> Json:
+    """A part of the world that moves by drifts from where it is believed to be in view 0."""
+    first = believed[0]
+    axes = first.rotation
+    known = np.array([p.position - first.position for p in believed])
+    unknown = np.array([e.position - b.position for b, e in zip(believed, executed, strict=True)])
+    centre = vector(first.position, unit="mm")
+    for axis, letter in enumerate("xyz"):
+        drifts = [_drift(known[:, axis], "mm", True), _drift(unknown[:, axis], "mm", False)]
+        centre[letter]["drifts"] = [drift for drift in drifts if drift]
+    start = Rotation.from_quat(first.quat)
+    to_believed = [Rotation.from_quat(p.quat) * start.inv() for p in believed]
+    to_executed = [
+        Rotation.from_quat(e.quat) * Rotation.from_quat(b.quat).inv()
+        for b, e in zip(believed, executed, strict=True)
+    ]
+    return {
+        "center": centre,
+        f"vector_{keys[0]}": vector(axes[:, 0]),
+        f"vector_{keys[1]}": vector(axes[:, 2]),
+        "deviations": [*_turns(to_believed, True), *_turns(to_executed, False)],
+    }
+
+
+def _turns(rotations: Sequence[Rotation], known: bool) -> list[Json]:
+    """Rotations about the world's x, then y, then z, through the part's centre."""
+    angles = np.array([rotation.as_euler("xyz") for rotation in rotations])
+    found = []
+    for axis, letter in enumerate("xyz"):
+        drift = _drift(angles[:, axis], "rad", known)
+        if drift:
+            amount = quantity(0.0, "rad") | {"drifts": [drift | {"known_to_reconstruction": True}]}
+            found.append(
+                {
+                    "type": "rotation",
+                    "axis": letter,
+                    "amount": amount,
+                    "known_to_reconstruction": known,
+                }
+            )
+    return found
+
+
+def _drift(values: Floats, unit: str, known: bool) -> Json | None:
+    if not values.any():
+        return None
+    return {"value": values.tolist(), "unit": unit, "known_to_reconstruction": known}
+
+
+def _trajectory(scan: Scan, name: str) -> Json:
+    panel = scan.scenario.detector.panel
+    geometry = scan.believed.geometry(panel)
+    grid = scan.scenario.reconstruction.grid.volume_grid
+    middle = geometry.source[0], geometry.detector[0]
+    return {
+        "version": {"major": 1, "minor": 0},
+        "OpenCTJSON": {
+            "versionMajor": 1,
+            "versionMinor": 0,
+            "revisionNumber": 0,
+            "variant": "FreeTrajectoryCBCTScan",
+        },
+        "hints": None,
+        "units": {"length": "Millimeter", "angle": "Degree"},
+        "volumeName": f"{name}.img",
+        "projections": {
+            "numProjections": len(geometry),
+            "intensityDomain": True,
+            "images": {
+                "dataType": "Float32",
+                "fileType": "TIFF",
+                "skipBytes": 0,
+                "endianness": "Little",
+                "directory": "projections",
+                "files": [f"{name}_{view:04d}.tif" for view in range(len(geometry))],
+            },
+            "detectorCoordinateFrame": "OriginAtDetectorCenter.VerticalAxisRunningDownwards",
+            "detectorCoordinateDimension": "Length",
+            "matrices": to_openct(geometry).tolist(),
+        },
+        "geometry": {
+            "detectorPixel": [panel.columns, panel.rows],
+            "detectorSize": list(panel.size_mm),
+            "distanceSourceObject": float(np.linalg.norm(middle[0])),
+            "distanceObjectDetector": float(np.linalg.norm(middle[1])),
+            "mirrorDetectorAxis": "",
+            "skipAngle": 0,
+            "totalAngle": None,
+            "objectBoundingBox": {
+                "centerXYZ": grid.world_from_grid.position.tolist(),
+                "sizeXYZ": grid.size_mm.tolist(),
+            },
+        },
+        "corrections": None,
+    }

@@ -1,0 +1,162 @@
+"""Where the parts of a CTSimU scene are: placement, stage rotation, deviations, drifts.
+
+A part has a centre and two orthogonal vectors: u and w, or r and t of a sample; v = w x u. It is
+given in the world (x, y, z) or, a sample only, in the stage (u, v, w). Order: the stage turns about
+its w, then the deviations follow one another, then drifts of centre and vectors are added, as in
+BAM's own loader for aRTist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from twinct.ctsimu.reader import Section
+from twinct.geometry import Floats, Pose
+
+WORLD, LOCAL, SAMPLE = ("x", "y", "z"), ("u", "v", "w"), ("r", "s", "t")
+ORTHOGONAL = 1e-3
+"""Largest cosine between u and w that counts as a right angle: four digits still pass."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A part in its outer frame.
+
+    Attributes:
+        outer_from_part: columns of its rotation are u, v, w (or r, s, t).
+        on_stage: the outer frame is the stage, not the world.
+    """
+
+    outer_from_part: Pose
+    on_stage: bool
+
+
+def place(
+    section: Section,
+    *,
+    turn_deg: float = 0.0,
+    world_from_stage: Pose | None = None,
+    vectors: tuple[str, str] = ("vector_u", "vector_w"),
+) -> Placed:
+    """Place a part at the section's moment.
+
+    Args:
+        section: with ``center``, the two vectors and ``deviations``.
+        turn_deg: rotation about the part's own w before all deviations: the stage's.
+        world_from_stage: allows a sample to stand on the stage.
+        vectors: keys of the first and the third axis.
+    """
+    on_stage = world_from_stage is not None and section.section("center").has("u")
+    axes = LOCAL if on_stage else WORLD
+    centre, drift = _vector(section, "center", axes, "mm")
+    first, first_drift = _vector(section, vectors[0], axes)
+    third, third_drift = _vector(section, vectors[1], axes)
+    basis = _basis(section, vectors, first, third)
+    basis = basis @ Rotation.from_rotvec([0, 0, turn_deg], degrees=True).as_matrix()
+    pose = Pose.from_matrix(centre, basis)
+    for deviation in section.sections("deviations"):
+        pose = _deviate(pose, deviation, world_from_stage if on_stage else None)
+    if first_drift.any() or third_drift.any():
+        # They drift from unit vectors, whatever length they were given.
+        axes_now = pose.rotation
+        basis = _basis(section, vectors, axes_now[:, 0] + first_drift, axes_now[:, 2] + third_drift)
+        pose = Pose.from_matrix(pose.position, basis)
+    return Placed(Pose(pose.position + drift, pose.quat), on_stage)
+
+
+def _deviate(pose: Pose, deviation: Section, world_from_stage: Pose | None) -> Pose:
+    """One translation or rotation; the pose is in the stage where one is given, else the world."""
+    kind = deviation.text("type", ("translation", "rotation"))
+    known = deviation.flag("known_to_reconstruction", True)
+    axis = _turned(deviation, "axis", pose, world_from_stage)
+    pivot = _pivot(deviation, pose, world_from_stage)
+    amount = deviation.needed("amount", "mm" if kind == "translation" else "rad")
+    length = float(np.linalg.norm(axis))
+    if length == 0:
+        deviation.problem("axis", "has no direction")
+        return pose
+    if not known and deviation.moment.believed:
+        return pose
+    axis = axis / length
+    if kind == "translation":
+        return Pose(pose.position + amount * axis, pose.quat)
+    turn = Rotation.from_rotvec(amount * axis)
+    quat = (turn * Rotation.from_quat(pose.quat)).as_quat()
+    return Pose(pivot + turn.apply(pose.position - pivot), quat)
+
+
+def _turned(section: Section, key: str, pose: Pose, world_from_stage: Pose | None) -> Floats:
+    """An axis in the frame of the pose."""
+    value = section.data.get(key)
+    if isinstance(value, str):
+        section.skip(key)
+        for names in (WORLD, LOCAL, SAMPLE):
+            if value in names:
+                return _seen(np.eye(3)[names.index(value)], names, pose, world_from_stage)
+        section.problem(key, f"{value!r} is no axis; allowed: x y z u v w r s t or a vector")
+        return np.zeros(3)
+    names = _names(section.section(key))
+    direction, drift = _vector(section, key, names)
+    return _seen(direction + drift, names, pose, world_from_stage)
+
+
+def _seen(
+    direction: Floats, names: tuple[str, ...], pose: Pose, world_from_stage: Pose | None
+) -> Floats:
+    if names is WORLD:
+        if world_from_stage is None:
+            return direction
+        return world_from_stage.inverse().rotate(direction)
+    if names is LOCAL and world_from_stage is not None:
+        return direction
+    return pose.rotate(direction)
+
+
+def _pivot(section: Section, pose: Pose, world_from_stage: Pose | None) -> Floats:
+    if not section.has("pivot"):
+        section.skip("pivot")
+        return pose.position
+    names = _names(section.section("pivot"))
+    point, drift = _vector(section, "pivot", names, "mm")
+    point = point + drift
+    if names is WORLD:
+        return point if world_from_stage is None else world_from_stage.inverse().apply(point)
+    if names is LOCAL and world_from_stage is not None:
+        return point
+    return pose.apply(point)
+
+
+def _names(section: Section) -> tuple[str, ...]:
+    for names in (LOCAL, SAMPLE):
+        if names[0] in section.data:
+            return names
+    return WORLD
+
+
+def _vector(
+    section: Section, key: str, names: tuple[str, ...], unit: str = ""
+) -> tuple[Floats, Floats]:
+    """A vector without its drifts, and the sum of its drifts."""
+    inner = section.section(key)
+    drift = np.array([inner.drift(name, unit) for name in names])
+    return np.array([inner.needed(name, unit) for name in names]) - drift, drift
+
+
+def _basis(section: Section, keys: tuple[str, str], first: Floats, third: Floats) -> Floats:
+    lengths = np.linalg.norm(first), np.linalg.norm(third)
+    if min(lengths) == 0:
+        section.problem(f"{keys[0]}, {keys[1]}", "one of them has no length")
+        return np.eye(3)
+    first, third = first / lengths[0], third / lengths[1]
+    cosine = float(first @ third)
+    if abs(cosine) > ORTHOGONAL:
+        angle = np.degrees(np.arccos(cosine))
+        section.problem(
+            f"{keys[0]}, {keys[1]}", f"must be orthogonal, their angle is {angle:.4f} deg"
+        )
+    first = first - (first @ third) * third
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(third, first), third], axis=1)

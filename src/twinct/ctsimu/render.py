@@ -1,0 +1,250 @@
+"""``twinct ctsimu render``: dark, flat and projection images of a scenario, one file each.
+
+An image is written under its name only when it is complete, and every draw of noise is keyed by
+seed, kind and number: a rendering that was interrupted goes on to the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from twinct.ctsimu.camera import Camera
+from twinct.ctsimu.detector import Detector, Image, binned
+from twinct.ctsimu.images import write_tiff
+from twinct.ctsimu.metadata import write_metadata
+from twinct.ctsimu.scenario import CtsimuScenario
+from twinct.ctsimu.scene import FieldImages, Frame, RawImage
+from twinct.errors import ScanExistsError, ScenarioError
+from twinct.scan.store import storage_errors
+from twinct.uncertainty import view_rng
+
+LAG_LEFT = 1e-6
+"""Share of an earlier projection below which its lag is left out."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a scenario leaves to the software.
+
+    Attributes:
+        samples: rays along each pixel edge, for a point source.
+        spot_points: points of a focal spot with extent.
+        seed: of the noise.
+    """
+
+    samples: int = 3
+    spot_points: int = 32
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Files:
+    """Names of what is written."""
+
+    folder: Path
+    name: str
+
+    @property
+    def metadata(self) -> Path:
+        """What the CTSimU toolbox reads; written last."""
+        return self.folder / f"{self.name}_metadata.json"
+
+    @property
+    def key(self) -> Path:
+        """Which rendering the folder holds."""
+        return self.folder / f"{self.name}_rendering.json"
+
+    def projection(self, index: int) -> Path:
+        """A projection."""
+        return self.folder / f"{self.name}_{index:04d}.tif"
+
+    def field(self, kind: str, index: int, count: int) -> Path:
+        """A dark or flat image."""
+        number = f"_{index:04d}" if count > 1 else ""
+        return self.folder / f"{self.name}_{kind}{number}.tif"
+
+
+def render(
+    scenario: CtsimuScenario,
+    folder: Path,
+    options: Options | None = None,
+    *,
+    resume: bool = False,
+    step: Callable[[], None] = lambda: None,
+) -> Files:
+    """Render all images of a scenario.
+
+    Args:
+        scenario: what to render.
+        folder: where to; made if it is missing.
+        options: what the scenario leaves open.
+        resume: go on with a rendering that was interrupted.
+        step: called after each projection, also one that was there.
+
+    Raises:
+        ScanExistsError: the folder holds a rendering already, or one of something else.
+        InputError: a file that does not hold what the scenario says; names it.
+        StorageError: the images cannot be written.
+    """
+    options = options or Options()
+    files = Files(folder, scenario.name)
+    with storage_errors(folder):
+        _claim(files, _identity(scenario, options), resume)
+        with Camera(options.samples, options.spot_points) as camera:
+            _Run(scenario, files, options, camera).all(step)
+    return files
+
+
+class _Run:
+    """One rendering under way."""
+
+    def __init__(
+        self, scenario: CtsimuScenario, files: Files, options: Options, camera: Camera
+    ) -> None:
+        self.scenario, self.files, self.options = scenario, files, options
+        self.camera = camera
+        self.first = scenario.frame(0)
+        free = camera.expose(self.first, samples_in=False)
+        self.free_beam_j = float(free.max())
+        self.free = self._mean(self.first, free)
+        self._check_range()
+
+    def all(self, step: Callable[[], None]) -> None:
+        """Whatever is not there yet."""
+        nothing = self._detector(self.first).grey(np.zeros(self.first.panel.shape))
+        dark = self._fields("dark", nothing, self.scenario.dark)
+        flat = self._fields("flat", self.free, self.scenario.flat)
+        before: deque[tuple[int, Image]] = deque()
+        for index in range(self.scenario.frames):
+            path = self.files.projection(index)
+            if not path.exists():
+                frame = self.scenario.frame(index)
+                mean = self._with_lag(index, frame, before)
+                image = self._noisy(frame, mean, "projection", index, self.scenario.average)
+                write_tiff(path, self._corrected(frame, image, dark, flat))
+            step()
+        brightest = self._detector(self.first).brightest
+        write_metadata(self.files, self.scenario, self.options, self.first, brightest)
+
+    def _detector(self, frame: Frame) -> Detector:
+        return Detector(frame.response, frame.panel, self.free_beam_j)
+
+    def _mean(self, frame: Frame, energy_j: Image) -> Image:
+        detector = self._detector(frame)
+        return detector.grey(detector.blurred(energy_j))
+
+    def _projection(self, index: int) -> Image:
+        frame = self.scenario.frame(index)
+        return self._mean(frame, self.camera.expose(frame))
+
+    def _with_lag(self, index: int, frame: Frame, before: deque[tuple[int, Image]]) -> Image:
+        """The mean of a projection's frames; each starts with what the one before left.
+
+        Of a frame of grey value g a share l is left in the next: y_k = (1 - l) g + l y_(k-1). The
+        first projection finds its own image, as if it had been looked at for long.
+        """
+        lag, average = frame.response.lag, self.scenario.average
+        if lag == 0:
+            return self._projection(index)
+        reach = int(np.ceil(np.log(LAG_LEFT) / (average * np.log(lag))))
+        while before and before[0][0] < index - reach:
+            before.popleft()
+        for earlier in range(max(index - reach, 0), index):
+            if not any(i == earlier for i, _ in before):
+                before.append((earlier, self._projection(earlier)))
+        now = self._projection(index)
+        left = before[0][1] if before else now
+        for _, image in before:
+            left = image + lag**average * (left - image)
+        before.append((index, now))
+        return now + (left - now) * lag * (1 - lag**average) / (average * (1 - lag))
+
+    def _noisy(self, frame: Frame, mean: Image, kind: str, index: int, average: int) -> Image:
+        """What the detector writes, in the row order of CTSimU."""
+        detector = self._detector(frame)
+        deviation = detector.deviation(mean)
+        image = mean
+        if deviation is not None and average > 0:
+            rng = view_rng(self.options.seed, f"ctsimu {kind}", index)
+            image = mean + rng.standard_normal(mean.shape) * deviation / np.sqrt(average)
+        image = image[::-1] if frame.upside_down else image
+        return binned(detector.with_bad_pixels(image), frame.binning)
+
+    def _fields(self, kind: str, mean: Image, images: FieldImages) -> Image | None:
+        """Write the dark or flat images; their mean."""
+        stack = []
+        for index in range(images.number):
+            path = self.files.field(kind, index, images.number)
+            if not path.exists():
+                average = 0 if images.ideal else images.average
+                image = self._noisy(self.first, mean, kind, index, average)
+                write_tiff(path, self._detector(self.first).stored(image))
+            stack.append(tifffile.imread(path).astype(np.float64))
+        return np.mean(stack, axis=0) if stack else None
+
+    def _corrected(
+        self, frame: Frame, image: Image, dark: Image | None, flat: Image | None
+    ) -> NDArray[np.uint16]:
+        """As stored; by dark and flat images where the scan delivers corrected projections."""
+        detector = self._detector(frame)
+        stored = detector.stored(image).astype(np.float64)
+        offset = dark if dark is not None else np.zeros_like(stored)
+        if self.scenario.dark.correction:
+            stored = stored - offset
+        if self.scenario.flat.correction and flat is not None:
+            base = flat - offset if self.scenario.dark.correction else flat
+            stored = stored / np.where(base > 0, base, 1.0) * detector.brightest
+        return detector.stored(stored)
+
+    def _check_range(self) -> None:
+        if not self.free_beam_j > 0:
+            raise ScenarioError(f"{self.scenario.path}: no radiation reaches the detector")
+
+
+def _claim(files: Files, identity: str, resume: bool) -> None:
+    """Make sure that the folder is free, or holds this very rendering."""
+    files.folder.mkdir(parents=True, exist_ok=True)
+    if files.key.exists():
+        if not resume:
+            raise ScanExistsError(
+                f"{files.folder} already holds images of {files.name}: choose another --out, or "
+                "go on with --resume"
+            )
+        if json.loads(files.key.read_text()).get("digest") != identity:
+            raise ScanExistsError(
+                f"{files.folder} holds {files.name} rendered from other files or with other "
+                "options: choose another --out"
+            )
+    elif list(files.folder.glob(f"{files.name}_*.tif")):
+        raise ScanExistsError(
+            f"{files.folder} holds images of {files.name} from elsewhere: choose another --out"
+        )
+    files.key.write_text(json.dumps({"digest": identity}) + "\n")
+
+
+def _identity(scenario: CtsimuScenario, options: Options) -> str:
+    """Digest of the scenario, all files it refers to, and the options."""
+    digest = hashlib.sha256(json.dumps([scenario.data, asdict(options)]).encode())
+    for path in sorted(_referred(scenario)):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _referred(scenario: CtsimuScenario) -> set[Path]:
+    found: set[Path | RawImage | None] = set()
+    for index in range(scenario.frames):
+        frame = scenario.frame(index)
+        response = frame.response
+        found |= {body.file for body in frame.bodies}
+        found |= {frame.tube.spectrum, frame.spot.image, response.bad_pixels}
+        found |= {response.efficiency, response.curve, response.noise, response.mtf}
+    return {item.path if isinstance(item, RawImage) else item for item in found if item is not None}

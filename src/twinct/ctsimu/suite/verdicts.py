@@ -1,0 +1,190 @@
+"""What the toolbox's result files say, held against what was asked for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One figure.
+
+    Attributes:
+        test: name of the test.
+        what: which figure.
+        asked: what it must be.
+        measured: what it is.
+        passed: whether it is; None for a figure that is only reported.
+    """
+
+    test: str
+    what: str
+    asked: str
+    measured: str
+    passed: bool | None
+
+
+def verdicts(test: str, results: Path) -> list[Verdict]:
+    """Read the results of a test.
+
+    Args:
+        test: its name.
+        results: folder that the toolbox wrote them to.
+    """
+    return _READERS[test](results)
+
+
+def _noise(results: Path) -> list[Verdict]:
+    found = []
+    for nominal in (100, 250):
+        text = (results / f"2D-FB-1_SNR{nominal}_summary.txt").read_text()
+        snr = _number(text, r"Overall projection SNR:\s+(\S+)")
+        mean = _number(text, r"Mean grey value:\s+(\S+)")
+        measured = f"{snr:.2f} (mean {mean:.0f})"
+        good = abs(snr / nominal - 1) <= 0.02
+        found.append(Verdict("2D-FB-1", "SNR", f"{nominal} within 2 %", measured, good))
+    return found
+
+
+def _distance(results: Path) -> list[Verdict]:
+    table = np.loadtxt(results / "2D-FB-2_summary.txt")
+    worst = float(np.abs(table[:, 4]).max())
+    return [
+        Verdict(
+            "2D-FB-2",
+            "largest deviation from the analytic profile",
+            "at most 0.1 %",
+            f"{worst:.3f} %",
+            worst <= 0.1,
+        )
+    ]
+
+
+def _coverage(results: Path) -> list[Verdict]:
+    text = (results / "2D-WE-2_summary.txt").read_text()
+    ours, both = _number(text, r"measured image:\s+(\d+)"), _number(text, r"both images:\s+(\d+)")
+    partly = _number(text, r"analytical image:\s+(\d+)")
+    ratio, rmsd = _number(text, r"analytical\):\s+([\d.]+)%"), _number(text, r"([\d.]+) GV")
+    extra = 100 * (ours - both) / partly
+    return [
+        Verdict("2D-WE-2", "r", "at least 95 %", f"{ratio:.2f} %", ratio >= 95),
+        Verdict("2D-WE-2", "RMSD", "at most 600 of 60000", f"{rmsd:.1f}", rmsd <= 600),
+        Verdict("2D-WE-2", "extra pixels", "at most 1 %", f"{extra:.2f} %", extra <= 1),
+    ]
+
+
+def _spots(results: Path) -> list[Verdict]:
+    found = []
+    for key, sigma_um, mtf20 in (("spot1", 9.579, 29.852), ("spot2", 24.552, 11.770)):
+        text = (results / f"2D-WE-1_{key}_summary.txt").read_text()
+        sigma = 1000 * _number(text, r"measured:\s+sigma.*\n\s+\[mm\] = (\S+)")
+        frequency = _number(text, r"MTF20 measured:.*\n\s+\[cycles/mm\] = (\S+)")
+        for what, value, wanted, unit in (
+            ("LSF sigma", sigma, sigma_um, "um"),
+            ("MTF20", frequency, mtf20, "/mm"),
+        ):
+            deviation = value / wanted - 1
+            found.append(
+                Verdict(
+                    "2D-WE-1",
+                    f"{key}: {what}",
+                    f"{wanted} {unit} within 5 %",
+                    f"{value:.3f} {unit} ({100 * deviation:+.2f} %)",
+                    abs(deviation) <= 0.05,
+                )
+            )
+    return found
+
+
+def _wires(results: Path) -> list[Verdict]:
+    found = []
+    for key, nominal in (("SR75", 0.075), ("SR150", 0.15)):
+        text = (results / f"2D-DW-1_{key}_results.txt").read_text()
+        value = _number(text, r"iSRb: (\S+)")
+        deviation = value / nominal - 1
+        found.append(
+            Verdict(
+                "2D-DW-1",
+                f"{key}: iSRb",
+                f"{1000 * nominal:g} um within 5 %",
+                f"{1000 * value:.2f} um ({100 * deviation:+.2f} %)",
+                abs(deviation) <= 0.05,
+            )
+        )
+    return found
+
+
+def _scintillators(results: Path) -> list[Verdict]:
+    names, ours = _table(results / "2D-SW-1_all_GV_ratios_to_Det1.txt")
+    reference = np.loadtxt(results / "2D-SW-1_all_MCprimary_reference_ratios.txt")[:, 1:]
+    found = []
+    for column, name in enumerate(names):
+        if name.startswith("D1"):
+            continue
+        mean, below, above = reference[:, 3 * column : 3 * column + 3].T
+        deviation = ours[:, column] - mean
+        allowed = np.where(deviation > 0, above, below) + 0.02 * mean
+        worst = float((np.abs(deviation) / allowed).max())
+        relative = float(np.abs(deviation / mean).max())
+        mono = name.endswith(("_50", "_100"))
+        found.append(
+            Verdict(
+                "2D-SW-1",
+                f"{name}: ratios to D1, primary radiation",
+                "Monte Carlo uncertainty + 2 %" if mono else "reported",
+                f"largest deviation {100 * relative:.2f} %, {worst:.2f} of what is allowed",
+                worst <= 1 if mono else None,
+            )
+        )
+    return found
+
+
+def _filters(results: Path) -> list[Verdict]:
+    found = []
+    for key in ("Al", "AlCu", "Fe", "FeCu"):
+        table = np.loadtxt(results / f"2D-SW-2_{key}_ratios.txt")
+        worst = float(np.abs(table[:, 6]).max())
+        measured = f"largest deviation {100 * worst:.2f} %"
+        found.append(Verdict("2D-SW-2", f"{key}: step ratios, primary", "reported", measured, None))
+    return found
+
+
+def _overlaps(results: Path) -> list[Verdict]:
+    found = []
+    for key in ("Al_Al", "Al_Ti"):
+        text = (results / f"2D-SW-3_{key}_summary.txt").read_text()
+        count = int(_number(text, r"anomalies: (\d+)"))
+        pixels = int(_number(text, r"treated pixels: (\d+)"))
+        measured = f"{count} in {pixels} pixels"
+        found.append(Verdict("2D-SW-3", f"{key}: anomalies", "0", measured, count == 0))
+    return found
+
+
+def _number(text: str, pattern: str) -> float:
+    match = re.search(pattern, text)
+    if match is None:
+        raise ValueError(f"the toolbox's result holds no {pattern!r}")
+    return float(match[1])
+
+
+def _table(path: Path) -> tuple[list[str], np.ndarray]:
+    lines = path.read_text().splitlines()
+    rows = [[float(cell) for cell in line.split("\t")[1:]] for line in lines[1:]]
+    return lines[0].split("\t")[1:], np.array(rows)
+
+
+_READERS: dict[str, Callable[[Path], list[Verdict]]] = {
+    "2D-FB-1": _noise,
+    "2D-FB-2": _distance,
+    "2D-DW-1": _wires,
+    "2D-WE-1": _spots,
+    "2D-WE-2": _coverage,
+    "2D-SW-1": _scintillators,
+    "2D-SW-2": _filters,
+    "2D-SW-3": _overlaps,
+}

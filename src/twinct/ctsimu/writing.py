@@ -1,0 +1,73 @@
+"""Pieces of CTSimU files, as the format wants them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from twinct.ctsimu.scenario import FORMAT
+from twinct.specimen import Material
+
+Json = dict[str, Any]
+
+
+def quantity(value: float | None, unit: str | None = None) -> Json:
+    """A parameter without drifts."""
+    return {"value": value, "unit": unit} if unit else {"value": value}
+
+
+def vector(values: ArrayLike, names: str = "xyz", unit: str | None = None) -> Json:
+    """A vector by its components."""
+    return {n: quantity(float(v), unit) for n, v in zip(names, values, strict=True)}  # type: ignore[arg-type]
+
+
+def placed(
+    centre: ArrayLike, first: ArrayLike, third: ArrayLike, keys: Sequence[str] = "uw"
+) -> Json:
+    """A part in the world."""
+    return {
+        "center": vector(centre, unit="mm"),
+        f"vector_{keys[0]}": vector(first),
+        f"vector_{keys[1]}": vector(third),
+        "deviations": [],
+    }
+
+
+def material(name: str, density_g_cm3: float, shares: Mapping[str, float]) -> Json:
+    """A material by mass fractions of formulas."""
+    return {
+        "id": name,
+        "name": name,
+        "density": quantity(density_g_cm3, "g/cm^3"),
+        "composition": [
+            {"formula": {"value": formula}, "mass_fraction": {"value": share}}
+            for formula, share in shares.items()
+        ],
+    }
+
+
+def as_material(of: Material) -> Json:
+    """One of our materials."""
+    return material(of.name, of.density_g_cm3, of.mass_fractions)
+
+
+def header(name: str, description: str) -> Json:
+    """The section ``file``."""
+    return {
+        "name": name,
+        "description": description,
+        "file_type": "CTSimU Scenario",
+        "file_format_version": {"major": FORMAT[0], "minor": FORMAT[1]},
+    }
+
+
+def write_json(path: Path, data: Json) -> None:
+    """Write a file under its name only when it is complete."""
+    draft = path.with_name(path.name + ".partial")
+    draft.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    os.replace(draft, path)

@@ -1,0 +1,66 @@
+"""When the shutter is open: the instants of an exposure, from the steps of the simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinct.views import Instant, SevenNumbers
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """How an image takes its time.
+
+    Attributes:
+        exposure_s: from the trigger until the shutter closes.
+        samples: instants of the exposure; with one the image takes no time.
+        remember: whether each view says where the last one was taken.
+    """
+
+    exposure_s: float = 0.0
+    samples: int = 1
+    remember: bool = False
+
+    def steps(self, timestep_s: float) -> int:
+        """Steps of the simulation to take after the trigger."""
+        if self.samples == 1:
+            return 0
+        return math.ceil(self.exposure_s / timestep_s - 1e-9)
+
+    def over(
+        self, steps: Sequence[Instant], timestep_s: float
+    ) -> tuple[Instant, tuple[Instant, ...]]:
+        """The middle of the exposure, and its instants: the middles of equal parts of it.
+
+        Args:
+            steps: where everything was at each step since the trigger; linear between.
+            timestep_s: between two of them.
+        """
+        if self.samples == 1:
+            return steps[0], ()
+        shares = (np.arange(self.samples) + 0.5) / self.samples
+        times = [*(shares * self.exposure_s / timestep_s), self.exposure_s / timestep_s / 2]
+        *instants, middle = (_at(steps, float(time)) for time in times)
+        return middle, tuple(instants)
+
+
+def _at(steps: Sequence[Instant], time: float) -> Instant:
+    first = min(int(time), len(steps) - 2)
+    share = time - first
+    pairs = zip(steps[first], steps[first + 1], strict=True)
+    return Instant(*(_between(a, b, share) for a, b in pairs))
+
+
+def _between(a: SevenNumbers, b: SevenNumbers, share: float) -> SevenNumbers:
+    """Linear in the position and, for the small turn of one step, in the quaternion."""
+    one, two = np.array(a), np.array(b)
+    if one[3:] @ two[3:] < 0:
+        two[3:] = -two[3:]
+    mixed = (1 - share) * one + share * two
+    mixed[3:] /= np.linalg.norm(mixed[3:])
+    x, y, z, qx, qy, qz, qw = mixed.tolist()
+    return x, y, z, qx, qy, qz, qw

@@ -1,0 +1,124 @@
+"""Kernels: from path lengths to the signal of each pixel, summed over the samples inside it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+LOG2_E = np.float32(1.4426950408889634)
+DARKEST_LOG2 = np.float32(-126.0)
+"""Below it single floats lose digits; nothing there is ever seen."""
+
+# exp2 on [-0.5, 0.5]: Taylor coefficients ln(2)^k / k!, relative error 1e-7.
+C1 = np.float32(0.6931471805599453)
+C2 = np.float32(0.24022650695910072)
+C3 = np.float32(0.05550410866482158)
+C4 = np.float32(0.009618129107628477)
+C5 = np.float32(0.0013333558146428443)
+C6 = np.float32(0.00015403530393381608)
+
+OPTIONS = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
+
+
+@njit(**OPTIONS)
+def _add_bin(mu, mean, square, rows, bits, scale, sums):
+    """Add one energy bin of ``rows`` (materials, n) path lengths to sums (2, n).
+
+    Plain loops without a call or a branch, so that the compiler makes SIMD code of them.
+    """
+    n = rows.shape[1]
+    work = sums[2]
+    for i in range(n):
+        work[i] = np.float32(0.0)
+    for m in range(rows.shape[0]):
+        factor = -mu[m] * LOG2_E
+        for i in range(n):
+            work[i] += factor * rows[m, i]
+    for i in range(n):
+        x = max(work[i], DARKEST_LOG2)
+        whole = np.floor(x + np.float32(0.5))
+        f = x - whole
+        bits[i] = (np.int32(whole) + np.int32(127)) << np.int32(23)
+        p = C5 + f * C6
+        p = C4 + f * p
+        p = C3 + f * p
+        p = C2 + f * p
+        p = C1 + f * p
+        work[i] = np.float32(1.0) + f * p
+    for i in range(n):
+        value = work[i] * scale[i]
+        sums[0, i] += mean * value
+        sums[1, i] += square * value
+
+
+@njit(parallel=True, **OPTIONS)
+def sum_bins(paths, mus, means, squares, beam, samples, share, out):
+    """Add the signal of every bin to ``out``.
+
+    Args:
+        paths: (materials, rows * samples, columns * samples), mm.
+        mus: (bins, materials), 1/mm.
+        means: weight of each bin in the mean, (bins,).
+        squares: weight of each bin in the mean square, (bins,).
+        beam: fall-off at each sample, (rows * samples, columns * samples).
+        samples: along each pixel edge.
+        share: weight of this exposure.
+        out: mean and mean square, (2, rows, columns).
+    """
+    rows, n = out.shape[1], paths.shape[2]
+    factor = np.float32(share / (samples * samples))
+    for row in prange(rows):
+        bits = np.empty(n, np.int32)
+        scale = bits.view(np.float32)
+        sums = np.empty((3, n), np.float32)
+        for sub in range(row * samples, (row + 1) * samples):
+            sums[:2] = np.float32(0.0)
+            here = paths[:, sub]
+            for b in range(len(means)):
+                _add_bin(mus[b], means[b], squares[b], here, bits, scale, sums)
+            for i in range(n):
+                weight = factor * beam[sub, i]
+                out[0, row, i // samples] += weight * sums[0, i]
+                out[1, row, i // samples] += weight * sums[1, i]
+
+
+@njit(**OPTIONS)
+def look_up(paths, longest, table, beam, samples, share, out):
+    """The same for one material, from a table over sqrt(path / longest); linear between its nodes.
+
+    In one thread: it takes 2 ms, and threads that wait for more work take time from gVXR's.
+
+    Args:
+        paths: (rows * samples, columns * samples), mm.
+        longest: path of the table's last node, mm.
+        table: mean and mean square at each node, (2, nodes).
+        beam: see ``sum_bins``.
+        samples: see ``sum_bins``.
+        share: see ``sum_bins``.
+        out: see ``sum_bins``.
+    """
+    rows, n = out.shape[1], paths.shape[1]
+    last = np.int32(table.shape[1] - 1)
+    factor = np.float32(share / (samples * samples))
+    scale = np.float32(1.0 / longest)
+    means, squares = table[0], table[1]
+    mean, square = np.empty(n, np.float32), np.empty(n, np.float32)
+    for row in range(rows):
+        for sub in range(row * samples, (row + 1) * samples):
+            for i in range(n):
+                t = np.sqrt(paths[sub, i] * scale) * np.float32(last)
+                t = min(t, np.float32(last))
+                k = min(np.int32(t), last - np.int32(1))
+                f = t - np.float32(k)
+                g = np.float32(1.0) - f
+                weight = factor * beam[sub, i]
+                mean[i] = weight * (g * means[k] + f * means[k + 1])
+                square[i] = weight * (g * squares[k] + f * squares[k + 1])
+            if samples == 1:
+                for i in range(n):
+                    out[0, row, i] += mean[i]
+                    out[1, row, i] += square[i]
+            else:
+                for i in range(n):
+                    out[0, row, i // samples] += mean[i]
+                    out[1, row, i // samples] += square[i]

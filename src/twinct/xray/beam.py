@@ -1,0 +1,36 @@
+"""The free beam: how many photons reach a pixel where nothing stands in the way."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import MM_PER_M, ScanGeometry
+
+
+def fall_off(view: ScanGeometry, samples: int = 1) -> NDArray[np.float32]:
+    """Inverse square and oblique incidence: (1 m / r)^2 cos(a), exactly, at each sample.
+
+    r is the distance from the focal spot, a the angle between ray and panel normal. Photons per
+    mm^2 at 1 m, times this, are photons per mm^2 of panel.
+
+    Args:
+        view: one view.
+        samples: samples along each pixel edge.
+
+    Returns:
+        (rows * samples, columns * samples).
+    """
+    panel = view.panel
+    to_source = view.source[0] - view.detector[0]
+    along_u = _offsets(panel.columns, samples) * panel.pitch_u - to_source @ view.u[0]
+    along_v = _offsets(panel.rows, samples) * panel.pitch_v - to_source @ view.v[0]
+    distance = to_source @ view.normal[0]
+    squared = along_u[None, :] ** 2 + along_v[:, None] ** 2 + distance**2
+    # cos(a) / r^2 = distance / r^3
+    return (MM_PER_M**2 * distance / (squared * np.sqrt(squared))).astype(np.float32)
+
+
+def _offsets(count: int, samples: int) -> NDArray[np.float64]:
+    """Sample positions along one edge of the panel, pixels from its middle."""
+    return (np.arange(count * samples) + 0.5) / samples - count / 2

@@ -1,0 +1,138 @@
+"""From the scenario's sections of source and detector to the physics they name."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct import scenario
+from twinct.errors import InputError
+from twinct.geometry import Floats, Panel
+from twinct.scenario import xray as sections
+from twinct.specimen.materials import Material, material
+from twinct.uncertainty import view_rng
+from twinct.xray.response import Response
+from twinct.xray.spectrum import Spectrum
+from twinct.xray.spot import gaussian_spot, image_spot, read_image, square_spot
+from twinct.xray.spread import PointSpread
+
+SCINTILLATORS = {
+    "CsI": scenario.Composition(formula="CsI", density_g_cm3=4.51),
+    "Gd2O2S": scenario.Composition(formula="Gd2O2S", density_g_cm3=7.32),
+}
+"""Solid densities; a powder screen is given by its own composition."""
+
+
+def build_spectrum(source: scenario.Source) -> Spectrum:
+    """What the source emits, behind its filters.
+
+    Raises:
+        InputError: a file that is no spectrum, a tube that SpekPy does not know.
+        MissingExtraError: SpekPy is not installed.
+    """
+    photons = source.photons_per_mm2_mas
+    section = source.spectrum
+    if section is None:
+        return Spectrum.monochromatic(source.energy_kev, photons)
+    if isinstance(section, sections.TubeSpectrum):
+        from twinct.xray.tube import tube_spectrum
+
+        spectrum = tube_spectrum(section.kvp, section.anode_angle_deg, target=section.target)
+    else:
+        spectrum = Spectrum.read(section.path)
+    for i, plate in enumerate(section.filters):
+        substance = material(plate.material, f"source.spectrum.filters.{i}.material")
+        spectrum = spectrum.filtered(substance, plate.thickness_mm)
+    spectrum = spectrum.rebinned(section.bins)
+    return spectrum if photons is None else spectrum.scaled(photons)
+
+
+def build_response(detector: scenario.Detector) -> Response:
+    """What the detector makes of a photon.
+
+    Raises:
+        InputError: a file that is no efficiency, or an unknown material.
+    """
+    section = detector.response
+    if isinstance(section, sections.CountingResponse):
+        return Response.counting()
+    if isinstance(section, sections.IntegratingResponse):
+        return Response.integrating()
+    if isinstance(section, sections.FileResponse):
+        return Response.read_efficiency(section.path)
+    substance: Material
+    if isinstance(section.material, str):
+        substance = material(SCINTILLATORS[section.material])
+    else:
+        substance = material(section.material, "detector.response.material")
+    return Response.scintillator(substance, section.thickness_mm)
+
+
+def effective_energy_kev(source: scenario.Source, detector: scenario.Detector) -> float:
+    """Mean energy of the free beam, each photon weighted with its signal.
+
+    At this energy a specimen's true attenuation is stated, and beam hardening is corrected to it.
+    """
+    if source.spectrum is None:
+        return source.energy_kev
+    spectrum = build_spectrum(source)
+    weight = spectrum.photons * build_response(detector).mean(spectrum.energies_kev)
+    return float(weight @ spectrum.energies_kev / weight.sum())
+
+
+def build_spot(source: scenario.Source) -> Floats:
+    """Points of the focal spot in the source frame's x and y, (points, 2), mm.
+
+    Raises:
+        InputError: an image that cannot be read.
+    """
+    section = source.focal_spot
+    if section is None:
+        return np.zeros((1, 2))
+    if isinstance(section, sections.GaussianSpot):
+        return gaussian_spot(*_pair(section.sigma_mm), section.samples)
+    if isinstance(section, sections.SquareSpot):
+        return square_spot(*_pair(section.size_mm), section.samples)
+    image = read_image(section.path, "a focal spot")
+    return image_spot(image, *_pair(section.size_mm), section.samples)
+
+
+def build_spread(detector: scenario.Detector) -> PointSpread | None:
+    """The detector's point spread.
+
+    Raises:
+        InputError: a file that is no MTF.
+    """
+    section = detector.point_spread
+    if section is None:
+        return None
+    if isinstance(section, sections.GaussianSpread):
+        return PointSpread.gaussian(section.sigma_mm)
+    return PointSpread.read(section.path)
+
+
+def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_]:
+    """Dead pixels, (rows, columns).
+
+    Raises:
+        InputError: a map of another shape.
+    """
+    shape, section = detector.panel.shape, detector.bad_pixels
+    if section is None:
+        return np.zeros(shape, dtype=bool)
+    if isinstance(section, sections.RandomBadPixels):
+        return view_rng(seed, "bad pixels", 0).random(shape) < section.share
+    bad = read_image(section.path, "bad pixels") != 0
+    if bad.shape != shape:
+        raise InputError(f"{section.path}: a map of {bad.shape} pixels, the panel has {shape}")
+    return bad
+
+
+def physical_panel(detector: scenario.Detector) -> Panel:
+    """The lattice before binning."""
+    panel, n = detector.panel, detector.binning
+    return Panel(panel.rows * n, panel.columns * n, panel.pitch_u / n, panel.pitch_v / n)
+
+
+def _pair(size: float | tuple[float, float]) -> tuple[float, float]:
+    return size if isinstance(size, tuple) else (size, size)

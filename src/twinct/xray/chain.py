@@ -1,0 +1,263 @@
+"""The detection chain: from the expected signal of each pixel to grey values and transmission."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct import scenario
+from twinct.geometry import MM_PER_M, Floats, ScanGeometry
+from twinct.scenario import xray as sections
+from twinct.specimen.materials import Material
+from twinct.uncertainty import view_rng
+from twinct.xray.beam import fall_off
+from twinct.xray.build import (
+    build_bad_pixels,
+    build_response,
+    build_spectrum,
+    build_spread,
+    effective_energy_kev,
+    physical_panel,
+)
+from twinct.xray.noise import normal_noise, quantum_noise
+from twinct.xray.readout import Readout, correct, mend_bad_pixels
+from twinct.xray.scatter import ScatterKernel, compton_per_mm
+from twinct.xray.signal import Signal
+
+Image = NDArray[np.float32]
+
+_DARKEST = 1e-7
+"""Smallest transmission of an image without noise and without a bit depth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One view as the machine has it.
+
+    Attributes:
+        raw: grey values, (rows, columns), float32; bad pixels are 0.
+        flat: grey values of the free beam.
+        dark: grey values without beam.
+        transmission: corrected by both, bad pixels filled, greater than 0.
+    """
+
+    raw: Image
+    flat: Image
+    dark: Image
+    transmission: Image
+
+
+class Chain:
+    """Source and detector of one scenario.
+
+    In the order of the physics: the expected signal of each physical pixel (the mean over what the
+    exposure's renders give), scatter, lag, the quantum noise of what the pixel absorbs, the point
+    spread of the detector (which blurs that noise too), electronic noise, binning, gain, offset,
+    saturation and bit depth, bad pixels. Flat and dark images take the same way.
+
+    Attributes:
+        panel: the physical pixels, before binning.
+        samples: along each edge of a physical pixel.
+        free: expected signal and its variance of a physical pixel in the free beam at the middle
+            of the reference view's panel, (2,).
+    """
+
+    def __init__(
+        self,
+        source: scenario.Source,
+        detector: scenario.Detector,
+        materials: Sequence[Material],
+        reference: ScanGeometry,
+        seed: int = 0,
+    ) -> None:
+        """Build what the sections name.
+
+        Args:
+            source: spectrum, photon number.
+            detector: everything behind the specimen.
+            materials: of the path lengths, in their order.
+            reference: one view; sets the gain, and where flat images are taken once.
+            seed: every random draw is keyed by it.
+
+        Raises:
+            InputError: a file or material that cannot be used.
+            MissingExtraError: SpekPy is needed and not installed.
+        """
+        spectrum = build_spectrum(source)
+        self.panel = physical_panel(detector)
+        self.samples = detector.pixel_samples
+        self._detector, self._seed = detector, seed
+        self._signal = Signal(spectrum, materials, build_response(detector))
+        mas = source.mas if spectrum.absolute else 1.0
+        self._scale = np.float32(mas * self.panel.pitch_u * self.panel.pitch_v)
+        self._reference = self.physical(reference)
+        distance = np.linalg.norm(reference.source[0] - reference.detector[0])
+        to_source = reference.source[0] - reference.detector[0]
+        at_middle = MM_PER_M**2 * float(to_source @ reference.normal[0]) / distance**3
+        self.free: Floats = self._signal.free * float(self._scale) * at_middle
+        self._kernel: ScatterKernel | None = None
+        if detector.scatter is not None:
+            energy = effective_energy_kev(source, detector)
+            self._kernel = ScatterKernel(energy, detector.scatter.scale)
+            self._compton = np.array([compton_per_mm(m, energy) for m in materials], np.float32)
+        self._spread = build_spread(detector)
+        self._bad = build_bad_pixels(detector, seed)
+        self._readout, self._electronic = self._amplifier(detector.readout)
+        self._flat_pattern: Image | None = None
+        self._dark: Image | None = None
+        self._fixed_flat: Image | None = None
+
+    def _amplifier(self, section: sections.Readout | None) -> tuple[Readout, float]:
+        """The readout, and the electronic noise of a physical pixel in grey values."""
+        free = float(self.free[0])
+        if section is None:
+            return Readout(1 / free), 0.0
+        readout = Readout(
+            section.free_beam / free, section.offset, section.bits, section.saturation
+        )
+        return readout, section.electronic_noise * self._detector.binning
+
+    def physical(self, view: ScanGeometry) -> ScanGeometry:
+        """The same view on the physical pixels."""
+        return ScanGeometry(view.source, view.detector, view.u, view.v, self.panel)
+
+    def blank(self) -> Image:
+        """Where exposures add up, (2 or 3, rows, columns).
+
+        Mean and mean square of the signal and, where scatter is asked for, what is scattered.
+        """
+        planes = 2 if self._kernel is None else 3
+        return np.zeros((planes, *self.panel.shape), dtype=np.float32)
+
+    def add(self, paths: Image, view: ScanGeometry, out: Image, share: float = 1.0) -> None:
+        """Add one render to an exposure.
+
+        Args:
+            paths: path lengths at the samples, (materials, ...), mm.
+            view: where source and panel were, on the physical pixels.
+            out: from ``blank``.
+            share: weight among the renders of this exposure.
+        """
+        beam = fall_off(view, self.samples)
+        before = None if self._kernel is None else out[0].copy()
+        self._signal.add(
+            paths, beam, out[:2], samples=self.samples, share=share * float(self._scale)
+        )
+        if before is not None:
+            optical = _binned(np.tensordot(self._compton, paths, axes=1), self.samples)
+            out[2] += (out[0] - before) * optical
+
+    def frame(
+        self, expected: Image, view: ScanGeometry, index: int, object_mm: float = 0.0
+    ) -> Frame:
+        """The machine's images of one view.
+
+        Args:
+            expected: what ``add`` made.
+            view: where source and panel were, on the physical pixels.
+            index: of the view; keys the noise.
+            object_mm: from the middle of the object to the panel, for scatter.
+        """
+        rng = view_rng(self._seed, "detector noise", index)
+        if self._kernel is not None:
+            pitch = self.panel.pitch_u, self.panel.pitch_v
+            scatter = self._kernel.spread(expected[2], *pitch, object_mm)
+            of_one = np.float32(self.free[1] / self.free[0])
+            expected = np.stack([expected[0] + scatter, expected[1] + of_one * scatter])
+        raw = self._digitise(expected, rng)
+        flat, dark = self._flat(view), self._dark_image()
+        transmission = correct(raw, flat, dark, self._floor())
+        bad = self._bad
+        raw = np.where(bad, np.float32(0), raw) if bad.any() else raw
+        return Frame(raw, flat, dark, mend_bad_pixels(transmission, bad))
+
+    def _digitise(self, expected: Image, rng: np.random.Generator) -> Image:
+        detector = self._detector
+        signal = expected[0]
+        if isinstance(detector.noise, sections.QuantumNoise):
+            signal = quantum_noise(signal, expected[1], rng)
+        if self._spread is not None:
+            signal = self._spread.apply(signal, self.panel.pitch_u, self.panel.pitch_v)
+        if isinstance(detector.noise, sections.SnrNoise):
+            free = np.float32(self.free[0])
+            sigma = np.sqrt(np.maximum(signal, np.float32(0)) * free)
+            sigma *= np.float32(detector.binning / detector.noise.snr)
+            signal = normal_noise(signal, sigma, rng)
+        if self._electronic:
+            signal = normal_noise(signal, self._electronic / self._readout.gain, rng)
+        return self._readout.read(_binned(signal, detector.binning))
+
+    def _flat(self, view: ScanGeometry) -> Image:
+        """The flat image: normal noise, as of many photons, with one pattern for the whole scan."""
+        if self._detector.correction.flat_geometry == "first":
+            if self._fixed_flat is None:
+                self._fixed_flat = self._flat_at(self._reference)
+            return self._fixed_flat
+        return self._flat_at(view)
+
+    def _flat_at(self, view: ScanGeometry) -> Image:
+        detector, frames = self._detector, self._detector.correction.flat_frames
+        beam = _binned(fall_off(view, self.samples), self.samples)
+        factor = self._signal.free.astype(np.float32) * self._scale
+        signal = beam * factor[0]
+        if self._spread is not None:
+            signal = self._spread.apply(signal, self.panel.pitch_u, self.panel.pitch_v)
+        if frames:
+            if self._flat_pattern is None:
+                self._flat_pattern = self._pattern("flat noise", blurred=True)
+            variance = np.zeros_like(signal)
+            if isinstance(detector.noise, sections.QuantumNoise):
+                variance = beam * factor[1]
+            elif isinstance(detector.noise, sections.SnrNoise):
+                share = detector.binning / detector.noise.snr
+                variance = signal * np.float32(self.free[0] * share**2)
+            variance = variance + np.float32((self._electronic / self._readout.gain) ** 2)
+            signal = signal + np.sqrt(variance / np.float32(frames)) * self._flat_pattern
+        averaged = frames == 1
+        return self._average(_binned(signal, detector.binning), whole=averaged)
+
+    def _dark_image(self) -> Image:
+        if self._dark is None:
+            signal = np.zeros(self.panel.shape, dtype=np.float32)
+            frames = self._detector.correction.dark_frames
+            if frames and self._electronic:
+                sigma = self._electronic / self._readout.gain / np.sqrt(frames)
+                signal = np.float32(sigma) * self._pattern("dark noise", blurred=False)
+            self._dark = self._average(_binned(signal, self._detector.binning), whole=frames == 1)
+        return self._dark
+
+    def _pattern(self, purpose: str, *, blurred: bool) -> Image:
+        """Unit normal noise of the physical pixels; the spread blurs quantum noise."""
+        rng = view_rng(self._seed, purpose, 0)
+        pattern = rng.standard_normal(self.panel.shape, dtype=np.float32)
+        quantum = isinstance(self._detector.noise, sections.QuantumNoise)
+        if blurred and quantum and self._spread is not None:
+            pattern = self._spread.apply(pattern, self.panel.pitch_u, self.panel.pitch_v)
+        return pattern
+
+    def _average(self, signal: Image, *, whole: bool) -> Image:
+        """Grey values of an average of frames: fractions, but for a single frame."""
+        readout = self._readout
+        if not whole:
+            readout = Readout(readout.gain, readout.offset, None, min(readout.largest, 3e38))
+        return readout.read(signal)
+
+    def _floor(self) -> float:
+        """Smallest grey value above the dark image that counts as light."""
+        if self._detector.readout is not None:
+            return 0.5
+        if isinstance(self._detector.noise, sections.QuantumNoise):
+            photon = self.free[1] / self.free[0] / self._detector.binning**2
+            return 0.5 * float(photon) * self._readout.gain
+        return _DARKEST
+
+
+def _binned(image: Image, n: int) -> Image:
+    """Mean of n x n pixels."""
+    if n == 1:
+        return image
+    rows, columns = image.shape
+    return image.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3), dtype=np.float32)

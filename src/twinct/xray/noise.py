@@ -1,0 +1,34 @@
+"""Noise of a detector. Every draw takes its generator."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def quantum_noise(
+    mean: NDArray[np.float32], square: NDArray[np.float32], rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """What a Poisson number of photons, each with a signal of its own, adds up to.
+
+    A scaled Poisson variable with the mean and the variance of that compound one: with q the
+    signal of a photon, (E[q^2] / E[q]) Poisson(mean E[q] / E[q^2]). Exact where all photons give
+    the same signal, as in ideal counting.
+
+    Args:
+        mean: expected signal N E[q] of each pixel.
+        square: its variance N E[q^2].
+        rng: where the draws come from.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        signal_of_one = np.where(mean > 0, square / mean, np.float32(0))
+        photons = np.where(signal_of_one > 0, mean / signal_of_one, np.float32(0))
+    return (rng.poisson(photons) * signal_of_one).astype(np.float32)
+
+
+def normal_noise(
+    signal: NDArray[np.float32], sigma: float | NDArray[np.float32], rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """The signal with normal noise of a standard deviation for all pixels or for each."""
+    draws = rng.standard_normal(signal.shape, dtype=np.float32)
+    return (signal + sigma * draws).astype(np.float32, copy=False)

@@ -1,0 +1,217 @@
+"""Path lengths of each ray in each material: all that an image of any spectrum needs of gVXR."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import SpecimenError, TwinctError
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.specimen.materials import Material
+from twinct.xray._engine import ENGINE
+from twinct.xray._placement import Placement, mesh_fault, split
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+PATH_MU = 0.05
+"""Attenuation, 1/mm, at which gVXR renders a path length.
+
+Path = -ln(transmission) / PATH_MU. Float32 keeps it to 1e-6 mm of a thin foil, and single floats
+end at 1.7 m. What is left is gVXR's own depth: 1e-4 mm at most at a distance of 600 mm.
+"""
+
+_DARKEST = np.float32(np.finfo(np.float32).tiny)
+LARGEST_TILE = 2048
+"""Pixels along an edge that gVXR can draw at once with software OpenGL; larger panels are tiled."""
+
+
+class Body(NamedTuple):
+    """A closed mesh in its own frame, mm, counter-clockwise seen from outside, and its material.
+
+    Messages call it by its name.
+    """
+
+    mesh: Trimesh
+    material: Material
+    name: str = ""
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return self.name or self.material.name
+
+
+class PathRenderer:
+    """Renders path lengths of bodies that may each move by itself from view to view.
+
+    The meshes are uploaded once. Each body is rendered by itself, in its own frame; that takes as
+    long as all of them in one pass. Bodies must not overlap: what lies in two counts in both.
+    Only one renderer or imager can be open in a process.
+
+    Attributes:
+        materials: the distinct materials of the bodies, in the order of their first body; the
+            order of the images.
+        panel: the pixel lattice of every view.
+        samples: samples along each pixel edge.
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        panel: Panel,
+        samples: int = 1,
+        longest_edge_mm: float | None = None,
+    ) -> None:
+        """Upload the bodies.
+
+        Args:
+            bodies: what is imaged; at least one.
+            panel: the pixel lattice of every view.
+            samples: samples along each pixel edge; the cost grows with their square.
+            longest_edge_mm: longer edges of the meshes are split; see ``longest_edge``.
+
+        Raises:
+            SpecimenError: no body, an open mesh, or one that is inside out.
+            MissingExtraError: gVXR is not installed.
+            InputError: a system library that gVXR needs is missing.
+            TwinctError: another imager is open in this process, or gVXR failed.
+        """
+        if not bodies:
+            raise SpecimenError("the specimen has no parts: there is nothing to image")
+        if samples < 1:
+            raise ValueError(f"{samples} samples along a pixel edge: at least 1 is needed")
+        faults = [
+            f"part {body.label!r} {fault}" for body in bodies if (fault := mesh_fault(body.mesh))
+        ]
+        if faults:
+            raise SpecimenError(faults)
+        self.materials: tuple[Material, ...] = tuple(dict.fromkeys(b.material for b in bodies))
+        self._material = [self.materials.index(body.material) for body in bodies]
+        self._placements = [Placement([(b.label, b.mesh)]) for b in bodies]
+        self._corners = [_corners(body.mesh) for body in bodies]
+        self.panel, self.samples = panel, samples
+        rows, columns = panel.rows * samples, panel.columns * samples
+        self._fine = Panel(rows, columns, panel.pitch_u / samples, panel.pitch_v / samples)
+        tile = Panel(_even(rows), _even(columns), self._fine.pitch_u, self._fine.pitch_v)
+        self._tile = np.empty(tile.shape, dtype=np.float32)
+        meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
+        uploads = [(np.asarray(m.vertices), np.asarray(m.faces), PATH_MU) for m in meshes]
+        self._open = False
+        ENGINE.acquire(uploads, 80.0, tile)
+        self._open = True
+
+    def render(
+        self, view: ScanGeometry, world_from_bodies: Pose | Sequence[Pose]
+    ) -> NDArray[np.float32]:
+        """Path lengths of one view.
+
+        Args:
+            view: exactly one view, in the world, with the panel of this renderer.
+            world_from_bodies: pose of each body's frame at exposure, or one pose for all.
+
+        Returns:
+            Path lengths, mm, (materials, rows * samples, columns * samples). The samples of a pixel
+            are the centres of its samples x samples equal parts.
+
+        Raises:
+            ValueError: not one view, another panel, or not one pose for each body.
+            TwinctError: the renderer was closed, a body reaches through the panel, the source is
+                inside one, or gVXR failed.
+        """
+        if not self._open:
+            raise TwinctError("the X-ray renderer was closed")
+        if len(view) != 1:
+            raise ValueError(f"render takes one view at a time, not {len(view)}")
+        if view.panel != self.panel:
+            raise ValueError(f"the view has {view.panel}, the renderer was made for {self.panel}")
+        count = len(self._material)
+        if isinstance(world_from_bodies, Pose):
+            world_from_bodies = [world_from_bodies] * count
+        if len(world_from_bodies) != count:
+            raise ValueError(f"{len(world_from_bodies)} poses for {count} bodies")
+        paths = np.zeros((len(self.materials), *self._fine.shape), dtype=np.float32)
+        filled = [False] * len(self.materials)
+        for body, (material, pose) in enumerate(
+            zip(self._material, world_from_bodies, strict=True)
+        ):
+            seen = pose.inverse() @ view
+            self._placements[body].check(seen)
+            if _misses(seen, self._corners[body]):
+                continue
+            for row in range(0, self._fine.rows, self._tile.shape[0]):
+                for column in range(0, self._fine.columns, self._tile.shape[1]):
+                    self._add(body, seen, (row, column), paths[material], filled[material])
+            filled[material] = True
+        return paths
+
+    def _add(
+        self,
+        body: int,
+        view: ScanGeometry,
+        start: tuple[int, int],
+        out: NDArray[np.float32],
+        filled: bool,
+    ) -> None:
+        """Render one tile; it may reach past the panel."""
+        tile, fine = self._tile, self._fine
+        row, column = start
+        down = (row + (tile.shape[0] - fine.rows) / 2) * fine.pitch_v
+        right = (column + (tile.shape[1] - fine.columns) / 2) * fine.pitch_u
+        centre = view.detector[0] + right * view.u[0] + down * view.v[0]
+        ENGINE.expose(view.source[0], centre, view.u[0], view.v[0], tile, body)
+        np.clip(tile, _DARKEST, 1.0, out=tile)
+        np.log(tile, out=tile)
+        np.multiply(tile, np.float32(-1 / PATH_MU), out=tile)
+        part = out[row : row + tile.shape[0], column : column + tile.shape[1]]
+        if filled:
+            part += tile[: part.shape[0], : part.shape[1]]
+        else:
+            part[:] = tile[: part.shape[0], : part.shape[1]]
+
+    def close(self) -> None:
+        """Hand the scene over; closing twice does no harm."""
+        if self._open:
+            self._open = False
+            ENGINE.release()
+
+    def __enter__(self) -> Self:
+        """Use as a context."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close, whatever happened."""
+        self.close()
+
+    def __del__(self) -> None:
+        if getattr(self, "_open", False):
+            with suppress(TwinctError):
+                self.close()
+
+
+def _corners(mesh: Trimesh) -> Floats:
+    return np.array(np.meshgrid(*np.asarray(mesh.bounds).T)).reshape(3, -1).T
+
+
+def _misses(view: ScanGeometry, corners: Floats) -> bool:
+    """Whether the shadow of a box surely lies off the panel."""
+    shadow = view.project(corners)[0]
+    if np.isnan(shadow).any():
+        return False
+    size = np.array([view.panel.columns, view.panel.rows])
+    return bool((shadow.max(axis=0) < -1).any() or (shadow.min(axis=0) > size).any())
+
+
+def _even(count: int) -> int:
+    """Size of equal tiles that cover an edge."""
+    return -(-count // -(-count // LARGEST_TILE))

@@ -1,0 +1,89 @@
+"""From the signal of a pixel to the number that the detector writes, and what is wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from twinct.errors import InputError
+
+
+@dataclass(frozen=True)
+class Readout:
+    """Amplifier and converter.
+
+    Attributes:
+        gain: grey values for a signal of one.
+        offset: grey value without signal.
+        bits: bit depth; None keeps fractions and has no upper end.
+        saturation: grey value at which a pixel saturates; None: the converter's largest.
+    """
+
+    gain: float = 1.0
+    offset: float = 0.0
+    bits: int | None = None
+    saturation: float | None = None
+
+    @property
+    def largest(self) -> float:
+        """The largest grey value there is."""
+        largest = np.inf if self.bits is None else float(2**self.bits - 1)
+        return largest if self.saturation is None else min(self.saturation, largest)
+
+    def read(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Grey values, (rows, columns): whole numbers from 0 where there is a bit depth."""
+        raw = signal * np.float32(self.gain) + np.float32(self.offset)
+        if self.bits is not None:
+            np.rint(raw, out=raw)
+            np.maximum(raw, np.float32(0), out=raw)
+        if np.isfinite(self.largest):
+            np.minimum(raw, np.float32(self.largest), out=raw)
+        return raw
+
+
+def read_out_bad_pixels(
+    raw: NDArray[np.float32], bad: NDArray[np.bool_], value: float = 0.0
+) -> NDArray[np.float32]:
+    """Bad pixels give a fixed grey value."""
+    return np.where(bad, np.float32(value), raw)
+
+
+def mend_bad_pixels(image: NDArray[np.float32], bad: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Known bad pixels take the mean of the good ones around them; larger holes close inwards."""
+    if not bad.any():
+        return image
+    if bad.all():
+        raise InputError("every pixel is bad")
+    mended, good = image.copy(), ~bad
+    mended[bad] = 0
+    around = np.ones((3, 3), dtype=np.float32)
+    while not good.all():
+        count = ndimage.convolve(good.astype(np.float32), around, mode="constant")
+        total = ndimage.convolve(np.where(good, mended, np.float32(0)), around, mode="constant")
+        now = ~good & (count > 0)
+        mended[now] = total[now] / count[now]
+        good = good | now
+    return mended
+
+
+def correct(
+    raw: NDArray[np.float32],
+    flat: NDArray[np.float32],
+    dark: NDArray[np.float32] | float,
+    floor: float = 0.5,
+) -> NDArray[np.float32]:
+    """Transmission by flat and dark images: (raw - dark) / (flat - dark).
+
+    Args:
+        raw: grey values, (rows, columns).
+        flat: grey values of the free beam.
+        dark: grey values without beam.
+        floor: smallest difference of grey values to the dark image that counts as signal; whatever
+            is darker takes it, so that every line integral is finite. Half a grey value is what a
+            converter cannot tell from nothing.
+    """
+    light = np.maximum(raw - dark, np.float32(floor))
+    return (light / np.maximum(flat - dark, np.float32(floor))).astype(np.float32)

@@ -1,0 +1,116 @@
+"""Scattered radiation: a forward-scatter kernel estimate.
+
+Ohnesorge, Flohr and Klingenbeck-Regn (Eur. Radiol. 9 (1999) 563) take the scatter that leaves along
+a ray as proportional to p exp(-p) and spread it over the panel by convolution. Here the factor and
+the kernel are not fitted but those of single Compton scattering: of the photons of a ray a number
+mu_C L exp(-mu L) is scattered once and attenuated like the primary ones; from the middle of the
+object they fly off by the Klein-Nishina cross section, and reach the panel at the distance r from
+their ray with cos^3(theta) / d^2 per mm^2, tan(theta) = r / d.
+
+Range of validity: photon energies above about 40 keV, where Compton scattering leads; objects small
+against their distance d to the panel; mu L up to about 2 at the middle. Scatter of higher order,
+coherent scatter (a narrow forward peak), and binding of the electrons are left out; an object is
+taken to be thin along the beam, at its middle. Against a Monte Carlo
+calculation of our own, of all orders, in a ball of water at 80 keV half-way to the panel, the ratio
+of scattered to primary energy at its middle is 8 % too low at a radius of 25 mm, 11 % at 50 mm and
+20 % at 80 mm (``tests/xray/test_scatter.py``); ``detector.scatter.scale`` makes up for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xraylib
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from twinct.geometry import Floats
+from twinct.specimen.materials import MM_PER_CM, Material
+
+ELECTRON_KEV = 510.999
+_COARSE_MM = 4.0
+"""Scatter is smooth: it is worked out on cells of about this size."""
+
+
+def compton_per_mm(material: Material, energy_kev: float) -> float:
+    """Linear attenuation by Compton scattering alone, 1/mm."""
+    mass = sum(
+        share * xraylib.CS_Compt(xraylib.SymbolToAtomicNumber(symbol), energy_kev)
+        for symbol, share in material.mass_fractions.items()
+    )
+    return material.density_g_cm3 * mass / MM_PER_CM
+
+
+def klein_nishina(cosine: Floats, energy_kev: float) -> Floats:
+    """Share of the photons scattered once that goes into a unit solid angle, 1/sr.
+
+    Args:
+        cosine: of the scattering angle.
+        energy_kev: before scattering.
+    """
+    mu = np.linspace(-1, 1, 2001)
+    total = 2 * np.pi * np.trapezoid(_unscaled(mu, energy_kev), mu)
+    return _unscaled(np.asarray(cosine), energy_kev) / total
+
+
+def _unscaled(cosine: Floats, energy_kev: float) -> Floats:
+    ratio = 1 / (1 + energy_kev / ELECTRON_KEV * (1 - cosine))
+    return ratio**2 * (ratio + 1 / ratio - (1 - cosine**2))
+
+
+@dataclass(frozen=True)
+class ScatterKernel:
+    """Spread of scatter over one panel.
+
+    Attributes:
+        energy_kev: mean energy that the detector sees.
+        scale: factor on the amplitude.
+    """
+
+    energy_kev: float
+    scale: float = 1.0
+
+    def spread(
+        self,
+        scattered: NDArray[np.float32],
+        pitch_u: float,
+        pitch_v: float,
+        distance_mm: float,
+    ) -> NDArray[np.float32]:
+        """Scatter on the panel, in the unit of the argument.
+
+        Args:
+            scattered: what each pixel's ray scatters: primary signal times mu_C L, (rows, columns).
+            pitch_u: pixel pitch along the columns, mm.
+            pitch_v: pixel pitch along the rows, mm.
+            distance_mm: from the middle of the object to the panel.
+        """
+        rows, columns = scattered.shape
+        nv = min(max(int(_COARSE_MM / pitch_v), 1), rows)
+        nu = min(max(int(_COARSE_MM / pitch_u), 1), columns)
+        padded = np.pad(scattered, ((0, -rows % nv), (0, -columns % nu)))
+        cells = padded.reshape(padded.shape[0] // nv, nv, -1, nu).sum(axis=(1, 3), dtype=float)
+        size_v, size_u = nv * pitch_v, nu * pitch_u
+        kernel = self._kernel(cells.shape, size_u, size_v, distance_mm)
+        shape = tuple(int(fft.next_fast_len(3 * n) or 3 * n) for n in cells.shape)
+        product = np.asarray(fft.rfft2(cells, s=shape)) * np.asarray(fft.rfft2(kernel, s=shape))
+        first = [n - 1 for n in cells.shape]
+        full = np.asarray(fft.irfft2(product, s=shape))
+        spread = full[first[0] : first[0] + cells.shape[0], first[1] : first[1] + cells.shape[1]]
+        # Cell values lie at the middle of nv x nu pixels; each pixel takes its area's share.
+        at_v = (np.arange(rows) + 0.5) / nv - 0.5
+        at_u = (np.arange(columns) + 0.5) / nu - 0.5
+        fine = ndimage.map_coordinates(
+            spread, np.meshgrid(at_v, at_u, indexing="ij"), order=1, mode="nearest"
+        )
+        return (fine * (self.scale / (nu * nv))).astype(np.float32)
+
+    def _kernel(
+        self, shape: tuple[int, ...], size_u: float, size_v: float, distance: float
+    ) -> Floats:
+        """Share of a ray's scatter that falls into each cell around it, (2 n - 1, 2 m - 1)."""
+        v = (np.arange(2 * shape[0] - 1) - (shape[0] - 1)) * size_v
+        u = (np.arange(2 * shape[1] - 1) - (shape[1] - 1)) * size_u
+        cosine = distance / np.sqrt(u[None] ** 2 + v[:, None] ** 2 + distance**2)
+        return klein_nishina(cosine, self.energy_kev) * cosine**3 / distance**2 * size_u * size_v

@@ -1,0 +1,104 @@
+"""From path lengths to the expected signal of each pixel, for a whole spectrum at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Floats
+from twinct.specimen.materials import Material
+from twinct.xray._signal import look_up, sum_bins
+from twinct.xray.response import Response
+from twinct.xray.spectrum import Spectrum, attenuation
+
+NODES = 16384
+"""Nodes of the table for one material. Linear between them: 2e-6 of a signal at its darkest."""
+
+_DARK = 1e-12
+"""The table ends where this share of the signal is left."""
+_LONGEST_MM = 1e5
+
+
+class Signal:
+    """Beer-Lambert over a spectrum, as one detector sees it.
+
+    For each pixel: sum over bins of photons x response x exp(-sum over materials of mu L), times
+    the fall-off of the beam, averaged over the samples inside the pixel. The mean square of the
+    response takes the same way, for the noise.
+
+    Attributes:
+        free: mean and mean square per mm^2 at 1 m and mAs in the free beam, (2,).
+    """
+
+    def __init__(
+        self, spectrum: Spectrum, materials: Sequence[Material], response: Response
+    ) -> None:
+        """Look the attenuation up.
+
+        Raises:
+            SpecimenError: xraylib has no data at an energy.
+        """
+        energies = spectrum.energies_kev
+        mean = spectrum.photons * response.mean(energies)
+        square = spectrum.photons * response.square(energies)
+        mus = np.zeros((len(energies), len(materials)))
+        for m, material in enumerate(materials):
+            mus[:, m] = attenuation(material, energies)
+        self.free: Floats = np.array([mean.sum(), square.sum()])
+        self._mean, self._square = mean.astype(np.float32), square.astype(np.float32)
+        self._mus = mus.astype(np.float32)
+        self._longest, self._table = 0.0, np.zeros((2, 0), dtype=np.float32)
+        if len(materials) == 1:
+            self._longest, self._table = _tabulate(mus[:, 0], mean, square)
+
+    def add(
+        self,
+        paths: NDArray[np.float32],
+        beam: NDArray[np.float32],
+        out: NDArray[np.float32],
+        *,
+        samples: int = 1,
+        share: float = 1.0,
+    ) -> None:
+        """Add one exposure to an image.
+
+        Args:
+            paths: (materials, rows * samples, columns * samples), mm, at least 0.
+            beam: ``fall_off`` at each sample, of the same shape.
+            out: mean and mean square of the signal, (2, rows, columns), per mm^2 of panel and mAs.
+            samples: samples along each pixel edge.
+            share: weight of this exposure among those that make the image.
+        """
+        if len(paths) == 1:
+            look_up(paths[0], self._longest, self._table, beam, samples, share, out)
+        else:
+            sum_bins(
+                paths, self._mus, self._mean, self._square, beam, samples, np.float32(share), out
+            )
+
+    def __call__(
+        self, paths: NDArray[np.float32], beam: NDArray[np.float32], samples: int = 1
+    ) -> NDArray[np.float32]:
+        """Mean and mean square of one exposure, (2, rows, columns); see ``add``."""
+        rows, columns = paths.shape[1] // samples, paths.shape[2] // samples
+        out = np.zeros((2, rows, columns), dtype=np.float32)
+        self.add(paths, beam, out, samples=samples)
+        return out
+
+
+def _tabulate(mu: Floats, mean: Floats, square: Floats) -> tuple[float, NDArray[np.float32]]:
+    """Path length of the last node, and the table that ``look_up`` reads.
+
+    The nodes are dense where the path is short: there the soft part of a spectrum goes.
+    """
+    low, high = 0.0, _LONGEST_MM
+    for _ in range(60):
+        middle = (low + high) / 2
+        if mean @ np.exp(-middle * mu) > _DARK * mean.sum():
+            low = middle
+        else:
+            high = middle
+    passed = np.exp(-np.multiply.outer(high * np.linspace(0, 1, NODES + 1) ** 2, mu))
+    return high, np.stack([passed @ mean, passed @ square]).astype(np.float32)

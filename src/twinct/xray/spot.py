@@ -1,0 +1,96 @@
+"""Focal spots as points of equal weight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy import special
+
+from twinct.errors import InputError
+from twinct.geometry import Floats, ScanGeometry
+
+# Steps of the R2 sequence (Roberts 2018): evenly spread along every line through the square.
+_PLASTIC = 1.32471795724474602596
+_STEPS = np.array([1 / _PLASTIC, 1 / _PLASTIC**2])
+
+
+def square_spot(size_x_mm: float, size_y_mm: float, samples: int) -> Floats:
+    """Points of a rectangle of constant intensity, (samples, 2), mm.
+
+    As in every function here the variances are those of the spot, exactly.
+    """
+    points = (_unit_square(samples) - 0.5) * [size_x_mm, size_y_mm]
+    return _with_variance(points, np.array([size_x_mm, size_y_mm]) ** 2 / 12)
+
+
+def gaussian_spot(sigma_x_mm: float, sigma_y_mm: float, samples: int) -> Floats:
+    """Points of a Gaussian, (samples, 2), mm."""
+    sigma = np.array([sigma_x_mm, sigma_y_mm])
+    return _with_variance(special.ndtri(_unit_square(samples)) * sigma, sigma**2)
+
+
+def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, samples: int) -> Floats:
+    """Points of a measured spot, (samples, 2), mm, about the middle of its image.
+
+    Args:
+        intensity: (rows, columns); columns along x, row 0 at the lowest y.
+        size_x_mm: width of the whole image.
+        size_y_mm: height of the whole image.
+        samples: number of points.
+
+    Raises:
+        InputError: no image, or one with negative or no intensity.
+    """
+    intensity = np.asarray(intensity, dtype=float)
+    if intensity.ndim != 2 or (intensity < 0).any() or not intensity.sum() > 0:
+        raise InputError(
+            "the image of a focal spot must have two dimensions and intensity, none of it negative"
+        )
+    rows, columns = intensity.shape
+    unit = _unit_square(samples)
+    by_column = np.concatenate([[0], np.cumsum(intensity.sum(axis=0))])
+    x = np.interp(unit[:, 0] * by_column[-1], by_column, np.arange(columns + 1))
+    column = np.minimum(x.astype(int), columns - 1)
+    y = np.empty(samples)
+    for i, c in enumerate(column):
+        by_row = np.concatenate([[0], np.cumsum(intensity[:, c])])
+        y[i] = np.interp(unit[i, 1] * by_row[-1], by_row, np.arange(rows + 1))
+    return np.stack([(x / columns - 0.5) * size_x_mm, (y / rows - 0.5) * size_y_mm], axis=1)
+
+
+def read_image(path: Path, what: str) -> Floats:
+    """One grey image from .npy or an image file, (rows, columns).
+
+    Raises:
+        InputError: it cannot be read; names the file.
+    """
+    try:
+        if path.suffix == ".npy":
+            image = np.load(path)
+        else:
+            from skimage import io
+
+            image = io.imread(path, as_gray=True)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as the image of {what}: {error}") from None
+    return np.asarray(image, dtype=float)
+
+
+def moved_source(view: ScanGeometry, offset_mm: Floats) -> ScanGeometry:
+    """A view whose source is moved in the source frame's x and y; the panel stays."""
+    axes = view.source_poses()[0].rotation
+    return ScanGeometry(
+        view.source + offset_mm @ axes[:, :2].T, view.detector, view.u, view.v, view.panel
+    )
+
+
+def _unit_square(samples: int) -> Floats:
+    return np.mod(0.5 + np.arange(1, samples + 1)[:, None] * _STEPS, 1.0)
+
+
+def _with_variance(points: Floats, variance: Floats) -> Floats:
+    points = points - points.mean(axis=0)
+    spread = points.var(axis=0)
+    factor = np.sqrt(np.divide(variance, spread, out=np.zeros(2), where=spread > 0))
+    return points * factor

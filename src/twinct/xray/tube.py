@@ -1,0 +1,42 @@
+"""The spectrum of an X-ray tube, by SpekPy: the only module that speaks to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinct.errors import InputError, MissingExtraError
+from twinct.xray.spectrum import Spectrum
+
+_CM2_MM2 = 100.0
+
+
+def tube_spectrum(
+    kvp: float, anode_angle_deg: float = 12.0, *, step_kev: float = 1.0, target: str = "W"
+) -> Spectrum:
+    """What a tube emits before any filter, on the central ray.
+
+    SpekPy's model (Poludniowski et al., Med. Phys. 48 (2021) 3630) with its default physics
+    (``casim``), per mAs and mm^2 at 1 m.
+
+    Args:
+        kvp: tube voltage, kV.
+        anode_angle_deg: between the anode's face and the central ray.
+        step_kev: width of a bin.
+        target: W, Mo or Rh.
+
+    Raises:
+        InputError: outside what SpekPy knows.
+        MissingExtraError: SpekPy is not installed.
+    """
+    try:
+        import spekpy
+    except ImportError as error:
+        raise MissingExtraError("spekpy", "xray") from error
+    try:
+        tube = spekpy.Spek(kvp=kvp, th=anode_angle_deg, dk=step_kev, mas=1.0, z=100.0, targ=target)
+        energies, per_cm2 = tube.get_spectrum(diff=False)
+    except Exception as error:  # SpekPy raises Exception itself
+        raise InputError(
+            f"no tube spectrum for {kvp:g} kV, {anode_angle_deg:g} deg, target {target}: {error}"
+        ) from None
+    return Spectrum(np.asarray(energies), np.asarray(per_cm2) / _CM2_MM2)

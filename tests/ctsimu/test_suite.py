@@ -1,0 +1,86 @@
+"""The samples of the qualification suite are what the tests ask for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinct.ctsimu.suite import qualify, samples
+from twinct.ctsimu.suite.cases import WEDGE_PANEL_MM, WEDGE_PITCH_MM, cases
+from twinct.errors import InputError
+from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.specimen import material
+from twinct.specimen.surface import open_edges
+from twinct.xray.paths import Body, PathRenderer
+
+ALUMINIUM = material("aluminium")
+
+
+def paths(mesh, panel_mm, panel):
+    """Path lengths of a mesh in the world, row 0 on top."""
+    view = ScanGeometry([[0, 0, 0]], [[panel_mm, 0, 0]], [[0, -1, 0]], [[0, 0, 1]], panel)
+    with PathRenderer([Body(mesh, ALUMINIUM)], panel) as renderer:
+        return renderer.render(view, Pose.identity())[0][::-1]
+
+
+def test_every_ray_of_a_step_crosses_its_thickness():
+    mesh = samples.wedge(WEDGE_PANEL_MM, WEDGE_PITCH_MM)
+    assert open_edges(mesh) == 0
+    # Every tenth row and column of the test's panel.
+    lengths = paths(mesh, WEDGE_PANEL_MM, Panel(100, 100, 10 * WEDGE_PITCH_MM, 10 * WEDGE_PITCH_MM))
+    for step, (first, last) in enumerate(
+        [(819, 908), (728, 817), (637, 726), (546, 635), (455, 544), (364, 453), (273, 362),
+         (182, 271), (91, 180)]
+    ):  # fmt: skip
+        rows = [r for r in range(100) if first <= 10 * r + 4.5 <= last]
+        inside = lengths[rows][:, 10:89]
+        assert inside.min() > 0
+        np.testing.assert_allclose(inside, samples.WEDGE_STEPS_MM[step], atol=0.004)
+    assert not lengths[:9].any() and not lengths[:, :8].any() and not lengths[:, 91:].any()
+
+
+def test_edge_turns_about_the_corner_on_the_axis():
+    # 21 x 21 pixels of 0.4 mm: the corner meets the middle of the middle one.
+    covered = paths(samples.edge(500.0), 1000.0, Panel(21, 21, 0.4, 0.4)) > 0.005
+    y, x = np.mgrid[-10:11, -10:11].astype(float)
+    tan = np.tan(np.radians(3.0))
+    expected = (x < -y * tan) & (y > x * tan)
+    clear = np.minimum(np.abs(x + y * tan), np.abs(y - x * tan)) > 0.05
+    np.testing.assert_array_equal(covered[clear], expected[clear])
+
+
+def test_wires_show_their_diameters_and_gaps():
+    mesh = samples.duplex_wires(1000.0, (0.0, 0.0), 52.5)
+    assert open_edges(mesh) == 0
+    turn = np.array([np.cos(samples.TILT_RAD), -np.sin(samples.TILT_RAD)])
+    flat = -np.asarray(mesh.vertices)[:, 1:] * 1000.0 / np.asarray(mesh.vertices)[:, :1]
+    along = np.sort(flat @ (turn * [1, -1]))
+    gaps = np.diff(along)
+    wide = gaps[gaps > 0.049]
+    # Between the two wires of a pair, then to the next pair.
+    np.testing.assert_allclose(wide[0::2], samples.WIRE_MM, rtol=0.02)
+    np.testing.assert_allclose(wide[1::2], samples.WIRE_APART_MM, rtol=0.01)
+
+
+def test_pieces_overlap_touch_and_part():
+    assert [samples.overlap_px(y) for y in (500, 7000 / 11, 10000 / 11)] == pytest.approx(
+        [0, 0, 10]
+    )
+    assert [samples.gap_px(y) for y in (500, 4000 / 11, 1000 / 11)] == pytest.approx([0, 0, 5])
+
+
+def test_all_cases_have_names_of_their_own():
+    found = cases(["2D-FB-1", "2D-SW-1", "2D-SW-2", "2D-SW-3", "2D-WE-1"])
+    assert len({case.name for case in found}) == len(found) == 2 + 16 + 4 + 2 + 2
+
+
+def test_unknown_test_is_refused(tmp_path):
+    with pytest.raises(InputError, match="2D-XX-1.*2D-FB-1"):
+        qualify(tmp_path, ["2D-XX-1"])
+
+
+def test_toolbox_judges_the_free_beam(tmp_path):
+    pytest.importorskip("ctsimu.toolbox", reason="needs the extra ctsimu")
+    verdict = qualify(tmp_path, ["2D-FB-2"])[0]
+    assert verdict.passed and verdict.test == "2D-FB-2"
+    assert (tmp_path / "qualification.json").is_file()

@@ -1,0 +1,213 @@
+"""A scenario's source and detector, as images of the imager."""
+
+import numpy as np
+import pytest
+from xray_scenes import box, front_view, sphere
+
+from twinct.errors import InputError, ScenarioError
+from twinct.geometry import Pose
+from twinct.scenario import Detector, Source, parse_scenario
+from twinct.scenario.xray import (
+    Correction,
+    GaussianSpread,
+    QuantumNoise,
+    RandomBadPixels,
+    Readout,
+    SnrNoise,
+    TubeSpectrum,
+)
+from twinct.specimen import BuiltPart, BuiltSpecimen
+from twinct.specimen.materials import material
+from twinct.xray import Imager
+from twinct.xray.build import build_spectrum, effective_energy_kev
+
+PANEL = {"columns": 160, "rows": 120, "pixel_pitch_mm": 1.5}
+VIEW = front_view(Detector(**PANEL).panel)
+FREE = np.s_[:, :30]
+"""Columns that the specimen does not shade."""
+PHOTONS = 4.0e5
+"""Per mm^2 at 1 m and mAs: 25 in a pixel at 10 mAs and 600 mm would be 2.5e7."""
+
+
+def skull_of_two(mesh=None):
+    mesh = sphere((0, 20, 0), 25, 5) if mesh is None else mesh
+    return BuiltSpecimen((BuiltPart("ball", material("bone"), mesh),), Pose.identity())
+
+
+def image(detector=None, source=None, view=0, specimen=None, **options):
+    detector = Detector(**PANEL, **(detector or {}))
+    with Imager(
+        Source(**(source or {})), detector, specimen or skull_of_two(), reference=VIEW, **options
+    ) as imager:
+        return imager.render(VIEW, Pose.identity(), view)
+
+
+def frame(detector, source=None, view=0, **options):
+    with Imager(
+        Source(**(source or {})),
+        Detector(**PANEL, **detector),
+        skull_of_two(),
+        reference=VIEW,
+        **options,
+    ) as imager:
+        return imager.frame([(VIEW, Pose.identity())], view)
+
+
+def test_an_ideal_chain_gives_what_gvxr_gives():
+    ideal = image()
+    # Bits enough that nothing is lost: the same image by path lengths, flat and dark images.
+    by_paths = image({"readout": Readout(bits=None)})
+    assert np.abs(by_paths - ideal).max() < 1e-5
+    assert ideal.min() < 0.2
+
+
+def test_a_spectrum_hardens():
+    tube = {"spectrum": TubeSpectrum(kind="tube", kvp=100)}
+    hard = image(source=tube)
+    assert hard[FREE].min() > 1 - 1e-5
+    spectrum = build_spectrum(Source(**tube))
+    mu = [material("bone").mu_per_mm(e) for e in spectrum.energies_kev]
+    weight = spectrum.photons * spectrum.energies_kev
+    # The ray through the middle of the ball.
+    row, column = np.unravel_index(hard.argmin(), hard.shape)
+    expected = weight @ np.exp(-50 * np.array(mu)) / weight.sum()
+    assert hard[row, column] == pytest.approx(expected, rel=0.01)
+    assert effective_energy_kev(Source(**tube), Detector()) == pytest.approx(
+        weight @ spectrum.energies_kev / weight.sum()
+    )
+
+
+def test_quantum_noise_follows_the_photon_number():
+    source = {"photons_per_mm2_mas": PHOTONS, "current_ma": 2.0, "exposure_ms": 5.0}
+    counting = {"response": {"kind": "counting"}, "noise": QuantumNoise(kind="quantum")}
+    noisy, quiet = image(counting, source), image({"readout": Readout(bits=None)})
+    photons = PHOTONS * 0.01 * 1.5**2 / 0.6**2
+    ratio = (noisy - quiet)[FREE]
+    # cos^3 of up to 13 degrees takes 4 % of the photons at the edge of that part.
+    assert 1 / ratio.var() == pytest.approx(photons, rel=0.08)
+    behind = quiet < 0.3
+    expected = np.mean(1 / (photons * quiet[behind]))
+    assert ((noisy - quiet) / quiet)[behind].var() == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("binning", [1, 2])
+def test_a_given_snr_is_the_snr_of_the_free_beam(binning):
+    found = frame({"noise": SnrNoise(kind="snr", snr=100), "binning": binning})
+    free = (found.raw / found.flat)[50:70, :30]
+    assert free.mean() / free.std() == pytest.approx(100, rel=0.08)
+    found = frame(
+        {
+            "noise": SnrNoise(kind="snr", snr=100),
+            "point_spread": GaussianSpread(kind="gaussian", sigma_mm=3),
+        }
+    )
+    free = (found.raw / found.flat)[50:70, :30]
+    assert free.mean() / free.std() == pytest.approx(100, rel=0.08)
+
+
+def test_noise_is_keyed_by_seed_and_view():
+    noise = {"noise": SnrNoise(kind="snr", snr=50)}
+    first = image(noise, view=3, seed=1)
+    assert np.array_equal(first, image(noise, view=3, seed=1))
+    assert not np.array_equal(first, image(noise, view=4, seed=1))
+    assert not np.array_equal(first, image(noise, view=3, seed=2))
+
+
+def test_grey_values_are_what_the_converter_gives():
+    readout = Readout(free_beam=3000, offset=100, bits=12, electronic_noise=5)
+    found = frame({"readout": readout})
+    assert (found.raw == np.round(found.raw)).all()
+    assert found.raw.max() <= 4095
+    middle = found.flat[59:61, 79:81]
+    assert middle == pytest.approx(3100, rel=1e-4)
+    assert (found.dark == 100).all()
+    assert (found.raw - found.flat)[FREE].std() == pytest.approx(5, rel=0.1)
+    assert found.transmission.min() > 0
+    assert (found.transmission - image())[FREE].std() == pytest.approx(5 / 3000, rel=0.15)
+
+
+def test_flat_noise_is_the_same_in_every_view_and_falls_with_the_frames():
+    def flats(frames):
+        sections = {
+            "noise": SnrNoise(kind="snr", snr=100),
+            "correction": Correction(flat_frames=frames),
+        }
+        return frame(sections, view=0).flat, frame(sections, view=1).flat
+
+    smooth, _ = flats(0)
+    one, same = flats(4)
+    assert np.array_equal(one, same)
+    assert (one / smooth)[50:70].std() == pytest.approx(0.01 / 2, rel=0.05)
+
+
+def test_what_the_first_flat_does_not_know_stays_in_the_image():
+    fixed = {"correction": Correction(flat_geometry="first"), "readout": Readout(bits=None)}
+    nearer = front_view(Detector(**PANEL).panel)
+    nearer = type(nearer)(
+        nearer.source - [[10, 0, 0]], nearer.detector, nearer.u, nearer.v, nearer.panel
+    )
+    with Imager(Source(), Detector(**PANEL, **fixed), skull_of_two(), reference=VIEW) as imager:
+        shifted = imager.render(nearer, Pose.identity())
+    assert shifted[60, 2:10].mean() == pytest.approx((600 / 590) ** 2, rel=0.01)
+    assert image(fixed)[FREE] == pytest.approx(1, abs=1e-5)
+
+
+def test_a_partly_covered_pixel_has_the_covered_share():
+    # An opaque plate whose edges pass inside pixels.
+    plate = box((0, 3.31, -2.17), (1, 30.0, 21.0))
+    specimen = BuiltSpecimen((BuiltPart("plate", material("Au"), plate),), Pose.identity())
+    lead = {"energy_kev": 10.0}
+    sampled = image({"pixel_samples": 8}, lead, specimen=specimen)
+    # The near face of the plate at x = 0.5 casts the larger shadow, magnified 600 / 299.5.
+    m = 600 / 299.5
+    pixels = [(np.arange(n) - (n - 1) / 2) * 1.5 for n in (120, 160)]
+    edges = [(-2.17 - 10.5, -2.17 + 10.5), (3.31 - 15, 3.31 + 15)]
+    covered = [
+        np.clip(np.minimum(x + 0.75, m * high) - np.maximum(x - 0.75, m * low), 0, 1.5) / 1.5
+        for x, (low, high) in zip(pixels, edges, strict=True)
+    ]
+    expected = 1 - covered[0][:, None] * covered[1][None, :]
+    assert np.abs(sampled - expected).max() < 1 / 8 + 0.03
+    single = image({"readout": Readout(bits=None)}, lead, specimen=specimen)
+    assert np.abs(sampled - expected).mean() < 0.25 * np.abs(single - expected).mean()
+
+
+def test_bad_pixels_are_dark_in_the_raw_image_and_mended_in_the_corrected_one():
+    bad = frame({"bad_pixels": RandomBadPixels(kind="random", share=0.02)}, seed=5)
+    dead = bad.raw == 0
+    assert dead.mean() == pytest.approx(0.02, rel=0.3)
+    good = image({"readout": Readout(bits=None)})
+    assert np.abs(bad.transmission - good)[dead].mean() < 0.01
+    assert np.array_equal(
+        bad.raw, frame({"bad_pixels": RandomBadPixels(kind="random", share=0.02)}, seed=5).raw
+    )
+
+
+def test_quantum_noise_without_a_photon_number_is_refused():
+    data = {
+        "trajectory": {"kind": "circle", "views": 3},
+        "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 3}}]},
+        "detector": {"noise": {"kind": "quantum"}},
+    }
+    with pytest.raises(ScenarioError, match="photons_per_mm2_mas"):
+        parse_scenario(data)
+    parse_scenario(data | {"source": {"photons_per_mm2_mas": 1e6}})
+    parse_scenario(data | {"source": {"spectrum": {"kind": "tube", "kvp": 80}}})
+
+
+def test_a_map_of_another_panel_is_refused(tmp_path):
+    np.save(tmp_path / "map.npy", np.zeros((3, 4)))
+    section = {"bad_pixels": {"kind": "file", "path": tmp_path / "map.npy"}}
+    with pytest.raises(InputError, match="the panel has"):
+        image(section)
+
+
+def test_scatter_lifts_what_lies_in_the_shadow():
+    clean = image({"readout": Readout(bits=None)})
+    lifted = image({"readout": Readout(bits=None), "scatter": {"kind": "kernel"}})
+    dark = clean < 0.2
+    added = lifted - clean
+    assert added.min() > 0
+    # A ball of bone of 50 mm: a few per cent of the free beam, smooth over the panel.
+    assert 0.002 < added[dark].mean() < 0.05
+    assert added[dark].std() < 0.2 * added[dark].mean()
