@@ -1,17 +1,26 @@
-"""SART here and RTK's, view by view in alternation, on the paper's trajectory.
+"""Projector and SART here and RTK's, in alternation, on the paper's trajectory.
 
-python benchmarks/bench_recon.py --sizes 128 256 512 --views-512 2 --json recon.json
+python benchmarks/bench_recon.py --sizes 128 256 512 --json recon.json
 
-Views per size: --views, except 512. Difference: RMS of the two volumes within 3 mm of the bone of
-an ellipsoid shell (0.043/mm), relative to it, where every view sees it. Both get the same views in
-the same order; the line integrals are analytic, made by neither.
+Seconds are the median of a view; SART's are counted from update to update, so that what either
+copies before the first one does not count. Views per size: --views, except 512. RTK's back
+projection here is the exact adjoint, which it computes with one thread; its SART takes another one.
+
+Difference: RMS of the two volumes within 3 mm of the bone of an ellipsoid shell (0.043/mm),
+relative to it, where every view sees it. Both get the same views in the same order; the line
+integrals are analytic, made by neither. Peak memory of ours: the paper's 399 views at once, in a
+process of its own.
 """
 
 import argparse
 import json
-import resource
+import multiprocessing
+import os
+import re
 import time
+from pathlib import Path
 
+import numba
 import numpy as np
 from scipy.ndimage import binary_dilation
 
@@ -55,61 +64,146 @@ def shell_integrals(geometry):
     return images
 
 
-def timed(work, *args, **kwargs):
+class Rtk:
+    """RTK's pair of Joseph projectors for one view."""
+
+    def __init__(self, geometry, grid):
+        # Not for the process that measures the memory of ours.
+        import itk
+        from itk import RTK
+
+        self.itk, self.rtk = itk, RTK
+        numbers = (grid.world_from_grid.inverse() @ geometry).to_rtk()
+        self.kind = itk.Image[itk.F, 3]
+        self.geometry = RTK.ThreeDCircularProjectionGeometry.New()
+        points = [itk.Point[itk.D, 3](numbers[k][0].tolist()) for k in ("source", "detector")]
+        vectors = [itk.Vector[itk.D, 3](numbers[k][0].tolist()) for k in ("row", "column")]
+        self.geometry.AddProjection(*points, *vectors)
+        self.panel = (*numbers["origin"], 0.0), (*numbers["spacing"], 1.0)
+        self.grid = -(np.array(grid.shape_xyz) - 1) / 2 * grid.voxel, grid.voxel
+
+    def image(self, array, place):
+        image = self.itk.image_view_from_array(array)
+        image.SetOrigin([float(value) for value in place[0]])
+        image.SetSpacing([float(value) for value in place[1]])
+        return image
+
+    def run(self, name, x, y, into):
+        project = getattr(self.rtk, name)[self.kind, self.kind].New()
+        images = self.image(x, self.grid), self.image(y, self.panel)
+        project.SetInput(0, images[into])
+        project.SetInput(1, images[1 - into])
+        project.SetGeometry(self.geometry)
+        project.Update()
+        return self.itk.array_view_from_image(project.GetOutput())
+
+    def forward(self, x, y):
+        return self.run("JosephForwardProjectionImageFilter", x, y, 1)
+
+    def back(self, x, y):
+        return self.run("JosephBackProjectionImageFilter", x, y, 0)
+
+
+def seconds(work, *args):
     start = time.perf_counter()
-    result = work(*args, **kwargs)
-    return result, time.perf_counter() - start
+    work(*args)
+    return time.perf_counter() - start
 
 
-def measure(size, views):
+def updates(algorithm, *args, **kwargs):
+    """The volume, and the seconds of each update but the first."""
+    stamps = []
+
+    def stamp(*_):
+        stamps.append(time.perf_counter())
+
+    volume = algorithm(*args, iterations=1, relaxation=0.3, callback=stamp, **kwargs)
+    return volume, list(np.diff(stamps))
+
+
+def peak_mb(size, threads):
+    """Peak memory of a process that runs our SART on the paper's 399 views, a few of them."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(_peak_mb, (size, threads))
+
+
+def _peak_mb(size, threads):
+    numba.set_num_threads(threads)
+    geometry, grid = setting(size, 399)
+    p = np.ones((399, *geometry.panel.shape), np.float32)
+    sart(Projector(geometry, grid), p, iterations=1, relaxation=0.3, callback=_two_updates)
+    # Not ru_maxrss, which a process inherits from the one that started it.
+    status = Path("/proc/self/status").read_text()
+    return int(re.search(r"VmHWM:\s+(\d+)", status)[1]) / 1024
+
+
+def _two_updates(_iteration, update, _x):
+    return update == 1
+
+
+def setting(size, views):
     scale = size / 512
     panel = Panel(int(480 * scale), int(640 * scale), 0.5 / scale, 0.5 / scale)
-    grid = VolumeGrid((size,) * 3, 0.31 / scale)
-    geometry = paper_trajectory(views, panel)
+    return paper_trajectory(views, panel), VolumeGrid((size,) * 3, 0.31 / scale)
+
+
+def measure(size, views, rounds, threads):
+    geometry, grid = setting(size, views)
     A = Projector(geometry, grid)
     truth = shells(grid)
     p = shell_integrals(geometry)
-    sart(A[0], p[:1], iterations=1, relaxation=0.3)  # compiles
-    ours = theirs = None
-    t_ours, t_theirs = [], []
+    sart(A[0], p[:1], iterations=1, relaxation=0.3)  # compiles, or loads what was
+    A[0].T(p[:1])
+    t = {name: [] for name in ("forward", "rtk_forward", "rtk_adjoint")}
     for view in spread_order(views):
-        one, part = [view], p[[view]]
-        ours, seconds = timed(sart, A[one], part, iterations=1, relaxation=0.3, x0=ours)
-        t_ours.append(seconds)
-        theirs, seconds = timed(
-            rtk_sart, part, geometry[one], grid, iterations=1, relaxation=0.3, x0=theirs
-        )
-        t_theirs.append(seconds)
+        theirs = Rtk(geometry[int(view)], grid)
+        t["forward"].append(seconds(A[view], truth))
+        t["rtk_forward"].append(seconds(theirs.forward, truth, np.zeros_like(p[:1])))
+        t["rtk_adjoint"].append(seconds(theirs.back, np.zeros_like(truth), p[[view]]))
+    t["adjoint"] = [seconds(A.T, p) / views]
+    t |= {"sart": [], "rtk_sart": []}
+    for _ in range(rounds):
+        ours, some = updates(sart, A, p)
+        t["sart"] += some
+        theirs, some = updates(rtk_sart, p, geometry, grid)
+        t["rtk_sart"] += some
     reach = max(1, round(3.0 / grid.voxel[0]))
     near = binary_dilation(truth > 0, iterations=reach) & region_of_interest(geometry, grid)
+    row = {f"{name}_s": float(np.median(times)) for name, times in t.items()}
+    for name in ("forward", "adjoint", "sart"):
+        row[f"{name}_ratio"] = row[f"rtk_{name}_s"] / row[f"{name}_s"]
     difference = float(np.sqrt(np.mean((ours - theirs)[near] ** 2)) / MU_BONE)
-    a, b = float(np.median(t_ours)), float(np.median(t_theirs))
-    return {
-        "size": size,
-        "views": views,
-        "ours_s": a,
-        "rtk_s": b,
-        "ratio": b / a,
-        "difference": difference,
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-    }
+    peak = peak_mb(size, threads)
+    return {"size": size, "views": views} | row | {"difference": difference, "peak_mb": peak}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sizes", type=int, nargs="+", default=[128])
     parser.add_argument("--views", type=int, default=20)
-    parser.add_argument("--views-512", type=int, default=2)
+    parser.add_argument("--views-512", type=int, default=4)
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--json")
     options = parser.parse_args()
+    numba.set_num_threads(options.threads)
+    os.environ["ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS"] = str(options.threads)
     results = []
-    print("size  views  ours s/view  RTK s/view  ratio  difference  peak MB")
+    print(f"{options.threads} threads; ms a view, ours / RTK's = ratio")
+    print("size  views  forward              exact adjoint        SART                 ", end="")
+    print("difference  peak MB")
     for size in options.sizes:
-        row = measure(size, options.views_512 if size == 512 else options.views)
-        results.append(row)
+        views = options.views_512 if size == 512 else options.views
+        row = measure(size, views, options.rounds, options.threads)
+        results.append(row | {"threads": options.threads})
+        cells = [
+            f"{1e3 * row[f'{name}_s']:5.0f} / {1e3 * row[f'rtk_{name}_s']:6.0f} = "
+            f"{row[f'{name}_ratio']:4.1f}"
+            for name in ("forward", "adjoint", "sart")
+        ]
         print(
-            f"{row['size']:4}  {row['views']:5}  {row['ours_s']:11.3f}  {row['rtk_s']:10.3f}"
-            f"  {row['ratio']:5.1f}  {row['difference']:9.2%}  {row['peak_mb']:8.0f}",
+            f"{size:4}  {row['views']:5}  {'  '.join(cells)}"
+            f"  {row['difference']:9.2%}  {row['peak_mb']:7.0f}",
             flush=True,
         )
     if options.json:

@@ -11,6 +11,7 @@ MODULES = (
     "twinct.cell",
     "twinct.cli.commands",
     "twinct.evaluate",
+    "twinct.exchange",
     "twinct.pipeline",
     "twinct.recon",
     "twinct.report",

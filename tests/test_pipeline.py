@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import resource
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from twinct import pipeline
+from twinct import reconstruction
+from twinct.errors import InputError, MemoryShortageError
 from twinct.evaluate import pose_errors
 from twinct.geometry import Pose
+from twinct.hardening import effective_energy, hardening_corrected
 from twinct.pipeline import (
     judge,
     line_integrals,
     machine_frames,
     reconstruct,
+    require_feasible,
     simulate,
     truth_of,
 )
+from twinct.recon import Projector, cgls, fista_tv, os_sart, random_order, sart, sirt
 from twinct.scan import Scan, Workshop
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 
@@ -131,19 +137,134 @@ def test_a_scan_is_a_function_of_scenario_and_seed(scenario: Scenario, scan: Sca
 
 def test_reconstruction_goes_on_from_its_checkpoint(scan: Scan, tmp_path, monkeypatch) -> None:
     whole = reconstruct(scan)
-    kept = pipeline._Checkpoints.keep
+    kept = reconstruction._Checkpoints.keep
 
-    def killed(self, iterations, volume) -> None:
-        kept(self, iterations, volume)
+    def killed(self, iterations, volume, residuals) -> None:
+        kept(self, iterations, volume, residuals)
         if iterations == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(pipeline._Checkpoints, "keep", killed)
+        patch.setattr(reconstruction._Checkpoints, "keep", killed)
         with pytest.raises(KeyboardInterrupt):
             reconstruct(scan, checkpoints=tmp_path)
-    assert [p.name.rpartition("-")[2] for p in tmp_path.iterdir()] == ["0002.npy"]
+    assert [p.name.rpartition("-")[2] for p in tmp_path.iterdir()] == ["0002.npz"]
     np.testing.assert_array_equal(reconstruct(scan, checkpoints=tmp_path), whole)
+
+
+ALGORITHMS = {
+    "sart": (["order=random"], None),
+    "os_sart": (
+        ["subsets=4", "nonnegative=true"],
+        lambda A, p: os_sart(A, p, iterations=3, relaxation=0.3, subsets=4, nonnegative=True),
+    ),
+    "sirt": (["relaxation=1.2"], lambda A, p: sirt(A, p, iterations=3, relaxation=1.2)),
+    "cgls": ([], lambda A, p: cgls(A, p, iterations=3)),
+    "fista_tv": (
+        ["regularisation=0.002", "subsets=2", "tv_steps=5"],
+        lambda A, p: fista_tv(
+            A, p, iterations=3, regularisation=0.002, subsets=2, tv_steps=5, nonnegative=True
+        ),
+    ),
+}
+
+
+def with_keys(scan: Scan, *keys: str) -> Scan:
+    overrides = [*TINY, *(f"reconstruction.{key}" for key in keys)]
+    return replace(scan, scenario=load_scenario(SCENARIOS / "demo.yaml", overrides))
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_scenario_selects_algorithm_and_parameters(scan: Scan, algorithm: str) -> None:
+    keys, expected = ALGORITHMS[algorithm]
+    chosen = with_keys(scan, f"algorithm={algorithm}", *keys)
+    residuals: list[tuple[int, float]] = []
+    volume = reconstruct(chosen, watch=lambda *pair: residuals.append(pair))
+    geometry = scan.believed.geometry(scan.scenario.detector.panel)
+    A = Projector(geometry, scan.scenario.reconstruction.grid.volume_grid)
+    p = line_integrals(scan.transmission)
+    if expected is not None:
+        np.testing.assert_array_equal(volume, expected(A, p))
+    else:
+        # A permutation that the scenario's seed draws, again and again the same.
+        np.testing.assert_array_equal(volume, reconstruct(chosen))
+        rng = reconstruction.view_rng(scan.scenario.seed, "order of views", 0)
+        order = random_order(len(scan), rng)
+        drawn = sart(A, p, iterations=3, relaxation=0.3, order=order)
+        np.testing.assert_array_equal(volume, drawn)
+    assert [number for number, _ in residuals] == [1, 2, 3]
+    assert residuals[-1][1] < residuals[0][1]
+
+
+def test_residuals_and_random_order_go_on_from_a_checkpoint(scan: Scan, tmp_path) -> None:
+    chosen = with_keys(scan, "algorithm=sart", "order=random")
+    whole: list[float] = []
+    volume = reconstruct(chosen, watch=lambda _, residual: whole.append(residual))
+
+    def killed(number: int, _: float) -> None:
+        if number == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(chosen, checkpoints=tmp_path, watch=killed)
+    seen: list[float] = []
+    again = reconstruct(
+        chosen, checkpoints=tmp_path, watch=lambda _, residual: seen.append(residual)
+    )
+    np.testing.assert_array_equal(again, volume)
+    assert seen == whole
+
+
+def test_surroundings_and_mask_are_passed_on(scan: Scan) -> None:
+    plain = reconstruct(scan)
+    around = with_keys(scan, "surroundings={margin_mm: 20, voxel_mm: 10}")
+    assert not np.array_equal(reconstruct(around), plain)
+    mask = np.ones(scan.transmission.shape[1:], np.bool_)
+    mask[:, 30] = False
+    broken = replace(around, transmission=np.where(mask, scan.transmission, np.nan))
+    assert np.isfinite(reconstruct(broken, mask=mask)).all()
+
+
+def test_what_cannot_be_done_is_refused_before_work(scenario: Scenario, workshop: Workshop) -> None:
+    def changed(*keys: str) -> Scenario:
+        return load_scenario(SCENARIOS / "demo.yaml", [*TINY, *keys])
+
+    views = workshop.commanded
+    require_feasible(scenario, views)
+    with pytest.raises(InputError, match="fdk needs a circular scan"):
+        require_feasible(changed("reconstruction.algorithm=fdk"), views)
+    with pytest.raises(InputError, match="behind the source"):
+        require_feasible(changed("reconstruction.grid.voxel_mm=30"), views)
+    large = changed(
+        "reconstruction.algorithm=fista_tv",
+        "reconstruction.grid={voxels: 512, voxel_mm: 0.31}",
+    )
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 2**30, limits[1]))
+    try:
+        with pytest.raises(MemoryShortageError, match=r"fista_tv .* needs 4\.\d\d GiB of memory"):
+            require_feasible(large, views)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+
+
+def test_fdk_reconstructs_what_the_arms_scanned_on_an_arc() -> None:
+    scenario = load_scenario(
+        SCENARIOS / "demo.yaml",
+        [
+            *TINY,
+            "trajectory={kind: arc, views: 40, longitude_range_deg: 212}",
+            "reconstruction.algorithm=fdk",
+            "reconstruction.window=hann",
+        ],
+    )
+    workshop = Workshop(scenario)
+    require_feasible(scenario, workshop.commanded)
+    scan = simulate(scenario, workshop=workshop)
+    figures = judge(scan, reconstruct(scan), truth_of(scan, workshop))
+    iterated = reconstruct(replace(scan, scenario=load_scenario(SCENARIOS / "demo.yaml", TINY)))
+    assert figures.rmse_rel < 1.5 * judge(scan, iterated, truth_of(scan, workshop)).rmse_rel
 
 
 def test_opaque_pixels_give_finite_line_integrals() -> None:
@@ -196,14 +317,10 @@ def test_hardened_line_integrals_are_brought_to_one_energy(kind):
     geometry = workshop.commanded
     with workshop.imager() as imager:
         images = np.stack([imager.render(view, Pose.identity()) for view in geometry])
-    poses = workshop.commanded_poses
-    still = (Pose.identity(),) * len(geometry)
-    none = np.zeros((24, 0))
-    scan = Scan(scenario, images, poses, poses, still, poses, (), none, none, none)
-    found = pipeline.corrected_integrals(scan, geometry)
+    found = hardening_corrected(scenario, line_integrals(images), geometry)
     ideal = parse_scenario(
         scenario.model_dump(mode="json", exclude={"source", "reconstruction"})
-        | {"source": {"energy_kev": pipeline.effective_energy(scenario)}}
+        | {"source": {"energy_kev": effective_energy(scenario)}}
     )
     with Workshop(ideal).imager() as imager:
         truth = line_integrals(np.stack([imager.render(v, Pose.identity()) for v in geometry]))

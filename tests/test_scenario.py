@@ -134,3 +134,19 @@ def test_schema_allows_extends_and_refuses_unknown_keys() -> None:
     assert "extends" in schema["properties"]
     assert schema["additionalProperties"] is False
     assert schema["$defs"]["Detector"]["properties"]["columns"]["description"]
+
+
+def test_reconstruction_keys_that_exclude_each_other() -> None:
+    assert "algorithm sart only, not sirt" in problems(
+        "reconstruction.engine=rtk", "reconstruction.algorithm=sirt"
+    )
+    assert "not possible with cgls" in problems(
+        "reconstruction.algorithm=cgls", "reconstruction.nonnegative=true"
+    )
+    assert "subsets (101) must be at most trajectory.views (100)" in problems(
+        "reconstruction.subsets=101"
+    )
+    assert "algorithm" in problems("reconstruction.algorithm=ossart")
+    words = load_scenario(DEMO, ["reconstruction.algorithm=fista_tv"]).reconstruction.in_words
+    assert words.startswith("fista_tv, 10 iterations, regularisation 0.0001, weighting uniform")
+    assert "non-negative" in words

@@ -63,6 +63,10 @@ class StorageError(InputError):
     """The output cannot be written: no space, no permission."""
 
 
+class MemoryShortageError(InputError):
+    """A job that does not fit into the memory that this process may use."""
+
+
 class MotionError(TwinctError):
     """The simulated arms did not do what was asked of them."""
 

@@ -6,56 +6,58 @@ each on disk: ``acquire_to_store`` and ``reconstruct`` with a folder for checkpo
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import json
 import logging
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError, MissingExtraError
 from twinct.evaluate import ImageFigures, image_figures, region_of_interest
-from twinct.geometry import Pose, ScanGeometry, VolumeGrid
+from twinct.geometry import Pose, ScanGeometry
+from twinct.hardening import effective_energy
+from twinct.reconstruction import (
+    SILENT,
+    Progress,
+    line_integrals,
+    reconstruct,
+    reconstruction_digest,
+    require_feasible,
+)
 from twinct.scan import LocalRig, Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire
-from twinct.scan.store import storage_errors
 from twinct.scenario import Scenario
 from twinct.views import Instant, Reached
 
 if TYPE_CHECKING:
     from twinct.xray.chain import Frame
 
+__all__ = [
+    "SILENT",
+    "Progress",
+    "Truth",
+    "acquire_to_store",
+    "effective_energy",
+    "judge",
+    "line_integrals",
+    "local_rig",
+    "machine_frames",
+    "mean_pose",
+    "reconstruct",
+    "reconstruction_digest",
+    "require_extras",
+    "require_feasible",
+    "scenario_as_data",
+    "simulate",
+    "truth_of",
+]
+
 log = logging.getLogger(__name__)
-
-DARKEST = 1e-7
-"""Transmission taken for anything darker, so that a line integral stays finite (16.1)."""
-
-
-class Progress(Protocol):
-    """Where long work says how far it is."""
-
-    def stage(
-        self, name: str, total: int, done: int = 0
-    ) -> AbstractContextManager[Callable[[], None]]:
-        """A stage of ``total`` steps; the context's value is called after each step."""
-        ...
-
-
-class _Silent:
-    def stage(
-        self, name: str, total: int, done: int = 0
-    ) -> AbstractContextManager[Callable[[], None]]:
-        from contextlib import nullcontext
-
-        return nullcontext(lambda: None)
-
-
-SILENT: Progress = _Silent()
 
 
 def simulate(
@@ -148,136 +150,6 @@ def acquire_to_store(
     return store
 
 
-def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
-    """-ln(I/I0) of each pixel, float32, same shape."""
-    darkest = np.float32(DARKEST)
-    integrals = np.maximum(transmission, darkest)
-    np.log(integrals, out=integrals)
-    return np.negative(integrals, out=integrals)
-
-
-def corrected_integrals(scan: Scan, geometry: ScanGeometry) -> NDArray[np.float32]:
-    """Line integrals of a scan, with beam hardening corrected where the scenario asks for it.
-
-    Args:
-        scan: projections.
-        geometry: from which the volume that two materials need is reconstructed.
-    """
-    integrals = line_integrals(scan.transmission)
-    section = scan.scenario.reconstruction.beam_hardening
-    if section is None:
-        return integrals
-    from twinct.specimen.materials import material
-    from twinct.xray.build import build_response, build_spectrum
-    from twinct.xray.hardening import Hardening
-
-    source, detector = scan.scenario.source, scan.scenario.detector
-    energy = effective_energy(scan.scenario)
-    known = build_spectrum(source), build_response(detector)
-    origin = "reconstruction.beam_hardening"
-    if section.kind == "one_material":
-        if section.material is None:
-            substance = Workshop(scan.scenario).specimen.reference_part.material
-        else:
-            substance = material(section.material, f"{origin}.material")
-        return Hardening(*known, [substance], energy).correct(integrals)
-
-    from twinct.recon import Projector, sart
-
-    base, dense = (material(getattr(section, n), f"{origin}.{n}") for n in ("base", "dense"))
-    projector = Projector(geometry, scan.scenario.reconstruction.grid.volume_grid)
-    volume = sart(
-        projector,
-        Hardening(*known, [base], energy).correct(integrals),
-        iterations=section.first_iterations,
-        relaxation=scan.scenario.reconstruction.relaxation,
-    )
-    low, high = base.mu_per_mm(energy), dense.mu_per_mm(energy)
-    # From a quarter to three quarters of the step between them: noise counts as neither.
-    share = np.clip(2 * (volume - low) / (high - low) - 0.5, 0, 1).astype(np.float32)
-    paths = projector(share)
-    hardening = Hardening(*known, [base, dense], energy, float(paths.max()))
-    return np.stack([hardening.correct(*view) for view in zip(integrals, paths, strict=True)])
-
-
-def effective_energy(scenario: Scenario) -> float:
-    """Photon energy at which attenuation is stated, keV: the mean one that the detector sees."""
-    if scenario.source.spectrum is None:
-        return scenario.source.energy_kev
-    from twinct.xray.build import effective_energy_kev
-
-    return effective_energy_kev(scenario.source, scenario.detector)
-
-
-def reconstruct(
-    scan: Scan,
-    *,
-    geometry: str | None = None,
-    checkpoints: Path | None = None,
-    progress: Progress = SILENT,
-) -> NDArray[np.float32]:
-    """Reconstruct a scan as its scenario says.
-
-    Args:
-        scan: projections and poses.
-        geometry: ``commanded``, ``executed`` or ``believed``; the scenario's first where None.
-        checkpoints: folder in which each iteration is kept, and from which a later call goes on.
-        progress: told of each view update.
-
-    Returns:
-        Attenuation, (z, y, x), 1/mm.
-
-    Raises:
-        MissingExtraError: the engine is not installed.
-    """
-    section = scan.scenario.reconstruction
-    which = geometry or section.geometries[0]
-    poses = scan.poses(which).geometry(scan.scenario.detector.panel)
-    grid = section.grid.volume_grid
-    integrals = corrected_integrals(scan, poses)
-    if section.engine == "rtk":
-        return _rtk(integrals, poses, grid, section.iterations, section.relaxation, which, progress)
-
-    from twinct.recon import Projector, sart
-
-    projector = Projector(poses, grid)
-    kept = _Checkpoints(checkpoints, f"{which}-{reconstruction_digest(scan.scenario)[:16]}")
-    done, volume = kept.newest(grid)
-    with progress.stage(
-        f"SART, {which} geometry", section.iterations * len(scan), done * len(scan)
-    ) as step:
-        for iteration in range(done, section.iterations):
-            volume = sart(
-                projector,
-                integrals,
-                iterations=1,
-                relaxation=section.relaxation,
-                x0=volume,
-                callback=lambda *_: step(),
-            )
-            kept.keep(iteration + 1, volume)
-            log.info("SART from %s geometry: iteration %d", which, iteration + 1)
-    assert volume is not None
-    return volume
-
-
-def _rtk(
-    integrals: NDArray[np.float32],
-    geometry: ScanGeometry,
-    grid: VolumeGrid,
-    iterations: int,
-    relaxation: float,
-    which: str,
-    progress: Progress,
-) -> NDArray[np.float32]:
-    from twinct.recon import rtk_sart
-
-    with progress.stage(f"RTK SART, {which} geometry", 1) as step:
-        volume = rtk_sart(integrals, geometry, grid, iterations=iterations, relaxation=relaxation)
-        step()
-    return volume
-
-
 def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[Frame]:
     """Raw, flat and dark images of views of a scan, rendered again from the executed poses.
 
@@ -312,47 +184,6 @@ def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iter
                 path = [triple.placed(detector.panel) for triple in triples]
             before = instant(view - 1) if detector.lag and view else None
             yield imager.frame(path, view, before)
-
-
-def reconstruction_digest(scenario: Scenario) -> str:
-    """SHA-256 of what the volumes depend on: the scan, and how it is reconstructed."""
-    text = scenario.digest() + scenario.reconstruction.model_dump_json()
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-@dataclass(frozen=True)
-class _Checkpoints:
-    """The newest iteration of a reconstruction, on disk."""
-
-    folder: Path | None
-    name: str
-
-    def newest(self, grid: VolumeGrid) -> tuple[int, NDArray[np.float32] | None]:
-        """Iterations done, and their volume."""
-        for file in self._files():
-            volume = np.load(file)
-            if volume.shape == grid.shape:
-                return int(file.stem.rpartition("-")[2]), volume
-        return 0, None
-
-    def keep(self, iterations: int, volume: NDArray[np.float32]) -> None:
-        """Write a checkpoint, then remove the ones before it."""
-        if self.folder is None:
-            return
-        with storage_errors(self.folder):
-            self.folder.mkdir(parents=True, exist_ok=True)
-            older = self._files()
-            final = self.folder / f"{self.name}-{iterations:04d}.npy"
-            draft = final.with_suffix(".partial")
-            with draft.open("wb") as stream:
-                np.save(stream, volume)
-            draft.replace(final)
-            for file in older:
-                if file != final:
-                    file.unlink()
-
-    def _files(self) -> list[Path]:
-        return sorted(self.folder.glob(f"{self.name}-*.npy"), reverse=True) if self.folder else []
 
 
 @dataclass(frozen=True, eq=False)

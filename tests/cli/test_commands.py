@@ -101,8 +101,8 @@ def test_resume_after_a_kill_ends_with_the_same_bytes(
         stderr=subprocess.DEVNULL,
     )
     sign = {
-        "first view": out / "scan.zarr" / "executed" / "source" / "c",
-        "some views": out / "scan.zarr" / "status" / "c" / "4",
+        "first view": out / "scan.zarr" / "executed" / "source" / "c.0.0",
+        "some views": out / "scan.zarr" / "status" / "c.4",
         "reconstruction": out / "checkpoints",
     }[moment]
     give_up = time.monotonic() + 120
@@ -126,7 +126,7 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
         text=True,
     )
     give_up = time.monotonic() + 120
-    while not (out / "scan.zarr" / "status" / "c" / "3").exists():
+    while not (out / "scan.zarr" / "status" / "c.3").exists():
         assert process.poll() is None and time.monotonic() < give_up
         time.sleep(0.01)
     process.send_signal(signal.SIGTERM)
@@ -242,7 +242,7 @@ def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
             text=True,
         )
         give_up = time.monotonic() + 120
-        while not (out / "scan.zarr" / "status" / "c" / "3").exists():
+        while not (out / "scan.zarr" / "status" / "c.3").exists():
             assert process.poll() is None and time.monotonic() < give_up
             time.sleep(0.01)
         filler = disk / "filler"
@@ -256,7 +256,7 @@ def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
         _, stderr = process.communicate(timeout=120)
         assert process.returncode == 2 and "disk is full" in stderr
         kept = np.array(
-            [(out / "scan.zarr/status/c" / str(view)).exists() for view in range(200)]
+            [(out / f"scan.zarr/status/c.{view}").exists() for view in range(200)]
         ).sum()
         assert kept >= 4
         filler.unlink()

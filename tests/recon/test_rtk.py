@@ -7,8 +7,7 @@ import pytest
 
 from twinct.errors import MissingExtraError
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, rtk_sart, sart
-from twinct.recon.sart import spread_order
+from twinct.recon import Projector, rtk_sart, sart, spread_order
 
 AGREEMENT = 0.005
 """RMS difference relative to the ball's value, near the ball; measured 0.0029. Red beyond it: views

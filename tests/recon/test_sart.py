@@ -11,26 +11,9 @@ FLOAT32 = 2e-4
 """Float32 against a float64 formulation, relative to the largest voxel, after 8 updates."""
 
 
-def dense_back_projection(A, view):
-    """Voxel-driven bilinear weights (voxels, pixels), from ScanGeometry.project alone."""
-    nz, ny, nx = A.domain_shape
-    _, rows, columns = A.range_shape
-    k, j, i = (axis.ravel() for axis in np.indices(A.domain_shape))
-    points = (A.grid.affine @ np.stack([i, j, k, np.ones_like(i)]))[:3].T
-    at = A.geometry[view].project(points)[0]
-    B = np.zeros((nz * ny * nx, rows * columns))
-    for voxel, (column, row) in enumerate(at):
-        if not (-0.5 <= column <= columns - 0.5 and -0.5 <= row <= rows - 0.5):
-            continue
-        c, r = min(max(column, 0), columns - 1), min(max(row, 0), rows - 1)
-        c0, r0 = min(int(c), columns - 2), min(int(r), rows - 2)
-        for dr, wr in ((0, 1 - (r - r0)), (1, r - r0)):
-            for dc, wc in ((0, 1 - (c - c0)), (1, c - c0)):
-                B[voxel, (r0 + dr) * columns + c0 + dc] += wr * wc
-    return B
-
-
-def test_equals_the_update_rule_written_densely(random_geometry):
+def test_equals_the_update_rule_written_densely(
+    random_geometry, dense_matrix, dense_back_projection
+):
     rng = np.random.default_rng(0)
     grid = VolumeGrid((5, 6, 4), (3.0, 2.5, 2.0))
     # Small and large panels: truncated views, and rays that miss the grid.
@@ -39,10 +22,9 @@ def test_equals_the_update_rule_written_densely(random_geometry):
         p = A(rng.random(A.domain_shape, dtype=np.float32))
         order = [2, 0, 3, 1]
         ours = sart(A, p, iterations=2, relaxation=0.7, order=order)
-        basis = np.eye(np.prod(grid.shape), dtype=np.float32).reshape(-1, *grid.shape)
-        dense = np.stack([A(e) for e in basis], axis=-1).astype(float)
+        dense = dense_matrix(A)
         lengths = A.chords().astype(float)
-        x = np.zeros(basis.shape[0])
+        x = np.zeros(dense.shape[-1])
         for view in order * 2:
             B = dense_back_projection(A, view)
             counts = (lengths[view] >= grid.voxel.min()).ravel()
@@ -90,9 +72,9 @@ def test_residual_falls_and_blobs_come_back_in_place(random_geometry, turned_gri
     p = A(truth)
     seen = []
 
-    def watch(iteration, update, x):
-        if update == len(A) - 1:
-            seen.append(np.linalg.norm(A(x) - p))
+    def watch(step):
+        if step.update == step.updates - 1:
+            seen.append(np.linalg.norm(A(step.volume) - p))
 
     x = sart(A, p, iterations=6, relaxation=0.5, nonnegative=True, callback=watch)
     assert all(later < earlier for earlier, later in pairwise(seen))

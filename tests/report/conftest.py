@@ -73,6 +73,7 @@ def make_report(views=24, panel=(80, 60), voxels=48, description="A run that nev
         seconds={"plan": 3.1, "motion": 6.5, "xray": 80.2, "reconstruction": 960, "total": 1083.0},
         simulated_seconds=210.0,
         scenario_digest=scenario.digest(),
+        residuals={"believed": [0.3, 0.1, 0.06], "executed": [0.3, 0.1, 0.05]},
     )
     u, v = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-0.75, 0.75, rows))
     egg = np.exp(-2.5 * np.sqrt(np.clip(0.5 - u**2 - 1.4 * (v - 0.1) ** 2, 0, None))).astype("f4")

@@ -64,7 +64,7 @@ def page(html):
 @pytest.fixture
 def undrawn(monkeypatch):
     """For what concerns text alone: drawing is what takes the time."""
-    names = ("room", "path", "errors", "slices", "projections")
+    names = ("room", "path", "errors", "slices", "convergence", "projections")
     monkeypatch.setattr(twinct.report.page, "_pictures", lambda _: dict.fromkeys(names, DOT))
 
 
@@ -77,6 +77,7 @@ def test_every_image_is_inside_and_can_be_read(page):
     assert [image["alt"] for image in page.images] == [
         "Path of the source around the isocentre",
         "Cross-sections of reconstruction, truth and error",
+        "Residual of each iteration",
         "Pose errors and clearance over the views",
         "Projections",
     ]
@@ -137,7 +138,8 @@ def test_figures_without_a_value_show_a_dash(report, undrawn):
 
 
 def test_parts_that_are_not_there_leave_no_gap(report):
-    bare = replace(report, slices={}, projections=(), room_png=None)
+    metrics = dict(report.metrics) | {"residuals": {"believed": []}}
+    bare = replace(report, slices={}, projections=(), room_png=None, metrics=metrics)
     page = Page(render_report(bare))
     assert len(page.images) == 2
     assert "Projections" not in page.words and "beside the truth" not in page.words

@@ -1,4 +1,4 @@
-"""The command line: ``twinct check | run | render | node | schema | specimen | report``."""
+"""The command line: ``twinct check | run | report | export | ...``; ``commands`` has them all."""
 
 from __future__ import annotations
 

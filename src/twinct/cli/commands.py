@@ -37,12 +37,14 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
     Names every view that an arm cannot reach or that would collide.
     """
     from twinct.cli.run import summary
-    from twinct.pipeline import require_extras
+    from twinct.pipeline import require_extras, require_feasible
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
-    Console().print(summary(Workshop(loaded)))
+    workshop = Workshop(loaded)
+    require_feasible(loaded, workshop.commanded)
+    Console().print(summary(workshop))
 
 
 @app.command
@@ -171,6 +173,35 @@ def specimen(
         preview_specimen(built, out / "specimen.png", title=loaded.name)
         write_volume(out / "truth.nii", built.truth(grid, energy), grid, "twinct truth, 1/mm")
     Console().print(table)
+
+
+@app.command
+def export(
+    scan: Annotated[
+        tyro.conf.Positional[Path],
+        tyro.conf.arg(metavar="SCAN", help="What twinct run --out wrote, or the scan.zarr in it."),
+    ],
+    *,
+    to: Literal["rtk", "astra", "leap", "cil", "tigre", "openct"],
+    geometry: Literal["believed", "executed", "commanded"] = "believed",
+    values: Literal["line-integrals", "transmission"] = "line-integrals",
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+) -> None:
+    """Write a scan so that another toolkit reconstructs it as it is.
+
+    DIR gets the projections, the geometry, the voxel grid of the scenario, a script load.py that
+    loads them into the toolkit and reconstructs, and a README. A scan under way is written as far
+    as it is.
+
+    Args:
+        to: The toolkit, or openct for programs that read an OpenCT free trajectory.
+        geometry: What the system reports, where the arms really were, or what was asked of them.
+        values: Pixels as -ln(I/I0), or as I/I0.
+        out: Folder to write, which must not exist; export-TOOLKIT beside the scan unless given.
+    """
+    from twinct.cli.export import export_scan
+
+    export_scan(scan, to, geometry, values, out)
 
 
 @app.command

@@ -31,6 +31,7 @@ from twinct.pipeline import (
     reconstruct,
     reconstruction_digest,
     require_extras,
+    require_feasible,
     scenario_as_data,
     truth_of,
 )
@@ -187,6 +188,7 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
         console.print(f"{folder.path} is complete; the report is {folder.report}", highlight=False)
         return
     progress, workshop = TerminalProgress(), Workshop(scenario)
+    require_feasible(scenario, workshop.commanded)
     check_space(out, scenario, len(workshop.targets))
     with seconds.stage("plan"), progress.stage("plan", 1) as step:
         workshop.plan  # noqa: B018 - planned here, before anything is written
@@ -212,11 +214,17 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
         scan = store.read()
         truth = truth_of(scan, workshop, progress)
         figures: dict[str, ImageFigures] = {}
+        residuals: dict[str, list[float]] = {}
         kept: NDArray[np.float32] | None = None
         for which in scenario.reconstruction.geometries:
+            course = residuals.setdefault(which, [])
             with seconds.stage("reconstruction", keep=True):
                 volume = reconstruct(
-                    scan, geometry=which, checkpoints=folder.checkpoints, progress=progress
+                    scan,
+                    geometry=which,
+                    checkpoints=folder.checkpoints,
+                    watch=lambda _, residual, course=course: course.append(residual),
+                    progress=progress,
                 )
             if kept is None:
                 kept = volume
@@ -231,7 +239,7 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
         stages = seconds.finished()
         simulated = stages.pop("simulated")
         factor = simulated / stages["motion"] if stages["motion"] else float("nan")
-        _report(folder, scan, workshop, kept, truth, figures, stages, factor)
+        _report(folder, scan, workshop, kept, truth, figures, stages, factor, residuals)
         shutil.rmtree(folder.checkpoints, ignore_errors=True)
         folder.seconds.unlink(missing_ok=True)
     _say_result(console, folder)
@@ -267,6 +275,7 @@ def report_again(path: Path) -> None:
             figures,
             before["seconds"],
             before["real_time_factor"],
+            before.get("residuals", {}),
         )
     _say_result(Console(), folder)
 
@@ -286,6 +295,7 @@ def summary(workshop: Workshop) -> Table:
         f"at view {int(plan.clearance_mm.argmin())}",
         "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
         f"{' x '.join(f'{edge:g}' for edge in grid.voxel)} mm",
+        "reconstruction": scenario.reconstruction.in_words,
         "digest": scenario.digest(),
     }.items():
         table.add_row(name, value)
@@ -318,6 +328,7 @@ def _report(
     figures: dict[str, ImageFigures],
     seconds: dict[str, float],
     real_time_factor: float | None,
+    residuals: dict[str, list[float]],
 ) -> None:
     """Write metrics.json and report.html, each complete or not at all."""
     scenario = scan.scenario
@@ -332,6 +343,7 @@ def _report(
         real_time_factor=real_time_factor,
         scenario_digest=scenario.digest(),
         reconstruction_digest=reconstruction_digest(scenario),
+        residuals=residuals,
     )
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
     data = ReportData(

@@ -1,7 +1,37 @@
-"""Reconstruction: projector, SART, and RTK's SART to compare with."""
+"""Reconstruction: projector, algorithms, and RTK's SART to compare with."""
 
+from twinct.recon.cgls import cgls
+from twinct.recon.fdk import fdk
+from twinct.recon.fista_tv import fista_tv
+from twinct.recon.memory import available_bytes, peak_bytes, refuse_if_short
+from twinct.recon.orbit import Circle, fit_circle
+from twinct.recon.order import random_order, spread_order, weighted_distance
+from twinct.recon.os_sart import os_sart
 from twinct.recon.projector import Projector
 from twinct.recon.rtk import rtk_sart
-from twinct.recon.sart import sart, spread_order
+from twinct.recon.sart import sart
+from twinct.recon.sirt import sirt
+from twinct.recon.steps import Callback, Step
+from twinct.recon.surroundings import without_surroundings
 
-__all__ = ["Projector", "rtk_sart", "sart", "spread_order"]
+__all__ = [
+    "Callback",
+    "Circle",
+    "Projector",
+    "Step",
+    "available_bytes",
+    "cgls",
+    "fdk",
+    "fista_tv",
+    "fit_circle",
+    "os_sart",
+    "peak_bytes",
+    "random_order",
+    "refuse_if_short",
+    "rtk_sart",
+    "sart",
+    "sirt",
+    "spread_order",
+    "weighted_distance",
+    "without_surroundings",
+]

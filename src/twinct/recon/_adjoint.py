@@ -2,78 +2,78 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit, prange
 
-from twinct.recon._rays import OPTIONS, cell, ray_of
+from twinct.recon._brick import fits, in_brick, in_volume, put, take
+from twinct.recon._groups import TILE_COLUMNS, TILE_ROWS, box_of, load, planes_of, room, spans
+from twinct.recon._march import BLOCK, VALUE, add_along, add_guarded, add_pairs_along
+from twinct.recon._rays import OPTIONS
+from twinct.recon._vectors import LANES
 
-SLABS = 16
-"""Slabs of the volume, each owned by one thread."""
+PLANES = 16
+"""Planes of a slab: a cache line of voxels along x."""
+
+
+@njit(**OPTIONS)
+def _weigh(y, rays, pixels, steps, groups):
+    """Give each ray its measured value times its mm per plane."""
+    for slot in range(groups * LANES):
+        pixel = pixels[slot]
+        if pixel >= 0:
+            value = steps[slot] * y[pixel // 65536, pixel % 65536]
+            rays[slot // LANES * BLOCK + VALUE + slot % LANES] = value
+
+
+@njit(**OPTIONS)
+def _add_slab(x, lattice, start, end, rays, ranges, groups):
+    """Spread the rays' values over the voxels of the planes from start to end."""
+    for group in range(groups):
+        first, lo, hi, last = spans(ranges[group], start, end)
+        if first > last:
+            continue
+        block = group * BLOCK
+        add_guarded(x, rays, block, first, lo - 1, lattice)
+        if lattice[6] == 1:
+            add_pairs_along(x, rays, block, lo, hi, lattice)
+        else:
+            add_along(x, rays, block, lo, hi, lattice)
+        add_guarded(x, rays, block, hi + 1, last, lattice)
 
 
 @njit(parallel=True, **OPTIONS)
-def adjoint(y, view, out):
+def adjoint(y, view, out, parts):
     """Add the exact transpose of ``forward`` applied to ``y`` (rows, columns) to ``out`` (z, y, x).
 
-    Each slab of the volume along z is owned by one thread, which runs through all rays.
+    Slabs of planes across the axis that a ray crosses fastest are shared out in ``parts``, one for
+    each thread, so that no two of them write to one voxel. The order of the sums does not depend on
+    their number.
     """
-    nz, ny, nx = out.shape
     rows, columns = y.shape
-    thickness = (nz + SLABS - 1) // SLABS
-    for slab in prange(SLABS):
-        bottom, top = slab * thickness, min((slab + 1) * thickness, nz)
-        for row in range(rows):
-            for column in range(columns):
-                ray = ray_of(view, row, column, nx, ny, nz)
-                axis, first, last = ray[0], ray[5], ray[6]
-                weight = np.float32(ray[7]) * y[row, column]
-                b_middle, b_slope = np.float32(ray[1]), np.float32(ray[2])
-                c_middle, c_slope = np.float32(ray[3]), np.float32(ray[4])
-                if axis == 2:
-                    first, last = max(first, bottom), min(last, top - 1)
-                    middle = np.float32(0.5 * (nz - 1))
-                    for k in range(first, last + 1):
-                        m = np.float32(k) - middle
-                        i, f = cell(b_middle, b_slope, m, np.float32(nx - 2))
-                        j, g = cell(c_middle, c_slope, m, np.float32(ny - 2))
-                        low, high = weight * (np.float32(1.0) - g), weight * g
-                        out[k, j, i] += low * (np.float32(1.0) - f)
-                        out[k, j, i + 1] += low * f
-                        out[k, j + 1, i] += high * (np.float32(1.0) - f)
-                        out[k, j + 1, i + 1] += high * f
-                    continue
-                n = nx if axis == 0 else ny
-                middle = np.float32(0.5 * (n - 1))
-                # Planes where the ray can touch the slab: its lower neighbour lies in
-                # [bottom - 1, top). One plane more at either end covers rounding; the border is
-                # held, so it has no limit.
-                lowest = bottom - 1.0 if bottom > 0 else -1.0
-                highest = float(top) if top < nz else nz
-                if abs(ray[4]) > 1e-6:
-                    one = (lowest - ray[3]) / ray[4] + 0.5 * (n - 1)
-                    two = (highest - ray[3]) / ray[4] + 0.5 * (n - 1)
-                    near, far = min(one, two) - 1.0, max(one, two) + 1.0
-                    first = max(first, int(min(max(near, 0.0), float(n))))
-                    last = min(last, int(max(min(far, float(n)), -1.0)) + 1)
-                for q in range(first, last + 1):
-                    m = np.float32(q) - middle
-                    k, g = cell(c_middle, c_slope, m, np.float32(nz - 2))
-                    if k + 1 < bottom or k >= top:
-                        continue
-                    low, high = weight * (np.float32(1.0) - g), weight * g
-                    if axis == 0:
-                        j, f = cell(b_middle, b_slope, m, np.float32(ny - 2))
-                        if k >= bottom:
-                            out[k, j, q] += low * (np.float32(1.0) - f)
-                            out[k, j + 1, q] += low * f
-                        if k + 1 < top:
-                            out[k + 1, j, q] += high * (np.float32(1.0) - f)
-                            out[k + 1, j + 1, q] += high * f
-                    else:
-                        i, f = cell(b_middle, b_slope, m, np.float32(nx - 2))
-                        if k >= bottom:
-                            out[k, q, i] += low * (np.float32(1.0) - f)
-                            out[k, q, i + 1] += low * f
-                        if k + 1 < top:
-                            out[k + 1, q, i] += high * (np.float32(1.0) - f)
-                            out[k + 1, q, i + 1] += high * f
+    shape, flat = out.shape, out.reshape(-1)
+    for axis in range(3):
+        planes = planes_of(axis, shape)
+        slabs = (planes + PLANES - 1) // PLANES
+        for part in prange(parts):
+            scratch = room()
+            rays, bounds, brick = scratch[0][axis], scratch[1][axis], scratch[6]
+            own = slabs * part // parts, slabs * (part + 1) // parts
+            for top in range(0, rows, TILE_ROWS):
+                bottom = min(top + TILE_ROWS, rows)
+                for left in range(0, columns, TILE_COLUMNS):
+                    right = min(left + TILE_COLUMNS, columns)
+                    load(view, shape, (top, bottom), (left, right), True, scratch)
+                    groups = scratch[4][axis]
+                    _weigh(y, rays, scratch[2][axis], scratch[3][axis], groups)
+                    for slab in range(own[0], own[1]):
+                        start, end = slab * PLANES, min((slab + 1) * PLANES, planes) - 1
+                        box = box_of(rays, bounds, groups, axis, shape, start, end)
+                        if box[1] == 0:
+                            continue
+                        if fits(box):
+                            take(flat, shape, axis, box, brick)
+                            lattice = in_brick(box, axis, shape)
+                            _add_slab(brick, lattice, start, end, rays, bounds, groups)
+                            put(brick, shape, axis, box, flat)
+                        else:
+                            lattice = in_volume(axis, shape)
+                            _add_slab(flat, lattice, start, end, rays, bounds, groups)

@@ -2,130 +2,64 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit, prange
 
-from twinct.recon._blend import LANES, blend, blend_adjacent, index, pad
-from twinct.recon._rays import CHUNK, OPTIONS, cell, ray_of
+from twinct.recon._brick import fits, in_brick, in_volume, take
+from twinct.recon._groups import TILE_COLUMNS, TILE_ROWS, box_of, load, planes_of, room, spans
+from twinct.recon._march import BLOCK, VALUE, read_along, read_guarded, read_pairs_along
+from twinct.recon._rays import OPTIONS
+from twinct.recon._vectors import LANES
 
-TILE_ROWS = 8
-TILE_COLUMNS = 64
-"""Rays per tile: 64 x 8 rays across 512 planes read less than 1 MB, the L2 cache of one core."""
-
-
-@njit(**OPTIONS)
-def _along_x(x, b_middle, b_slope, c_middle, c_slope, first, last, at, work):
-    """Sum of the samples of one ray that crosses x fastest: lanes are neighbours in x."""
-    nz, ny, nx = x.shape
-    middle = np.float32(0.5 * (nx - 1))
-    last_y, last_z = np.float32(ny - 2), np.float32(nz - 2)
-    fs, gs, values = work[0], work[1], work[2]
-    total = np.float32(0.0)
-    for start in range(first, last + 1, CHUNK):
-        count = min(CHUNK, last + 1 - start)
-        for p in range(count):
-            i = np.int32(start + p)
-            m = np.float32(i) - middle
-            j, f = cell(b_middle, b_slope, m, last_y)
-            k, g = cell(c_middle, c_slope, m, last_z)
-            at[p] = index(index(i, np.int32(nx), j), np.int32(ny * nx), k)
-            fs[p] = f
-            gs[p] = g
-        pad(at, count)
-        for p in range(0, count, LANES):
-            blend(x, at, fs, gs, p, nx, ny * nx, values)
-        for p in range(count):
-            total += values[p]
-    return total
+PLANES = 16
+"""Planes of a slab, through which all rays of a tile go before any goes on."""
 
 
 @njit(**OPTIONS)
-def _across(x, axis, rays, count, first, last, sums, at, work):
-    """Sums of ``count`` rays that cross ``axis`` (1 or 2) fastest: lanes are neighbouring rays."""
-    nz, ny, nx = x.shape
-    one, zero = np.float32(1.0), np.float32(0.0)
-    last_b = np.float32(nx - 2)
-    if axis == 1:
-        middle, last_c = np.float32(0.5 * (ny - 1)), np.float32(nz - 2)
-        stride, c_stride = nx, ny * nx
-    else:
-        middle, last_c = np.float32(0.5 * (nz - 1)), np.float32(ny - 2)
-        stride, c_stride = ny * nx, nx
-    fs, gs, ws, values = work[0], work[1], work[2], work[3]
-    b_middle, b_slope = rays[0], rays[1]
-    c_middle, c_slope = rays[2], rays[3]
-    firsts, lasts = rays[4], rays[5]
-    pad(at, count)
-    for n in range(first, last + 1):
-        plane = np.int32(n * stride)
-        here = np.float32(n)
-        m = here - middle
-        for p in range(count):
-            i, f = cell(b_middle[p], b_slope[p], m, last_b)
-            k, g = cell(c_middle[p], c_slope[p], m, last_c)
-            at[p] = index(index(i, np.int32(c_stride), k), np.int32(1), plane)
-            fs[p] = f
-            gs[p] = g
-            inside = (here >= firsts[p]) & (here <= lasts[p])
-            ws[p] = one if inside else zero
-        for p in range(0, count, LANES):
-            blend_adjacent(x, at, fs, gs, p, 1, c_stride, values)
-        for p in range(count):
-            sums[p] += ws[p] * values[p]
+def _sum_slab(x, lattice, start, end, rays, ranges, groups):
+    """Add up the samples of the planes from start to end."""
+    for group in range(groups):
+        first, lo, hi, last = spans(ranges[group], start, end)
+        if first > last:
+            continue
+        block = group * BLOCK
+        read_guarded(x, rays, block, first, lo - 1, lattice)
+        if lattice[6] == 1:
+            read_pairs_along(x, rays, block, lo, hi, lattice)
+        else:
+            read_along(x, rays, block, lo, hi, lattice)
+        read_guarded(x, rays, block, hi + 1, last, lattice)
 
 
 @njit(parallel=True, **OPTIONS)
 def forward(x, view, out):
     """Line integrals of ``x`` (z, y, x) along each ray of one view into ``out`` (rows, columns)."""
-    nz, ny, nx = x.shape
     rows, columns = out.shape
-    for band in prange((rows + TILE_ROWS - 1) // TILE_ROWS):
-        rays = np.empty((6, TILE_COLUMNS), np.float32)
-        sums = np.empty(TILE_COLUMNS, np.float32)
-        where = np.empty(TILE_COLUMNS, np.int64)
-        steps = np.empty(TILE_COLUMNS, np.float32)
-        at = np.zeros(CHUNK, np.int32)
-        work = np.zeros((4, CHUNK), np.float32)
-        for left in range(0, columns, TILE_COLUMNS):
-            right = min(left + TILE_COLUMNS, columns)
-            for row in range(band * TILE_ROWS, min((band + 1) * TILE_ROWS, rows)):
-                for axis in range(3):
-                    count = 0
-                    first, last = 1 << 30, -1
-                    for column in range(left, right):
-                        ray = ray_of(view, row, column, nx, ny, nz)
-                        if axis == 0 and ray[6] < ray[5]:
-                            out[row, column] = 0.0
-                        if ray[0] != axis or ray[6] < ray[5]:
-                            continue
-                        if axis == 0:
-                            out[row, column] = np.float32(ray[7]) * _along_x(
-                                x,
-                                np.float32(ray[1]),
-                                np.float32(ray[2]),
-                                np.float32(ray[3]),
-                                np.float32(ray[4]),
-                                ray[5],
-                                ray[6],
-                                at,
-                                work,
-                            )
-                            continue
-                        for q in range(6):
-                            rays[q, count] = 0.0
-                        rays[0, count] = ray[1]
-                        rays[1, count] = ray[2]
-                        rays[2, count] = ray[3]
-                        rays[3, count] = ray[4]
-                        rays[4, count] = ray[5]
-                        rays[5, count] = ray[6]
-                        first = min(first, ray[5])
-                        last = max(last, ray[6])
-                        where[count] = column
-                        steps[count] = ray[7]
-                        sums[count] = 0.0
-                        count += 1
-                    if count > 0:
-                        _across(x, axis, rays, count, first, last, sums, at, work)
-                        for p in range(count):
-                            out[row, where[p]] = steps[p] * sums[p]
+    shape, flat = x.shape, x.reshape(-1)
+    across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
+    for tile in prange((rows + TILE_ROWS - 1) // TILE_ROWS * across):
+        top, left = tile // across * TILE_ROWS, tile % across * TILE_COLUMNS
+        bottom, right = min(top + TILE_ROWS, rows), min(left + TILE_COLUMNS, columns)
+        out[top:bottom, left:right] = 0.0
+        scratch = room()
+        blocks, ranges, pixels, steps, groups, _, brick = scratch
+        load(view, shape, (top, bottom), (left, right), False, scratch)
+        for axis in range(3):
+            if groups[axis] == 0:
+                continue
+            planes = planes_of(axis, shape)
+            rays, bounds = blocks[axis], ranges[axis]
+            for start in range(0, planes, PLANES):
+                end = min(start + PLANES, planes) - 1
+                box = box_of(rays, bounds, groups[axis], axis, shape, start, end)
+                if fits(box):
+                    take(flat, shape, axis, box, brick)
+                    lattice = in_brick(box, axis, shape)
+                    _sum_slab(brick, lattice, start, end, rays, bounds, groups[axis])
+                else:
+                    lattice = in_volume(axis, shape)
+                    _sum_slab(flat, lattice, start, end, rays, bounds, groups[axis])
+            for slot in range(groups[axis] * LANES):
+                pixel = pixels[axis, slot]
+                if pixel >= 0:
+                    total = rays[slot // LANES * BLOCK + VALUE + slot % LANES]
+                    out[pixel // 65536, pixel % 65536] = steps[axis, slot] * total

@@ -5,18 +5,15 @@ crosses fastest, bilinearly within the plane, and held constant over the outer h
 is chosen per ray. All kernels compute in voxel indices (x, y, z) and take one view as numbers (see
 ``projector``): the source, the first pixel and the steps from pixel to pixel.
 
-Why the kernels are fast: places and weights of many samples are worked out first, in a loop without
-branches that LLVM vectorises; eight samples at a time are then read and blended (``_blend``); tiles
-of rays stay within the L2 cache. No kernel's result depends on the number of threads.
+Why the kernels are fast: eight samples at a time are read and blended by vector code (``_march``,
+``_sample``); tiles of rays go through the volume slab by slab, in copies of just the voxels they
+cross (``_brick``). No kernel's result depends on the number of threads.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit, prange
-
-CHUNK = 128
-"""Samples of a line whose places are worked out before they are read."""
 
 OPTIONS = {"cache": True, "fastmath": True, "nogil": True, "error_model": "numpy"}
 """Of every kernel."""

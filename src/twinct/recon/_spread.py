@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from twinct.recon._blend import LANES, blend_adjacent, index, pad
-from twinct.recon._rays import CHUNK, OPTIONS
+from twinct.recon._rays import OPTIONS
+from twinct.recon._sample import sample_line
+from twinct.recon._vectors import LANES
+
+CHUNK = 128
+"""Voxels of a line that are worked on together."""
 
 
 @njit(**OPTIONS)
@@ -79,31 +83,25 @@ def _missing(missing, first_column, last_column, first_row, last_row):
 
 @njit(**OPTIONS)
 def _update_line(
-    line, first, last, image, mask, missing, width, a, e, d, a1, e1, d1, floor, at, work
+    line, first, last, image, mask, missing, width, a, e, d, a1, e1, d1, floor, values, weights
 ):
     """line[i] <- max(line[i] + mean of the counting pixels around the voxel's, bilinear, floor)."""
     one, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
-    fs, gs, values, weights = work[0], work[1], work[2], work[3]
     for start in range(first, last + 1, CHUNK):
-        count = min(CHUNK, last + 1 - start)
-        for p in range(count):
-            t = np.float32(np.int32(start + p))
-            scale = one / (d + t * d1)
-            column = (a + t * a1) * scale + one
-            row = (e + t * e1) * scale + one
-            c = np.int32(column)
-            r = np.int32(row)
-            at[p] = index(c, np.int32(width), r)
-            fs[p] = column - np.float32(c)
-            gs[p] = row - np.float32(r)
-        pad(at, count)
-        for p in range(0, count, LANES):
-            blend_adjacent(image, at, fs, gs, p, 1, width, values)
+        end = min(start + CHUNK, last + 1)
         # The line's shadow is straight: the box of its ends holds every pixel it reads.
-        begin, end = at[0], at[count - 1]
-        if _missing(missing, begin % width, end % width, begin // width, end // width) > 0:
-            for p in range(0, count, LANES):
-                blend_adjacent(mask, at, fs, gs, p, 1, width, weights)
+        from_scale, to_scale = one / (d + start * d1), one / (d + (end - 1) * d1)
+        hidden = _missing(
+            missing,
+            (a + start * a1) * from_scale,
+            (a + (end - 1) * a1) * to_scale,
+            (e + start * e1) * from_scale,
+            (e + (end - 1) * e1) * to_scale,
+        )
+        count = end - start
+        sample_line(values, image, width, start, count, a, e, d, a1, e1, d1)
+        if hidden > 0:
+            sample_line(weights, mask, width, start, count, a, e, d, a1, e1, d1)
             for p in range(count):
                 change = values[p] / max(weights[p], least)
                 values[p] = change if weights[p] > least else zero
@@ -127,8 +125,8 @@ def spread(x, matrix, image, mask, missing, floor):
     rows, columns = image.shape[0] - 2, image.shape[1] - 2
     a1, e1, d1 = matrix[0, 0], matrix[1, 0], matrix[2, 0]
     for k in prange(nz):
-        at = np.zeros(CHUNK, np.int32)
-        work = np.zeros((4, CHUNK), np.float32)
+        values = np.empty(CHUNK + LANES, np.float32)
+        weights = np.empty(CHUNK + LANES, np.float32)
         for j in range(ny):
             a = matrix[0, 1] * j + matrix[0, 2] * k + matrix[0, 3]
             e = matrix[1, 1] * j + matrix[1, 2] * k + matrix[1, 3]
@@ -144,13 +142,14 @@ def spread(x, matrix, image, mask, missing, floor):
                 mask,
                 missing,
                 columns + 2,
-                np.float32(a),
-                np.float32(e),
+                # In the framed image columns and rows count from one.
+                np.float32(a + d),
+                np.float32(e + d),
                 np.float32(d),
-                np.float32(a1),
-                np.float32(e1),
+                np.float32(a1 + d1),
+                np.float32(e1 + d1),
                 np.float32(d1),
                 floor,
-                at,
-                work,
+                values,
+                weights,
             )

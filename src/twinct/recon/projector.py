@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError
@@ -67,7 +68,7 @@ class Projector:
         y = _as_float32(y, self.range_shape, "the projections")
         x = np.zeros(self.domain_shape, np.float32)
         for view, image in zip(self._rays, y, strict=True):
-            adjoint(image, view, x)
+            adjoint(image, view, x, get_num_threads())
         return x
 
     def __getitem__(self, views: Any) -> Projector:

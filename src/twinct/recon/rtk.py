@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.recon.checks import Checks
+from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import Volume
-from twinct.recon.sart import Callback, check_arguments
+from twinct.recon.steps import Callback, Reporter
 
 
 def rtk_sart(
@@ -24,15 +26,16 @@ def rtk_sart(
     *,
     iterations: int,
     relaxation: float,
-    order: Sequence[int] | NDArray[np.integer] | None = None,
     x0: ArrayLike | None = None,
     nonnegative: bool = False,
+    order: Order = "golden",
+    rng: Rng | None = None,
     callback: Callback | None = None,
 ) -> Volume:
     """Reconstruct with RTK's SART filter: Joseph forward, voxel-based back projection.
 
     RTK shuffles the views it is given, so it gets one at a time, in the same order as ``sart``. Its
-    displaced detector weighting, made for circular orbits, is off.
+    displaced detector weighting, made for circular orbits, is off. It knows no mask.
 
     Args:
         line_integrals: (views, rows, columns), mm times the unit of the result.
@@ -40,10 +43,11 @@ def rtk_sart(
         grid: the voxels, anywhere in the world.
         iterations: passes over all views, at least 1.
         relaxation: RTK's lambda, between 0 and 2, both excluded.
-        order: permutation of the views; ``spread_order`` if not given.
         x0: start, (z, y, x); zero if not given.
         nonnegative: clip at zero after every update.
-        callback: called as ``callback(iteration, update, x)`` after each update.
+        order: as in ``sart``.
+        rng: generator or seed of the random order.
+        callback: called after each update, with NaN for the residual; True stops.
 
     Returns:
         The volume (z, y, x), float32.
@@ -52,23 +56,26 @@ def rtk_sart(
         MissingExtraError: itk-rtk is not installed.
         InputError: an argument is out of range, has another shape, or is not finite.
     """
-    range_shape = (len(geometry), *geometry.panel.shape)
-    order = check_arguments(range_shape, line_integrals, iterations, relaxation, order)
+    checks = Checks((len(geometry), *geometry.panel.shape))
+    p = checks.projections(line_integrals)
+    iterations = checks.count("iterations", iterations)
+    relaxation = checks.relaxation(relaxation)
+    x0 = checks.start(x0, grid.shape)
+    views = view_order(checks, geometry, order, rng)
+    checks.done()
     try:
         import itk
         from itk import RTK
     except ImportError as error:
         raise MissingExtraError("itk-rtk", "rtk") from error
 
-    p = np.asarray(line_integrals)
     x = np.zeros(grid.shape, np.float32) if x0 is None else np.array(x0, np.float32, order="C")
-    if x.shape != grid.shape:
-        raise InputError(f"x0 has shape {x.shape}: the grid needs {grid.shape} (z, y, x)")
+    report = Reporter(callback, len(views))
     local = grid.world_from_grid.inverse() @ geometry
     image_type = itk.Image[itk.F, 3]
     volume_origin = -(np.array(grid.shape_xyz) - 1) / 2 * grid.voxel
     for iteration in range(iterations):
-        for update, view in enumerate(order):
+        for update, view in enumerate(views):
             numbers = local[view].to_rtk()
             volume = _image(itk, x, volume_origin, grid.voxel)
             stack = np.ascontiguousarray(p[view : view + 1], dtype=np.float32)
@@ -84,8 +91,8 @@ def rtk_sart(
             sart.SetDisableDisplacedDetectorFilter(True)
             sart.Update()
             x = itk.array_from_image(sart.GetOutput())
-            if callback is not None:
-                callback(iteration, update, x)
+            if report(iteration, update, math.nan, 1, x):
+                return np.array(x, dtype=np.float32)
     return np.ascontiguousarray(x, dtype=np.float32)
 
 

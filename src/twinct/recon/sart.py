@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from twinct.errors import InputError
 from twinct.recon._forward import forward
 from twinct.recon._rays import chords
 from twinct.recon._spread import residual, spread
+from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
+from twinct.recon.memory import require_memory
+from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import Projector, Volume
-
-Callback = Callable[[int, int, Volume], None]
-
-
-def spread_order(views: int) -> NDArray[np.int64]:
-    """The default order of updates: each view far from the ones just used, (views,).
-
-    View i takes the rank of the fractional part of i times the golden ratio, so that consecutive
-    updates lie 0.38 of the path apart. Neighbouring views are nearly the same equations: used one
-    after the other they converge more slowly and leave streaks.
-    """
-    ratio = (np.sqrt(5.0) - 1.0) / 2.0
-    return np.argsort(np.argsort((np.arange(views) * ratio) % 1.0))
+from twinct.recon.steps import Callback, Reporter, sum_of_squares
 
 
 def sart(
@@ -35,7 +23,9 @@ def sart(
     relaxation: float,
     x0: ArrayLike | None = None,
     nonnegative: bool = False,
-    order: Sequence[int] | NDArray[np.integer] | None = None,
+    mask: ArrayLike | None = None,
+    order: Order = "golden",
+    rng: Rng | None = None,
     callback: Callback | None = None,
 ) -> Volume:
     """Reconstruct a volume from line integrals.
@@ -50,102 +40,70 @@ def sart(
     centres, border pixels held over their outer half. It is faster, and its B_i[1] is 1 wherever
     all rays count. A voxel that projects beside the panel is not updated.
 
+    Memory at its peak: 1 volume, and a few images, beside the projections.
+
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: passes over all views, at least 1.
         relaxation: between 0 and 2, both excluded.
         x0: start, (z, y, x); zero if not given. n iterations and then m from their result are, to
-            the last bit, n + m iterations.
+            the last bit, n + m iterations (in random order: with the same seed for both).
         nonnegative: clip at zero after every update (and ``x0`` before the first).
-        order: permutation of the views; ``spread_order`` if not given.
-        callback: called as ``callback(iteration, update, x)`` after each update, both counted from
-            0. ``x`` is the volume being worked on, not a copy.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool; what the
+            others hold, even NaN, has no influence.
+        order: ``golden`` (``spread_order``), ``sequential``, ``random``, ``weighted_distance``, or
+            a permutation of the views.
+        rng: generator or seed of the random order.
+        callback: called after each update; see ``Step``. True stops.
 
     Returns:
         The volume (z, y, x), float32.
 
     Raises:
-        InputError: an argument is out of range, has another shape, or is not finite.
+        InputError: an argument is out of range, has another shape, or is not finite; or the memory
+            does not suffice.
     """
-    order = check_arguments(A.range_shape, line_integrals, iterations, relaxation, order)
-    p = np.asarray(line_integrals)
-    x = _start(A, x0)
-    if nonnegative:
-        np.maximum(x, 0.0, out=x)
+    checks = Checks(A.range_shape)
+    pixels = checks.mask(mask)
+    p = checks.projections(line_integrals, pixels)
+    iterations = checks.count("iterations", iterations)
+    relaxation = checks.relaxation(relaxation)
+    x0 = checks.start(x0, A.domain_shape)
+    views = view_order(checks, A.geometry, order, rng)
+    checks.done()
+    require_memory("sart", A)
+    x = start_volume(A, x0, nonnegative)
     floor = np.float32(0.0) if nonnegative else np.finfo(np.float32).min
     shortest = np.float32(A.grid.voxel.min())
+    report = Reporter(callback, len(views))
     _, rows, columns = A.range_shape
     estimate = np.empty((rows, columns), np.float32)
     length = np.empty_like(estimate)
     image = np.empty((rows + 2, columns + 2), np.float32)
-    mask = np.empty_like(image)
+    counting = np.empty_like(image)
     missing = np.empty((rows + 3, columns + 3), np.int32)
     for iteration in range(iterations):
-        for update, view in enumerate(order):
+        for update, view in enumerate(views):
             forward(x, A._rays[view], estimate)
             chords(A._rays[view], A.domain_shape, length)
-            measured = np.ascontiguousarray(p[view], dtype=np.float32)
+            if pixels is not None:
+                length[~mask_of(pixels, view)] = 0.0
+            measured = masked_image(p, view, pixels)
             residual(
-                measured, estimate, length, np.float32(relaxation), shortest, image, mask, missing
+                measured,
+                estimate,
+                length,
+                np.float32(relaxation),
+                shortest,
+                image,
+                counting,
+                missing,
             )
-            spread(x, A._pixels[view], image, mask, missing, floor)
-            if callback is not None:
-                callback(iteration, update, x)
-    return x
-
-
-def check_arguments(
-    range_shape: tuple[int, ...],
-    line_integrals: ArrayLike,
-    iterations: int,
-    relaxation: float,
-    order: Sequence[int] | NDArray[np.integer] | None,
-) -> list[int]:
-    """Check what every SART takes; return the order as a list.
-
-    Raises:
-        InputError: names every argument that is wrong and what is allowed.
-    """
-    views = range_shape[0]
-    problems = []
-    p = np.asarray(line_integrals)
-    if p.shape != range_shape:
-        problems.append(
-            f"the projections have shape {p.shape}: the geometry needs {range_shape} "
-            "(views, rows, columns)"
-        )
-    else:
-        for view in range(views):
-            bad = int(np.count_nonzero(~np.isfinite(p[view])))
-            if bad:
-                problems.append(
-                    f"view {view} of the projections has {bad} pixels that are NaN or infinite: "
-                    "all must be finite"
-                )
-                break
-    if isinstance(iterations, bool) or int(iterations) != iterations or iterations < 1:
-        problems.append(f"iterations is {iterations!r}: a whole number of at least 1 needed")
-    if not 0 < relaxation < 2:
-        problems.append(f"relaxation is {relaxation!r}: above 0 and below 2 needed")
-    result = list(range(views))
-    if order is None:
-        result = [int(view) for view in spread_order(views)]
-    elif sorted(int(view) for view in order) != result:
-        problems.append(f"order is not a permutation of the views 0 to {views - 1}")
-    else:
-        result = [int(view) for view in order]
-    if problems:
-        raise InputError(problems)
-    return result
-
-
-def _start(A: Projector, x0: ArrayLike | None) -> Volume:  # noqa: N803
-    if x0 is None:
-        return np.zeros(A.domain_shape, np.float32)
-    x = np.array(x0, dtype=np.float32, order="C")
-    if x.shape != A.domain_shape:
-        raise InputError(f"x0 has shape {x.shape}: the grid needs {A.domain_shape} (z, y, x)")
-    if not np.isfinite(x).all():
-        raise InputError("x0 holds NaN or infinite voxels: all must be finite")
+            spread(x, A._pixels[view], image, counting, missing, floor)
+            if report.wanted:
+                counts = length >= shortest
+                square = sum_of_squares((measured - estimate)[None, counts])
+                if report(iteration, update, square, int(counts.sum()), x):
+                    return x
     return x

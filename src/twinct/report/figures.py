@@ -245,6 +245,29 @@ def pose_errors_over_views(
         return _svg(figure)
 
 
+def convergence(residuals: Mapping[str, Sequence[float]]) -> Picture:
+    """Residual over the iterations, one line for each geometry.
+
+    Args:
+        residuals: by geometry, root mean square of p - A x in each iteration.
+    """
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(5.6, 2.6), layout="constrained")
+        axes: Any = figure.subplots()
+        for (geometry, course), colour in zip(
+            residuals.items(), (SOURCE_COLOUR, DETECTOR_COLOUR, LIMIT_COLOUR), strict=False
+        ):
+            numbers = np.arange(1, len(course) + 1)
+            axes.semilogy(numbers, course, color=colour, marker="o", ms=3, lw=1.1, label=geometry)
+        axes.set_xlabel("iteration")
+        axes.set_ylabel("RMS of p − A x")
+        axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
+        axes.grid(axis="y", which="both", color="#e4e7eb", lw=0.7)
+        axes.set_axisbelow(True)
+        axes.legend(loc="upper right", borderpad=0)
+        return _svg(figure)
+
+
 def _limit(axes: Any, value: float, label: str) -> None:
     axes.axhline(value, color=LIMIT_COLOUR, lw=1, ls=(0, (4, 3)))
     axes.annotate(

@@ -121,6 +121,9 @@ def _pictures(report: ReportData) -> dict[str, Picture | None]:
             scenario.motion.tolerance_mm,
             scenario.motion.clearance_mm,
         ),
+        "convergence": figures.convergence(report.metrics["residuals"])
+        if any(len(course) > 1 for course in report.metrics.get("residuals", {}).values())
+        else None,
         "slices": figures.cross_section_grid(report.slices, mu or 1.0) if report.slices else None,
         "projections": figures.projection_strip(report.projections, report.panel)
         if report.projections
@@ -149,8 +152,7 @@ def _setting(report: ReportData) -> dict[str, str]:
         f"{scenario.cell.detector_arm.model} (detector)",
         "Detector": f"{panel.columns} × {panel.rows} px of "
         f"{panel.pitch_u:g} × {panel.pitch_v:g} mm",
-        "Reconstruction": f"{reconstruction.algorithm.upper()} ({reconstruction.engine}), "
-        f"{reconstruction.iterations} iterations, relaxation {reconstruction.relaxation:g}",
+        "Reconstruction": reconstruction.in_words,
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
     }
 

@@ -1,7 +1,8 @@
 """The scenario: one YAML file that initialises everything."""
 
-from twinct.scenario.keys import Composition
+from twinct.scenario.composition import Composition
 from twinct.scenario.loading import load_scenario, parse_scenario, scenario_schema
+from twinct.scenario.reconstruction import Grid, Reconstruction, Surroundings
 from twinct.scenario.sections import (
     ArcTrajectory,
     Arm,
@@ -12,14 +13,12 @@ from twinct.scenario.sections import (
     Cylinder,
     Ellipsoid,
     FileTrajectory,
-    Grid,
     HelixTrajectory,
     InverseKinematics,
     MeshFile,
     Motion,
     Part,
     PositionNoise,
-    Reconstruction,
     Scenario,
     SinusoidTrajectory,
     Skull,
@@ -56,6 +55,7 @@ __all__ = [
     "Source",
     "Specimen",
     "Sphere",
+    "Surroundings",
     "Table",
     "Uncertainty",
     "load_scenario",

@@ -12,17 +12,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twinct.geometry import Pose, VolumeGrid
-from twinct.scenario.keys import (
-    Composition,
-    Finite,
-    Lengths,
-    NonNegative,
-    Positive,
-    Section,
-    Vector,
-)
-from twinct.scenario.xray import BeamHardening, Detector, Source, TubeSpectrum
+from twinct.geometry import Pose
+from twinct.scenario.composition import Composition
+from twinct.scenario.reconstruction import Reconstruction
+from twinct.scenario.section import Finite, Lengths, NonNegative, Positive, Section, Vector
+from twinct.scenario.xray import Detector, Source, TubeSpectrum
 
 
 class _Orbit(Section):
@@ -324,67 +318,6 @@ class Uncertainty(Section):
     detector: PositionNoise = PositionNoise()
 
 
-class Grid(Section):
-    """The voxels of the reconstruction."""
-
-    voxels: Annotated[int, Field(ge=2, le=4096)] | tuple[int, int, int] = Field(
-        default=512, description="Voxels along each axis; three numbers for (x, y, z)."
-    )
-    voxel_mm: Positive | Lengths = Field(
-        default=0.31, description="Voxel edge; three for (x, y, z)."
-    )
-    centre_mm: Vector = (0.0, 0.0, 0.0)
-    rotation_deg: Vector = (0.0, 0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _some_voxels(self) -> Grid:
-        if isinstance(self.voxels, tuple) and min(self.voxels) < 2:
-            raise ValueError(f"voxels {self.voxels} must be at least 2 along each axis")
-        return self
-
-    @property
-    def volume_grid(self) -> VolumeGrid:
-        """The voxel lattice."""
-        nx, ny, nz = self.voxels if isinstance(self.voxels, tuple) else (self.voxels,) * 3
-        return VolumeGrid(
-            (nz, ny, nx), self.voxel_mm, Pose.from_euler(self.centre_mm, self.rotation_deg)
-        )
-
-
-GeometryName = Literal["commanded", "executed", "believed"]
-
-
-class Reconstruction(Section):
-    """From projections to a volume."""
-
-    algorithm: Literal["sart"] = "sart"
-    engine: Literal["twinct", "rtk"] = Field(
-        default="twinct", description="rtk is the independent cross-check; it needs the extra rtk."
-    )
-    iterations: int = Field(default=10, ge=1, le=10_000)
-    relaxation: float = Field(default=0.3, gt=0, lt=2)
-    geometry: GeometryName | tuple[GeometryName, ...] = Field(
-        default="believed",
-        description="Geometry to reconstruct from; several are judged side by side, and the first "
-        "one's volume is kept.",
-    )
-    beam_hardening: BeamHardening | None = Field(
-        default=None, description="Correction of line integrals before reconstruction."
-    )
-    grid: Grid = Grid()
-
-    @model_validator(mode="after")
-    def _distinct_geometries(self) -> Reconstruction:
-        if not self.geometries or len(set(self.geometries)) != len(self.geometries):
-            raise ValueError("geometry must name at least one geometry, each once")
-        return self
-
-    @property
-    def geometries(self) -> tuple[GeometryName, ...]:
-        """Always a tuple."""
-        return self.geometry if isinstance(self.geometry, tuple) else (self.geometry,)
-
-
 class Scenario(Section):
     """Everything one simulation needs."""
 
@@ -408,6 +341,16 @@ class Scenario(Section):
             raise ValueError(
                 "detector.noise of kind 'quantum' needs a photon number: give "
                 "source.photons_per_mm2_mas, or a source.spectrum of kind 'tube'"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _no_more_subsets_than_views(self) -> Scenario:
+        views = getattr(self.trajectory, "views", None)
+        subsets = self.reconstruction.subsets
+        if views is not None and subsets is not None and subsets > views:
+            raise ValueError(
+                f"reconstruction.subsets ({subsets}) must be at most trajectory.views ({views})"
             )
         return self
 

@@ -1,0 +1,37 @@
+"""CIL's words: ``Cone3D_Flex``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import ScanGeometry, VolumeGrid
+
+
+def cil_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
+    """What CIL's ``create_Cone3D_Flex``, ``set_panel`` and ``ImageGeometry`` take.
+
+    The panel's origin is bottom-left: pixel (0, 0) at the -u, -v corner.
+
+    Args:
+        geometry: the views, in the grid's own frame.
+        grid: the voxels.
+
+    Returns:
+        ``source_position_set``, ``detector_position_set``, ``detector_direction_x_set``,
+        ``detector_direction_y_set``, (views, 3); ``num_pixels`` (columns, rows); ``pixel_size``
+        (along u, along v), mm; ``volume`` (x, y, z) voxels; ``voxel`` (x, y, z), mm.
+    """
+    panel = geometry.panel
+    return {
+        "source_position_set": geometry.source,
+        "detector_position_set": geometry.detector,
+        "detector_direction_x_set": geometry.u,
+        "detector_direction_y_set": geometry.v,
+        "num_pixels": np.array([panel.columns, panel.rows]),
+        "pixel_size": np.array([panel.pitch_u, panel.pitch_v]),
+        "volume": np.array(grid.shape_xyz),
+        "voxel": grid.voxel,
+    }

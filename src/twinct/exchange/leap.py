@@ -1,0 +1,47 @@
+"""LEAP's words: the modular beam."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import InputError
+from twinct.geometry import ScanGeometry, VolumeGrid
+
+
+def leap_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
+    """What LEAP's ``set_modularbeam`` and ``set_volume`` take, float32 as they demand.
+
+    LEAP's row vector points along increasing rows, so it is v, and its column vector is u.
+
+    Args:
+        geometry: the views, in the grid's own frame.
+        grid: the voxels; LEAP has one edge for x and y.
+
+    Returns:
+        ``sourcePositions``, ``moduleCenters``, ``rowVectors``, ``colVectors``, (views, 3);
+        ``detector`` (rows, columns); ``pixel`` (height, width), mm; ``volume`` (x, y, z) voxels;
+        ``voxel`` (width, height), mm.
+
+    Raises:
+        InputError: voxels of different edges along x and y.
+    """
+    width, depth, height = grid.voxel.tolist()
+    if width != depth:
+        raise InputError(
+            f"LEAP has one voxel edge for x and y, this grid has {width:g} and {depth:g} mm: "
+            "set reconstruction.grid.voxel_mm of the scenario so that they agree"
+        )
+    panel = geometry.panel
+    return {
+        "sourcePositions": geometry.source.astype(np.float32),
+        "moduleCenters": geometry.detector.astype(np.float32),
+        "rowVectors": geometry.v.astype(np.float32),
+        "colVectors": geometry.u.astype(np.float32),
+        "detector": np.array([panel.rows, panel.columns]),
+        "pixel": np.array([panel.pitch_v, panel.pitch_u]),
+        "volume": np.array(grid.shape_xyz),
+        "voxel": np.array([width, height]),
+    }

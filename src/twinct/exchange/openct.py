@@ -1,0 +1,90 @@
+"""OpenCT's words: a free trajectory as projection matrices in JSON, beside raw images.
+
+After the writer of BAM's CTSimU toolbox (``create_OpenCT_config`` and ``projection_matrix`` of
+ctsimu), the one public description of the format. Image rows run downwards there, so along -v. The
+toolbox's volume is turned by 180 degrees about z against the world; ours is not.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.exchange.rtk import rtk_matrices
+from twinct.geometry import ScanGeometry, VolumeGrid
+
+_DOWN = np.diag([1.0, -1.0, 1.0])
+
+
+def openct_matrices(geometry: ScanGeometry) -> NDArray[np.float64]:
+    """(views, 3, 4): point in mm to (right w, down w, w), mm on the panel from its centre.
+
+    Scaled to 1 in the lower right, as the toolbox does, unless that is 0.
+    """
+    matrices = _DOWN @ rtk_matrices(geometry)
+    corner = matrices[:, 2, 3]
+    return matrices / np.where(corner == 0, 1.0, corner)[:, None, None]
+
+
+def openct_files(views: int) -> list[str]:
+    """Names of the images, one for each view."""
+    return [f"{view:04d}.raw" for view in range(views)]
+
+
+def openct_json(
+    geometry: ScanGeometry, grid: VolumeGrid, name: str, *, transmission: bool
+) -> dict[str, Any]:
+    """The description of a scan whose images lie in ``projections``, first row on top.
+
+    Args:
+        geometry: the views, in the grid's own frame.
+        grid: the voxels; the format takes the box around them, not their number.
+        name: of the volume.
+        transmission: pixels hold I/I0, not line integrals.
+    """
+    panel = geometry.panel
+    to_source = np.einsum("ij,ij->i", geometry.normal, geometry.source)
+    to_panel = np.einsum("ij,ij->i", geometry.normal, -geometry.detector)
+    return {
+        "version": {"major": 1, "minor": 0},
+        "OpenCTJSON": {
+            "versionMajor": 1,
+            "versionMinor": 0,
+            "revisionNumber": 0,
+            "variant": "FreeTrajectoryCBCTScan",
+        },
+        "hints": None,
+        "units": {"length": "Millimeter", "angle": "Degree"},
+        "volumeName": name,
+        "projections": {
+            "numProjections": len(geometry),
+            "intensityDomain": transmission,
+            "images": {
+                "dataType": "Float32",
+                "fileType": "RAW",
+                "skipBytes": 0,
+                "endianness": "Little",
+                "directory": "projections",
+                "files": openct_files(len(geometry)),
+            },
+            "detectorCoordinateFrame": "OriginAtDetectorCenter.VerticalAxisRunningDownwards",
+            "detectorCoordinateDimension": "Length",
+            "matrices": openct_matrices(geometry).tolist(),
+        },
+        "geometry": {
+            "detectorPixel": [panel.columns, panel.rows],
+            "detectorSize": list(panel.size_mm),
+            "distanceSourceObject": float(to_source.mean()),
+            "distanceObjectDetector": float(to_panel.mean()),
+            "mirrorDetectorAxis": "",
+            "skipAngle": 0,
+            "totalAngle": None,
+            "objectBoundingBox": {
+                "centerXYZ": [0.0, 0.0, 0.0],
+                "sizeXYZ": grid.size_mm.tolist(),
+            },
+        },
+        "corrections": None,
+    }

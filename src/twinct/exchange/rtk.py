@@ -1,0 +1,81 @@
+"""RTK's words: the geometry XML, three distances, three angles and four offsets of each view.
+
+RTK (``ThreeDCircularProjectionGeometry``) maps a point with
+
+    T(sx - px, sy - py) diag(-SDD, -SDD, 1) T(-sx, -sy, -SID) Rz(-in) Rx(-out) Ry(-gantry),
+
+whose rotation has the rows u, v and n = u x v; so any view fits. The reader recomputes each matrix
+from the parameters and compares it with the one in the file.
+"""
+
+from __future__ import annotations
+
+import warnings
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twinct.geometry import Floats, ScanGeometry
+
+VERSION = 3
+"""Of RTK's geometry file, since RTK 2.0."""
+
+
+def rtk_parameters(geometry: ScanGeometry) -> dict[str, Floats]:
+    """RTK's parameters by the names of its XML, each (views,), degrees and mm."""
+    rows = np.stack([geometry.u, geometry.v, geometry.normal], axis=1)
+    source = np.einsum("ijk,ik->ij", rows, geometry.source)
+    detector = np.einsum("ijk,ik->ij", rows, geometry.detector)
+    with (
+        warnings.catch_warnings()
+    ):  # at 90 degrees out of plane, one angle is free and becomes zero
+        warnings.filterwarnings("ignore", message="Gimbal lock")
+        angles = -Rotation.from_matrix(rows).as_euler("ZXY", degrees=True) % 360
+    return {
+        "GantryAngle": angles[:, 2],
+        "SourceToIsocenterDistance": source[:, 2],
+        "SourceToDetectorDistance": source[:, 2] - detector[:, 2],
+        "SourceOffsetX": source[:, 0],
+        "SourceOffsetY": source[:, 1],
+        "ProjectionOffsetX": detector[:, 0],
+        "ProjectionOffsetY": detector[:, 1],
+        "InPlaneAngle": angles[:, 0],
+        "OutOfPlaneAngle": angles[:, 1],
+    }
+
+
+def rtk_matrices(geometry: ScanGeometry) -> NDArray[np.float64]:
+    """(views, 3, 4): point in mm to (x w, y w, w), x and y in mm on the panel from its centre."""
+    rows = np.stack([geometry.u, geometry.v, geometry.normal], axis=1)
+    back = -np.einsum("ijk,ik->ij", rows, geometry.source)
+    seen = np.concatenate([rows, back[..., None]], axis=2)
+    to_panel = np.einsum("ijk,ik->ij", rows, geometry.source - geometry.detector)
+    lens = np.zeros((len(geometry), 3, 3))
+    lens[:, 0, 0] = lens[:, 1, 1] = -to_panel[:, 2]
+    lens[:, :2, 2] = to_panel[:, :2]
+    lens[:, 2, 2] = 1
+    return lens @ seen
+
+
+def rtk_geometry_xml(geometry: ScanGeometry) -> str:
+    """The geometry file.
+
+    Args:
+        geometry: the views, in the grid's own frame.
+
+    Returns:
+        XML that ``ThreeDCircularProjectionGeometryXMLFileReader`` and all of RTK's programs read.
+    """
+    root = ElementTree.Element("RTKThreeDCircularGeometry", version=str(VERSION))
+    parameters = rtk_parameters(geometry)
+    for view, matrix in enumerate(rtk_matrices(geometry)):
+        projection = ElementTree.SubElement(root, "Projection")
+        for name, values in parameters.items():
+            ElementTree.SubElement(projection, name).text = repr(float(values[view]))
+        text = "\n".join(" ".join(repr(float(value)) for value in row) for row in matrix)
+        ElementTree.SubElement(projection, "Matrix").text = f"\n{text}\n"
+    ElementTree.indent(root)
+    head = '<?xml version="1.0"?>\n<!DOCTYPE RTKGEOMETRY>\n'
+    return head + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -1,0 +1,61 @@
+"""Loads this folder into LEAP (github.com/LLNL/LEAP), and reconstructs it with LEAP's SART."""
+# pyright: reportMissingImports=false
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+
+
+def arrays():
+    """The images (view, row, column), and LEAP's arguments by name."""
+    with np.load(HERE / "geometry.npz") as stored:
+        return np.load(HERE / "projections.npy"), dict(stored)
+
+
+def load():
+    """LEAP's model with geometry and volume set, and the images."""
+    from leapctype import tomographicModels
+
+    images, words = arrays()
+    model = tomographicModels()
+    rows, columns = words["detector"].tolist()
+    done = model.set_modularbeam(
+        len(images),
+        rows,
+        columns,
+        *words["pixel"].tolist(),
+        words["sourcePositions"],
+        words["moduleCenters"],
+        words["rowVectors"],
+        words["colVectors"],
+    )
+    done = done and model.set_volume(*words["volume"].tolist(), *words["voxel"].tolist())
+    if not done:
+        raise SystemExit("LEAP refused the geometry; what it printed above says why")
+    model.set_diameterFOV(1.0e16)  # reconstruct the corners of the grid too
+    return model, images
+
+
+def reconstruct(iterations):
+    """SART in ten subsets of views; (z, y, x)."""
+    model, images = load()
+    volume = model.allocateVolume()
+    volume[:] = 0
+    model.SART(images, volume, iterations, min(10, len(images)))
+    return volume
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--iterations", type=int, default=0, help="reconstruct; 0 only loads")
+    parser.add_argument("--out", type=Path, default=Path("volume.npy"))
+    options = parser.parse_args()
+    leap, stack = load()
+    leap.print_parameters()
+    print(f"images (view, row, column) {stack.shape}")
+    if options.iterations:
+        np.save(options.out, reconstruct(options.iterations))
+        print(f"wrote {options.out}")

@@ -1,0 +1,56 @@
+"""A stack of projections on disk, written image by image, so that memory holds one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Panel
+
+Image = NDArray[np.float32]
+
+
+def write_npy(path: Path, images: Iterable[Image], views: int, panel: Panel) -> None:
+    """Write images as one NumPy array (view, row, column), float32."""
+    with path.open("wb") as stream:
+        np.lib.format.write_array_header_1_0(
+            stream, {"descr": "<f4", "fortran_order": False, "shape": (views, *panel.shape)}
+        )
+        for image in images:
+            stream.write(np.ascontiguousarray(image, "<f4").tobytes())
+
+
+def write_raw(folder: Path, images: Iterable[Image], names: Iterable[str]) -> None:
+    """Write one file of bare float32 values for each image, its last row first."""
+    folder.mkdir()
+    for name, image in zip(names, images, strict=True):
+        (folder / name).write_bytes(np.ascontiguousarray(image[::-1], "<f4").tobytes())
+
+
+def write_mha(path: Path, images: Iterable[Image], views: int, panel: Panel) -> None:
+    """Write images as one MetaImage stack (column, row, view), centred on the panel, mm.
+
+    The format is ITK's: a text header whose last line is ``ElementDataFile``, then the raw values.
+    """
+    origin = -(panel.columns - 1) / 2 * panel.pitch_u, -(panel.rows - 1) / 2 * panel.pitch_v
+    header = {
+        "ObjectType": "Image",
+        "NDims": "3",
+        "BinaryData": "True",
+        "BinaryDataByteOrderMSB": "False",
+        "CompressedData": "False",
+        "TransformMatrix": "1 0 0 0 1 0 0 0 1",
+        "Offset": f"{origin[0]!r} {origin[1]!r} 0",
+        "CenterOfRotation": "0 0 0",
+        "ElementSpacing": f"{panel.pitch_u!r} {panel.pitch_v!r} 1",
+        "DimSize": f"{panel.columns} {panel.rows} {views}",
+        "ElementType": "MET_FLOAT",
+        "ElementDataFile": "LOCAL",
+    }
+    with path.open("wb") as stream:
+        stream.write("".join(f"{key} = {value}\n" for key, value in header.items()).encode())
+        for image in images:
+            stream.write(np.ascontiguousarray(image, "<f4").tobytes())

@@ -1,0 +1,145 @@
+"""Bricks of voxels, copied to where a core reads and writes them fast.
+
+Voxels that lie side by side in a plane across x or y are a power of two apart in memory in most
+grids, and so fall onto the same few places of a cache; across x, no two of them share a cache line.
+So the voxels that a tile of rays crosses in a slab of planes are copied once, plane by plane, with
+the first of the two other axes along a line.
+
+A box is six numbers: first plane, planes, first c, cs, first b, bs; see ``_groups.cells_of``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+
+from twinct.recon._rays import OPTIONS
+from twinct.recon._vectors import I64, LANES, array_data, intrinsic, transposed, vector_at
+
+ROOM = 65536
+"""Voxels that a brick can hold: a quarter of a MB, so that it stays in the L2 cache."""
+
+
+@intrinsic
+def _transpose(typingctx, source, at, step, target, to, stride):
+    """target.flat[to + n stride + m] = source.flat[at + m step + n] for m and n from 0 to 7."""
+    n, void = types.int64, types.void
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source, at, step, target, to, stride = (
+            array_data(context, builder, kind, value) if isinstance(kind, types.Array) else value
+            for kind, value in zip(signature.args, args, strict=True)
+        )
+
+        def lines(data: Any, first: Any, distance: Any) -> list[Any]:
+            offsets = (builder.mul(distance, ir.Constant(I64, n)) for n in range(LANES))
+            return [vector_at(builder, data, builder.add(first, offset)) for offset in offsets]
+
+        taken = [builder.load(line, align=4) for line in lines(source, at, step)]
+        for line, values in zip(lines(target, to, stride), transposed(builder, taken), strict=True):
+            builder.store(values, line, align=4)
+        return context.get_dummy_value()
+
+    return void(source, n, n, target, n, n), codegen
+
+
+@intrinsic
+def _copy_line(typingctx, source, at, target, to, count):
+    """target.flat[to + n] = source.flat[at + n] for n below count."""
+    n, void = types.int64, types.void
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source, at, target, to, count = (
+            array_data(context, builder, kind, value) if isinstance(kind, types.Array) else value
+            for kind, value in zip(signature.args, args, strict=True)
+        )
+        begin, end = builder.gep(target, [to]), builder.gep(source, [at])
+        cgutils.raw_memcpy(builder, begin, end, count, 4)
+        return context.get_dummy_value()
+
+    return void(source, n, target, n, n), codegen
+
+
+@njit(inline="always", **OPTIONS)
+def _copy(source, source_at, source_stride, target, target_at, target_stride, rows, columns):
+    """target[n, m] = source[m, n], of rows m and columns n, each at its place in a flat array."""
+    for m in range(0, rows - LANES + 1, LANES):
+        for n in range(0, columns - LANES + 1, LANES):
+            _transpose(
+                source,
+                source_at + m * source_stride + n,
+                source_stride,
+                target,
+                target_at + n * target_stride + m,
+                target_stride,
+            )
+    whole_rows, whole_columns = rows // LANES * LANES, columns // LANES * LANES
+    for m in range(rows):
+        for n in range(0 if m >= whole_rows else whole_columns, columns):
+            target[target_at + n * target_stride + m] = source[source_at + m * source_stride + n]
+
+
+@njit(**OPTIONS)
+def take(x, shape, axis, box, brick):
+    """Copy a box of the volume ``x`` (flat) into the brick (flat): (plane, c, b)."""
+    _, ny, nx = shape
+    start, planes, c0, nc, b0, nb = box
+    if axis == 0:
+        for c in range(nc):
+            at = ((c0 + c) * ny + b0) * nx + start
+            _copy(x, at, nx, brick, c * nb, nc * nb, nb, planes)
+        return
+    for p in range(planes):
+        for c in range(nc):
+            k, j = (c0 + c, start + p) if axis == 1 else (start + p, c0 + c)
+            at, to = (k * ny + j) * nx + b0, (p * nc + c) * nb
+            _copy_line(x, at, brick, to, nb)
+
+
+@njit(**OPTIONS)
+def put(brick, shape, axis, box, x):
+    """Copy a brick back to where ``take`` had it from."""
+    _, ny, nx = shape
+    start, planes, c0, nc, b0, nb = box
+    if axis == 0:
+        for c in range(nc):
+            at = ((c0 + c) * ny + b0) * nx + start
+            _copy(brick, c * nb, nc * nb, x, at, nx, planes, nb)
+        return
+    for p in range(planes):
+        for c in range(nc):
+            k, j = (c0 + c, start + p) if axis == 1 else (start + p, c0 + c)
+            at, to = (k * ny + j) * nx + b0, (p * nc + c) * nb
+            _copy_line(brick, to, x, at, nb)
+
+
+@njit(inline="always", **OPTIONS)
+def fits(box):
+    """Whether a brick holds the box, and not mostly voxels between rays that are far apart."""
+    return box[1] * box[3] * box[5] <= ROOM
+
+
+@njit(inline="always", **OPTIONS)
+def in_brick(box, axis, shape):
+    """The lattice (see ``_march``) of a brick."""
+    start, _, c0, nc, b0, nb = box
+    middle = np.float32(0.5 * (shape[2 - axis] - 1))
+    stride = nc * nb
+    offset = -start * stride
+    return middle, np.float32(b0), np.float32(c0), offset, nb - 1, nc - 1, 1, nb, stride
+
+
+@njit(inline="always", **OPTIONS)
+def in_volume(axis, shape):
+    """The lattice (see ``_march``) of the volume itself."""
+    nz, ny, nx = shape
+    middle, zero = np.float32(0.5 * (shape[2 - axis] - 1)), np.float32(0.0)
+    if axis == 0:
+        return middle, zero, zero, 0, ny - 1, nz - 1, nx, nx * ny, 1
+    if axis == 1:
+        return middle, zero, zero, 0, nx - 1, nz - 1, 1, nx * ny, nx
+    return middle, zero, zero, 0, nx - 1, ny - 1, 1, nx, nx * ny

@@ -1,0 +1,119 @@
+"""Words of LLVM for eight float32 at a time, that the kernels' vector code is made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba.extending import intrinsic as numba_intrinsic
+
+# A call leaves out the typing context that the function takes, so the type checker may not look.
+intrinsic: Any = numba_intrinsic
+
+LANES = 8
+"""Samples that one call blends."""
+
+F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
+VECTOR, INTS = ir.VectorType(F32, LANES), ir.VectorType(I32, LANES)
+_PAIR = ir.VectorType(F32, 2)
+# Pairs in this order let one in-lane shuffle separate lower from upper neighbours.
+_HALVES = ((0, 1, 4, 5), (2, 3, 6, 7))
+_LOWER = (0, 2, 8, 10, 4, 6, 12, 14)
+_UPPER = (1, 3, 9, 11, 5, 7, 13, 15)
+# One in-lane interleave gives lanes 0, 1, 4, 5 or 2, 3, 6, 7 of two vectors, as ``_HALVES`` says.
+_INTERLEAVED = ((0, 8, 1, 9, 4, 12, 5, 13), (2, 10, 3, 11, 6, 14, 7, 15))
+_PAIRED = ((0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15))
+_HALVED = ((0, 1, 2, 3, 8, 9, 10, 11), (4, 5, 6, 7, 12, 13, 14, 15))
+
+
+def _mask(lanes: Any) -> ir.Constant:
+    return ir.Constant(ir.VectorType(I32, len(lanes)), list(lanes))
+
+
+def array_data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    """Pointer to an array's first element."""
+    return context.make_array(kind)(context, builder, array).data
+
+
+def vector_at(builder: Any, data: Any, first: Any) -> Any:
+    """Pointer to eight elements from ``first`` on."""
+    return builder.bitcast(builder.gep(data, [first]), VECTOR.as_pointer())
+
+
+def splat(builder: Any, value: Any) -> Any:
+    """The same number, eight times."""
+    undefined = ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined)
+    one = builder.insert_element(undefined, value, ir.Constant(I32, 0))
+    return builder.shuffle_vector(one, undefined, _mask([0] * LANES))
+
+
+def lanes_of(builder: Any, vector: Any) -> list[Any]:
+    """Eight non-negative 32-bit integers, widened to 64 bits."""
+    lanes = (builder.extract_element(vector, ir.Constant(I32, lane)) for lane in range(LANES))
+    return [builder.zext(lane, I64) for lane in lanes]
+
+
+def read_pairs(builder: Any, base: Any, places: list[Any]) -> tuple[Any, Any]:
+    """Vectors of base[i] and of base[i + 1], by one 64-bit load a pair."""
+    pairs = []
+    for place in places:
+        pair = builder.bitcast(builder.gep(base, [place]), _PAIR.as_pointer())
+        pairs.append(builder.load(pair, align=4))
+    halves = []
+    for a, b, c, d in _HALVES:
+        low = builder.shuffle_vector(pairs[a], pairs[b], _mask(range(4)))
+        high = builder.shuffle_vector(pairs[c], pairs[d], _mask(range(4)))
+        halves.append(builder.shuffle_vector(low, high, _mask(range(8))))
+    lower = builder.shuffle_vector(halves[0], halves[1], _mask(_LOWER))
+    return lower, builder.shuffle_vector(halves[0], halves[1], _mask(_UPPER))
+
+
+def read_single(builder: Any, base: Any, places: list[Any]) -> Any:
+    """Vector of base[i]."""
+    vector: Any = ir.Constant(VECTOR, ir.Undefined)
+    for lane, place in enumerate(places):
+        value = builder.load(builder.gep(base, [place]))
+        vector = builder.insert_element(vector, value, ir.Constant(I32, lane))
+    return vector
+
+
+def mix(builder: Any, low: Any, high: Any, share: Any) -> Any:
+    """Low + share * (high - low)."""
+    fast = ["fast"]
+    step = builder.fmul(share, builder.fsub(high, low, flags=fast), flags=fast)
+    return builder.fadd(low, step, flags=fast)
+
+
+def add_pairs(builder: Any, base: Any, places: list[Any], left: Any, right: Any) -> None:
+    """base[i] += left, base[i + 1] += right, one lane after the other."""
+    for half, order in enumerate(_INTERLEAVED):
+        pairs = builder.shuffle_vector(left, right, _mask(order))
+        for n, lane in enumerate(_HALVES[half]):
+            pair = builder.shuffle_vector(pairs, pairs, _mask((2 * n, 2 * n + 1)))
+            place = builder.bitcast(builder.gep(base, [places[lane]]), _PAIR.as_pointer())
+            total = builder.fadd(builder.load(place, align=4), pair)
+            builder.store(total, place, align=4)
+
+
+def add_single(builder: Any, base: Any, places: list[Any], values: Any) -> None:
+    """base[i] += values, one lane after the other."""
+    for lane, place in enumerate(places):
+        voxel = builder.gep(base, [place])
+        value = builder.extract_element(values, ir.Constant(I32, lane))
+        builder.store(builder.fadd(builder.load(voxel), value), voxel)
+
+
+def transposed(builder: Any, lines: list[Any]) -> list[Any]:
+    """Eight vectors, of which the n-th holds lane n of each of the given ones."""
+
+    def stage(order: list[tuple[int, int]], masks: Any, given: list[Any]) -> list[Any]:
+        return [
+            builder.shuffle_vector(given[a], given[b], _mask(mask))
+            for a, b in order
+            for mask in masks
+        ]
+
+    once = stage([(0, 1), (2, 3), (4, 5), (6, 7)], _INTERLEAVED, lines)
+    twice = stage([(0, 2), (1, 3), (4, 6), (5, 7)], _PAIRED, once)
+    thrice = stage([(0, 4), (1, 5), (2, 6), (3, 7)], _HALVED, twice)
+    return thrice[0::2] + thrice[1::2]

@@ -1,0 +1,177 @@
+"""What every algorithm checks before it starts; all problems are reported together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twinct.errors import InputError
+from twinct.recon.projector import Projector, Volume
+
+Mask = NDArray[np.bool_]
+
+
+class Checks:
+    """Collects problems of the arguments; ``done`` raises them.
+
+    Each check returns the argument in the form that the kernels take, or anything if it is wrong.
+    """
+
+    def __init__(self, range_shape: tuple[int, ...]) -> None:
+        """Args: range_shape: (views, rows, columns) of the geometry."""
+        self.range_shape = range_shape
+        self.problems: list[str] = []
+
+    def done(self) -> None:
+        """Raise what was found.
+
+        Raises:
+            InputError: one sentence for each problem.
+        """
+        if self.problems:
+            raise InputError(self.problems)
+
+    def mask(self, mask: ArrayLike | None) -> Mask | None:
+        """True where a pixel counts, (rows, columns) or (views, rows, columns)."""
+        if mask is None:
+            return None
+        array = np.asarray(mask)
+        allowed = (self.range_shape[1:], self.range_shape)
+        if array.dtype != np.bool_:
+            self.problems.append(
+                f"the mask holds {array.dtype}: bool needed, True where a pixel counts"
+            )
+        elif array.shape not in allowed:
+            self.problems.append(
+                f"the mask has shape {array.shape}: {allowed[0]} (rows, columns) or {allowed[1]} "
+                "(views, rows, columns) needed"
+            )
+        elif not array.any():
+            self.problems.append("the mask is False everywhere: no pixel would count")
+        else:
+            return array
+        return None
+
+    def projections(self, line_integrals: ArrayLike, mask: Mask | None = None) -> NDArray[Any]:
+        """Line integrals, finite wherever a pixel counts."""
+        p = np.asarray(line_integrals)
+        if p.shape != self.range_shape:
+            self.problems.append(
+                f"the projections have shape {p.shape}: the geometry needs {self.range_shape} "
+                "(views, rows, columns)"
+            )
+            return p
+        for view in range(len(p)):
+            bad = ~np.isfinite(p[view])
+            if mask is not None:
+                bad &= mask_of(mask, view)
+            count = int(np.count_nonzero(bad))
+            if count:
+                self.problems.append(
+                    f"view {view} of the projections has {count} pixels that are NaN or infinite: "
+                    "all must be finite, or left out by the mask"
+                )
+                break
+        return p
+
+    def weights(self, weights: ArrayLike | None, mask: Mask | None) -> NDArray[Any] | None:
+        """Weights of the pixels, 0 or more, finite wherever a pixel counts."""
+        if weights is None:
+            return None
+        before = len(self.problems)
+        w = self.projections(weights, mask)
+        if len(self.problems) > before:
+            self.problems[-1] = self.problems[-1].replace("projections", "weights")
+        elif (w < 0).any() or not (w > 0).any():
+            self.problems.append("the weights must be 0 or more, and above 0 somewhere")
+        return w
+
+    def count(self, name: str, value: int, at_most: float = math.inf) -> int:
+        """A whole number from 1."""
+        limit = "" if math.isinf(at_most) else f" and at most {at_most}"
+        try:
+            good = not isinstance(value, bool) and int(value) == value and 1 <= value <= at_most
+        except (TypeError, ValueError, OverflowError):
+            good = False
+        if not good:
+            self.problems.append(f"{name} is {value!r}: a whole number of at least 1{limit} needed")
+            return 1
+        return int(value)
+
+    def relaxation(self, value: float) -> float:
+        """Between 0 and 2, both excluded."""
+        if not 0 < value < 2:
+            self.problems.append(f"relaxation is {value!r}: above 0 and below 2 needed")
+        return float(value)
+
+    def not_negative(self, name: str, value: float) -> float:
+        """A finite number from 0."""
+        if not (value >= 0 and math.isfinite(value)):
+            self.problems.append(f"{name} is {value!r}: a finite number of at least 0 needed")
+        return float(value)
+
+    def start(self, x0: ArrayLike | None, domain_shape: tuple[int, ...]) -> ArrayLike | None:
+        """A volume to start from, finite."""
+        if x0 is None:
+            return None
+        x = np.asarray(x0)
+        if x.shape != domain_shape:
+            self.problems.append(f"x0 has shape {x.shape}: the grid needs {domain_shape} (z, y, x)")
+        elif not all(np.isfinite(plane).all() for plane in x):
+            self.problems.append("x0 holds NaN or infinite voxels: all must be finite")
+        return x
+
+
+def start_volume(A: Projector, x0: ArrayLike | None, nonnegative: bool) -> Volume:  # noqa: N803
+    """A copy of ``x0``, or zero."""
+    if x0 is None:
+        return np.zeros(A.domain_shape, np.float32)
+    x = np.array(x0, dtype=np.float32, order="C")
+    return np.maximum(x, 0.0, out=x) if nonnegative else x
+
+
+def mask_of(mask: Mask, view: int) -> Mask:
+    """The mask of one view, (rows, columns)."""
+    return mask if mask.ndim == 2 else mask[view]
+
+
+def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Volume:
+    """Line integrals of one view, float32, 0 where a pixel does not count."""
+    image = np.ascontiguousarray(p[view], dtype=np.float32)
+    if mask is None:
+        return image
+    return np.where(mask_of(mask, view), image, np.float32(0.0))
+
+
+def remainder(
+    A: Projector,  # noqa: N803
+    x: Volume,
+    p: NDArray[Any],
+    views: Iterable[int],
+    mask: Mask | None,
+) -> Volume:
+    """The line integrals of some views less A x, the operator of these views."""
+    rest = A(x)
+    for view, image in zip(views, rest, strict=True):
+        np.subtract(masked_image(p, view, mask), image, out=image)
+    return rest
+
+
+def counting_rays(A: Projector, mask: Mask | None) -> tuple[Mask, Volume]:  # noqa: N803
+    """Which rays count, and their length inside the grid, mm.
+
+    Rays shorter than the smallest voxel edge count as missing the grid.
+
+    Returns:
+        Two arrays (views, rows, columns); the length is 0 where a ray does not count.
+    """
+    lengths = A.chords()
+    counts = lengths >= np.float32(A.grid.voxel.min())
+    if mask is not None:
+        counts &= mask
+    lengths[~counts] = 0.0
+    return counts, lengths

@@ -1,0 +1,219 @@
+"""FDK: filtered back projection of circular cone-beam scans."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, get_args
+
+import numpy as np
+import scipy.fft
+from numpy.typing import ArrayLike
+
+from twinct.errors import InputError
+from twinct.geometry import Floats, ScanGeometry
+from twinct.recon._voxel_driven import back_project
+from twinct.recon.checks import Checks, Mask, mask_of, masked_image
+from twinct.recon.memory import require_memory
+from twinct.recon.orbit import Circle, fit_circle
+from twinct.recon.projector import Projector, Volume
+from twinct.recon.steps import Callback, Reporter
+
+Window = Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"]
+
+BLOCK = 16
+"""Views that are filtered, and then back-projected, at a time."""
+
+
+def fdk(
+    A: Projector,  # noqa: N803
+    line_integrals: ArrayLike,
+    *,
+    window: Window = "ramp",
+    nonnegative: bool = False,
+    mask: ArrayLike | None = None,
+    callback: Callback | None = None,
+) -> Volume:
+    """Reconstruct a circular scan, a whole turn or a short scan (Feldkamp, Davis, Kress 1984).
+
+    Circle, axis and spacing are found from the views (``orbit``); the back projection uses each
+    view as it is, so that small deviations cost nothing but the filter's direction. A scan that
+    leaves a circle by more than the bounds stated there is refused. An arc must cover 180 degrees
+    and the fan; its rays are weighted after Parker (1982), with the angle beyond 180 degrees in
+    place of the fan angle where the arc is longer. Each view counts by the arc it stands for.
+
+    Rows that do not end at zero, as those of a truncated specimen, are led there by half a cosine
+    over half the panel's width before they are filtered. Voxels beside the panel in a view get
+    nothing from it. Away from the circle's plane the values fall: a circle does not hold all data.
+
+    There is no ``x0`` and there are no ``iterations``.
+
+    Memory at its peak: 1 volume, and some images, beside the projections.
+
+    Args:
+        A: the projector, with the believed geometry.
+        line_integrals: p, (views, rows, columns), mm times the unit of the result.
+        window: of the ramp filter: ``ramp`` (none), ``shepp_logan``, ``cosine``, ``hamming`` or
+            ``hann``, from sharp to smooth.
+        nonnegative: clip the result at zero.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool. The others
+            are interpolated along their row (a row without any from the rows beside it), since the
+            filter needs every pixel: this invents data, where the iterative algorithms leave the
+            rays out.
+        callback: called after each ``BLOCK`` of views, with NaN for the residual, and half-done
+            volumes. True stops.
+
+    Returns:
+        The volume (z, y, x), float32.
+
+    Raises:
+        InputError: no circle, too short an arc; an argument of another shape, or not finite; or the
+            memory does not suffice.
+    """
+    checks = Checks(A.range_shape)
+    pixels = checks.mask(mask)
+    p = checks.projections(line_integrals, pixels)
+    if window not in get_args(Window):
+        checks.problems.append(f"window is {window!r}: {', '.join(get_args(Window))} needed")
+    if pixels is not None and pixels.ndim == 3 and not pixels.any(axis=(1, 2)).all():
+        view = int(pixels.any(axis=(1, 2)).argmin())
+        checks.problems.append(f"the mask leaves no pixel of view {view}: fdk needs some of each")
+    circle = None
+    try:
+        circle = circular(A.geometry)
+    except InputError as error:
+        checks.problems.extend(error.problems)
+    checks.done()
+    assert circle is not None
+    fan = _fan(A.geometry, circle)
+    require_memory("fdk", A)
+    n = A.geometry.normal
+    sdd = np.einsum("vk,vk->v", A.geometry.source - A.geometry.detector, n)
+    sod = np.einsum("vk,vk->v", A.geometry.source - circle.centre, n)
+    response = _response(A.geometry.panel.columns, window)
+    across, up = _coordinates(A.geometry, circle)
+    x = np.zeros(A.domain_shape, np.float32)
+    blocks = range(0, len(A), BLOCK)
+    report = Reporter(callback, len(blocks))
+    for block, first in enumerate(blocks):
+        views = range(first, min(first + BLOCK, len(A)))
+        images = np.empty((len(views), *A.range_shape[1:]), np.float32)
+        for view, image in zip(views, images, strict=True):
+            u, v = across[view], up[view]
+            weight = sdd[view] / np.sqrt(sdd[view] ** 2 + u**2 + v[:, None] ** 2)
+            weight *= _redundancy(circle, view, fan[view])
+            # The filter's unit is the pixel; at the axis a pixel is pitch * SOD / SDD wide.
+            weight *= circle.steps[view] * sdd[view] / (sod[view] * A.geometry.panel.pitch_u)
+            image[:] = _complete(masked_image(p, view, pixels), pixels, view)
+            image *= weight.astype(np.float32)
+            image[:] = _filtered(image, response)
+        back_project(images, A._pixels[views], sod[views] ** 2, x)
+        if report(0, block, math.nan, 1, x):
+            break
+    return np.maximum(x, 0.0, out=x) if nonnegative else x
+
+
+def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats]:
+    """Of the columns (views, columns) and rows (views, rows) from the centre's projection, mm."""
+    panel = geometry.panel
+    column, row = geometry.project(circle.centre)[:, 0].T
+    across = (np.arange(panel.columns) - column[:, None]) * panel.pitch_u
+    return across, (np.arange(panel.rows) - row[:, None]) * panel.pitch_v
+
+
+def _fan(geometry: ScanGeometry, circle: Circle) -> Floats:
+    """Fan angle of each column, (views, columns), rad, right-handed about the axis."""
+    sdd = np.einsum("vk,vk->v", geometry.source - geometry.detector, geometry.normal)
+    ahead = np.cross(circle.axis, geometry.source - circle.centre)
+    sign = -np.sign(np.einsum("vk,vk->v", geometry.u, ahead))
+    return np.arctan(sign[:, None] * _coordinates(geometry, circle)[0] / sdd[:, None])
+
+
+def circular(geometry: ScanGeometry) -> Circle:
+    """The circle of a scan that fdk can reconstruct.
+
+    Raises:
+        InputError: it leaves a circle by more than the bounds, or the arc is too short.
+    """
+    circle = fit_circle(geometry)
+    needed = math.pi + 2 * float(np.abs(_fan(geometry, circle)).max())
+    if not circle.full and circle.span < needed - 1e-9:
+        raise InputError(
+            f"the arc covers {math.degrees(circle.span):.1f} deg: fdk needs 180 deg and the fan, "
+            f"{math.degrees(needed):.1f} deg, or a whole turn"
+        )
+    return circle
+
+
+def _redundancy(circle: Circle, view: int, fan: Floats) -> Floats | float:
+    """Share of a ray among those along the same line: they add up to 1, (columns,).
+
+    A ray at angle b of the source, turned by g from the central one, comes again at b + pi + 2 g
+    with -g.
+    """
+    if circle.full:
+        return 0.5
+    beyond = (circle.span - math.pi) / 2
+    b = circle.angles[view] + circle.steps[0] / 2
+    start, end = np.maximum(beyond - fan, 1e-9), np.maximum(beyond + fan, 1e-9)
+    rising = np.clip(b / start, 0, 2)
+    falling = np.clip((circle.span - b) / end, 0, 2)
+    return np.sin(math.pi / 4 * np.minimum(rising, falling)) ** 2
+
+
+def _response(columns: int, window: str) -> Volume:
+    """Ramp filter of pixels of width 1 at the frequencies of a padded row.
+
+    The transform of the band-limited kernel (Ramachandran, Lakshminarayanan 1971) rather than |f|
+    itself: sampling |f| would lower the mean of the image.
+    """
+    size = _padded(columns)
+    n = np.concatenate([np.arange(size // 2 + 1), np.arange(size // 2 + 1 - size, 0)])
+    kernel = np.zeros(size)
+    kernel[0] = 0.25
+    odd = n % 2 == 1
+    kernel[odd] = -1 / (math.pi * n[odd]) ** 2
+    f = scipy.fft.rfftfreq(size)
+    shapes = {
+        "ramp": np.ones_like(f),
+        "shepp_logan": np.sinc(f),
+        "cosine": np.cos(math.pi * f),
+        "hamming": 0.54 + 0.46 * np.cos(2 * math.pi * f),
+        "hann": 0.5 + 0.5 * np.cos(2 * math.pi * f),
+    }
+    spectrum: Any = scipy.fft.rfft(kernel)
+    return (spectrum.real * shapes[window]).astype(np.float32)
+
+
+def _padded(columns: int) -> int:
+    """Length at which no end of a row, led to zero, reaches the other."""
+    length: Any = scipy.fft.next_fast_len(4 * columns, real=True)
+    return length
+
+
+def _filtered(image: Volume, response: Volume) -> Volume:
+    """Rows led to zero at both ends, filtered, and cut again."""
+    columns = image.shape[1]
+    reach = columns // 2
+    fade = (0.5 + 0.5 * np.cos(math.pi * np.arange(1, reach + 1) / (reach + 1))).astype(np.float32)
+    padded = np.concatenate([image[:, :1] * fade[::-1], image, image[:, -1:] * fade], axis=1)
+    size = _padded(columns)
+    spectrum: Any = scipy.fft.rfft(padded, n=size, axis=1, workers=-1)
+    spectrum *= response
+    rows: Any = scipy.fft.irfft(spectrum, n=size, axis=1, workers=-1)
+    return rows[:, reach : reach + columns]
+
+
+def _complete(image: Volume, mask: Mask | None, view: int) -> Volume:
+    """Masked pixels interpolated along their row; whole rows from the rows beside them."""
+    if mask is None:
+        return image
+    good = mask_of(mask, view)
+    columns = np.arange(image.shape[1])
+    some = np.flatnonzero(good.any(axis=1))
+    for row in some:
+        if not good[row].all():
+            image[row] = np.interp(columns, columns[good[row]], image[row, good[row]])
+    if len(some) < len(image):
+        for column in columns:
+            image[:, column] = np.interp(np.arange(len(image)), some, image[some, column])
+    return image

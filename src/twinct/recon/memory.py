@@ -1,0 +1,124 @@
+"""What each algorithm needs in memory, against what this process may use."""
+
+from __future__ import annotations
+
+import math
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+from twinct.errors import MemoryShortageError
+from twinct.recon.projector import Projector
+
+PEAKS: dict[str, tuple[float, float]] = {
+    "sart": (1, 0),
+    "os_sart": (3, 0),
+    "sirt": (3, 2.25),
+    "cgls": (3, 2.25),
+    "fdk": (1, 0),
+    "fista_tv": (8, 2),
+    "rtk": (4, 0),
+}
+"""(volumes, projections) at the peak, float32, beside the projections and the x0 that are given."""
+
+SPARE_BYTES = 96 * 2**20
+"""Images, threads, compiled code."""
+
+_MEMINFO = Path("/proc/meminfo")
+_STATUS = Path("/proc/self/status")
+_CGROUPS = Path("/sys/fs/cgroup")
+
+
+def peak_bytes(algorithm: str, voxels: int, pixels: int) -> int:
+    """Bytes that an algorithm takes beside what it is given.
+
+    Args:
+        algorithm: a key of ``PEAKS``.
+        voxels: of the grid.
+        pixels: of all views together.
+    """
+    volumes, projections = PEAKS[algorithm]
+    return int(4 * (volumes * voxels + projections * pixels)) + SPARE_BYTES
+
+
+def available_bytes() -> tuple[float, str]:
+    """Bytes that this process may still take, and what sets the limit; infinite if unknown."""
+    return min(_limits(), default=(math.inf, "unknown"))
+
+
+def _limits() -> Iterator[tuple[float, str]]:
+    free = _kilobytes(_MEMINFO, "MemAvailable")
+    if free is not None:
+        yield free, "free memory of the machine"
+    for kind, name in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
+        soft, _ = resource.getrlimit(kind)
+        used = _kilobytes(_STATUS, name)
+        if soft != resource.RLIM_INFINITY and used is not None:
+            yield max(soft - used, 0), "limit of this process (ulimit)"
+    for limit, usage, cache in (
+        ("memory.max", "memory.current", "memory.stat"),
+        ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes", "memory/memory.stat"),
+    ):
+        most, used = _number(_CGROUPS / limit), _number(_CGROUPS / usage)
+        if most is not None and used is not None and most < 2**60:
+            used -= _number(_CGROUPS / cache, "inactive_file") or 0
+            yield max(most - used, 0), "limit of this container (cgroup)"
+
+
+def _kilobytes(path: Path, name: str) -> int | None:
+    number = _number(path, f"{name}:")
+    return None if number is None else 1024 * number
+
+
+def _number(path: Path, name: str = "") -> int | None:
+    """The number in a file, or the one in its line that starts with a name."""
+    try:
+        lines = path.read_text(encoding="ascii").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    for words in (line.split() for line in lines):
+        if not name and words and words[0].isdigit():
+            return int(words[0])
+        if name and words[:1] == [name] and words[1].isdigit():
+            return int(words[1])
+    return None
+
+
+def refuse_if_short(needed: int, what: str, advice: str) -> None:
+    """Raise where a job cannot fit.
+
+    Raises:
+        MemoryShortageError: with what is needed, what is there, and what to change.
+    """
+    available, limit = available_bytes()
+    if needed > available:
+        raise MemoryShortageError(
+            f"{what} needs {needed / 2**30:.2f} GiB of memory, and {available / 2**30:.2f} GiB are "
+            f"available ({limit}): {advice}"
+        )
+
+
+def require_memory(algorithm: str, A: Projector) -> None:  # noqa: N803
+    """Refuse to start what cannot fit, beside what is in memory already.
+
+    Raises:
+        MemoryShortageError: with what is needed, what is there, and what to change.
+    """
+    voxels, pixels = math.prod(A.domain_shape), math.prod(A.range_shape)
+    volumes, projections = PEAKS[algorithm]
+    parts = f"{volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
+    if projections:
+        parts += f" and {projections:g} x {pixels * 4 / 2**30:.2f} GiB of pixels"
+    refuse_if_short(
+        peak_bytes(algorithm, voxels, pixels),
+        f"{algorithm} with a grid of {A.domain_shape} voxels and {A.range_shape} pixels ({parts})",
+        advice(algorithm),
+    )
+
+
+def advice(algorithm: str) -> str:
+    """What to change where memory is short."""
+    text = "use fewer or larger voxels, or fewer views or pixels"
+    if PEAKS[algorithm] > PEAKS["sart"]:
+        text += f", or sart, which needs {PEAKS['sart'][0]:g} volume"
+    return text

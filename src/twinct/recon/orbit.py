@@ -1,0 +1,142 @@
+"""Whether a scan is a circle, and which: fitted to the views, nothing assumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinct.errors import InputError
+from twinct.geometry import Floats, ScanGeometry
+
+OFF_CIRCLE = 0.01
+"""Largest distance of a source from the circle, and spread of the panel's distance: shares of
+radius and SDD. Arms that trigger within 1 mm are at 0.003 on the paper's radius."""
+
+TILT_DEG = 1.0
+"""Largest angle between the panel's normal and the radius, and between its v and the axis."""
+
+OFF_CENTRE = 0.05
+"""Largest distance of the centre's projection from the panel's middle column, share of its width: a
+displaced panel needs other weights."""
+
+UNEVEN = 0.5
+"""Largest deviation of a step from the mean step, share of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """A circular scan.
+
+    Attributes:
+        centre: in the world, (3,), mm.
+        axis: unit vector of the rotation, right-handed from view to view, (3,).
+        radius: mean distance of the sources, mm.
+        angles: of the sources about the axis, increasing from 0, (views,), rad.
+        steps: arc that each view stands for, (views,), rad.
+        full: a whole turn; otherwise an arc.
+    """
+
+    centre: Floats
+    axis: Floats
+    radius: float
+    angles: Floats
+    steps: Floats
+    full: bool
+
+    @property
+    def span(self) -> float:
+        """Arc that all views together stand for, rad."""
+        return float(self.steps.sum())
+
+
+def fit_circle(geometry: ScanGeometry) -> Circle:
+    """The circle of a scan.
+
+    The plane is the one of least squares; in it the circle is fitted algebraically (Kasa 1976).
+
+    Raises:
+        InputError: every way in which the scan leaves a circle by more than the bounds above, with
+            the deviation and the bound.
+    """
+    if len(geometry) < 3:
+        raise InputError(f"{len(geometry)} views do not make a circle: at least 3 needed")
+    s = geometry.source
+    mean = s.mean(axis=0)
+    normal = np.linalg.svd(s - mean)[2][2]
+    e1 = s[0] - mean
+    e1 -= normal * (e1 @ normal)
+    if np.linalg.norm(e1) < 1e-9:
+        raise InputError("the sources of all views coincide: fdk needs a circular scan")
+    e1 /= np.linalg.norm(e1)
+    e2 = np.cross(normal, e1)
+    x, y = (s - mean) @ e1, (s - mean) @ e2
+    equations = np.stack([2 * x, 2 * y, np.ones_like(x)], axis=1)
+    (cx, cy, c), *_, rank, _ = np.linalg.lstsq(equations, x * x + y * y, rcond=1e-10)
+    square = c + cx * cx + cy * cy
+    if rank < 3 or square <= 0:
+        raise InputError("the sources lie on a line: fdk needs a circular scan")
+    radius = float(np.sqrt(square))
+    centre = mean + cx * e1 + cy * e2
+    angles = np.unwrap(np.arctan2(y - cy, x - cx))
+    if angles[-1] < angles[0]:
+        normal, angles = -normal, -angles
+    angles -= angles[0]
+    steps, full = _steps(angles)
+    circle = Circle(centre, normal, radius, angles, steps, full)
+    problems = _problems(circle, geometry)
+    if problems:
+        raise InputError(f"fdk needs a circular scan: {problem}" for problem in problems)
+    return circle
+
+
+def _steps(angles: Floats) -> tuple[Floats, bool]:
+    """Half the way to both neighbours; at the ends of an arc the inner half counts twice."""
+    gaps = np.diff(angles)
+    mean = float(gaps.mean())
+    full = abs(2 * np.pi - angles[-1] - mean) <= 0.5 * mean
+    if full:
+        around = np.concatenate([gaps, [2 * np.pi - angles[-1]]])
+        return (around + np.roll(around, 1)) / 2, True
+    before, after = np.concatenate([gaps[:1], gaps]), np.concatenate([gaps, gaps[-1:]])
+    return (before + after) / 2, False
+
+
+def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
+    found: list[str] = []
+
+    def bound(values: Floats, limit: float, unit: str, what: str) -> None:
+        """``what`` has a place for the view's number."""
+        worst = int(np.abs(values).argmax())
+        if not abs(values[worst]) <= limit:
+            found.append(
+                f"{what.format(worst)} is {abs(values[worst]):.3g} {unit}, "
+                f"at most {limit:.3g} {unit} allowed"
+            )
+
+    arm = geometry.source - circle.centre
+    height = arm @ circle.axis
+    flat = arm - height[:, None] * circle.axis
+    distance = np.linalg.norm(flat, axis=1)
+    off = np.hypot(distance - circle.radius, height)
+    bound(off, OFF_CIRCLE * circle.radius, "mm", "the distance of source {} from the circle")
+    n = geometry.normal
+    inwards = np.einsum("vk,vk->v", n, flat) / distance
+    facing = np.degrees(np.arccos(np.clip(inwards, -1, 1)))
+    bound(facing, TILT_DEG, "deg", "the angle between normal and radius of panel {}")
+    turn = np.degrees(np.arccos(np.clip(np.abs(geometry.v @ circle.axis), 0, 1)))
+    bound(turn, TILT_DEG, "deg", "the angle between the axis and v of panel {}")
+    sdd = np.einsum("vk,vk->v", geometry.source - geometry.detector, n)
+    away = f"the deviation from the mean distance of {sdd.mean():.1f} mm of panel {{}}"
+    bound(sdd - sdd.mean(), OFF_CIRCLE * float(sdd.mean()), "mm", away)
+    column = geometry.project(circle.centre)[:, 0, 0] - (geometry.panel.columns - 1) / 2
+    displaced = "the distance of the centre's projection from the middle column of view {}"
+    bound(column, OFF_CENTRE * geometry.panel.columns, "px", displaced)
+    gaps = np.degrees(np.diff(circle.angles))
+    uneven = (
+        f"the deviation from the mean step of {gaps.mean():.3g} deg of the step after view {{}}"
+    )
+    bound(gaps - gaps.mean(), UNEVEN * abs(float(gaps.mean())), "deg", uneven)
+    if np.degrees(circle.span) > 360.01 and not circle.full:
+        found.append(f"the arc is {np.degrees(circle.span):.1f} deg, at most one turn allowed")
+    return found

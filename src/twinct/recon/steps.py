@@ -1,0 +1,64 @@
+"""What an iterative algorithm tells while it works."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from twinct.recon.projector import Volume
+
+
+class Step(NamedTuple):
+    """One update of the volume.
+
+    Attributes:
+        iteration: passes over all views that were complete before, counted from 0.
+        update: updates of this iteration that were complete before, counted from 0.
+        updates: updates in each iteration; 1 where all views are used at once.
+        residual: root mean square of p - A x over the rays that count in this update, before it.
+        rays: number of these rays.
+        volume: the volume after the update, (z, y, x): read-only, and worked on further.
+    """
+
+    iteration: int
+    update: int
+    updates: int
+    residual: float
+    rays: int
+    volume: Volume
+
+
+Callback = Callable[[Step], bool | None]
+"""Called after each update; True ends the reconstruction with the volume as it is."""
+
+
+class Reporter:
+    """Calls a callback with what it needs."""
+
+    def __init__(self, callback: Callback | None, updates: int = 1) -> None:
+        """Keep the callback; ``updates`` is the number of updates in each iteration."""
+        self.callback = callback
+        self.updates = updates
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody listens: residuals need not be worked out otherwise."""
+        return self.callback is not None
+
+    def __call__(self, iteration: int, update: int, square: float, rays: int, x: Volume) -> bool:
+        """Tell of an update with the sum of squared residuals; whether to stop."""
+        if self.callback is None:
+            return False
+        view = x.view()
+        view.flags.writeable = False
+        residual = math.sqrt(square / rays) if rays else 0.0
+        step = Step(iteration, update, self.updates, residual, rays, view)
+        return bool(self.callback(step))
+
+
+def sum_of_squares(values: np.ndarray) -> float:
+    """In float64, one part along the first axis at a time; without BLAS and its threads."""
+    return float(sum(np.square(part, dtype=np.float64).sum() for part in values))

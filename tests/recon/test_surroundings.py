@@ -1,0 +1,87 @@
+"""Truncation: a body beyond the grid, seen by some views."""
+
+import numpy as np
+import pytest
+
+from twinct.errors import InputError
+from twinct.evaluate import region_of_interest
+from twinct.geometry import Panel, Pose, VolumeGrid
+from twinct.recon import Projector, cgls, sart, without_surroundings
+from twinct.recon.surroundings import coarse_grid
+
+AROUND = {"margin_mm": 30.0, "voxel_mm": 4.0, "iterations": 6}
+
+
+@pytest.fixture
+def truncated(circle, ellipsoid_integrals):
+    """A ball in the grid, and two bodies that stick out of it or lie outside."""
+    geometry = circle(60, Panel(60, 64, 2.0, 2.0))
+    grid = VolumeGrid((40, 40, 40), 1.0, Pose((2, 1, 0), (0, 0, 0, 1)))
+    inside = [((4, -3, 2), (7, 7, 7))]
+    outside = [((28, 8, 0), (13, 9, 20)), ((-6, -34, 10), (12, 8, 9))]
+    p = sum(ellipsoid_integrals(geometry, *body) for body in inside + outside)
+    x, y, z = (axis + shift for axis, shift in zip(grid.axes(), (2, 1, 0), strict=True))
+    truth = np.zeros(grid.shape, np.float32)
+    for (cx, cy, cz), (a, b, c) in inside + outside:
+        square = (((z - cz) / c) ** 2)[:, None, None] + (((y - cy) / b) ** 2)[:, None]
+        truth[square + ((x - cx) / a) ** 2 <= 1] = 1
+    return geometry, grid, p, truth, region_of_interest(geometry, grid)
+
+
+@pytest.mark.parametrize("algorithm", ["sart", "cgls"])
+def test_error_falls_where_every_view_sees(algorithm, truncated):
+    geometry, grid, p, truth, region = truncated
+    assert 0.2 < region.mean()
+    A = Projector(geometry, grid)
+    rest = without_surroundings(p, geometry, grid, **AROUND)
+
+    def error(projections):
+        volume = (
+            sart(A, projections, iterations=6, relaxation=0.3)
+            if algorithm == "sart"
+            else cgls(A, projections, iterations=10)
+        )
+        return np.sqrt(np.mean((volume - truth)[region] ** 2))
+
+    assert error(rest) < 0.3 * error(p)  # measured 0.18 and 0.20
+
+
+def test_nothing_outside_leaves_the_line_integrals_nearly_alone(circle, ellipsoid_integrals):
+    geometry = circle(60, Panel(60, 64, 2.0, 2.0))
+    grid = VolumeGrid((40, 40, 40), 1.0)
+    p = ellipsoid_integrals(geometry, (4, -3, 2), (9, 9, 9))
+    rest = without_surroundings(p, geometry, grid, **AROUND)
+    # The coarse volume blurs the ball a little, and some of the blur lies outside.
+    assert np.abs(rest - p).max() < 0.1 * p.max()
+
+
+def test_masked_pixels_have_no_influence(truncated):
+    geometry, grid, p, _, _ = truncated
+    mask = np.ones(p.shape, np.bool_)
+    mask[:, :, 20] = mask[3:5] = False
+    lost = np.where(mask, p, np.nan)
+    rest = without_surroundings(lost, geometry, grid, mask=mask, **AROUND)
+    np.testing.assert_array_equal(
+        rest, without_surroundings(np.where(mask, p, 9), geometry, grid, mask=mask, **AROUND)
+    )
+    assert not rest[~mask].any()
+    whole = without_surroundings(p, geometry, grid, **AROUND)
+    assert np.abs(rest - whole)[mask].max() < 0.15 * p.max()
+
+
+def test_coarse_planes_include_the_borders_of_the_grid():
+    grid = VolumeGrid((50, 40, 30), (1.0, 1.1, 0.9))
+    coarse = coarse_grid(grid, 11.0, 4.0)
+    margin = (coarse.size_mm - grid.size_mm) / 2
+    assert (margin >= 11.0).all()
+    np.testing.assert_allclose(margin / coarse.voxel, np.round(margin / coarse.voxel), atol=1e-9)
+    np.testing.assert_allclose(grid.size_mm / coarse.voxel, [8, 11, 11], atol=1e-9)
+
+
+def test_wrong_arguments_are_named(truncated):
+    geometry, grid, p, _, _ = truncated
+    with pytest.raises(InputError) as caught:
+        without_surroundings(p[1:], geometry, grid, margin_mm=0, voxel_mm=float("nan"))
+    assert len(caught.value.problems) == 3
+    with pytest.raises(InputError, match="margin_mm 190, the grid reaches .* behind the source"):
+        without_surroundings(p, geometry, grid, margin_mm=190, voxel_mm=10)

@@ -1,0 +1,133 @@
+"""Draws docs/images/algorithms.png and truncation.png: the demo's skull, every algorithm.
+
+    python tools/picture_algorithms.py
+
+Projections are gVXR's from the commanded poses, with Poisson noise of 1e4 photons a pixel in the
+first picture; fdk gets an arc of as many views in their place.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from twinct.evaluate import image_figures, region_of_interest
+from twinct.geometry import ScanGeometry
+from twinct.recon import (
+    Projector,
+    cgls,
+    fdk,
+    fista_tv,
+    os_sart,
+    sart,
+    sirt,
+    without_surroundings,
+)
+from twinct.scan import Workshop
+from twinct.scenario import load_scenario
+from twinct.trajectory import commanded_views
+
+ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "docs" / "images"
+PHOTONS, SEED = 1e4, 1
+ARC = "trajectory={kind: arc, views: 100, longitude_range_deg: 212}"
+ALGORITHMS: dict[str, Callable[..., np.ndarray]] = {
+    "sart, 5 iterations of 0.3": lambda A, p: sart(
+        A, p, iterations=5, relaxation=0.3, nonnegative=True
+    ),
+    "os_sart, 10 subsets,\n12 iterations of 1": lambda A, p: os_sart(
+        A, p, iterations=12, relaxation=1.0, nonnegative=True
+    ),
+    "sirt, 80 iterations": lambda A, p: sirt(A, p, iterations=80, nonnegative=True),
+    "cgls, 10 iterations": lambda A, p: cgls(A, p, iterations=10),
+    "fista_tv, 10 iterations,\nregularisation 0.0001": lambda A, p: fista_tv(
+        A, p, iterations=10, regularisation=1e-4
+    ),
+}
+AROUND = {"margin_mm": 30.0, "voxel_mm": 5.0}
+
+demo = load_scenario(ROOT / "scenarios" / "demo.yaml")
+workshop = Workshop(demo)
+grid = demo.reconstruction.grid.volume_grid
+energy = demo.source.energy_kev
+truth = workshop.specimen.truth(grid, energy)
+mu = workshop.specimen.reference_mu(energy)
+
+
+def line_integrals(geometry: ScanGeometry, noisy: bool = True) -> np.ndarray:
+    """Line integrals of the skull where it stands."""
+    stand = workshop.specimen.world_from_specimen
+    with workshop.imager() as imager:
+        transmission = np.stack([imager.render(view, stand) for view in geometry])
+    if not noisy:
+        return -np.log(transmission)
+    counts = np.random.default_rng(SEED).poisson(transmission * PHOTONS)
+    return -np.log(np.maximum(counts, 1) / PHOTONS).astype(np.float32)
+
+
+def near_bone(volume: np.ndarray, geometry: ScanGeometry) -> tuple[float, float]:
+    """RMSE within 3 mm of bone and over the region, % of mu(bone)."""
+    figures = image_figures(volume, truth, region_of_interest(geometry, grid), mu, grid)
+    return 100 * figures.rmse_bone_rel, 100 * figures.rmse_rel
+
+
+Panels = dict[str, tuple[np.ndarray, np.ndarray]]
+"""Volume and region by title."""
+
+
+def draw(path: Path, panels: Panels, columns: int) -> None:
+    """Sagittal cross-sections in one grey window, with the region's outline."""
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(2.5 * columns, 2.95 * rows), layout="constrained", dpi=110)
+    middle = grid.shape[2] // 2 + 6
+    half = grid.size_mm[1] / 2, grid.size_mm[2] / 2
+    extent = (-half[0], half[0], -half[1], half[1])
+    grid_of_axes = figure.subplots(rows, columns, squeeze=False)
+    for axes, (title, (volume, region)) in zip(grid_of_axes.flat, panels.items(), strict=False):
+        axes.imshow(
+            volume[:, :, middle], cmap="gray", vmin=0, vmax=1.15 * mu, origin="lower", extent=extent
+        )
+        axes.contour(region[:, :, middle], levels=[0.5], colors="#f2a33a", extent=extent)
+        axes.set_title(title, fontsize=9)
+        axes.set_axis_off()
+    figure.savefig(path, metadata={"Software": None})
+
+
+def main() -> None:
+    """Reconstruct, print the figures, draw."""
+    geometry = workshop.commanded
+    region = region_of_interest(geometry, grid)
+    p, A = line_integrals(geometry), Projector(geometry, grid)
+    panels: Panels = {"truth": (truth, region)}
+
+    def keep(name: str, volume: np.ndarray, views: ScanGeometry) -> None:
+        near, all_over = near_bone(volume, views)
+        sys.stdout.write(f"{name!r}: {near:.1f} % near bone, {all_over:.1f} % in the region\n")
+        panels[f"{name}: {near:.1f} %"] = volume, region_of_interest(views, grid)
+
+    for name, run in ALGORITHMS.items():
+        keep(name, run(A, p), geometry)
+    rest = without_surroundings(p, geometry, grid, **AROUND)
+    tv = fista_tv(A, rest, iterations=10, regularisation=1e-4)
+    keep("fista_tv,\nsurroundings taken out", tv, geometry)
+    arc = commanded_views(
+        load_scenario(ROOT / "scenarios" / "demo.yaml", [ARC]).trajectory, demo.detector.panel
+    )
+    filtered = fdk(Projector(arc, grid), line_integrals(arc), window="hann", nonnegative=True)
+    keep("fdk, hann,\non an arc of 212 deg", filtered, arc)
+    draw(IMAGES / "algorithms.png", panels, 4)
+
+    panels = {"truth": (truth, region)}
+    p = line_integrals(geometry, noisy=False)
+    rest = without_surroundings(p, geometry, grid, **AROUND)
+    for name, data in (("sart", p), ("sart, surroundings\ntaken out", rest)):
+        keep(name, sart(A, data, iterations=10, relaxation=0.3), geometry)
+    draw(IMAGES / "truncation.png", panels, 3)
+
+
+if __name__ == "__main__":
+    main()
