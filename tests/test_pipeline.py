@@ -13,9 +13,8 @@ from twinct import reconstruction
 from twinct.errors import InputError, MemoryShortageError
 from twinct.evaluate import pose_errors
 from twinct.geometry import Pose
+from twinct.hardening import effective_energy, hardening_corrected
 from twinct.pipeline import (
-    corrected_integrals,
-    effective_energy,
     judge,
     line_integrals,
     machine_frames,
@@ -318,11 +317,7 @@ def test_hardened_line_integrals_are_brought_to_one_energy(kind):
     geometry = workshop.commanded
     with workshop.imager() as imager:
         images = np.stack([imager.render(view, Pose.identity()) for view in geometry])
-    poses = workshop.commanded_poses
-    still = (Pose.identity(),) * len(geometry)
-    none = np.zeros((24, 0))
-    scan = Scan(scenario, images, poses, poses, still, poses, (), none, none, none)
-    found = corrected_integrals(scan, geometry)
+    found = hardening_corrected(scenario, line_integrals(images), geometry)
     ideal = parse_scenario(
         scenario.model_dump(mode="json", exclude={"source", "reconstruction"})
         | {"source": {"energy_kev": effective_energy(scenario)}}

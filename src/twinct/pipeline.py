@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from twinct.errors import InputError, MissingExtraError
 from twinct.evaluate import ImageFigures, image_figures, region_of_interest
 from twinct.geometry import Pose, ScanGeometry
-from twinct.integrals import corrected_integrals, effective_energy, line_integrals
+from twinct.hardening import effective_energy
 from twinct.reconstruction import (
     SILENT,
     Progress,
+    line_integrals,
     reconstruct,
     reconstruction_digest,
     require_feasible,
@@ -41,7 +42,6 @@ __all__ = [
     "Progress",
     "Truth",
     "acquire_to_store",
-    "corrected_integrals",
     "effective_energy",
     "judge",
     "line_integrals",

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.geometry import ScanGeometry, VolumeGrid
-from twinct.integrals import corrected_integrals
+from twinct.hardening import hardening_corrected
 from twinct.scan import Scan
 from twinct.scan.store import storage_errors
 from twinct.scenario import Reconstruction, Scenario
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from twinct.recon import Callback, Step
 
 log = logging.getLogger(__name__)
+
+DARKEST = 1e-7
+"""Transmission taken for anything darker, so that a line integral stays finite (16.1)."""
 
 RESUMABLE = ("sart", "os_sart", "sirt")
 """Algorithms that go on from a volume as if nothing had happened. Of the others, ``cgls`` and
@@ -52,6 +55,14 @@ class _Silent:
 
 
 SILENT: Progress = _Silent()
+
+
+def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
+    """-ln(I/I0) of each pixel, float32, same shape."""
+    darkest = np.float32(DARKEST)
+    integrals = np.maximum(transmission, darkest)
+    np.log(integrals, out=integrals)
+    return np.negative(integrals, out=integrals)
 
 
 def reconstruct(
@@ -87,7 +98,7 @@ def reconstruct(
     which = geometry or section.geometries[0]
     poses = scan.poses(which).geometry(scan.scenario.detector.panel)
     grid = section.grid.volume_grid
-    integrals = corrected_integrals(scan, poses)
+    integrals = hardening_corrected(scan.scenario, line_integrals(scan.transmission), poses)
     if section.surroundings is not None:
         integrals = _without_surroundings(integrals, poses, section, mask, progress)
     folder = checkpoints if section.algorithm in RESUMABLE and section.engine == "twinct" else None

@@ -1,6 +1,6 @@
 """The scenario: one YAML file that initialises everything."""
 
-from twinct.scenario.keys import Composition
+from twinct.scenario.composition import Composition
 from twinct.scenario.loading import load_scenario, parse_scenario, scenario_schema
 from twinct.scenario.reconstruction import Grid, Reconstruction, Surroundings
 from twinct.scenario.sections import (

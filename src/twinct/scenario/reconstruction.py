@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.geometry import Pose, VolumeGrid
-from twinct.scenario.keys import Lengths, NonNegative, Positive, Section, Vector
+from twinct.scenario.section import Lengths, NonNegative, Positive, Section, Vector
 from twinct.scenario.xray import BeamHardening
 
 
@@ -99,13 +99,13 @@ class Reconstruction(Section):
     surroundings: Surroundings | None = Field(
         default=None, description="Take out what lies around the grid first."
     )
+    beam_hardening: BeamHardening | None = Field(
+        default=None, description="Correction of line integrals before reconstruction."
+    )
     geometry: GeometryName | tuple[GeometryName, ...] = Field(
         default="believed",
         description="Geometry to reconstruct from; several are judged side by side, and the first "
         "one's volume is kept.",
-    )
-    beam_hardening: BeamHardening | None = Field(
-        default=None, description="Correction of line integrals before reconstruction."
     )
     grid: Grid = Grid()
 

@@ -13,16 +13,9 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.geometry import Pose
-from twinct.scenario.keys import (
-    Composition,
-    Finite,
-    Lengths,
-    NonNegative,
-    Positive,
-    Section,
-    Vector,
-)
+from twinct.scenario.composition import Composition
 from twinct.scenario.reconstruction import Reconstruction
+from twinct.scenario.section import Finite, Lengths, NonNegative, Positive, Section, Vector
 from twinct.scenario.xray import Detector, Source, TubeSpectrum
 
 
@@ -341,16 +334,6 @@ class Scenario(Section):
     reconstruction: Reconstruction = Reconstruction()
 
     @model_validator(mode="after")
-    def _no_more_subsets_than_views(self) -> Scenario:
-        views = getattr(self.trajectory, "views", None)
-        subsets = self.reconstruction.subsets
-        if views is not None and subsets is not None and subsets > views:
-            raise ValueError(
-                f"reconstruction.subsets ({subsets}) must be at most trajectory.views ({views})"
-            )
-        return self
-
-    @model_validator(mode="after")
     def _photon_number(self) -> Scenario:
         quantum = self.detector.noise is not None and self.detector.noise.kind == "quantum"
         tube = isinstance(self.source.spectrum, TubeSpectrum)
@@ -358,6 +341,16 @@ class Scenario(Section):
             raise ValueError(
                 "detector.noise of kind 'quantum' needs a photon number: give "
                 "source.photons_per_mm2_mas, or a source.spectrum of kind 'tube'"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _no_more_subsets_than_views(self) -> Scenario:
+        views = getattr(self.trajectory, "views", None)
+        subsets = self.reconstruction.subsets
+        if views is not None and subsets is not None and subsets > views:
+            raise ValueError(
+                f"reconstruction.subsets ({subsets}) must be at most trajectory.views ({views})"
             )
         return self
 

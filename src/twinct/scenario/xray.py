@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from twinct.geometry import Panel
-from twinct.scenario.keys import Composition, NonNegative, Positive, Section
+from twinct.scenario.composition import Composition
+from twinct.scenario.section import NonNegative, Positive, Section
 
 Pair = tuple[Positive, Positive]
 
