@@ -11,6 +11,7 @@ MODULES = (
     "twinct.cell",
     "twinct.cli.commands",
     "twinct.evaluate",
+    "twinct.extras",
     "twinct.pipeline",
     "twinct.recon",
     "twinct.report",

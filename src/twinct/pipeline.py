@@ -7,7 +7,6 @@ each on disk: ``acquire_to_store`` and ``reconstruct`` with a folder for checkpo
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import logging
 from collections.abc import Callable
@@ -19,8 +18,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import MissingExtraError
 from twinct.evaluate import ImageFigures, image_figures, region_of_interest
+from twinct.extras import require
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.scan import LocalRig, Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire
 from twinct.scan.store import storage_errors
@@ -311,14 +310,9 @@ def require_extras(scenario: Scenario) -> None:
     """Refuse before any work what is not installed.
 
     Raises:
-        MissingExtraError: naming the extra that brings it.
+        InputError: naming the extra that brings it.
     """
-    if importlib.util.find_spec("mujoco") is None:
-        raise MissingExtraError("mujoco", "robots")
-    if importlib.util.find_spec("gvxrPython3") is None:
-        raise MissingExtraError("gvxr", "xray")
-    if scenario.reconstruction.engine == "rtk" and importlib.util.find_spec("itk") is None:
-        raise MissingExtraError("itk-rtk", "rtk", "or use reconstruction.engine: twinct")
+    require("robots", "xray", *(["rtk"] if scenario.reconstruction.engine == "rtk" else []))
 
 
 def scenario_as_data(scenario: Scenario) -> object:

@@ -88,10 +88,13 @@ def render(
     """
     from twinct.cell import render_cell
     from twinct.errors import InputError
+    from twinct.extras import require
     from twinct.scan import Workshop
     from twinct.scan.store import storage_errors
 
-    workshop = Workshop(load_scenario(scenario, set_))
+    loaded = load_scenario(scenario, set_)
+    require("robots")
+    workshop = Workshop(loaded)
     view = len(workshop.targets) // 2 if view is None else view
     if not 0 <= view < len(workshop.targets):
         raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
@@ -118,9 +121,11 @@ def node(
     Args:
         which: The robot simulation or the X-ray simulation.
     """
+    from twinct.extras import require
     from twinct.ros import spin_robots, spin_xray
 
     loaded = load_scenario(scenario, set_)
+    require("robots" if which == "robots" else "xray")
     if which == "robots":
         code = spin_robots(loaded)
     else:

@@ -66,6 +66,15 @@ class Engine:
         self._log = -1
         self._owned = threading.Lock()
 
+    def prepare(self) -> None:
+        """Import gVXR and look whether it can draw, before somebody needs it.
+
+        Raises:
+            InputError: gVXR or a system library it needs is not installed.
+        """
+        if self._gvxr is None:
+            self._call(self._start)
+
     def acquire(self, bodies: Sequence[Body], energy_kev: float, panel: Panel) -> None:
         """Fill the scene. The caller owns it until ``release``.
 

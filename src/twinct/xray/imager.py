@@ -19,6 +19,15 @@ if TYPE_CHECKING:
     from twinct.specimen import BuiltPart, BuiltSpecimen
 
 
+def prepare_engine() -> None:
+    """Import gVXR and look whether it can draw: an imager made later finds it ready.
+
+    Raises:
+        InputError: gVXR or a system library it needs is not installed.
+    """
+    ENGINE.prepare()
+
+
 class Imager:
     """Renders views of one specimen with one source and one panel.
 
