@@ -212,11 +212,41 @@ def test_ros_without_rclpy_names_extra_and_way_out(capfd, monkeypatch, tmp_path:
     assert not (tmp_path / "out").exists()
 
 
-def test_output_that_cannot_be_written_is_named(capfd, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    out = str(tmp_path / "file" / "out")
-    stderr = bad(capfd, "run", DEMO, "--out", out, "--link", "local", *TINY)
-    assert "cannot be written" in stderr
+@pytest.fixture
+def no_work(monkeypatch) -> None:
+    """Whatever builds or plans anything fails the test."""
+    from twinct.scan import Workshop
+
+    def work(self) -> None:
+        raise AssertionError("work started")
+
+    for name in ("specimen", "plan", "cell"):
+        monkeypatch.setattr(Workshop, name, property(work))
+
+
+def test_output_that_cannot_be_written_is_named_before_any_work(
+    capfd, tmp_path: Path, no_work
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("mine")
+    for place in (file, file / "out"):
+        for command in (["run", DEMO, *TINY, "--link", "local"], ["specimen", DEMO]):
+            stderr = bad(capfd, *command, "--out", str(place))
+            assert f"--out {place}: " in stderr and "folder" in stderr
+    assert "no folder" in bad(capfd, "render", DEMO, "--out", str(file / "room.png"))
+    assert "room.png" in bad(capfd, "render", DEMO, "--out", str(tmp_path / "room.xyz"))
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_text("meow")
+    for more in ([], ["--resume"]):
+        stderr = bad(capfd, "run", DEMO, *TINY, "--out", str(tmp_path / "photos"), *more)
+        assert "something else than a run (cat.jpg)" in stderr
+    assert file.read_text() == "mine"
+
+
+def test_a_picture_that_cannot_be_drawn_is_refused_before_any_work(capfd, no_work) -> None:
+    stderr = bad(capfd, "render", DEMO, "--width", "0", "--height", "100000")
+    assert "--width 0: a picture has 1 to 3840" in stderr
+    assert "--height 100000: a picture has 1 to 2400" in stderr
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")

@@ -8,8 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from twinct.cell._mujoco import mujoco_module
-from twinct.cell.scene import CellModel
-from twinct.errors import StorageError
+from twinct.cell.scene import LARGEST_PICTURE, CellModel
+from twinct.errors import InputError, StorageError
+
+
+def check_picture_size(width: int, height: int) -> None:
+    """Refuse what MuJoCo cannot draw, before the room is built.
+
+    Raises:
+        InputError: with one sentence for each side that is too small or too large.
+    """
+    problems = [
+        f"--{name} {pixels}: a picture has 1 to {most} pixels here"
+        for name, pixels, most in zip(
+            ("width", "height"), (width, height), LARGEST_PICTURE, strict=True
+        )
+        if not 1 <= pixels <= most
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def render_cell(

@@ -86,13 +86,16 @@ def render(
         width: Width of the picture in pixels.
         height: Height of the picture in pixels.
     """
-    from twinct.cell import render_cell
+    from twinct.cell import check_picture_size, render_cell
+    from twinct.cli.output import check_picture
     from twinct.errors import InputError
     from twinct.extras import require
     from twinct.scan import Workshop
     from twinct.scan.store import storage_errors
 
     loaded = load_scenario(scenario, set_)
+    check_picture(out)
+    check_picture_size(width, height)
     require("robots")
     workshop = Workshop(loaded)
     view = len(workshop.targets) // 2 if view is None else view
@@ -152,12 +155,14 @@ def specimen(
     Args:
         out: Folder for PART.stl, truth.nii and specimen.png.
     """
+    from twinct.cli.output import check_folder
     from twinct.scan import Workshop
     from twinct.scan.store import storage_errors
     from twinct.specimen.preview import preview_specimen
     from twinct.volume import write_volume
 
     loaded = load_scenario(scenario, set_)
+    check_folder(out)
     built = Workshop(loaded).specimen
     grid, energy = loaded.reconstruction.grid.volume_grid, loaded.source.energy_kev
     table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")

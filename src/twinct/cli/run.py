@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from twinct.cli.output import check_folder
 from twinct.cli.progress import TerminalProgress
 from twinct.errors import InputError, ScanExistsError
 from twinct.evaluate import ImageFigures, pose_errors
@@ -156,6 +157,13 @@ class Folder:
             scenario
         )
 
+    def refuse_others(self) -> None:
+        """Raise where something else than a run of before is in the way."""
+        own = (self.scan, self.volume, self.metrics, self.report, self.checkpoints, self.scenario)
+        own = (*own, self.seconds, self.logs, self.log, self.scan.with_name("scan.zarr.new"))
+        names = {name for p in own for name in (p.name, f".{p.name}.partial")}
+        check_folder(self.path, names)
+
     def refuse_if_taken(self) -> None:
         """Raise where a run of before must not be touched."""
         taken = [p.name for p in (self.scan, self.volume, self.metrics, self.report) if p.exists()]
@@ -176,7 +184,8 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     seconds = _Seconds(folder.seconds)
     if not resume:
         folder.refuse_if_taken()
-    elif folder.scan.exists():
+    folder.refuse_others()
+    if resume and folder.scan.exists():
         ScanStore(folder.scan).refuse_other(scenario)
     require_extras(scenario)
     if link == "ros2":
