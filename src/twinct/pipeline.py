@@ -18,7 +18,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.evaluate import ImageFigures, image_figures, region_of_interest
+from twinct.errors import TrajectoryError
+from twinct.evaluate import ImageFigures, image_figures, region_of_interest, sight
 from twinct.extras import require
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.scan import LocalRig, Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire
@@ -304,6 +305,56 @@ def judge(scan: Scan, volume: NDArray[np.float32], truth: Truth) -> ImageFigures
         truth.mu_reference,
         scan.scenario.reconstruction.grid.volume_grid,
     )
+
+
+def check_sight(workshop: Workshop) -> list[str]:
+    """Make sure that the commanded views see the specimen, before anything is planned.
+
+    Returns:
+        What a user should know of a scan that can be run.
+
+    Raises:
+        TrajectoryError: no view sees the specimen, it stands behind a panel, or no voxel is seen by
+            every view, so that nothing could be judged.
+    """
+    place = workshop.specimen.world_from_specimen
+    grid = workshop.scenario.reconstruction.grid.volume_grid
+    seen = sight(workshop.commanded, place.apply(workshop.hull.vertices), grid)
+    x, y, z = place.position
+    where = f"the specimen at ({x:g}, {y:g}, {z:g}) mm (specimen.position_mm)"
+    problems = []
+    if seen.from_behind:
+        problems.append(
+            f"{_views(seen.from_behind)}: {where} reaches behind the panel: the image would show "
+            "what lies there; move the specimen, or take a longer sdd_mm"
+        )
+    elif len(seen.blind) == seen.views:
+        problems.append(
+            f"no view sees {where}: all its shadows miss the panel; move the specimen, or the "
+            "isocentre of the trajectory"
+        )
+    if seen.region_empty:
+        problems.append(
+            "no voxel of the grid is seen by every view, so the image cannot be judged: move the "
+            "grid into the beam (reconstruction.grid.centre_mm), or use a larger panel or a "
+            "smaller orbit"
+        )
+    if problems:
+        raise TrajectoryError(problems)
+    warnings = []
+    if seen.blind:
+        warnings.append(f"{_views(seen.blind)} of {seen.views} in all see nothing of {where}")
+    if not seen.in_region:
+        warnings.append(
+            f"{where} lies outside the voxels that every view sees: the image figures will say "
+            "nothing of it"
+        )
+    return warnings
+
+
+def _views(views: tuple[int, ...]) -> str:
+    few = ", ".join(map(str, views[:8])) + (", ..." if len(views) > 8 else "")
+    return f"view {few}" if len(views) == 1 else f"{len(views)} views ({few})"
 
 
 def require_extras(scenario: Scenario) -> None:

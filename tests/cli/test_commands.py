@@ -212,6 +212,33 @@ def test_ros_without_rclpy_names_extra_and_way_out(capfd, monkeypatch, tmp_path:
     assert not (tmp_path / "out").exists()
 
 
+def test_a_specimen_that_no_view_sees_is_refused_before_planning(
+    capfd, tmp_path: Path, monkeypatch
+) -> None:
+    from twinct.scan import Workshop
+
+    monkeypatch.setattr(Workshop, "plan", property(lambda self: pytest.fail("planning started")))
+    away = [*TINY, "--set", "specimen.position_mm=[5000,0,0]"]
+    for command in (["check", DEMO], ["run", DEMO, "--out", str(tmp_path / "o"), "--link=local"]):
+        assert "no view sees the specimen at (5000, 0, 0) mm" in bad(capfd, *command, *away)
+    assert not (tmp_path / "o").exists()
+
+
+def test_an_image_without_bone_in_its_region_is_judged_as_far_as_it_goes(
+    capfd, tmp_path: Path
+) -> None:
+    """A small ball beside the grid."""
+    out = tmp_path / "out"
+    ball = "specimen.parts=[{shape: {kind: sphere, radius_mm: 5}, position_mm: [0, 0, 30]}]"
+    grid = "reconstruction.grid={voxels: 20, voxel_mm: 2, centre_mm: [0, 0, -20]}"
+    few = [*TINY, "--set", "trajectory.longitude_range_deg=5", "--set", ball, "--set", grid]
+    assert run_command(["run", DEMO, "--out", str(out), "--link", "local", *few]) == 0
+    said = capfd.readouterr()
+    assert "warning: " in said.err and "outside the voxels that every view sees" in said.err
+    assert "no figure near bone" in said.out
+    assert json.loads((out / "metrics.json").read_text())["image"]["rmse_bone_rel"] is None
+
+
 @pytest.fixture
 def no_work(monkeypatch) -> None:
     """Whatever builds or plans anything fails the test."""

@@ -36,13 +36,15 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
 
     Names every view that an arm cannot reach or that would collide.
     """
-    from twinct.cli.run import summary
-    from twinct.pipeline import require_extras
+    from twinct.cli.run import summary, warn
+    from twinct.pipeline import check_sight, require_extras
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
-    Console().print(summary(Workshop(loaded)))
+    workshop = Workshop(loaded)
+    warn(check_sight(workshop))
+    Console().print(summary(workshop))
 
 
 @app.command

@@ -27,6 +27,7 @@ from twinct.evaluate import ImageFigures, pose_errors
 from twinct.pipeline import (
     Truth,
     acquire_to_store,
+    check_sight,
     judge,
     local_rig,
     reconstruct,
@@ -197,6 +198,8 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
         return
     progress, workshop = TerminalProgress(), Workshop(scenario)
     check_space(out, scenario, len(workshop.targets))
+    warnings = check_sight(workshop)
+    warn(warnings)
     with seconds.stage("plan"), progress.stage("plan", 1) as step:
         workshop.plan  # noqa: B018 - planned here, before anything is written
         step()
@@ -207,6 +210,8 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
         log.info(
             "twinct run %s, %s link, scenario digest %s", scenario.name, link, scenario.digest()
         )
+        for warning in warnings:
+            log.warning(warning)
         if resume:
             seconds.go_on()
         with seconds.views() as watch:
@@ -399,16 +404,27 @@ def _log_to(path: Path) -> None:
     logger.setLevel(logging.INFO)
 
 
+def warn(warnings: list[str]) -> None:
+    """Say what a user should know of a scan that can be run."""
+    for warning in warnings:
+        Console(stderr=True).print(f"twinct: warning: {warning}", highlight=False, soft_wrap=True)
+
+
 def _say_result(console: Console, folder: Folder) -> None:
     metrics = _read_metrics(folder.metrics)
     image, pose = metrics["image"], metrics["pose_error"]
     console.print(
         f"{metrics['reached']} of {metrics['views']} views; "
-        f"RMSE {100 * image['rmse_rel']:.1f} % of mu(bone), "
-        f"{100 * image['rmse_bone_rel']:.1f} % near bone; "
+        f"RMSE {_percent(image['rmse_rel'])} of mu(bone), "
+        f"{_percent(image['rmse_bone_rel'])} near bone; "
         f"pose error {pose['source']['position_mm']['mean']:.2f} mm source, "
         f"{pose['detector']['position_mm']['mean']:.2f} mm detector\n"
         f"report: {folder.report}",
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _percent(share: float | None) -> str:
+    """None stands for a figure without a voxel to stand on, such as near bone where is none."""
+    return "no figure" if share is None else f"{100 * share:.1f} %"
