@@ -185,7 +185,18 @@ def test_bad_specimens_are_named(capfd, tmp_path: Path) -> None:
     stderr = bad(capfd, "run", DEMO, *out, "--link", "local", "--set", part)
     assert "open.stl" in stderr and "open" in stderr
     stderr = bad(capfd, "check", DEMO, "--set", "specimen.parts.0.material=bonee")
-    assert "bonee" in stderr and "bone" in stderr
+    assert (
+        stderr.startswith("twinct: --set specimen.parts.0.material=bonee: ") and "bone," in stderr
+    )
+    file = tmp_path / "x.yaml"
+    material = "{mass_fractions: {H: 0.5}, density_g_cm3: 1}"
+    file.write_text(
+        f"extends: {DEMO}\nspecimen:\n  parts:\n    - shape: {{kind: skull}}\n"
+        f"      material: {material}\n"
+    )
+    assert f"{file}:5: specimen.parts.0.material: material 'H 0.5'" in bad(
+        capfd, "check", str(file)
+    )
     covered = (
         "specimen.parts=[{shape: {kind: sphere, radius_mm: 5}},"
         " {shape: {kind: sphere, radius_mm: 9}, material: titanium}]"

@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from twinct.scenario import load_scenario, scenario_schema
+from twinct.scenario import load_scenario, named_places, scenario_schema
 
 app = tyro.extras.SubcommandApp()
 
@@ -43,8 +43,9 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
     workshop = Workshop(loaded)
-    warn(check_sight(workshop))
-    Console().print(summary(workshop))
+    with named_places(scenario, set_):
+        warn(check_sight(workshop))
+        Console().print(summary(workshop))
 
 
 @app.command
@@ -67,7 +68,9 @@ def run(
     """
     from twinct.cli.run import run_job
 
-    run_job(load_scenario(scenario, set_), out, link, resume=resume)
+    loaded = load_scenario(scenario, set_)
+    with named_places(scenario, set_):
+        run_job(loaded, out, link, resume=resume)
 
 
 @app.command
@@ -103,7 +106,7 @@ def render(
     view = len(workshop.targets) // 2 if view is None else view
     if not 0 <= view < len(workshop.targets):
         raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
-    with storage_errors(out):
+    with named_places(scenario, set_), storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         render_cell(workshop.room, out, workshop.plan.joints[view], width=width, height=height)
     Console().print(f"wrote {out}", highlight=False)
@@ -131,10 +134,8 @@ def node(
 
     loaded = load_scenario(scenario, set_)
     require("robots" if which == "robots" else "xray")
-    if which == "robots":
-        code = spin_robots(loaded)
-    else:
-        code = spin_xray(loaded)
+    with named_places(scenario, set_):
+        code = spin_robots(loaded) if which == "robots" else spin_xray(loaded)
     if code:
         sys.exit(code)
 
@@ -165,7 +166,8 @@ def specimen(
 
     loaded = load_scenario(scenario, set_)
     check_folder(out)
-    built = Workshop(loaded).specimen
+    with named_places(scenario, set_):
+        built = Workshop(loaded).specimen
     grid, energy = loaded.reconstruction.grid.volume_grid, loaded.source.energy_kev
     table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")
     with storage_errors(out):

@@ -1,6 +1,11 @@
 """The scenario: one YAML file that initialises everything."""
 
-from twinct.scenario.loading import load_scenario, parse_scenario, scenario_schema
+from twinct.scenario.loading import (
+    load_scenario,
+    named_places,
+    parse_scenario,
+    scenario_schema,
+)
 from twinct.scenario.sections import (
     ArcTrajectory,
     Arm,
@@ -60,6 +65,7 @@ __all__ = [
     "Table",
     "Uncertainty",
     "load_scenario",
+    "named_places",
     "parse_scenario",
     "scenario_schema",
 ]
