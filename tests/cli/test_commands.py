@@ -65,7 +65,11 @@ def test_a_run_keeps_the_contract(finished: Path) -> None:
         "rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "mean_bone_rel",
         "roi_fraction", "roi_bone_fraction",
     }  # fmt: skip
-    assert set(metrics["seconds"]) >= {"plan", "motion", "xray", "reconstruction", "total"}
+    seconds = metrics["seconds"]
+    assert set(seconds) >= {"plan", "motion", "xray", "reconstruction", "total"}
+    assert sum(seconds.values()) == pytest.approx(2 * seconds["total"])
+    assert all(value > 0 for value in seconds.values())
+    assert seconds["other"] < 0.1 * seconds["total"]
     assert metrics["simulated_seconds"] > 0 and metrics["real_time_factor"] > 0
     assert nibabel.load(finished / "volume.nii").shape == (20, 20, 20)
     assert zarr.open_group(str(finished / "scan.zarr"), mode="r")["transmission"].shape == (
@@ -279,6 +283,15 @@ def test_output_that_cannot_be_written_is_named_before_any_work(
         stderr = bad(capfd, "run", DEMO, *TINY, "--out", str(tmp_path / "photos"), *more)
         assert "something else than a run (cat.jpg)" in stderr
     assert file.read_text() == "mine"
+
+
+@pytest.mark.parametrize("domain", ["abc", "999"])
+def test_a_domain_that_is_none_is_refused_before_any_work(
+    capfd, monkeypatch, tmp_path: Path, no_work, domain: str
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    stderr = bad(capfd, "run", DEMO, "--out", str(tmp_path / "out"), *TINY)
+    assert "ROS_DOMAIN_ID=" in stderr and domain in stderr and "from 0 to 232" in stderr
 
 
 def test_a_picture_that_cannot_be_drawn_is_refused_before_any_work(capfd, no_work) -> None:

@@ -65,7 +65,7 @@ def page(html):
 def undrawn(monkeypatch):
     """For what concerns text alone: drawing is what takes the time."""
     names = ("room", "path", "errors", "slices", "projections")
-    monkeypatch.setattr(twinct.report.page, "_pictures", lambda _: dict.fromkeys(names, DOT))
+    monkeypatch.setattr(twinct.report.page, "draw_pictures", lambda _: dict.fromkeys(names, DOT))
 
 
 def content(image):

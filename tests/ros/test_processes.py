@@ -127,6 +127,34 @@ def test_a_node_that_cannot_start_is_named_with_its_last_words(scenario, tmp_pat
         RosRig(scenario, node_command=(sys.executable, str(script)))
 
 
+def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_command):
+    """``twinct run`` says its domain before it plans: then a follower misses nothing."""
+    example = Path(__file__).parents[2] / "examples" / "follow_scan.py"
+    domain = Domain()
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain.id), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(
+        [sys.executable, example],
+        env={**environment, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as follower:
+        try:
+            targets = own_targets(scenario)
+            with closing(RosRig(scenario, node_command=fake_command, domain=domain)) as rig:
+                for view, target in enumerate(targets):
+                    rig.move(view, target)
+                    rig.expose(view)
+            os.set_blocking(follower.stdout.fileno(), False)
+            heard, deadline = "", time.monotonic() + END_S
+            while heard.count("\n") < len(targets) and time.monotonic() < deadline:
+                heard += follower.stdout.read() or ""
+                time.sleep(0.05)
+        finally:
+            follower.kill()
+    stamps = [int(line.split()[2].rstrip(":")) for line in heard.splitlines()]
+    assert stamps == list(range(stamps[0], stamps[0] + len(targets)))
+
+
 def test_a_domain_in_use_is_refused_and_free_again_afterwards(scenario, fake_command, monkeypatch):
     with closing(RosRig(scenario, node_command=fake_command)) as rig:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(rig.domain_id))

@@ -8,7 +8,7 @@ import logging
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -36,7 +36,13 @@ from twinct.pipeline import (
     scenario_as_data,
     truth_of,
 )
-from twinct.report import ReportData, build_metrics, cross_sections, write_report
+from twinct.report import (
+    ReportData,
+    build_metrics,
+    cross_sections,
+    draw_pictures,
+    write_report,
+)
 from twinct.scan import (
     Rig,
     Scan,
@@ -51,6 +57,8 @@ from twinct.volume import read_volume, write_volume
 
 log = logging.getLogger(__name__)
 Link = Literal["ros2", "local"]
+MakeRig = Callable[[Workshop, NDArray[np.float64] | None, int], Rig]
+"""Of a scenario, the simulator state to start from, and the first view to take."""
 
 _SHOWN_VIEWS = 4
 """Projections shown in the report."""
@@ -64,6 +72,7 @@ class _Seconds:
     start: float = field(default_factory=time.perf_counter)
     stages: dict[str, float] = field(default_factory=dict)
     before: dict[str, float] = field(default_factory=dict)
+    simulated_s: float = 0.0
 
     @contextlib.contextmanager
     def stage(self, name: str, keep: bool = False) -> Iterator[None]:
@@ -78,12 +87,16 @@ class _Seconds:
     @contextlib.contextmanager
     def views(self) -> Iterator[Stopwatch]:
         """A stopwatch for the views; its seconds are kept, however the block ends."""
-        watch = Stopwatch()
+        watch, start = Stopwatch(), time.perf_counter()
         try:
             yield watch
         finally:
-            self.stages |= {"motion": watch.motion_s, "xray": watch.xray_s}
-            self.stages["simulated"] = watch.simulated_s
+            parts = {"motion": watch.motion_s, "xray": watch.xray_s, "storing": watch.storing_s}
+            # Before the first view and after the last: both simulations start and end.
+            parts["link"] = time.perf_counter() - start - sum(parts.values())
+            for name, spent in parts.items():
+                self.stages[name] = self.stages.get(name, 0.0) + spent
+            self.simulated_s = watch.simulated_s
             self.keep()
 
     def go_on(self) -> None:
@@ -92,10 +105,20 @@ class _Seconds:
             self.before = json.loads(self.path.read_text(encoding="utf-8"))
 
     def keep(self) -> None:
-        write_text(self.path, json.dumps(self.finished()))
+        now = self.stages | {"total": self._elapsed(), "simulated": self.simulated_s}
+        write_text(self.path, json.dumps(self._with_before(now)))
 
-    def finished(self) -> dict[str, float]:
-        now = self.stages | {"total": time.perf_counter() - self.start}
+    def finished(self) -> tuple[dict[str, float], float]:
+        """Seconds of each stage, which add up to ``total``; simulated seconds of the motion."""
+        stages = self._with_before(self.stages | {"total": self._elapsed()})
+        simulated = self.simulated_s + stages.pop("simulated", 0.0)
+        total = stages.pop("total")
+        return stages | {"other": total - sum(stages.values()), "total": total}, simulated
+
+    def _elapsed(self) -> float:
+        return time.perf_counter() - self.start
+
+    def _with_before(self, now: dict[str, float]) -> dict[str, float]:
         return {name: now.get(name, 0.0) + self.before.get(name, 0.0) for name in now | self.before}
 
 
@@ -189,16 +212,32 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     if resume and folder.scan.exists():
         ScanStore(folder.scan).refuse_other(scenario)
     require_extras(scenario)
-    if link == "ros2":
-        from twinct.ros import require_ros
-
-        require_ros()
     if resume and folder.finished(scenario):
         console.print(f"{folder.path} is complete; the report is {folder.report}", highlight=False)
         return
+    with contextlib.ExitStack() as stack:
+        with seconds.stage("link"):
+            make_rig = _link(link, folder, console, stack)
+        _run(scenario, folder, console, seconds, link, make_rig, resume=resume)
+    _say_result(console, folder)
+
+
+def _run(
+    scenario: Scenario,
+    folder: Folder,
+    console: Console,
+    seconds: _Seconds,
+    link: Link,
+    make_rig: MakeRig,
+    *,
+    resume: bool,
+) -> None:
     progress, workshop = TerminalProgress(), Workshop(scenario)
+    out = folder.path
     check_space(out, scenario, len(workshop.targets))
-    warnings = check_sight(workshop)
+    with seconds.stage("specimen"), progress.stage("specimen", 1) as step:
+        warnings = check_sight(workshop)
+        step()
     warn(warnings)
     with seconds.stage("plan"), progress.stage("plan", 1) as step:
         workshop.plan  # noqa: B018 - planned here, before anything is written
@@ -218,13 +257,14 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
             store = acquire_to_store(
                 workshop,
                 folder.scan,
-                partial(_rig, workshop, link, folder, console),
+                partial(_started, make_rig, workshop, progress),
                 resume=resume,
                 watch=watch,
                 progress=progress,
             )
-        scan = store.read()
-        truth = truth_of(scan, workshop, progress)
+        with seconds.stage("truth"):
+            scan = store.read()
+            truth = truth_of(scan, workshop, progress)
         figures: dict[str, ImageFigures] = {}
         kept: NDArray[np.float32] | None = None
         for which in scenario.reconstruction.geometries:
@@ -236,19 +276,16 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
                 kept = volume
                 grid = scenario.reconstruction.grid.volume_grid
                 digest = reconstruction_digest(scenario)
-                write_volume(folder.volume, volume, grid, f"twinct {digest[:32]}")
-            with progress.stage(f"judge, {which} geometry", 1) as step:
+                with seconds.stage("storing"):
+                    write_volume(folder.volume, volume, grid, f"twinct {digest[:32]}")
+            with seconds.stage("judge"), progress.stage(f"judge, {which} geometry", 1) as step:
                 figures[which] = judge(scan, volume, truth)
                 step()
             del volume
         assert kept is not None
-        stages = seconds.finished()
-        simulated = stages.pop("simulated")
-        factor = simulated / stages["motion"] if stages["motion"] else float("nan")
-        _report(folder, scan, workshop, kept, truth, figures, stages, factor)
+        _report(folder, scan, workshop, kept, truth, figures, seconds)
         shutil.rmtree(folder.checkpoints, ignore_errors=True)
         folder.seconds.unlink(missing_ok=True)
-    _say_result(console, folder)
 
 
 def report_again(path: Path) -> None:
@@ -272,16 +309,7 @@ def report_again(path: Path) -> None:
     for which, values in before.get("image_by_geometry", {}).items():
         figures.setdefault(which, ImageFigures(**values))
     with storage_errors(path):
-        _report(
-            folder,
-            scan,
-            workshop,
-            volume,
-            truth,
-            figures,
-            before["seconds"],
-            before["real_time_factor"],
-        )
+        _report(folder, scan, workshop, volume, truth, figures, before)
     _say_result(Console(), folder)
 
 
@@ -306,20 +334,47 @@ def summary(workshop: Workshop) -> Table:
     return table
 
 
-def _rig(
+def _link(link: Link, folder: Folder, console: Console, stack: contextlib.ExitStack) -> MakeRig:
+    """What starts the two simulations; whatever can be missing for that is missed here.
+
+    The ROS domain is taken and said at once, so that who wants to follow the scan joins in time.
+    """
+    if link == "local":
+        from twinct.xray import prepare_engine
+
+        prepare_engine()
+        return lambda workshop, state, _: local_rig(workshop, state)
+    from twinct.ros import Domain, require_ros
+
+    require_ros()
+    domain = Domain()
+    stack.callback(domain.close)
+    console.print(f"ROS 2: domain {domain.id} (ROS_DOMAIN_ID)", highlight=False)
+
+    def make_rig(workshop: Workshop, state: NDArray[np.float64] | None, first: int) -> Rig:
+        from twinct.ros import RosRig
+
+        return RosRig(
+            workshop.scenario,
+            first_view=first,
+            start_state=state,
+            log_dir=folder.logs,
+            domain=domain,
+        )
+
+    return make_rig
+
+
+def _started(
+    make_rig: MakeRig,
     workshop: Workshop,
-    link: Link,
-    folder: Folder,
-    console: Console,
+    progress: TerminalProgress,
     first: int,
     state: NDArray[np.float64] | None,
 ) -> Rig:
-    if link == "local":
-        return local_rig(workshop, state)
-    from twinct.ros import RosRig
-
-    rig = RosRig(workshop.scenario, first_view=first, start_state=state, log_dir=folder.logs)
-    console.print(f"ROS 2: domain {rig.domain_id} (ROS_DOMAIN_ID)", highlight=False)
+    with progress.stage("start of both simulations", 1) as step:
+        rig = make_rig(workshop, state, first)
+        step()
     return rig
 
 
@@ -330,28 +385,54 @@ def _report(
     volume: NDArray[np.float32],
     truth: Truth,
     figures: dict[str, ImageFigures],
-    seconds: dict[str, float],
-    real_time_factor: float | None,
+    seconds: _Seconds | Mapping[str, Any],
 ) -> None:
-    """Write metrics.json and report.html, each complete or not at all."""
+    """Write metrics.json and report.html, each complete or not at all.
+
+    Args:
+        folder: where.
+        scan: what was taken.
+        workshop: its parts.
+        volume: the reconstruction kept.
+        truth: what it is judged against.
+        figures: of each geometry.
+        seconds: of this run, or the metrics of the run that is reported again.
+    """
     scenario = scan.scenario
+    with seconds.stage("report") if isinstance(seconds, _Seconds) else contextlib.nullcontext():
+        data = _report_data(scan, workshop, volume, truth)
+        pictures = draw_pictures(data)
+    if isinstance(seconds, _Seconds):
+        stages, simulated = seconds.finished()
+        factor = simulated / stages["motion"] if stages["motion"] else float("nan")
+    else:
+        stages, factor = seconds["seconds"], seconds["real_time_factor"]
     metrics = build_metrics(
         views=len(workshop.targets),
         reached=len(scan),
         pose_errors=pose_errors(scan.commanded, scan.executed),
         clearance_mm=scan.clearance_mm,
         image=figures,
-        seconds=seconds,
+        seconds=stages,
         simulated_seconds=float(scan.simulated_s[-1]),
-        real_time_factor=real_time_factor,
+        real_time_factor=factor,
         scenario_digest=scenario.digest(),
         reconstruction_digest=reconstruction_digest(scenario),
     )
+    write_report(folder.report, replace(data, metrics=metrics), pictures)
+    write_text(folder.metrics, json.dumps(metrics, indent=2) + "\n")
+
+
+def _report_data(
+    scan: Scan, workshop: Workshop, volume: NDArray[np.float32], truth: Truth
+) -> ReportData:
+    """All that a report shows but the figures."""
+    scenario = scan.scenario
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
-    data = ReportData(
+    return ReportData(
         scenario=scenario,
         scenario_yaml=_as_yaml(scenario),
-        metrics=metrics,
+        metrics={},
         commanded=scan.commanded,
         executed=scan.executed,
         panel=scenario.detector.panel,
@@ -363,8 +444,6 @@ def _report(
         mu_reference=truth.mu_reference,
         room_png=_room(workshop),
     )
-    write_report(folder.report, data)
-    write_text(folder.metrics, json.dumps(metrics, indent=2) + "\n")
 
 
 def _as_yaml(scenario: Scenario) -> str:

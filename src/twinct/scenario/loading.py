@@ -254,7 +254,7 @@ def _apply_override(draft: _Draft, override: str) -> None:
         else:
             raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
         if last:
-            if index == "kind" and here.get("kind", value) != value:
+            if isinstance(here, dict) and step == "kind" and here.get("kind", value) != value:
                 _start_afresh(draft, here, key[:-1])
             here[index] = value
         elif isinstance(here, dict):
