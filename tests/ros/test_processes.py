@@ -33,7 +33,8 @@ class Scan:
         long["trajectory"]["views"] = max(views, 2)
         file.write_text(type(scenario).model_validate(long).resolved())
         self.process = subprocess.Popen(
-            [sys.executable, PARENT, file, self.log_dir, str(views)],
+            # A test started in the background of a script inherits SIGINT as ignored.
+            ["env", "--default-signal=INT", sys.executable, PARENT, file, self.log_dir, str(views)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
