@@ -47,7 +47,8 @@ bench: setup ## Time the parts of the simulation (benchmarks/)
 	[ $${#scripts[@]} -gt 0 ] || { echo "No benchmarks yet: put scripts into benchmarks/"; exit 0; }; \
 	for script in "$${scripts[@]}"; do echo "== $$script"; $(VENV)/python "$$script" || exit 1; done
 
-docs: setup ## Regenerate the pictures of the documentation, check its links
+docs: setup ## Regenerate the scenario reference and the pictures, check the links of the pages
+	@$(VENV)/python tools/scenario_reference.py
 	@[ ! -e tools/gallery.py ] || $(VENV)/python tools/gallery.py
 	@$(VENV)/python tools/check_links.py
 

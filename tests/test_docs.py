@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -27,3 +28,9 @@ def test_scenarios_in_the_readme_are_valid(tmp_path: Path) -> None:
         except ScenarioError as error:  # the reader's own files are not here
             if not all("no file at" in problem for problem in error.problems):
                 pytest.fail(f"{error}\n\n{example}")
+
+
+def test_the_scenario_reference_is_up_to_date() -> None:
+    tool = runpy.run_path(str(ROOT / "tools" / "scenario_reference.py"))
+    page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    assert page == tool["reference"](), "run make docs"
