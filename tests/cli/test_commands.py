@@ -294,6 +294,18 @@ def test_a_domain_that_is_none_is_refused_before_any_work(
     assert "ROS_DOMAIN_ID=" in stderr and domain in stderr and "from 0 to 232" in stderr
 
 
+def test_drawing_without_a_display_is_refused_before_any_work(
+    capfd, monkeypatch, tmp_path: Path, no_work
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    out = str(tmp_path / "room.png")
+    for command in (["render", DEMO, "--out", out], ["run", DEMO, "--out", str(tmp_path / "o")]):
+        said = bad(capfd, *command)
+        assert said.startswith("twinct: MUJOCO_GL=glfw needs a display") and said.count("\n") == 1
+
+
 def test_a_picture_that_cannot_be_drawn_is_refused_before_any_work(capfd, no_work) -> None:
     stderr = bad(capfd, "render", DEMO, "--width", "0", "--height", "100000")
     assert "--width 0: a picture has 1 to 3840" in stderr
@@ -341,6 +353,15 @@ def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
         assert ScanStore(out / "scan.zarr").acquired >= kept - 1
     finally:
         subprocess.run(["umount", str(disk)], check=False)
+
+
+def test_version_and_help_say_what_a_user_can_type(capsys) -> None:
+    assert run_command(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("twinct 0.")
+    assert run_command(["render", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "None" not in text and "--view INT" in text and "the middle one" in text
+    assert "several times" in text
 
 
 def test_schema_is_json(capsys) -> None:

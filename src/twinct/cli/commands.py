@@ -24,9 +24,13 @@ Overrides = Annotated[
     tyro.conf.arg(
         name="set",
         metavar="KEY=VALUE",
-        help="Override a key of the scenario, such as --set detector.columns=320.",
+        help="Override a key of the scenario, such as --set detector.columns=320; may be given "
+        "several times.",
     ),
 ]
+MIDDLE = -1
+"""Stands for the view in the middle of the scan."""
+
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
@@ -78,7 +82,7 @@ def render(
     scenario: ScenarioFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("room.png"),
-    view: int | None = None,
+    view: Annotated[int, tyro.conf.arg(help_behavior_hint="(default: the middle one)")] = MIDDLE,
     width: int = 1600,
     height: int = 1000,
     set_: Overrides = (),
@@ -87,11 +91,11 @@ def render(
 
     Args:
         out: File to write.
-        view: Which view the arms shall be at; the middle one unless given.
+        view: Which view the arms shall be at.
         width: Width of the picture in pixels.
         height: Height of the picture in pixels.
     """
-    from twinct.cell import check_picture_size, render_cell
+    from twinct.cell import check_drawing, check_picture_size, render_cell
     from twinct.cli.output import check_picture
     from twinct.errors import InputError
     from twinct.extras import require
@@ -102,8 +106,9 @@ def render(
     check_picture(out)
     check_picture_size(width, height)
     require("robots")
+    check_drawing()
     workshop = Workshop(loaded)
-    view = len(workshop.targets) // 2 if view is None else view
+    view = len(workshop.targets) // 2 if view == MIDDLE else view
     if not 0 <= view < len(workshop.targets):
         raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
     with named_places(scenario, set_), storage_errors(out):

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from twinct.cell import check_drawing
 from twinct.cli.output import check_folder
 from twinct.cli.progress import TerminalProgress
 from twinct.errors import InputError, ScanExistsError
@@ -212,6 +213,7 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     if resume and folder.scan.exists():
         ScanStore(folder.scan).refuse_other(scenario)
     require_extras(scenario)
+    check_drawing()
     if resume and folder.finished(scenario):
         console.print(f"{folder.path} is complete; the report is {folder.report}", highlight=False)
         return
