@@ -156,6 +156,20 @@ def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_comm
     assert stamps == list(range(stamps[0], stamps[0] + len(targets)))
 
 
+def test_each_node_logs_its_start_and_its_views(scenario, fake_command, tmp_path):
+    targets = own_targets(scenario)
+    with closing(RosRig(scenario, node_command=fake_command, log_dir=tmp_path)) as rig:
+        for view in range(2):
+            rig.move(view, targets[view])
+            rig.expose(view)
+        ready = f"is ready on ROS domain {rig.domain_id}"
+    for name, word in (("robots", "reached view"), ("xray", "image of view")):
+        lines = (tmp_path / f"{name}.log").read_text().splitlines()
+        told = [line for line in lines if f"twinct_{name}" in line or word in line]
+        assert told[0].endswith("starts") and ready in told[1]
+        assert [line.partition(word)[2].split(":")[0] for line in told[2:4]] == [" 0", " 1"]
+
+
 def test_a_domain_in_use_is_refused_and_free_again_afterwards(scenario, fake_command, monkeypatch):
     with closing(RosRig(scenario, node_command=fake_command)) as rig:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(rig.domain_id))
