@@ -319,6 +319,7 @@ def summary(workshop: Workshop) -> Table:
     """What ``twinct check`` found."""
     scenario, plan = workshop.scenario, workshop.plan
     panel, grid = scenario.detector.panel, scenario.reconstruction.grid.volume_grid
+    worst = int(plan.clearance_mm.argmin())
     table = Table(title=f"{scenario.name}: can be run", show_header=False)
     for name, value in {
         "views": f"{len(workshop.targets)}, {scenario.trajectory.kind}",
@@ -327,7 +328,7 @@ def summary(workshop: Workshop) -> Table:
             f"{part.name} of {part.material.name}" for part in workshop.specimen.parts
         ),
         "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
-        f"at view {int(plan.clearance_mm.argmin())}",
+        f"at view {worst}, between {' and '.join(plan.nearest[worst])}",
         "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
         f"{' x '.join(f'{edge:g}' for edge in grid.voxel)} mm",
         "digest": scenario.digest(),
