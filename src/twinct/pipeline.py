@@ -121,8 +121,8 @@ def acquire_to_store(
         return store
     state = store.state(first - 1) if store and first else None
     with (
-        progress.stage("views", len(targets), first) as step,
         closing(make_rig(first, state)) as rig,
+        progress.stage("views", len(targets), first) as step,
     ):
 
         def keep(index: int, view: View, reached: Reached) -> None:

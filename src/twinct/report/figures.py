@@ -127,7 +127,8 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
             axes.scatter(
                 *executed[part].T,
                 c=colours[part],
-                s=(11 if len(commanded) <= 150 else 6) * (0.8 if faint else 1.0),
+                s=(24 if len(commanded) <= 30 else 11 if len(commanded) <= 150 else 6)
+                * (0.8 if faint else 1.0),
                 alpha=0.45 if faint else 1.0,
                 depthshade=False,
                 linewidths=0,
@@ -432,7 +433,7 @@ def projection_strip(
                 extent=(-width / 2, width / 2, -height / 2, height / 2),
             )
             axes.set_title(f"view {view}", loc="left")
-            axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 4, 5, 10]))
+            axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 4, 5, 10]))
             axes.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 4, 5, 10]))
         for axes in grid[-1]:
             axes.set_xlabel("u / mm", labelpad=1)
