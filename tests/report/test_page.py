@@ -191,6 +191,12 @@ def test_error_window_is_a_round_number(value, expected):
     assert figures._nice(value) == pytest.approx(expected)
 
 
+def test_the_nearest_bodies_are_named(report, undrawn) -> None:
+    assert "nearest are" not in render_report(report)
+    named = replace(report, nearest=("table", "source_forearm"))
+    assert "nearest are table and source_forearm" in render_report(named)
+
+
 def test_a_path_of_few_views_stays_on_its_sphere() -> None:
     from twinct.report.figures import _fine
 

@@ -446,6 +446,7 @@ def _report_data(
         ),
         mu_reference=truth.mu_reference,
         room_png=_room(workshop),
+        nearest=workshop.plan.nearest[int(workshop.plan.clearance_mm.argmin())],
     )
 
 

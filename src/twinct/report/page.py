@@ -107,6 +107,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         image_columns=metrics.get("image_by_geometry")
         or {scenario.reconstruction.geometries[0]: metrics["image"]},
         stages=_stages(metrics["seconds"]),
+        nearest=" and ".join(report.nearest),
         trigger=scenario.motion.trigger,
         tolerance_mm=scenario.motion.tolerance_mm,
         scenario_yaml=report.scenario_yaml,
