@@ -12,7 +12,7 @@ VENV := .venv/bin
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test check lint format bench qualify docs lock clean
+.PHONY: help setup demo paper test lint format bench qualify docs lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -29,12 +29,10 @@ paper: setup ## Fetch a real skull and run the paper's experiment (long)
 	@$(VENV)/twinct run scenarios/paper_cranium.yaml --out out/paper $$([ ! -e out/paper ] || echo --resume)
 	@echo "Report: $(CURDIR)/out/paper/report.html"
 
-test: setup ## Run the tests; PYTEST_ARGS="-k sart" chooses, JOBS=0 uses one process
+test: lint ## Check style and types, run the tests; PYTEST_ARGS="-k sart" chooses, JOBS=0: one process
 	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
 
-check: lint ## Same as lint
-
-lint: setup ## Check style, formatting, types and layers
+lint: setup ## Check style, formatting, types and layers only
 	@$(VENV)/ruff check
 	@$(VENV)/ruff format --check
 	@$(VENV)/pyright
@@ -52,7 +50,8 @@ bench: setup ## Time the parts of the simulation (benchmarks/)
 qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; half an hour)
 	@$(VENV)/twinct ctsimu qualify --out out/qualify
 
-docs: setup ## Regenerate the pictures of the documentation, check its links
+docs: setup ## Regenerate the scenario reference and the pictures, check the links of the pages
+	@$(VENV)/python tools/scenario_reference.py
 	@[ ! -e tools/gallery.py ] || $(VENV)/python tools/gallery.py
 	@$(VENV)/python tools/check_links.py
 

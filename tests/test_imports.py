@@ -18,6 +18,7 @@ MODULES = (
     "twinct.ctsimu.suite",
     "twinct.evaluate",
     "twinct.exchange",
+    "twinct.extras",
     "twinct.pipeline",
     "twinct.recon",
     "twinct.report",

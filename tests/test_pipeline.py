@@ -61,6 +61,10 @@ def scan(scenario: Scenario, workshop: Workshop) -> Scan:
     return simulate(scenario, workshop=workshop)
 
 
+def test_a_scan_is_shown_in_one_line(scan: Scan) -> None:
+    assert repr(scan) == "Scan('demo', 8 views, 64 x 48 px)"
+
+
 def test_three_geometries_stand_apart(scan: Scan) -> None:
     errors = pose_errors(scan.commanded, scan.executed)
     for arm in (errors.source, errors.detector):

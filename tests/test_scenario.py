@@ -63,6 +63,70 @@ def test_every_problem_is_one_message() -> None:
     assert "did you mean 'source'" in text
 
 
+def test_numbers_may_be_written_as_scientists_do(tmp_path: Path) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text(f"extends: {DEMO}\nreconstruction: {{relaxation: 5e-1}}\n")
+    assert load_scenario(file).reconstruction.relaxation == 0.5
+    for text, value in (("1e-3", 1e-3), ("1.5e2", 150.0), (".5E+1", 5.0), ("2.e1", 20.0)):
+        override = f"motion.tolerance_mm={text}"
+        assert load_scenario(DEMO, [override]).motion.tolerance_mm == value
+    assert load_scenario(DEMO, ["name=e3"]).name == "e3"
+
+
+def test_a_problem_of_a_section_names_who_made_it(tmp_path: Path) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text(f"extends: {DEMO}\n\ntrajectory: {{sod_mm: 600, sdd_mm: 300}}\n")
+    assert problems(path=file).startswith(f"{file}:3: trajectory: sdd_mm (300)")
+    text = problems("trajectory.sdd_mm=300")
+    assert text.startswith("--set trajectory.sdd_mm=300: trajectory: sdd_mm (300)")
+    text = problems("trajectory.kind=spiral")
+    assert text.startswith("--set trajectory.kind=spiral: trajectory.kind: kind 'spiral'")
+    assert "expected KEY=VALUE" in problems("detector..columns=3")
+
+
+def test_another_kind_by_override_starts_afresh_but_for_other_overrides() -> None:
+    both = ["trajectory.views=5", "trajectory.kind=circle"]
+    for overrides in (both, both[::-1]):
+        trajectory = load_scenario(DEMO, overrides).trajectory
+        assert (trajectory.kind, trajectory.views) == ("circle", 5)
+    text = problems("trajectory.kind=circle")
+    assert text == (
+        "--set trajectory.kind=circle: trajectory.views: this key is needed and missing"
+    )
+
+
+def test_problems_are_told_in_plain_words(tmp_path: Path) -> None:
+    assert "specimen.parts: must have at least 1 entry, but has 0" in problems("specimen.parts=[]")
+    assert "'ur10' is no arm; did you mean 'ur10e'?" in problems("cell.source_arm.model=ur10")
+    assert "specimen: must be a section of keys and values, but is empty" in problems("specimen=")
+    assert "must be a whole number, but is 'many'" in problems("trajectory.views=many")
+    file = tmp_path / "x.yaml"
+    file.write_text("# nothing yet\n")
+    assert problems(path=file) == f"{file}: the scenario is empty"
+
+
+@pytest.mark.parametrize("depth", [30, 5000])
+def test_deep_nesting_is_refused(tmp_path: Path, depth: int) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text("a: " + "[" * depth + "]" * depth)
+    assert "nested too deep" in problems(path=file)
+    assert "specimen" in problems("specimen=" + "[" * depth + "]" * depth)
+
+
+def test_problems_found_later_get_the_place_of_their_key(tmp_path: Path) -> None:
+    from twinct.errors import SpecimenError
+    from twinct.scenario import named_places
+
+    file = tmp_path / "x.yaml"
+    file.write_text(f"extends: {DEMO}\nspecimen:\n  parts:\n    - shape: {{kind: skull}}\n")
+    found = ["specimen.parts.0.material: unknown", "part 'skull' is open", "12: odd"]
+    with pytest.raises(SpecimenError) as caught, named_places(file, ["specimen.parts.0.name=x"]):
+        raise SpecimenError(found)
+    first, *others = caught.value.problems
+    assert first == f"--set specimen.parts.0.name=x: {found[0]}"
+    assert others == found[1:]
+
+
 def test_nested_problem_is_named_alone() -> None:
     text = problems("specimen.parts.0.shape.scal=2")
     assert text.splitlines()[0].startswith("--set specimen.parts.0.shape.scal=2")

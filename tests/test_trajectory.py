@@ -83,7 +83,7 @@ def test_file_with_source_and_panel_only_gets_upright_panels(tmp_path) -> None:
     ("text", "message"),
     [
         ("", "holds no view"),
-        ("a,b\n1,2,3\n", ":2: a view is 6 finite numbers"),
+        ("a,b\n1,2,3\n", ":2: a view is 6 numbers"),
         ("1,2,3,4,5,6\n1,x,3,4,5,6\n", ":2: .*not a number"),
         ("1,2,3,1,2,3\n", "coincide"),
         ("0,0,300,0,0,-300\n", "vertical"),
@@ -93,3 +93,13 @@ def test_bad_files_are_named(tmp_path, text: str, message: str) -> None:
     (tmp_path / "v.csv").write_text(text)
     with pytest.raises(TrajectoryError, match=message):
         views(kind="file", path=tmp_path / "v.csv")
+
+
+def test_a_number_that_is_not_finite_is_named_as_such(tmp_path) -> None:
+    file = tmp_path / "views.csv"
+    file.write_text("1,2,3,4,5,nan\n1,2,3\n")
+    with pytest.raises(TrajectoryError) as caught:
+        views(kind="file", path=file)
+    first, second = caught.value.problems
+    assert first.endswith(":1: '1,2,3,4,5,nan' holds a number that is not finite")
+    assert second.endswith("this line has 3")

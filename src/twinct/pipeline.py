@@ -6,7 +6,6 @@ each on disk: ``acquire_to_store`` and ``reconstruct`` with a folder for checkpo
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import logging
 from collections.abc import Callable, Iterable, Iterator
@@ -18,8 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import InputError, MissingExtraError
-from twinct.evaluate import ImageFigures, image_figures, region_of_interest
+from twinct.errors import InputError, TrajectoryError
+from twinct.evaluate import ImageFigures, image_figures, region_of_interest, sight
+from twinct.extras import require
 from twinct.geometry import Pose, ScanGeometry
 from twinct.hardening import effective_energy
 from twinct.reconstruction import (
@@ -42,6 +42,7 @@ __all__ = [
     "Progress",
     "Truth",
     "acquire_to_store",
+    "check_sight",
     "effective_energy",
     "judge",
     "line_integrals",
@@ -126,8 +127,8 @@ def acquire_to_store(
         return store
     state = store.state(first - 1) if store and first else None
     with (
-        progress.stage("views", len(targets), first) as step,
         closing(make_rig(first, state)) as rig,
+        progress.stage("views", len(targets), first) as step,
     ):
 
         def keep(index: int, view: View, reached: Reached) -> None:
@@ -230,18 +231,63 @@ def judge(scan: Scan, volume: NDArray[np.float32], truth: Truth) -> ImageFigures
     )
 
 
+def check_sight(workshop: Workshop) -> list[str]:
+    """Make sure that the commanded views see the specimen, before anything is planned.
+
+    Returns:
+        What a user should know of a scan that can be run.
+
+    Raises:
+        TrajectoryError: no view sees the specimen, it stands behind a panel, or no voxel is seen by
+            every view, so that nothing could be judged.
+    """
+    place = workshop.specimen.world_from_specimen
+    grid = workshop.scenario.reconstruction.grid.volume_grid
+    seen = sight(workshop.commanded, place.apply(workshop.hull.vertices), grid)
+    x, y, z = place.position
+    where = f"the specimen at ({x:g}, {y:g}, {z:g}) mm (specimen.position_mm)"
+    problems = []
+    if seen.from_behind:
+        problems.append(
+            f"{_views(seen.from_behind)}: {where} reaches behind the panel: the image would show "
+            "what lies there; move the specimen, or take a longer sdd_mm"
+        )
+    elif len(seen.blind) == seen.views:
+        problems.append(
+            f"no view sees {where}: all its shadows miss the panel; move the specimen, or the "
+            "isocentre of the trajectory"
+        )
+    if seen.region_empty:
+        problems.append(
+            "no voxel of the grid is seen by every view, so the image cannot be judged: move the "
+            "grid into the beam (reconstruction.grid.centre_mm), or use a larger panel or a "
+            "smaller orbit"
+        )
+    if problems:
+        raise TrajectoryError(problems)
+    warnings = []
+    if seen.blind:
+        warnings.append(f"{_views(seen.blind)} of {seen.views} in all see nothing of {where}")
+    if not seen.in_region:
+        warnings.append(
+            f"{where} lies outside the voxels that every view sees: the image figures will say "
+            "nothing of it"
+        )
+    return warnings
+
+
+def _views(views: tuple[int, ...]) -> str:
+    few = ", ".join(map(str, views[:8])) + (", ..." if len(views) > 8 else "")
+    return f"view {few}" if len(views) == 1 else f"{len(views)} views ({few})"
+
+
 def require_extras(scenario: Scenario) -> None:
     """Refuse before any work what is not installed.
 
     Raises:
-        MissingExtraError: naming the extra that brings it.
+        InputError: naming the extra that brings it.
     """
-    if importlib.util.find_spec("mujoco") is None:
-        raise MissingExtraError("mujoco", "robots")
-    if importlib.util.find_spec("gvxrPython3") is None:
-        raise MissingExtraError("gvxr", "xray")
-    if scenario.reconstruction.engine == "rtk" and importlib.util.find_spec("itk") is None:
-        raise MissingExtraError("itk-rtk", "rtk", "or use reconstruction.engine: twinct")
+    require("robots", "xray", *(["rtk"] if scenario.reconstruction.engine == "rtk" else []))
 
 
 def scenario_as_data(scenario: Scenario) -> object:

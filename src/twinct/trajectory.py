@@ -170,11 +170,13 @@ def _from_file(path: Path, panel: Panel) -> ScanGeometry:
             if position > 0:
                 problems.append(f"{path}:{number}: {','.join(row)!r} holds something not a number")
             continue
-        if len(row) not in (6, 12) or not np.isfinite(rows[-1]).all():
+        if len(row) not in (6, 12):
             problems.append(
-                f"{path}:{number}: a view is 6 finite numbers (S, D) or 12 (S, D, u, v), mm; "
+                f"{path}:{number}: a view is 6 numbers (S, D) or 12 (S, D, u, v), mm; "
                 f"this line has {len(row)}"
             )
+        elif not np.isfinite(rows[-1]).all():
+            problems.append(f"{path}:{number}: {','.join(row)!r} holds a number that is not finite")
     if not problems and not rows:
         problems.append(f"{path}: holds no view")
     if not problems and len({len(row) for row in rows}) > 1:

@@ -136,6 +136,16 @@ def test_unknown_menagerie_model_is_named(menagerie: str) -> None:
         load_arm(SourceArm(model="menagerie:no_such_arm"), "cell.source_arm")
 
 
+def test_what_menagerie_lacks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MENAGERIE_ROOT", "/nonexistent")
+    with pytest.raises(ScenarioError, match="MENAGERIE_ROOT=/nonexistent is no folder"):
+        load_arm(SourceArm(model="menagerie:panda"), "cell.source_arm")
+    monkeypatch.delenv("MENAGERIE_ROOT")
+    pytest.importorskip("mujoco_menagerie")
+    with pytest.raises(ScenarioError, match="no model 'kuka_iiwa'; the nearest of .*kuka_iiwa_14"):
+        load_arm(SourceArm(model="menagerie:kuka_iiwa"), "cell.source_arm")
+
+
 def test_without_menagerie_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MENAGERIE_ROOT", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)

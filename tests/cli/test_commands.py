@@ -65,7 +65,11 @@ def test_a_run_keeps_the_contract(finished: Path) -> None:
         "rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "mean_bone_rel",
         "roi_fraction", "roi_bone_fraction",
     }  # fmt: skip
-    assert set(metrics["seconds"]) >= {"plan", "motion", "xray", "reconstruction", "total"}
+    seconds = metrics["seconds"]
+    assert set(seconds) >= {"plan", "motion", "xray", "reconstruction", "total"}
+    assert sum(seconds.values()) == pytest.approx(2 * seconds["total"])
+    assert all(value > 0 for value in seconds.values())
+    assert seconds["other"] < 0.1 * seconds["total"]
     assert metrics["simulated_seconds"] > 0 and metrics["real_time_factor"] > 0
     assert nibabel.load(finished / "volume.nii").shape == (20, 20, 20)
     assert zarr.open_group(str(finished / "scan.zarr"), mode="r")["transmission"].shape == (
@@ -185,7 +189,18 @@ def test_bad_specimens_are_named(capfd, tmp_path: Path) -> None:
     stderr = bad(capfd, "run", DEMO, *out, "--link", "local", "--set", part)
     assert "open.stl" in stderr and "open" in stderr
     stderr = bad(capfd, "check", DEMO, "--set", "specimen.parts.0.material=bonee")
-    assert "bonee" in stderr and "bone" in stderr
+    assert (
+        stderr.startswith("twinct: --set specimen.parts.0.material=bonee: ") and "bone," in stderr
+    )
+    file = tmp_path / "x.yaml"
+    material = "{mass_fractions: {H: 0.5}, density_g_cm3: 1}"
+    file.write_text(
+        f"extends: {DEMO}\nspecimen:\n  parts:\n    - shape: {{kind: skull}}\n"
+        f"      material: {material}\n"
+    )
+    assert f"{file}:5: specimen.parts.0.material: material 'H 0.5'" in bad(
+        capfd, "check", str(file)
+    )
     covered = (
         "specimen.parts=[{shape: {kind: sphere, radius_mm: 5}},"
         " {shape: {kind: sphere, radius_mm: 9}, material: titanium}]"
@@ -206,22 +221,95 @@ def test_bad_trajectories_are_named_before_anything_moves(capfd, tmp_path: Path)
 
 
 def test_ros_without_rclpy_names_extra_and_way_out(capfd, monkeypatch, tmp_path: Path) -> None:
-    import importlib.util
-
-    found = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *a: None if name == "rclpy" else found(name, *a)
-    )
+    monkeypatch.setitem(sys.modules, "rclpy", None)
     stderr = bad(capfd, "run", DEMO, "--out", str(tmp_path / "out"), *TINY)
     assert "twinct[ros]" in stderr and "--link local" in stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_output_that_cannot_be_written_is_named(capfd, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    out = str(tmp_path / "file" / "out")
-    stderr = bad(capfd, "run", DEMO, "--out", out, "--link", "local", *TINY)
-    assert "cannot be written" in stderr
+def test_a_specimen_that_no_view_sees_is_refused_before_planning(
+    capfd, tmp_path: Path, monkeypatch
+) -> None:
+    from twinct.scan import Workshop
+
+    monkeypatch.setattr(Workshop, "plan", property(lambda self: pytest.fail("planning started")))
+    away = [*TINY, "--set", "specimen.position_mm=[5000,0,0]"]
+    for command in (["check", DEMO], ["run", DEMO, "--out", str(tmp_path / "o"), "--link=local"]):
+        assert "no view sees the specimen at (5000, 0, 0) mm" in bad(capfd, *command, *away)
+    assert not (tmp_path / "o").exists()
+
+
+def test_an_image_without_bone_in_its_region_is_judged_as_far_as_it_goes(
+    capfd, tmp_path: Path
+) -> None:
+    """A small ball beside the grid."""
+    out = tmp_path / "out"
+    ball = "specimen.parts=[{shape: {kind: sphere, radius_mm: 5}, position_mm: [0, 0, 30]}]"
+    grid = "reconstruction.grid={voxels: 20, voxel_mm: 2, centre_mm: [0, 0, -20]}"
+    few = [*TINY, "--set", "trajectory.longitude_range_deg=5", "--set", ball, "--set", grid]
+    assert run_command(["run", DEMO, "--out", str(out), "--link", "local", *few]) == 0
+    said = capfd.readouterr()
+    assert "warning: " in said.err and "outside the voxels that every view sees" in said.err
+    assert "no figure near bone" in said.out
+    assert json.loads((out / "metrics.json").read_text())["image"]["rmse_bone_rel"] is None
+
+
+@pytest.fixture
+def no_work(monkeypatch) -> None:
+    """Whatever builds or plans anything fails the test."""
+    from twinct.scan import Workshop
+
+    def work(self) -> None:
+        raise AssertionError("work started")
+
+    for name in ("specimen", "plan", "cell"):
+        monkeypatch.setattr(Workshop, name, property(work))
+
+
+def test_output_that_cannot_be_written_is_named_before_any_work(
+    capfd, tmp_path: Path, no_work
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("mine")
+    for place in (file, file / "out"):
+        for command in (["run", DEMO, *TINY, "--link", "local"], ["specimen", DEMO]):
+            stderr = bad(capfd, *command, "--out", str(place))
+            assert f"--out {place}: " in stderr and "folder" in stderr
+    assert "no folder" in bad(capfd, "render", DEMO, "--out", str(file / "room.png"))
+    assert "room.png" in bad(capfd, "render", DEMO, "--out", str(tmp_path / "room.xyz"))
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_text("meow")
+    for more in ([], ["--resume"]):
+        stderr = bad(capfd, "run", DEMO, *TINY, "--out", str(tmp_path / "photos"), *more)
+        assert "something else than a run (cat.jpg)" in stderr
+    assert file.read_text() == "mine"
+
+
+@pytest.mark.parametrize("domain", ["abc", "999"])
+def test_a_domain_that_is_none_is_refused_before_any_work(
+    capfd, monkeypatch, tmp_path: Path, no_work, domain: str
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    stderr = bad(capfd, "run", DEMO, "--out", str(tmp_path / "out"), *TINY)
+    assert "ROS_DOMAIN_ID=" in stderr and domain in stderr and "from 0 to 232" in stderr
+
+
+def test_drawing_without_a_display_is_refused_before_any_work(
+    capfd, monkeypatch, tmp_path: Path, no_work
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    out = str(tmp_path / "room.png")
+    for command in (["render", DEMO, "--out", out], ["run", DEMO, "--out", str(tmp_path / "o")]):
+        said = bad(capfd, *command)
+        assert said.startswith("twinct: MUJOCO_GL=glfw needs a display") and said.count("\n") == 1
+
+
+def test_a_picture_that_cannot_be_drawn_is_refused_before_any_work(capfd, no_work) -> None:
+    stderr = bad(capfd, "render", DEMO, "--width", "0", "--height", "100000")
+    assert "--width 0: a picture has 1 to 3840" in stderr
+    assert "--height 100000: a picture has 1 to 2400" in stderr
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
@@ -265,6 +353,15 @@ def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
         assert ScanStore(out / "scan.zarr").acquired >= kept - 1
     finally:
         subprocess.run(["umount", str(disk)], check=False)
+
+
+def test_version_and_help_say_what_a_user_can_type(capsys) -> None:
+    assert run_command(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("twinct 0.")
+    assert run_command(["render", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "None" not in text and "--view INT" in text and "the middle one" in text
+    assert "several times" in text
 
 
 def test_schema_is_json(capsys) -> None:

@@ -65,7 +65,7 @@ def page(html):
 def undrawn(monkeypatch):
     """For what concerns text alone: drawing is what takes the time."""
     names = ("room", "path", "errors", "slices", "convergence", "projections")
-    monkeypatch.setattr(twinct.report.page, "_pictures", lambda _: dict.fromkeys(names, DOT))
+    monkeypatch.setattr(twinct.report.page, "draw_pictures", lambda _: dict.fromkeys(names, DOT))
 
 
 def content(image):
@@ -191,3 +191,20 @@ def test_path_off_a_sphere_has_no_sphere():
 )
 def test_error_window_is_a_round_number(value, expected):
     assert figures._nice(value) == pytest.approx(expected)
+
+
+def test_the_nearest_bodies_are_named(report, undrawn) -> None:
+    assert "nearest are" not in render_report(report)
+    named = replace(report, nearest=("table", "source_forearm"))
+    assert "nearest are table and source_forearm" in render_report(named)
+
+
+def test_a_path_of_few_views_stays_on_its_sphere() -> None:
+    from twinct.report.figures import _fine
+
+    corners = 300.0 * np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
+    path = _fine(corners)
+    np.testing.assert_allclose(np.linalg.norm(path, axis=1), 300.0)
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assert steps.max() < 300 * 0.03
+    assert steps.sum() == pytest.approx(300 * np.pi, rel=1e-3)

@@ -33,7 +33,8 @@ class Scan:
         long["trajectory"]["views"] = max(views, 2)
         file.write_text(type(scenario).model_validate(long).resolved())
         self.process = subprocess.Popen(
-            [sys.executable, PARENT, file, self.log_dir, str(views)],
+            # A test started in the background of a script inherits SIGINT as ignored.
+            ["env", "--default-signal=INT", sys.executable, PARENT, file, self.log_dir, str(views)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -125,6 +126,48 @@ def test_a_node_that_cannot_start_is_named_with_its_last_words(scenario, tmp_pat
     script.write_text("import sys; print('no such arm'); sys.exit(2)")
     with pytest.raises(LinkError, match=r"node ended with exit code 2:\n  no such arm"):
         RosRig(scenario, node_command=(sys.executable, str(script)))
+
+
+def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_command):
+    """``twinct run`` says its domain before it plans: then a follower misses nothing."""
+    example = Path(__file__).parents[2] / "examples" / "follow_scan.py"
+    domain = Domain()
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain.id), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(
+        [sys.executable, example],
+        env={**environment, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as follower:
+        try:
+            targets = own_targets(scenario)
+            with closing(RosRig(scenario, node_command=fake_command, domain=domain)) as rig:
+                for view, target in enumerate(targets):
+                    rig.move(view, target)
+                    rig.expose(view)
+            os.set_blocking(follower.stdout.fileno(), False)
+            heard, deadline = "", time.monotonic() + END_S
+            while heard.count("\n") < len(targets) and time.monotonic() < deadline:
+                heard += follower.stdout.read() or ""
+                time.sleep(0.05)
+        finally:
+            follower.kill()
+    stamps = [int(line.split()[2].rstrip(":")) for line in heard.splitlines()]
+    assert stamps == list(range(stamps[0], stamps[0] + len(targets)))
+
+
+def test_each_node_logs_its_start_and_its_views(scenario, fake_command, tmp_path):
+    targets = own_targets(scenario)
+    with closing(RosRig(scenario, node_command=fake_command, log_dir=tmp_path)) as rig:
+        for view in range(2):
+            rig.move(view, targets[view])
+            rig.expose(view)
+        ready = f"is ready on ROS domain {rig.domain_id}"
+    for name, word in (("robots", "reached view"), ("xray", "image of view")):
+        lines = (tmp_path / f"{name}.log").read_text().splitlines()
+        told = [line for line in lines if f"twinct_{name}" in line or word in line]
+        assert told[0].endswith("starts") and ready in told[1]
+        assert [line.partition(word)[2].split(":")[0] for line in told[2:4]] == [" 0", " 1"]
 
 
 def test_a_domain_in_use_is_refused_and_free_again_afterwards(scenario, fake_command, monkeypatch):

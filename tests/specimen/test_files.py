@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import plistlib
+import sys
 import tarfile
 from pathlib import Path
 
@@ -216,7 +217,7 @@ def test_real_cranium_stands_upright_and_faces_y():
     [
         ("absent.nii", None, ["does not exist"]),
         ("broken.nii", b"no image at all", ["cannot be read"]),
-        ("broken.inv3", b"no archive at all", ["cannot be read", "InVesalius"]),
+        ("broken.inv3", b"no archive at all", ["is no InVesalius project"]),
         ("picture.jpg", b"JFIF", ["no known kind", ".nii", ".inv3", "DICOM"]),
     ],
 )
@@ -315,3 +316,13 @@ def test_mesh_file_without_a_mesh_is_named(tmp_path, name, content, words):
         build({"kind": "mesh", "path": tmp_path / name})
     for word in [name, *words]:
         assert word in str(caught.value)
+
+
+def test_what_is_no_mesh_is_told_without_its_readers_troubles(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # as where nobody asks for it
+    (tmp_path / "noise.stl").write_bytes(bytes(range(128, 256)) * 9)
+    for path, said in ((tmp_path, "is a folder"), (tmp_path / "noise.stl", "is no mesh")):
+        part = {"shape": {"kind": "mesh", "path": path}}
+        with pytest.raises(SpecimenError, match=said) as caught:
+            build_specimen(Specimen.model_validate({"parts": [part]}))
+        assert "charset" not in str(caught.value) and "Module" not in str(caught.value)

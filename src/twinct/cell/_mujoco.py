@@ -10,8 +10,8 @@ from twinct.errors import MissingExtraError
 
 # MUJOCO_GL is read when MuJoCo is first imported, so it must be set before; a value that the user
 # set stays. EGL shares a process with gVXR's context, GLFW does not.
-if sys.platform.startswith("linux"):
-    os.environ.setdefault("MUJOCO_GL", "egl")
+if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL", "").strip():
+    os.environ["MUJOCO_GL"] = "egl"  # empty counts as not set
 
 
 def mujoco_module() -> ModuleType:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -67,10 +68,13 @@ def _menagerie_file(name: str, key: str) -> Path:
     root = os.environ.get("MENAGERIE_ROOT")
     if root:
         folder = Path(root) / name
+        if not Path(root).is_dir():
+            raise ScenarioError(f"{key}.model: MENAGERIE_ROOT={root} is no folder")
         if not folder.is_dir():
             there = ", ".join(sorted(p.name for p in Path(root).glob("*/") if p.is_dir()))
             raise ScenarioError(
-                f"{key}.model: MENAGERIE_ROOT={root} holds no model {name!r}; it holds {there}"
+                f"{key}.model: MENAGERIE_ROOT={root} holds no model {name!r}; it holds "
+                f"{there or 'none'}"
             )
     else:
         try:
@@ -83,6 +87,13 @@ def _menagerie_file(name: str, key: str) -> Path:
             ) from error
         try:
             folder = Path(mujoco_menagerie.get(name).path())
+        except mujoco_menagerie.UnknownRobotError:
+            names = list(mujoco_menagerie.names())
+            near = difflib.get_close_matches(name, names, n=5, cutoff=0.3) or names
+            raise ScenarioError(
+                f"{key}.model: MuJoCo Menagerie holds no model {name!r}; the nearest of its "
+                f"{len(names)}: {', '.join(near)}"
+            ) from None
         except mujoco_menagerie.MenagerieError as error:
             raise ScenarioError(f"{key}.model: {error}") from error
         if folder.is_file():

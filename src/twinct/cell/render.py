@@ -2,14 +2,46 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from twinct.cell._mujoco import mujoco_module
-from twinct.cell.scene import CellModel
-from twinct.errors import StorageError
+from twinct.cell.scene import LARGEST_PICTURE, CellModel
+from twinct.errors import InputError, StorageError
+
+_ADVICE = "leave MUJOCO_GL unset, which takes EGL and needs no display"
+
+
+def check_drawing() -> None:
+    """Refuse, before any work, a back end that cannot draw here.
+
+    Raises:
+        InputError: ``MUJOCO_GL`` asks for a window where there is no display.
+    """
+    asked = os.environ.get("MUJOCO_GL", "")
+    displays = ("DISPLAY", "WAYLAND_DISPLAY")
+    if asked.lower() == "glfw" and not any(os.environ.get(name) for name in displays):
+        raise InputError(f"MUJOCO_GL={asked} needs a display, and there is none: {_ADVICE}")
+
+
+def check_picture_size(width: int, height: int) -> None:
+    """Refuse what MuJoCo cannot draw, before the room is built.
+
+    Raises:
+        InputError: with one sentence for each side that is too small or too large.
+    """
+    problems = [
+        f"--{name} {pixels}: a picture has 1 to {most} pixels here"
+        for name, pixels, most in zip(
+            ("width", "height"), (width, height), LARGEST_PICTURE, strict=True
+        )
+        if not 1 <= pixels <= most
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def render_cell(
@@ -46,7 +78,15 @@ def render_cell(
     option = mujoco.MjvOption()
     option.geomgroup[:] = (1, 1, 1, 0, 0, 0)
     option.sitegroup[:] = 0
-    with mujoco.Renderer(model, height, width) as renderer:
+    try:
+        drawing = mujoco.Renderer(model, height, width)
+    except Exception as error:  # MuJoCo's FatalError, and what EGL's and OSMesa's loaders raise
+        chosen = os.environ.get("MUJOCO_GL", "")
+        raise InputError(
+            f"MuJoCo cannot draw with MUJOCO_GL={chosen} ({str(error).strip() or 'no context'}): "
+            f"{_ADVICE}"
+        ) from error
+    with drawing as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
         renderer.update_scene(data, camera, option)
         pixels = renderer.render()

@@ -34,6 +34,10 @@ PANEL_COVER_MM = 4.0
 """Housing about the active area: a border all round, so deep, so much of it before the pixels."""
 
 
+LARGEST_PICTURE = (3840, 2400)
+"""Pixels, width and height, for which MuJoCo sets memory aside."""
+
+
 @dataclass(frozen=True, eq=False)
 class CellModel:
     """The compiled room and where things are in it.
@@ -153,7 +157,7 @@ def _rod(
 
 def _look(spec: mujoco.MjSpec) -> None:
     mujoco = mujoco_module()
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = 3840, 2400
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
     spec.visual.quality.shadowsize = 4096
     spec.visual.quality.offsamples = 4
     spec.visual.headlight.ambient = [0.34, 0.34, 0.36]

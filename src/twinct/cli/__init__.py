@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Sequence
 from types import FrameType
 
+from twinct import __version__
 from twinct.errors import InputError, TwinctError
 
 EXIT_DONE, EXIT_OTHER, EXIT_BAD_INPUT = 0, 1, 2
@@ -23,13 +24,18 @@ def run_command(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; errors go to stderr, without a traceback."""
     from twinct.cli.commands import app
 
+    arguments = sys.argv[1:] if argv is None else list(argv)
+    if arguments == ["--version"]:
+        sys.stdout.write(f"twinct {__version__}\n")
+        return EXIT_DONE
     signal.signal(signal.SIGTERM, _as_interrupt)
     try:
         app.cli(
             prog="twinct",
             description="Simulates a twin robotic CT system: two arms, X-ray projections, ROS 2, "
-            "reconstruction and its judgement, from one scenario file.",
-            args=None if argv is None else list(argv),
+            "reconstruction and its judgement, from one scenario file. "
+            "--version prints the version.",
+            args=arguments,
         )
     except SystemExit as stop:  # tyro: 0 after --help, 2 after arguments it cannot take
         return stop.code if isinstance(stop.code, int) else EXIT_OTHER

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from twinct.cli.ctsimu import ctsimu
-from twinct.scenario import load_scenario, scenario_schema
+from twinct.scenario import load_scenario, named_places, scenario_schema
 
 app = tyro.extras.SubcommandApp()
 
@@ -25,9 +25,13 @@ Overrides = Annotated[
     tyro.conf.arg(
         name="set",
         metavar="KEY=VALUE",
-        help="Override a key of the scenario, such as --set detector.columns=320.",
+        help="Override a key of the scenario, such as --set detector.columns=320; may be given "
+        "several times.",
     ),
 ]
+MIDDLE = -1
+"""Stands for the view in the middle of the scan."""
+
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
@@ -37,15 +41,17 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
 
     Names every view that an arm cannot reach or that would collide.
     """
-    from twinct.cli.run import summary
-    from twinct.pipeline import require_extras, require_feasible
+    from twinct.cli.run import summary, warn
+    from twinct.pipeline import check_sight, require_extras, require_feasible
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
     workshop = Workshop(loaded)
-    require_feasible(loaded, workshop.commanded)
-    Console().print(summary(workshop))
+    with named_places(scenario, set_):
+        require_feasible(loaded, workshop.commanded)
+        warn(check_sight(workshop))
+        Console().print(summary(workshop))
 
 
 @app.command
@@ -68,7 +74,9 @@ def run(
     """
     from twinct.cli.run import run_job
 
-    run_job(load_scenario(scenario, set_), out, link, resume=resume)
+    loaded = load_scenario(scenario, set_)
+    with named_places(scenario, set_):
+        run_job(loaded, out, link, resume=resume)
 
 
 @app.command
@@ -76,7 +84,7 @@ def render(
     scenario: ScenarioFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("room.png"),
-    view: int | None = None,
+    view: Annotated[int, tyro.conf.arg(help_behavior_hint="(default: the middle one)")] = MIDDLE,
     width: int = 1600,
     height: int = 1000,
     set_: Overrides = (),
@@ -85,20 +93,27 @@ def render(
 
     Args:
         out: File to write.
-        view: Which view the arms shall be at; the middle one unless given.
+        view: Which view the arms shall be at.
         width: Width of the picture in pixels.
         height: Height of the picture in pixels.
     """
-    from twinct.cell import render_cell
+    from twinct.cell import check_drawing, check_picture_size, render_cell
+    from twinct.cli.output import check_picture
     from twinct.errors import InputError
+    from twinct.extras import require
     from twinct.scan import Workshop
     from twinct.scan.store import storage_errors
 
-    workshop = Workshop(load_scenario(scenario, set_))
-    view = len(workshop.targets) // 2 if view is None else view
+    loaded = load_scenario(scenario, set_)
+    check_picture(out)
+    check_picture_size(width, height)
+    require("robots")
+    check_drawing()
+    workshop = Workshop(loaded)
+    view = len(workshop.targets) // 2 if view == MIDDLE else view
     if not 0 <= view < len(workshop.targets):
         raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
-    with storage_errors(out):
+    with named_places(scenario, set_), storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         render_cell(workshop.room, out, workshop.plan.joints[view], width=width, height=height)
     Console().print(f"wrote {out}", highlight=False)
@@ -121,13 +136,13 @@ def node(
     Args:
         which: The robot simulation or the X-ray simulation.
     """
+    from twinct.extras import require
     from twinct.ros import spin_robots, spin_xray
 
     loaded = load_scenario(scenario, set_)
-    if which == "robots":
-        code = spin_robots(loaded)
-    else:
-        code = spin_xray(loaded)
+    require("robots" if which == "robots" else "xray")
+    with named_places(scenario, set_):
+        code = spin_robots(loaded) if which == "robots" else spin_xray(loaded)
     if code:
         sys.exit(code)
 
@@ -150,6 +165,7 @@ def specimen(
     Args:
         out: Folder for PART.stl, truth.nii and specimen.png.
     """
+    from twinct.cli.output import check_folder
     from twinct.pipeline import effective_energy
     from twinct.scan import Workshop
     from twinct.scan.store import storage_errors
@@ -157,7 +173,9 @@ def specimen(
     from twinct.volume import write_volume
 
     loaded = load_scenario(scenario, set_)
-    built = Workshop(loaded).specimen
+    check_folder(out)
+    with named_places(scenario, set_):
+        built = Workshop(loaded).specimen
     grid, energy = loaded.reconstruction.grid.volume_grid, effective_energy(loaded)
     table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")
     with storage_errors(out):

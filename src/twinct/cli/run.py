@@ -8,7 +8,7 @@ import logging
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -20,12 +20,15 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from twinct.cell import check_drawing
+from twinct.cli.output import check_folder
 from twinct.cli.progress import TerminalProgress
 from twinct.errors import InputError, ScanExistsError
 from twinct.evaluate import ImageFigures, pose_errors
 from twinct.pipeline import (
     Truth,
     acquire_to_store,
+    check_sight,
     judge,
     local_rig,
     reconstruct,
@@ -35,7 +38,13 @@ from twinct.pipeline import (
     scenario_as_data,
     truth_of,
 )
-from twinct.report import ReportData, build_metrics, cross_sections, write_report
+from twinct.report import (
+    ReportData,
+    build_metrics,
+    cross_sections,
+    draw_pictures,
+    write_report,
+)
 from twinct.scan import (
     Rig,
     Scan,
@@ -50,6 +59,8 @@ from twinct.volume import read_volume, write_volume
 
 log = logging.getLogger(__name__)
 Link = Literal["ros2", "local"]
+MakeRig = Callable[[Workshop, NDArray[np.float64] | None, int], Rig]
+"""Of a scenario, the simulator state to start from, and the first view to take."""
 
 _SHOWN_VIEWS = 4
 """Projections shown in the report."""
@@ -63,6 +74,7 @@ class _Seconds:
     start: float = field(default_factory=time.perf_counter)
     stages: dict[str, float] = field(default_factory=dict)
     before: dict[str, float] = field(default_factory=dict)
+    simulated_s: float = 0.0
 
     @contextlib.contextmanager
     def stage(self, name: str, keep: bool = False) -> Iterator[None]:
@@ -77,12 +89,16 @@ class _Seconds:
     @contextlib.contextmanager
     def views(self) -> Iterator[Stopwatch]:
         """A stopwatch for the views; its seconds are kept, however the block ends."""
-        watch = Stopwatch()
+        watch, start = Stopwatch(), time.perf_counter()
         try:
             yield watch
         finally:
-            self.stages |= {"motion": watch.motion_s, "xray": watch.xray_s}
-            self.stages["simulated"] = watch.simulated_s
+            parts = {"motion": watch.motion_s, "xray": watch.xray_s, "storing": watch.storing_s}
+            # Before the first view and after the last: both simulations start and end.
+            parts["link"] = time.perf_counter() - start - sum(parts.values())
+            for name, spent in parts.items():
+                self.stages[name] = self.stages.get(name, 0.0) + spent
+            self.simulated_s = watch.simulated_s
             self.keep()
 
     def go_on(self) -> None:
@@ -91,10 +107,20 @@ class _Seconds:
             self.before = json.loads(self.path.read_text(encoding="utf-8"))
 
     def keep(self) -> None:
-        write_text(self.path, json.dumps(self.finished()))
+        now = self.stages | {"total": self._elapsed(), "simulated": self.simulated_s}
+        write_text(self.path, json.dumps(self._with_before(now)))
 
-    def finished(self) -> dict[str, float]:
-        now = self.stages | {"total": time.perf_counter() - self.start}
+    def finished(self) -> tuple[dict[str, float], float]:
+        """Seconds of each stage, which add up to ``total``; simulated seconds of the motion."""
+        stages = self._with_before(self.stages | {"total": self._elapsed()})
+        simulated = self.simulated_s + stages.pop("simulated", 0.0)
+        total = stages.pop("total")
+        return stages | {"other": total - sum(stages.values()), "total": total}, simulated
+
+    def _elapsed(self) -> float:
+        return time.perf_counter() - self.start
+
+    def _with_before(self, now: dict[str, float]) -> dict[str, float]:
         return {name: now.get(name, 0.0) + self.before.get(name, 0.0) for name in now | self.before}
 
 
@@ -157,6 +183,13 @@ class Folder:
             scenario
         )
 
+    def refuse_others(self) -> None:
+        """Raise where something else than a run of before is in the way."""
+        own = (self.scan, self.volume, self.metrics, self.report, self.checkpoints, self.scenario)
+        own = (*own, self.seconds, self.logs, self.log, self.scan.with_name("scan.zarr.new"))
+        names = {name for p in own for name in (p.name, f".{p.name}.partial")}
+        check_folder(self.path, names)
+
     def refuse_if_taken(self) -> None:
         """Raise where a run of before must not be touched."""
         taken = [p.name for p in (self.scan, self.volume, self.metrics, self.report) if p.exists()]
@@ -177,19 +210,39 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     seconds = _Seconds(folder.seconds)
     if not resume:
         folder.refuse_if_taken()
-    elif folder.scan.exists():
+    folder.refuse_others()
+    if resume and folder.scan.exists():
         ScanStore(folder.scan).refuse_other(scenario)
     require_extras(scenario)
-    if link == "ros2":
-        from twinct.ros import require_ros
-
-        require_ros()
+    check_drawing()
     if resume and folder.finished(scenario):
         console.print(f"{folder.path} is complete; the report is {folder.report}", highlight=False)
         return
+    with contextlib.ExitStack() as stack:
+        with seconds.stage("link"):
+            make_rig = _link(link, folder, console, stack)
+        _run(scenario, folder, console, seconds, link, make_rig, resume=resume)
+    _say_result(console, folder)
+
+
+def _run(
+    scenario: Scenario,
+    folder: Folder,
+    console: Console,
+    seconds: _Seconds,
+    link: Link,
+    make_rig: MakeRig,
+    *,
+    resume: bool,
+) -> None:
     progress, workshop = TerminalProgress(), Workshop(scenario)
     require_feasible(scenario, workshop.commanded)
+    out = folder.path
     check_space(out, scenario, len(workshop.targets))
+    with seconds.stage("specimen"), progress.stage("specimen", 1) as step:
+        warnings = check_sight(workshop)
+        step()
+    warn(warnings)
     with seconds.stage("plan"), progress.stage("plan", 1) as step:
         workshop.plan  # noqa: B018 - planned here, before anything is written
         step()
@@ -200,19 +253,22 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
         log.info(
             "twinct run %s, %s link, scenario digest %s", scenario.name, link, scenario.digest()
         )
+        for warning in warnings:
+            log.warning(warning)
         if resume:
             seconds.go_on()
         with seconds.views() as watch:
             store = acquire_to_store(
                 workshop,
                 folder.scan,
-                partial(_rig, workshop, link, folder, console),
+                partial(_started, make_rig, workshop, progress),
                 resume=resume,
                 watch=watch,
                 progress=progress,
             )
-        scan = store.read()
-        truth = truth_of(scan, workshop, progress)
+        with seconds.stage("truth"):
+            scan = store.read()
+            truth = truth_of(scan, workshop, progress)
         figures: dict[str, ImageFigures] = {}
         residuals: dict[str, list[float]] = {}
         kept: NDArray[np.float32] | None = None
@@ -230,19 +286,16 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
                 kept = volume
                 grid = scenario.reconstruction.grid.volume_grid
                 digest = reconstruction_digest(scenario)
-                write_volume(folder.volume, volume, grid, f"twinct {digest[:32]}")
-            with progress.stage(f"judge, {which} geometry", 1) as step:
+                with seconds.stage("storing"):
+                    write_volume(folder.volume, volume, grid, f"twinct {digest[:32]}")
+            with seconds.stage("judge"), progress.stage(f"judge, {which} geometry", 1) as step:
                 figures[which] = judge(scan, volume, truth)
                 step()
             del volume
         assert kept is not None
-        stages = seconds.finished()
-        simulated = stages.pop("simulated")
-        factor = simulated / stages["motion"] if stages["motion"] else float("nan")
-        _report(folder, scan, workshop, kept, truth, figures, stages, factor, residuals)
+        _report(folder, scan, workshop, kept, truth, figures, seconds, residuals)
         shutil.rmtree(folder.checkpoints, ignore_errors=True)
         folder.seconds.unlink(missing_ok=True)
-    _say_result(console, folder)
 
 
 def report_again(path: Path) -> None:
@@ -266,17 +319,8 @@ def report_again(path: Path) -> None:
     for which, values in before.get("image_by_geometry", {}).items():
         figures.setdefault(which, ImageFigures(**values))
     with storage_errors(path):
-        _report(
-            folder,
-            scan,
-            workshop,
-            volume,
-            truth,
-            figures,
-            before["seconds"],
-            before["real_time_factor"],
-            before.get("residuals", {}),
-        )
+        residuals = before.get("residuals", {})
+        _report(folder, scan, workshop, volume, truth, figures, before, residuals)
     _say_result(Console(), folder)
 
 
@@ -284,6 +328,7 @@ def summary(workshop: Workshop) -> Table:
     """What ``twinct check`` found."""
     scenario, plan = workshop.scenario, workshop.plan
     panel, grid = scenario.detector.panel, scenario.reconstruction.grid.volume_grid
+    worst = int(plan.clearance_mm.argmin())
     table = Table(title=f"{scenario.name}: can be run", show_header=False)
     for name, value in {
         "views": f"{len(workshop.targets)}, {scenario.trajectory.kind}",
@@ -292,7 +337,7 @@ def summary(workshop: Workshop) -> Table:
             f"{part.name} of {part.material.name}" for part in workshop.specimen.parts
         ),
         "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
-        f"at view {int(plan.clearance_mm.argmin())}",
+        f"at view {worst}, between {' and '.join(plan.nearest[worst])}",
         "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
         f"{' x '.join(f'{edge:g}' for edge in grid.voxel)} mm",
         "reconstruction": scenario.reconstruction.in_words,
@@ -302,20 +347,47 @@ def summary(workshop: Workshop) -> Table:
     return table
 
 
-def _rig(
+def _link(link: Link, folder: Folder, console: Console, stack: contextlib.ExitStack) -> MakeRig:
+    """What starts the two simulations; whatever can be missing for that is missed here.
+
+    The ROS domain is taken and said at once, so that who wants to follow the scan joins in time.
+    """
+    if link == "local":
+        from twinct.xray import prepare_engine
+
+        prepare_engine()
+        return lambda workshop, state, _: local_rig(workshop, state)
+    from twinct.ros import Domain, require_ros
+
+    require_ros()
+    domain = Domain()
+    stack.callback(domain.close)
+    console.print(f"ROS 2: domain {domain.id} (ROS_DOMAIN_ID)", highlight=False)
+
+    def make_rig(workshop: Workshop, state: NDArray[np.float64] | None, first: int) -> Rig:
+        from twinct.ros import RosRig
+
+        return RosRig(
+            workshop.scenario,
+            first_view=first,
+            start_state=state,
+            log_dir=folder.logs,
+            domain=domain,
+        )
+
+    return make_rig
+
+
+def _started(
+    make_rig: MakeRig,
     workshop: Workshop,
-    link: Link,
-    folder: Folder,
-    console: Console,
+    progress: TerminalProgress,
     first: int,
     state: NDArray[np.float64] | None,
 ) -> Rig:
-    if link == "local":
-        return local_rig(workshop, state)
-    from twinct.ros import RosRig
-
-    rig = RosRig(workshop.scenario, first_view=first, start_state=state, log_dir=folder.logs)
-    console.print(f"ROS 2: domain {rig.domain_id} (ROS_DOMAIN_ID)", highlight=False)
+    with progress.stage("start of both simulations", 1) as step:
+        rig = make_rig(workshop, state, first)
+        step()
     return rig
 
 
@@ -326,30 +398,57 @@ def _report(
     volume: NDArray[np.float32],
     truth: Truth,
     figures: dict[str, ImageFigures],
-    seconds: dict[str, float],
-    real_time_factor: float | None,
+    seconds: _Seconds | Mapping[str, Any],
     residuals: dict[str, list[float]],
 ) -> None:
-    """Write metrics.json and report.html, each complete or not at all."""
+    """Write metrics.json and report.html, each complete or not at all.
+
+    Args:
+        folder: where.
+        scan: what was taken.
+        workshop: its parts.
+        volume: the reconstruction kept.
+        truth: what it is judged against.
+        figures: of each geometry.
+        seconds: of this run, or the metrics of the run that is reported again.
+        residuals: of each iteration, for each geometry.
+    """
     scenario = scan.scenario
+    with seconds.stage("report") if isinstance(seconds, _Seconds) else contextlib.nullcontext():
+        data = _report_data(scan, workshop, volume, truth)
+        pictures = draw_pictures(data)
+    if isinstance(seconds, _Seconds):
+        stages, simulated = seconds.finished()
+        factor = simulated / stages["motion"] if stages["motion"] else float("nan")
+    else:
+        stages, factor = seconds["seconds"], seconds["real_time_factor"]
     metrics = build_metrics(
         views=len(workshop.targets),
         reached=len(scan),
         pose_errors=pose_errors(scan.commanded, scan.executed),
         clearance_mm=scan.clearance_mm,
         image=figures,
-        seconds=seconds,
+        seconds=stages,
         simulated_seconds=float(scan.simulated_s[-1]),
-        real_time_factor=real_time_factor,
+        real_time_factor=factor,
         scenario_digest=scenario.digest(),
         reconstruction_digest=reconstruction_digest(scenario),
         residuals=residuals,
     )
+    write_report(folder.report, replace(data, metrics=metrics), pictures)
+    write_text(folder.metrics, json.dumps(metrics, indent=2) + "\n")
+
+
+def _report_data(
+    scan: Scan, workshop: Workshop, volume: NDArray[np.float32], truth: Truth
+) -> ReportData:
+    """All that a report shows but the figures."""
+    scenario = scan.scenario
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
-    data = ReportData(
+    return ReportData(
         scenario=scenario,
         scenario_yaml=_as_yaml(scenario),
-        metrics=metrics,
+        metrics={},
         commanded=scan.commanded,
         executed=scan.executed,
         panel=scenario.detector.panel,
@@ -360,9 +459,8 @@ def _report(
         ),
         mu_reference=truth.mu_reference,
         room_png=_room(workshop),
+        nearest=workshop.plan.nearest[int(workshop.plan.clearance_mm.argmin())],
     )
-    write_report(folder.report, data)
-    write_text(folder.metrics, json.dumps(metrics, indent=2) + "\n")
 
 
 def _as_yaml(scenario: Scenario) -> str:
@@ -402,16 +500,27 @@ def _log_to(path: Path) -> None:
     logger.setLevel(logging.INFO)
 
 
+def warn(warnings: list[str]) -> None:
+    """Say what a user should know of a scan that can be run."""
+    for warning in warnings:
+        Console(stderr=True).print(f"twinct: warning: {warning}", highlight=False, soft_wrap=True)
+
+
 def _say_result(console: Console, folder: Folder) -> None:
     metrics = _read_metrics(folder.metrics)
     image, pose = metrics["image"], metrics["pose_error"]
     console.print(
         f"{metrics['reached']} of {metrics['views']} views; "
-        f"RMSE {100 * image['rmse_rel']:.1f} % of mu(bone), "
-        f"{100 * image['rmse_bone_rel']:.1f} % near bone; "
+        f"RMSE {_percent(image['rmse_rel'])} of mu(bone), "
+        f"{_percent(image['rmse_bone_rel'])} near bone; "
         f"pose error {pose['source']['position_mm']['mean']:.2f} mm source, "
         f"{pose['detector']['position_mm']['mean']:.2f} mm detector\n"
         f"report: {folder.report}",
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _percent(share: float | None) -> str:
+    """None stands for a figure without a voxel to stand on, such as near bone where is none."""
+    return "no figure" if share is None else f"{100 * share:.1f} %"

@@ -3,12 +3,15 @@
 from twinct.evaluate.image import ImageFigures, image_figures
 from twinct.evaluate.pose import ArmErrors, PoseErrors, pose_errors
 from twinct.evaluate.region import region_of_interest
+from twinct.evaluate.sight import Sight, sight
 
 __all__ = [
     "ArmErrors",
     "ImageFigures",
     "PoseErrors",
+    "Sight",
     "image_figures",
     "pose_errors",
     "region_of_interest",
+    "sight",
 ]

@@ -55,11 +55,13 @@ class MotionPlan:
         joints: configuration of each view, rad, (views, n).
         clearance_mm: smallest gap between non-adjacent bodies on the way to each view and there,
             (views,).
+        nearest: names of the two bodies of each of these gaps, (views,).
     """
 
     home: Floats
     joints: Floats
     clearance_mm: Floats
+    nearest: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +112,8 @@ def plan_motion(cell_model: CellModel, motion: Motion, targets: Sequence[Target]
     if problems:
         raise TrajectoryError(problems)
     home = _home(cell_model, kinematics, motion, targets[0], joints[0])
-    return MotionPlan(home, joints, np.array([gap.distance_mm for gap in gaps]))
+    nearest = tuple((readable(gap.bodies[0]), readable(gap.bodies[1])) for gap in gaps)
+    return MotionPlan(home, joints, np.array([gap.distance_mm for gap in gaps]), nearest)
 
 
 def _ways(

@@ -2,13 +2,14 @@
 
 from twinct.report.data import CrossSection, ReportData, cross_sections
 from twinct.report.metrics import build_metrics
-from twinct.report.page import render_report, write_report
+from twinct.report.page import draw_pictures, render_report, write_report
 
 __all__ = [
     "CrossSection",
     "ReportData",
     "build_metrics",
     "cross_sections",
+    "draw_pictures",
     "render_report",
     "write_report",
 ]

@@ -50,6 +50,7 @@ class ReportData:
         slices: cross-sections by name, see ``cross_sections``.
         mu_reference: mu(bone), 1/mm; the largest true value where None.
         room_png: picture of the robot cell, or None.
+        nearest: the two bodies that the plan brings nearest to each other; empty: not known.
     """
 
     scenario: Scenario
@@ -63,6 +64,7 @@ class ReportData:
     slices: Mapping[str, CrossSection] = field(default_factory=dict)
     mu_reference: float | None = None
     room_png: bytes | None = None
+    nearest: tuple[str, ...] = ()
 
 
 _PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}

@@ -119,24 +119,32 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
             _sphere(axes, isocentre, radius, viewer)
         colours = mpl.colormaps["viridis"](np.linspace(0, 0.93, len(commanded)))
         # What lies behind the sphere is drawn on it, faintly: an opaque sphere has no seams.
-        front = (commanded - isocentre) @ viewer >= 0
-        for part, order, faint in ((~front, 4, on_sphere), (front, 6, False)):
-            line = np.where(part[:, None], commanded, np.nan)
-            axes.plot(*line.T, color=INK, lw=0.9, alpha=0.35 if faint else 1.0, zorder=order)
+        path = isocentre + _fine(commanded - isocentre) if on_sphere else commanded
+        ahead, front = ((points - isocentre) @ viewer >= 0 for points in (path, commanded))
+        for along, part, order, faint in ((~ahead, ~front, 4, on_sphere), (ahead, front, 6, False)):
+            line = np.where(along[:, None], path, np.nan)
+            axes.plot(*line.T, color=INK, lw=0.9, alpha=0.5 if faint else 1.0, zorder=order + 1)
             axes.scatter(
                 *executed[part].T,
                 c=colours[part],
-                s=(11 if len(commanded) <= 150 else 6) * (0.5 if faint else 1.0),
+                s=(24 if len(commanded) <= 30 else 11 if len(commanded) <= 150 else 6)
+                * (0.8 if faint else 1.0),
                 alpha=0.45 if faint else 1.0,
                 depthshade=False,
                 linewidths=0,
-                zorder=order + 1,
+                zorder=order,
             )
         for index, label in ((0, "first"), (-1, "last")):
             point = isocentre + 1.13 * (commanded[index] - isocentre)
             axes.text(*point, label, fontsize=8.5, ha="center", va="bottom", zorder=9)
         axes.scatter(*isocentre, marker="+", s=60, c="#111111", lw=1.3, zorder=8)
-        axes.text(*isocentre, "  isocentre", fontsize=8.5, va="center", zorder=8)
+        axes.text(
+            *isocentre,
+            "  isocentre (inside)" if on_sphere else "  isocentre",
+            fontsize=8.5,
+            va="center",
+            zorder=8,
+        )
         _equal_box(axes, np.vstack([commanded, executed, isocentre[None]]), isocentre, on_sphere)
         bar = figure.colorbar(
             ScalarMappable(Normalize(0, max(len(commanded) - 1, 1)), ListedColormap(colours)),
@@ -147,6 +155,23 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
         bar.locator = MaxNLocator(5, integer=True)
         bar.outline.set_visible(False)
         return _png(figure, 180)
+
+
+_FINEST_RAD = 0.02
+"""Longest step of a path on a sphere: straight chords between few views would run inside it."""
+
+
+def _fine(path: Floats) -> Floats:
+    """The same path about the origin, with points on great circles between its own."""
+    pieces = [path[:1]]
+    for start, end in zip(path[:-1], path[1:], strict=True):
+        lengths = float(np.linalg.norm(start)), float(np.linalg.norm(end))
+        angle = math.acos(float(np.clip(start @ end / (lengths[0] * lengths[1]), -1, 1)))
+        share = np.linspace(0, 1, 1 + max(1, math.ceil(angle / _FINEST_RAD)))[1:, None]
+        between = start + share * (end - start)
+        radius = lengths[0] + share * (lengths[1] - lengths[0])
+        pieces.append(between * radius / np.linalg.norm(between, axis=1, keepdims=True))
+    return np.vstack(pieces)
 
 
 def _sphere(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
@@ -354,7 +379,7 @@ def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float
 
 def _tighten(figure: Figure) -> None:
     engine: Any = figure.get_layout_engine()
-    engine.set(w_pad=0.03, h_pad=0.03, wspace=0.0, hspace=0.0)
+    engine.set(w_pad=0.03, h_pad=0.06, wspace=0.0, hspace=0.0)
 
 
 def _height(section: CrossSection) -> float:
@@ -417,6 +442,8 @@ def projection_strip(
             figsize=(_WIDTH, rows * (0.88 * cell * height / width + 0.3) + 0.3),
             layout="constrained",
         )
+        engine: Any = figure.get_layout_engine()
+        engine.set(h_pad=0.08)  # titles must not touch the edge
         grid = figure.subplots(rows, per_row, squeeze=False, sharex=True, sharey=True)
         for axes in grid.flat[len(projections) :]:
             axes.set_visible(False)
@@ -429,8 +456,8 @@ def projection_strip(
                 extent=(-width / 2, width / 2, -height / 2, height / 2),
             )
             axes.set_title(f"view {view}", loc="left")
-            axes.xaxis.set_major_locator(MaxNLocator(4, prune="both"))
-            axes.yaxis.set_major_locator(MaxNLocator(5))
+            axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 4, 5, 10]))
+            axes.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 4, 5, 10]))
         for axes in grid[-1]:
             axes.set_xlabel("u / mm", labelpad=1)
         for axes in grid[:, 0]:

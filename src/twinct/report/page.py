@@ -53,28 +53,38 @@ _IMAGE_FIGURES = (
     _Figure("roi_bone_fraction", "bone in the region", 100, 1, "%", "of the region's voxels"),
 )
 
+Pictures = dict[str, Picture | None]
+
 _STAGES = {
+    "specimen": "specimen, and what the views see of it",
     "plan": "planning: inverse kinematics, clearance",
     "motion": "motion of the arms",
     "xray": "X-ray projections",
+    "storing": "storing views and volume",
+    "link": "start and end of both simulations",
+    "truth": "truth and the region that every view sees",
     "reconstruction": "reconstruction",
+    "judge": "judging the image",
+    "report": "pictures of this report",
+    "other": "all else",
     "total": "whole run",
 }
 
 
-def write_report(path: Path, report: ReportData) -> None:
+def write_report(path: Path, report: ReportData, pictures: Pictures | None = None) -> None:
     """Write a report; the file is complete or not there.
 
     Args:
         path: the HTML file.
         report: what it shows.
+        pictures: what ``draw_pictures`` made of it; drawn here where None.
     """
     draft = path.with_name(f".{path.name}.partial")
-    draft.write_text(render_report(report), encoding="utf-8")
+    draft.write_text(render_report(report, pictures), encoding="utf-8")
     draft.replace(path)
 
 
-def render_report(report: ReportData) -> str:
+def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
     """The report as HTML text: images inline, no script, nothing loaded from elsewhere."""
     scenario, metrics = report.scenario, report.metrics
     environment = Environment(
@@ -92,18 +102,20 @@ def render_report(report: ReportData) -> str:
         metrics=metrics,
         paper=PAPER,
         paper_table=PAPER_TABLE_1,
-        pictures=_pictures(report),
+        pictures=draw_pictures(report) if pictures is None else pictures,
         image_figures=_IMAGE_FIGURES,
         image_columns=metrics.get("image_by_geometry")
         or {scenario.reconstruction.geometries[0]: metrics["image"]},
         stages=_stages(metrics["seconds"]),
+        nearest=" and ".join(report.nearest),
         trigger=scenario.motion.trigger,
         tolerance_mm=scenario.motion.tolerance_mm,
         scenario_yaml=report.scenario_yaml,
     )
 
 
-def _pictures(report: ReportData) -> dict[str, Picture | None]:
+def draw_pictures(report: ReportData) -> Pictures:
+    """The pictures of a report, which take longest; its metrics are not needed for them."""
     scenario = report.scenario
     commanded, executed = (
         np.array([pose.position for pose in poses.source])

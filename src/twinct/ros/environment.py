@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import importlib.util
 import os
 import socket
 import sys
@@ -14,16 +13,13 @@ from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from twinct.errors import InputError, LinkError, MissingExtraError
+from twinct.errors import InputError, LinkError
+from twinct.extras import require
 
 MIDDLEWARE = "rmw_fastrtps_cpp"
 DOMAINS = range(1, 101)
 """Domains to choose from: their UDP ports stay below the range the kernel hands out."""
 LARGEST_DOMAIN = 232
-_PACKAGES = (
-    *("rclpy", "geometry_msgs", "sensor_msgs", "std_msgs"),
-    *("diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces"),
-)
 _YOUNG_S = 1.0
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT = 7400, 250, 10
 
@@ -35,17 +31,11 @@ def require_ros() -> None:
     built for another Python.
 
     Raises:
-        MissingExtraError: rclpy, or a package of messages, is not installed.
+        InputError: rclpy, or a package of messages, is not installed or cannot be imported.
     """
     outside = _system_ros(os.environ)
     sys.path[:] = [path for path in sys.path if not path.startswith(outside)]
-    for package in _PACKAGES:
-        try:
-            found = importlib.util.find_spec(package) is not None
-        except (ImportError, ValueError):  # something that is no package stands in its place
-            found = False
-        if not found:
-            raise MissingExtraError(package, "ros", "or use --link local")
+    require("ros")
 
 
 def without_system_ros(environment: Mapping[str, str]) -> dict[str, str]:

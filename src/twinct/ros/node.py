@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import closing
@@ -20,6 +22,12 @@ FOREVER_S = 1e9
 LISTENERS = 2
 """Subscriptions that a node has on what it answers: ``Station.listen_to_all``."""
 NO_STAMP = Stamp(0, 0)
+
+
+def say(text: str) -> None:
+    """Tell who started this node, in its terminal or its log file."""
+    sys.stdout.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+    sys.stdout.flush()
 
 
 class RefusedError(Exception):
@@ -90,6 +98,7 @@ class Reporter:
         values = {"stamp": stamp, **values}
         message = diagnostic_message(stamp, self._name, ERROR, text, values)
         self._publisher.publish(message)
+        say(text)
 
 
 class Engine(Protocol):
@@ -139,6 +148,7 @@ def run_node(
         if station is not None:
             station.wake()
 
+    say(f"{name} starts")
     with Lifeline(parent=lifeline, on_end=end) as line, closing(build()) as engine:
         if line.ended:
             return 0
@@ -148,5 +158,7 @@ def run_node(
             node = open_node(station, reporter, engine)
             station.wait(lambda: line.ended or node.connected(), FOREVER_S)
             reporter.ready()
+            say(f"{name} is ready on ROS domain {station.domain_id}")
             station.wait(lambda: line.ended, FOREVER_S)
+    say(f"{name} ends")
     return 0

@@ -83,7 +83,7 @@ class RosRig:
         first_view: int = 0,
         start_state: NDArray[np.float64] | None = None,
         log_dir: Path | None = None,
-        domain_id: int | None = None,
+        domain: Domain | None = None,
         node_command: Sequence[str] = NODE_COMMAND,
         answer_s: float = ANSWER_S,
     ) -> None:
@@ -94,7 +94,8 @@ class RosRig:
             first_view: first view that will be asked for.
             start_state: simulator state to start from; None for the planned home.
             log_dir: folder for what the nodes print; None for a temporary one.
-            domain_id: None for ``ROS_DOMAIN_ID``, and where that is not set for a free domain.
+            domain: held for this scan, and closed with the rig; None takes ``ROS_DOMAIN_ID``, and
+                where that is not set a free domain.
             node_command: starts a node when ``robots`` or ``xray`` and the options are appended.
             answer_s: how long one answer may take.
 
@@ -119,10 +120,10 @@ class RosRig:
         self._closing = False
         self._teardown = ExitStack()
         with ExitStack() as stack:
-            domain = Domain(domain_id)
+            domain = domain or Domain()
+            stack.callback(domain.close)
             sweep_shared_memory()
             stack.callback(sweep_shared_memory)
-            stack.callback(domain.close)
             self.domain_id = domain.id
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="twinct-")))
             self.log_dir = folder if log_dir is None else log_dir

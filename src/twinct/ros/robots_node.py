@@ -25,7 +25,7 @@ from twinct.ros.messages import (
     state_message,
     target_of,
 )
-from twinct.ros.node import LISTENERS, Ledger, RefusedError, Reporter, run_node
+from twinct.ros.node import LISTENERS, Ledger, RefusedError, Reporter, run_node, say
 from twinct.ros.station import CLOCK, JOINTS, REACHED, STATE, TARGET, Station
 from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
@@ -192,8 +192,13 @@ class RobotsNode:
         except MotionError as error:
             answer = RefusedError(str(error), str(getattr(error, "arm", "")))
         else:
+            view = self._turns.view(stamp) if self._turns is not None else None
             if self._turns is not None:
                 self._turns.done()
+            say(
+                f"reached {stamp if view is None else f'view {view}'}: simulated time "
+                f"{answer.time_s:.3f} s, clearance {answer.clearance_mm:.1f} mm"
+            )
         self._ledger.enter(stamp, target, answer)
         return answer
 

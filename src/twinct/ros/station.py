@@ -43,7 +43,12 @@ def _qos(depth: int, *, latched: bool) -> QoSProfile:
 
 
 class Station:
-    """A node in a context of its own; all callbacks run inside ``wait``."""
+    """A node in a context of its own; all callbacks run inside ``wait``.
+
+    Attributes:
+        name: of the node.
+        domain_id: that it joined.
+    """
 
     def __init__(self, name: str, domain_id: int | None = None, largest_message: int = 0) -> None:
         """Join a domain.
@@ -70,6 +75,7 @@ class Station:
                 start_parameter_services=False,
                 use_global_arguments=False,
             )
+        self.domain_id: int = self._context.get_domain_id()
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._closed = False

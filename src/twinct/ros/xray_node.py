@@ -20,7 +20,7 @@ from twinct.ros.messages import (
     executed_of,
     image_message,
 )
-from twinct.ros.node import Ledger, RefusedError, Reporter, run_node
+from twinct.ros.node import Ledger, RefusedError, Reporter, run_node, say
 from twinct.ros.station import CAMERA, IMAGE, REACHED, Station
 from twinct.scenario import Scenario
 
@@ -152,6 +152,8 @@ class XRayNode:
         image = self._imager.expose(path, self._index(stamp), last)
         answer = camera_message(stamp, geometry), image_message(stamp, image)
         self._ledger.enter(stamp, poses, answer)
+        view = self._epoch.view(stamp) if self._epoch is not None else None
+        say(f"image of {stamp if view is None else f'view {view}'}: mean {image.mean():.4f}")
         return answer
 
     def _index(self, stamp: Stamp) -> int:

@@ -22,11 +22,13 @@ class Stopwatch:
     Attributes:
         motion_s: seconds in ``Rig.move``.
         xray_s: seconds in ``Rig.expose``.
+        storing_s: seconds in which a view was kept.
         simulated_s: simulated seconds of those moves.
     """
 
     motion_s: float = 0.0
     xray_s: float = 0.0
+    storing_s: float = 0.0
     simulated_s: float = 0.0
 
 
@@ -71,6 +73,7 @@ def acquire(
         )
         keep(index, view, reached)
         watch.xray_s += exposed - moved
+        watch.storing_s += time.perf_counter() - exposed
         if before_s is not None:  # a resumed scan cannot tell how long its first move took
             watch.simulated_s += reached.time_s - before_s
             watch.motion_s += moved - start

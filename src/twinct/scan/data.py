@@ -100,6 +100,11 @@ class Scan:
         """Number of views."""
         return len(self.transmission)
 
+    def __repr__(self) -> str:
+        """One line: the arrays and poses are for programs."""
+        rows, columns = self.transmission.shape[1:]
+        return f"Scan({self.scenario.name!r}, {len(self)} views, {columns} x {rows} px)"
+
     def poses(self, which: str) -> PosePairs:
         """``commanded``, ``executed`` or ``believed`` poses."""
         pairs = getattr(self, which)

@@ -53,7 +53,12 @@ class Workshop:
     @cached_property
     def cell(self) -> CellModel:
         """The operating room, the specimen as its convex hull: what the simulation needs."""
-        return self._cell_with(self.specimen.hull())
+        return self._cell_with(self.hull)
+
+    @cached_property
+    def hull(self) -> Trimesh:
+        """Convex hull of the specimen in its own frame, for collision."""
+        return self.specimen.hull()
 
     @cached_property
     def room(self) -> CellModel:

@@ -1,7 +1,12 @@
 """The scenario: one YAML file that initialises everything."""
 
 from twinct.scenario.composition import Composition
-from twinct.scenario.loading import load_scenario, parse_scenario, scenario_schema
+from twinct.scenario.loading import (
+    load_scenario,
+    named_places,
+    parse_scenario,
+    scenario_schema,
+)
 from twinct.scenario.reconstruction import Grid, Reconstruction, Surroundings
 from twinct.scenario.sections import (
     ArcTrajectory,
@@ -59,6 +64,7 @@ __all__ = [
     "Table",
     "Uncertainty",
     "load_scenario",
+    "named_places",
     "parse_scenario",
     "scenario_schema",
 ]

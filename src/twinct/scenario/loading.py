@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,15 +15,33 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from twinct.errors import ScenarioError
+from twinct.errors import InputError, ScenarioError
 from twinct.scenario.sections import Scenario
 
 Key = tuple[str | int, ...]
 
+DEEPEST = 20
+"""Levels that a scenario may be nested; its own sections need six."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as scientists write it: 1e-3 is a number too, which YAML 1.1 takes for text."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
+
 
 @dataclass
 class _Draft:
-    """Merged raw data, and for each key the place that set it."""
+    """Merged raw data, and for each key the place that set it.
+
+    A section counts as set by the last file or override that set one of its keys: what is wrong
+    with a section as a whole became so there.
+    """
 
     data: dict[str, Any] = field(default_factory=dict)
     origins: dict[Key, str] = field(default_factory=dict)
@@ -43,9 +63,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     Raises:
         ScenarioError: with one sentence for each problem, naming key, value and origin.
     """
-    draft = _read(Path(path), ())
-    for override in overrides:
-        _apply_override(draft, override)
+    draft = _draft(path, overrides)
     scenario = _validate(draft)
     missing = [
         f"{_place(draft, tuple(key.split('.')))}no file at {file}"
@@ -55,6 +73,46 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     if missing:
         raise ScenarioError(missing)
     return scenario
+
+
+@contextmanager
+def named_places(path: str | Path, overrides: Iterable[str] = ()) -> Iterator[None]:
+    """Let problems that begin with a key say which file and line, or override, set it.
+
+    What is found out only when a scenario is worked with, such as a material that nobody knows,
+    knows the key alone.
+
+    Args:
+        path: as for ``load_scenario``.
+        overrides: as for ``load_scenario``.
+    """
+    try:
+        yield
+    except InputError as error:
+        if any(_KEY.match(problem) for problem in error.problems):
+            draft = _draft(path, overrides)
+            error.problems = tuple(_with_place(draft, problem) for problem in error.problems)
+        raise
+
+
+_KEY = re.compile(r"([a-z_]+(?:\.[a-z_0-9]+)+): ")
+
+
+def _with_place(draft: _Draft, problem: str) -> str:
+    found = _KEY.match(problem)
+    origin = draft.origin(_key(found[1])) if found else ""
+    return f"{origin}: {problem}" if origin else problem
+
+
+def _key(dotted: str) -> Key:
+    return tuple(int(step) if step.isdigit() else step for step in dotted.split("."))
+
+
+def _draft(path: str | Path, overrides: Iterable[str]) -> _Draft:
+    draft = _read(Path(path), ())
+    for override in overrides:
+        _apply_override(draft, override)
+    return draft
 
 
 def parse_scenario(data: Mapping[str, Any]) -> Scenario:
@@ -89,18 +147,21 @@ def _read(path: Path, chain: tuple[Path, ...]) -> _Draft:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise ScenarioError(f"{path}: cannot read the scenario: {reason}") from None
     try:
-        loader = yaml.SafeLoader(text)
+        loader = _Loader(text)
         node = loader.get_single_node()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not valid YAML"
         raise ScenarioError(f"{path}{line}: not valid YAML: {problem}") from None
+    except RecursionError:
+        raise ScenarioError(_too_deep(path)) from None
+    if node is None:
+        raise ScenarioError(f"{path}: the scenario is empty")
+    if not isinstance(node, yaml.MappingNode):
+        raise ScenarioError(f"{path}: a scenario is a mapping of keys to values")
     own = _Draft()
-    if node is not None:
-        if not isinstance(node, yaml.MappingNode):
-            raise ScenarioError(f"{path}: a scenario is a mapping of keys to values")
-        own.data = _construct(loader, node, (), path, own.origins)
+    own.data = _construct(loader, node, (), path, own.origins)
     parent = own.data.pop("extends", None)
     if parent is None:
         return own
@@ -118,7 +179,9 @@ def _construct(
     loader: yaml.SafeLoader, node: yaml.Node, key: Key, path: Path, origins: dict[Key, str]
 ) -> Any:
     """Plain data of a node; notes the line of each key and makes each ``path`` absolute."""
-    origins[key] = f"{path}:{node.start_mark.line + 1}"
+    origins[key] = place = f"{path}:{node.start_mark.line + 1}"
+    if len(key) > DEEPEST:
+        raise ScenarioError(_too_deep(place))
     if isinstance(node, yaml.MappingNode):
         data: dict[Any, Any] = {}
         for key_node, value_node in node.value:
@@ -137,6 +200,10 @@ def _construct(
     return loader.construct_object(node, deep=True)
 
 
+def _too_deep(place: object) -> str:
+    return f"{place}: nested too deep: a scenario has at most {DEEPEST} levels"
+
+
 def _merge(base: _Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key) -> None:
     """Lay data over the draft: mappings merge, all else replaces, a new ``kind`` starts afresh."""
     here: Any = base.data
@@ -149,6 +216,7 @@ def _merge(base: _Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key
             kind = old.get("kind")
             if value.get("kind", kind) == kind:
                 _merge(base, value, origins, inner)
+                base.origins[inner] = origins[inner]
                 continue
         here[name] = value
         stale = [k for k in base.origins if k[: len(inner)] == inner]
@@ -160,14 +228,17 @@ def _merge(base: _Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key
 def _apply_override(draft: _Draft, override: str) -> None:
     key_text, equals, value_text = override.partition("=")
     place = f"--set {override}"
-    if not equals or not key_text.strip():
+    steps = key_text.strip().split(".")
+    if not equals or not all(step.strip() for step in steps):
         raise ScenarioError(f"{place}: expected KEY=VALUE, such as detector.columns=320")
     try:
-        value = yaml.safe_load(value_text)
+        value = yaml.load(value_text, _Loader)  # noqa: S506 - a SafeLoader
     except yaml.YAMLError:
         raise ScenarioError(f"{place}: {value_text!r} is not a YAML value") from None
-    steps = key_text.strip().split(".")
+    except RecursionError:
+        raise ScenarioError(_too_deep(f"--set {key_text}")) from None
     value = _absolute_paths({steps[-1]: value})[steps[-1]]
+    key = _key(key_text.strip())
     here: Any = draft.data
     for depth, step in enumerate(steps):
         last = depth == len(steps) - 1
@@ -183,14 +254,24 @@ def _apply_override(draft: _Draft, override: str) -> None:
         else:
             raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
         if last:
+            if isinstance(here, dict) and step == "kind" and here.get("kind", value) != value:
+                _start_afresh(draft, here, key[:-1])
             here[index] = value
         elif isinstance(here, dict):
             here = here.setdefault(index, {})
         else:
             here = here[index]
-    key: Key = tuple(int(s) if s.isdigit() else s for s in steps)
     draft.origins = {k: v for k, v in draft.origins.items() if k[: len(key)] != key}
-    draft.origins[key] = place
+    draft.origins |= {key[:depth]: place for depth in range(1, len(key) + 1)}
+
+
+def _start_afresh(draft: _Draft, section: dict[str, Any], key: Key) -> None:
+    """Empty a section that gets another kind, but for what other overrides have set."""
+    for name in list(section):
+        if not draft.origin((*key, name)).startswith("--set "):
+            del section[name]
+            gone = (*key, name)
+            draft.origins = {k: v for k, v in draft.origins.items() if k[: len(gone)] != gone}
 
 
 def _absolute_paths(data: Any) -> Any:
@@ -218,6 +299,8 @@ def _problems(draft: _Draft, error: ValidationError) -> list[str]:
     found: dict[Key, list[tuple[bool, str]]] = {}
     for detail in error.errors():
         key, model = _plain_key(detail["loc"], draft.data)
+        if detail["type"] == "union_tag_invalid" and _exists(draft.data, [*key, "kind"]):
+            key = (*key, "kind")
         wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
         found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model)))
     sentences = []
@@ -232,9 +315,25 @@ def _problems(draft: _Draft, error: ValidationError) -> list[str]:
 
 
 def _place(draft: _Draft, key: Key) -> str:
-    key = tuple(int(s) if isinstance(s, str) and s.isdigit() else s for s in key)
-    origin = draft.origin(key)
+    origin = draft.origin(_key(".".join(map(str, key)))) if key else draft.origin(())
     return (f"{origin}: " if origin else "") + (".".join(map(str, key)) + ": " if key else "")
+
+
+_PLAIN = {
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "float_type": "must be a number",
+    "finite_number": "must be a finite number",
+    "string_type": "must be text",
+    "bool_type": "must be true or false",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "path_type": "must be the name of a file",
+    "dict_type": "must be a mapping of names to values",
+    "model_type": "must be a section of keys and values",
+    "model_attributes_type": "must be a section of keys and values",
+}
+"""What pydantic's kinds of error mean to a user."""
 
 
 def _sentence(detail: Any, key: Key, model: type[BaseModel] | None) -> str:
@@ -250,6 +349,13 @@ def _sentence(detail: Any, key: Key, model: type[BaseModel] | None) -> str:
         allowed = detail["ctx"].get("expected_tags", "")
         given = given.get("kind") if isinstance(given, dict) else given
         return f"kind {given!r} is not one of {allowed}" if allowed else "this key needs a 'kind'"
+    if kind in ("too_short", "too_long"):
+        limit = detail["ctx"].get("min_length", detail["ctx"].get("max_length"))
+        side = "at least" if kind == "too_short" else "at most"
+        has = len(given) if isinstance(given, list | tuple) else detail["ctx"]["actual_length"]
+        return f"must have {side} {limit} {'entry' if limit == 1 else 'entries'}, but has {has}"
+    if kind in _PLAIN:
+        return f"{_PLAIN[kind]}, but is {'empty' if given is None else repr(given)}"
     message = detail["msg"].removeprefix("Value error, ")
     message = message.replace("Input should be", "must be")
     return message if kind == "value_error" else f"{message}, but is {given!r}"

@@ -5,12 +5,14 @@ A function elsewhere takes its own section, never the whole scenario. Units stan
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from twinct.geometry import Pose
 from twinct.scenario.composition import Composition
@@ -197,13 +199,17 @@ class Specimen(Section):
         return Pose.from_euler(self.position_mm, self.rotation_deg)
 
 
+ARMS = ("ur10e", "lbr_iiwa14")
+"""Arms that are built in."""
+
+
 class Arm(Section):
     """One arm and what it carries."""
 
     model: str = Field(
         default="ur10e",
-        pattern=r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$",
         description="ur10e, lbr_iiwa14, or menagerie:NAME.",
+        json_schema_extra={"pattern": r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$"},
     )
     base_position_mm: Vector
     base_rotation_deg: Vector = (0.0, 0.0, 0.0)
@@ -231,6 +237,19 @@ class Arm(Section):
         default=90.0,
         description="Limit of every joint's speed, for a Menagerie model: those state none.",
     )
+
+    @field_validator("model")
+    @classmethod
+    def _known_model(cls, model: str) -> str:
+        menagerie, colon, name = model.partition(":")
+        if model in ARMS or (menagerie == "menagerie" and re.fullmatch(r"\w+", name)):
+            return model
+        near = difflib.get_close_matches(model, ARMS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near and not colon else ""
+        raise ValueError(
+            f"{model!r} is no arm{hint} (known: {', '.join(ARMS)}, and menagerie:NAME for one of "
+            "MuJoCo Menagerie)"
+        )
 
 
 class SourceArm(Arm):

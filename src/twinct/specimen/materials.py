@@ -108,7 +108,10 @@ def material(description: str | Composition, origin: str = "material") -> Materi
         SpecimenError: unknown name, bad formula, shares that do not add up to 1.
     """
     if isinstance(description, Composition):
-        return _composed(description, origin)
+        try:
+            return _composed(description)
+        except SpecimenError as error:
+            raise SpecimenError(f"{origin}: {p}" for p in error.problems) from None
     wanted = description.strip()
     key = _key(wanted)
     for name, built_in in BUILT_IN.items():
@@ -131,7 +134,7 @@ def material_names() -> tuple[str, ...]:
     return (*BUILT_IN, *xraylib.GetCompoundDataNISTList())
 
 
-def _composed(composition: Composition, origin: str) -> Material:
+def _composed(composition: Composition) -> Material:
     if composition.mass_fractions is not None:
         name = " ".join(f"{s} {share:g}" for s, share in composition.mass_fractions.items())
         return Material(name, composition.density_g_cm3, composition.mass_fractions)
@@ -140,8 +143,7 @@ def _composed(composition: Composition, origin: str) -> Material:
         data = xraylib.CompoundParser(formula)
     except ValueError as error:
         raise SpecimenError(
-            f"{origin}: formula {formula!r} cannot be read ({error}); "
-            "write it like H2O or Ca10(PO4)6(OH)2"
+            f"formula {formula!r} cannot be read ({error}); write it like H2O or Ca10(PO4)6(OH)2"
         ) from None
     shares = _by_symbol(data["Elements"], data["massFractions"])
     return Material(formula, composition.density_g_cm3, shares)

@@ -63,16 +63,22 @@ def _cylinder(radius: float, height: float) -> trimesh.Trimesh:
     return surface(rod.vertices * (fit, fit, 1.0), rod.faces)
 
 
+_KNOWN = "STL, PLY and OBJ files are known"
+
+
 def _mesh_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
     where = f"part {name!r}: mesh file {shape.path}"
+    if shape.path.is_dir():
+        raise SpecimenError(f"{where} is a folder; the name of one file is needed")
     if not shape.path.is_file():
         raise SpecimenError(f"{where} does not exist")
     try:
         mesh = trimesh.load(shape.path, force="mesh")
+    except ImportError:  # trimesh looks for a guesser of encodings where text is none it knows
+        raise SpecimenError(f"{where} is no mesh: {_KNOWN}") from None
     except Exception as error:  # trimesh's readers raise whatever their format brings
         raise SpecimenError(
-            f"{where} cannot be read ({type(error).__name__}: {error}); "
-            "STL, PLY and OBJ files are known"
+            f"{where} cannot be read ({type(error).__name__}: {error}); {_KNOWN}"
         ) from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise SpecimenError(f"{where} holds no triangles")

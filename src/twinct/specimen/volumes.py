@@ -252,6 +252,10 @@ def _read_inv3(path: Path, where: str) -> CtImage:
         raise SpecimenError(
             f"{where} is no complete InVesalius project: {error.args[0]} is missing"
         ) from None
+    except tarfile.ReadError:  # its text lists every compression that was tried
+        raise SpecimenError(
+            f"{where} is no InVesalius project: that is a tar archive, plain or gzipped"
+        ) from None
     except (OSError, tarfile.TarError, EOFError, ValueError, TypeError) as error:
         raise SpecimenError(
             f"{where} cannot be read as an InVesalius project ({type(error).__name__}: {error})"

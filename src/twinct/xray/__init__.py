@@ -1,5 +1,5 @@
 """X-ray projections by gVXR, the only module that speaks to it."""
 
-from twinct.xray.imager import Imager
+from twinct.xray.imager import Imager, prepare_engine
 
-__all__ = ["Imager"]
+__all__ = ["Imager", "prepare_engine"]

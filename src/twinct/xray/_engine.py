@@ -68,6 +68,15 @@ class Engine:
         self._shown: int | None = None
         self._bodies = 0
 
+    def prepare(self) -> None:
+        """Import gVXR and look whether it can draw, before somebody needs it.
+
+        Raises:
+            InputError: gVXR or a system library it needs is not installed.
+        """
+        if self._gvxr is None:
+            self._call(self._start)
+
     def acquire(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
         """Fill the scene. The caller owns it until ``release``.
 

@@ -32,6 +32,15 @@ _NEAREST_MM = 150.0
 """Distance from source to specimen where no reference view tells it."""
 
 
+def prepare_engine() -> None:
+    """Import gVXR and look whether it can draw: an imager made later finds it ready.
+
+    Raises:
+        InputError: gVXR or a system library it needs is not installed.
+    """
+    ENGINE.prepare()
+
+
 class Imager:
     """Renders views of one specimen with one source and one panel.
 

@@ -1,0 +1,74 @@
+"""What the extras bring, and whether it is there: asked in one place, before any work."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+
+from twinct.errors import InputError, MissingExtraError
+
+_IMPORTED: dict[str, tuple[str, ...]] = {
+    "robots": ("mujoco", "mink", "daqp", "ruckig"),
+    "rtk": ("itk",),
+    "ros": (
+        *("rclpy", "rclpy.node", "geometry_msgs.msg", "sensor_msgs.msg", "std_msgs.msg"),
+        *("diagnostic_msgs.msg", "rosgraph_msgs.msg", "builtin_interfaces.msg"),
+    ),
+}
+"""Modules that cost little to import, so that they are: what is there may be broken."""
+
+_FOUND: dict[str, tuple[str, ...]] = {"xray": ("gvxrPython3",)}
+"""Modules that are only looked for: gVXR takes seconds and 2 GB, and belongs to one thread."""
+
+_CALLED = {"gvxrPython3": "gvxr", "itk": "itk-rtk"}
+"""What pip calls a module, where the names differ."""
+
+_WAY_OUT = {"ros": "use --link local", "rtk": "use reconstruction.engine: twinct"}
+
+
+def require(*extras: str) -> None:
+    """Make sure that extras are installed and can be imported.
+
+    Args:
+        extras: names of extras in ``pyproject.toml``.
+
+    Raises:
+        MissingExtraError: a package is not installed; it names the extra and what to do without.
+        InputError: several are not, or one is there and cannot be imported.
+    """
+    missing = [error for extra in extras if (error := _missing(extra)) is not None]
+    if len(missing) == 1:
+        raise missing[0]
+    if missing:
+        raise InputError([problem for error in missing for problem in error.problems])
+
+
+def _missing(extra: str) -> InputError | None:
+    for module in (*_FOUND.get(extra, ()), *_IMPORTED.get(extra, ())):
+        package = module.partition(".")[0]
+        name = _CALLED.get(package, package)
+        way_out = _WAY_OUT.get(extra, "")
+        advice = f"or {way_out}" if way_out else ""
+        try:
+            if module in _FOUND.get(extra, ()):
+                found = importlib.util.find_spec(module) is not None
+            else:
+                importlib.import_module(module)
+                found = True
+        except ModuleNotFoundError as error:
+            if (error.name or package).partition(".")[0] != package:
+                return _broken(name, extra, error, advice)
+            found = False
+        except Exception as error:  # an installed package may fail in whatever way it likes
+            return _broken(name, extra, error, advice)
+        if not found:
+            return MissingExtraError(name, extra, advice)
+    return None
+
+
+def _broken(name: str, extra: str, error: Exception, advice: str) -> InputError:
+    tail = f", {advice}" if advice else ""
+    return InputError(
+        f"{name} is installed but cannot be imported ({type(error).__name__}: {error}): "
+        f"install it again with 'pip install --force-reinstall twinct[{extra}]'{tail}"
+    )

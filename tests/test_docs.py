@@ -1,0 +1,36 @@
+"""The examples in the pages are what twinct takes."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+from twinct.errors import ScenarioError
+from twinct.scenario import load_scenario
+
+ROOT = Path(__file__).parents[1]
+YAML = re.compile(r"^```yaml\n(extends:.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def test_scenarios_in_the_readme_are_valid(tmp_path: Path) -> None:
+    examples = YAML.findall((ROOT / "README.md").read_text(encoding="utf-8"))
+    assert len(examples) >= 2
+    assert any("kind: ct" in example for example in examples)
+    (tmp_path / "paper.yaml").write_text(f"extends: {ROOT}/scenarios/paper.yaml\n")
+    for example in examples:
+        file = tmp_path / "mine.yaml"
+        file.write_text(example, encoding="utf-8")
+        try:
+            load_scenario(file)
+        except ScenarioError as error:  # the reader's own files are not here
+            if not all("no file at" in problem for problem in error.problems):
+                pytest.fail(f"{error}\n\n{example}")
+
+
+def test_the_scenario_reference_is_up_to_date() -> None:
+    tool = runpy.run_path(str(ROOT / "tools" / "scenario_reference.py"))
+    page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    assert page == tool["reference"](), "run make docs"
