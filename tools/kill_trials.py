@@ -1,0 +1,175 @@
+"""Kill a process of a running scan at a random moment, resume, compare; many times.
+
+python tools/kill_trials.py --trials 20 --jobs 3
+
+For each of the three processes of ``twinct run`` (scan, robots, xray): SIGKILL at a moment drawn
+evenly from its life, then wait for the others to end, then ``twinct run --resume``. The store must
+equal the one of an undisturbed run in files and bytes. Ends with 1 if anything is otherwise.
+"""
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+KEYS = {
+    "trajectory.views": 24,
+    "detector.columns": 160,
+    "detector.rows": 120,
+    "reconstruction.grid.voxels": 32,
+    "reconstruction.grid.voxel_mm": 4.96,
+    "reconstruction.iterations": 2,
+}
+VICTIMS = ("scan", "robots", "xray")
+MARK = "TWINCT_KILL_TRIAL"
+TO_END_S = 10.0
+PATIENCE_S = 300.0
+
+
+def command(out, *more):
+    """Words of the command that scans into a folder."""
+    keys = [word for key, value in KEYS.items() for word in ("--set", f"{key}={value}")]
+    scenario = str(ROOT / "scenarios" / "demo.yaml")
+    return [sys.executable, "-m", "twinct", "run", scenario, "--out", str(out), *keys, *more]
+
+
+def start(out, mark, *more):
+    """Start a scan whose processes can be found by a mark."""
+    return subprocess.Popen(
+        command(out, *more),
+        env=os.environ | {MARK: mark},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def alive(mark):
+    """Processes of a trial: pid to its command line. All of them inherit the mark."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (folder / "environ").read_bytes().split(b"\0")
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if f"{MARK}={mark}".encode() in environment and any(words):
+            found[int(folder.name)] = b" ".join(words).decode()
+    return found
+
+
+def victim_pid(victim, process, mark):
+    """Process to kill; None if it does not live."""
+    if victim == "scan":
+        return process.pid
+    wanted = f"twinct.ros {victim} "
+    return next((pid for pid, line in alive(mark).items() if wanted in line), None)
+
+
+def contents(path):
+    """All files below a folder, and their bytes."""
+    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+
+
+def lives(folder):
+    """Seconds that each process lives in an undisturbed run."""
+    process, mark = start(folder / "timed", "timed"), "timed"
+    begun, seen = {"scan": time.monotonic()}, {}
+    while process.poll() is None:
+        for victim in VICTIMS:
+            if victim_pid(victim, process, mark) is not None:
+                begun.setdefault(victim, time.monotonic())
+                seen[victim] = time.monotonic() - begun[victim]
+        time.sleep(0.05)
+    assert process.returncode == 0, process.stderr.read()
+    return seen
+
+
+def trial(folder, victim, number, life, expected):
+    """One kill; a dict of what was seen."""
+    moments = random.Random(f"{victim} {number}")
+    for attempt in range(20):
+        mark = f"{victim}-{number}-{attempt}"
+        out = folder / mark
+        process = start(out, mark)
+        while (pid := victim_pid(victim, process, mark)) is None and process.poll() is None:
+            time.sleep(0.02)
+        time.sleep(moments.uniform(0, life))
+        if process.poll() is not None or (pid not in alive(mark)):
+            process.wait()  # it had ended by then: another moment
+            shutil.rmtree(out, ignore_errors=True)
+            continue
+        os.kill(pid, signal.SIGKILL)
+        killed = time.monotonic()
+        views = len(list(out.glob("scan.zarr/status/c.*")))
+        while alive(mark) and time.monotonic() - killed < PATIENCE_S:
+            process.poll()
+            time.sleep(0.02)
+        ended_s = time.monotonic() - killed
+        left = len(alive(mark))
+        message = process.stderr.read()
+        named = victim == "scan" or (victim in message and "Traceback" not in message)
+        if process.wait() == 0:  # the node was killed after its work was done
+            named = True
+        resumed = start(out, mark, "--resume")
+        complaint = resumed.stderr.read()
+        good = resumed.wait() == 0
+        equal = good and contents(out / "scan.zarr") == expected
+        shutil.rmtree(out, ignore_errors=True)
+        return {
+            "views": views,
+            "ended_s": ended_s,
+            "left": left + len(alive(mark)),
+            "named": named,
+            "equal": equal,
+            "words": "" if named and equal else message + complaint,
+        }
+    raise SystemExit(f"{victim}: every run ended before it could be killed")
+
+
+def main():
+    """Run the trials and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args()
+    bad = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        life = lives(folder)
+        expected = contents(folder / "timed" / "scan.zarr")
+        print("process  killed  store equal  named  left over  slowest end  views on disk then")
+        for victim in VICTIMS:
+            with ThreadPoolExecutor(options.jobs) as pool:
+                results = list(
+                    pool.map(
+                        lambda n, v=victim: trial(folder, v, n, life[v], expected),
+                        range(options.trials),
+                    )
+                )
+            slowest = max(r["ended_s"] for r in results)
+            counts = {key: sum(r[key] for r in results) for key in ("equal", "named", "left")}
+            views = sorted(r["views"] for r in results)
+            print(
+                f"{victim:7}  {len(results):6}  {counts['equal']:11}  {counts['named']:5}"
+                f"  {counts['left']:9}  {slowest:9.1f} s  {' '.join(map(str, views))}",
+                flush=True,
+            )
+            for words in (r["words"] for r in results if r["words"]):
+                print(words, file=sys.stderr)
+            bad += 2 * len(results) - counts["equal"] - counts["named"] + counts["left"]
+            bad += slowest > TO_END_S
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
