@@ -12,11 +12,17 @@ cross (``_brick``). No kernel's result depends on the number of threads.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numba import njit, prange
 
+from twinct.recon._fresh import drop_stale
+
 OPTIONS = {"cache": True, "fastmath": True, "nogil": True, "error_model": "numpy"}
 """Of every kernel."""
+
+drop_stale(Path(__file__).parent)
 
 
 @njit(inline="always", **OPTIONS)
