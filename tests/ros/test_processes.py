@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -137,7 +137,6 @@ def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_comm
         [sys.executable, example],
         env={**environment, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         stdout=subprocess.PIPE,
-        text=True,
     ) as follower:
         try:
             targets = own_targets(scenario)
@@ -148,7 +147,9 @@ def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_comm
             os.set_blocking(follower.stdout.fileno(), False)
             heard, deadline = "", time.monotonic() + END_S
             while heard.count("\n") < len(targets) and time.monotonic() < deadline:
-                heard += follower.stdout.read() or ""
+                # Of a text stream, a read that finds nothing yet is an error.
+                with suppress(BlockingIOError):
+                    heard += os.read(follower.stdout.fileno(), 65536).decode()
                 time.sleep(0.05)
         finally:
             follower.kill()
