@@ -23,6 +23,7 @@ class Follower(Node):
     def __init__(self) -> None:
         super().__init__("follower")
         self.create_subscription(Image, "/xray/image", self.on_image, LATCHED)
+        print("waiting for images", flush=True)
 
     def on_image(self, message: Image) -> None:
         pixels = np.frombuffer(message.data, dtype=np.float32)

@@ -139,6 +139,7 @@ def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_comm
         stdout=subprocess.PIPE,
     ) as follower:
         try:
+            assert follower.stdout.readline() == b"waiting for images\n"
             targets = own_targets(scenario)
             with closing(RosRig(scenario, node_command=fake_command, domain=domain)) as rig:
                 for view, target in enumerate(targets):
