@@ -141,6 +141,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--victims", nargs="+", choices=VICTIMS, default=VICTIMS)
     options = parser.parse_args()
     bad = 0
     with tempfile.TemporaryDirectory() as name:
@@ -148,7 +149,7 @@ def main():
         life = lives(folder)
         expected = contents(folder / "timed" / "scan.zarr")
         print("process  killed  store equal  named  left over  slowest end  views on disk then")
-        for victim in VICTIMS:
+        for victim in options.victims:
             with ThreadPoolExecutor(options.jobs) as pool:
                 results = list(
                     pool.map(
