@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 KEYS = {
-    "trajectory.views": 24,
+    "trajectory.views": 72,
     "detector.columns": 160,
     "detector.rows": 120,
     "reconstruction.grid.voxels": 32,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-TERM_S, KILL_S = 5.0, 10.0
+TERM_S, KILL_S = 3.0, 10.0
 """A node ends by itself in 1.5 s; one that a long call holds, such as gVXR's import, by force."""
 TAIL_BYTES, TAIL_LINES = 8192, 15
 
