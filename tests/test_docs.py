@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from twinct.errors import ScenarioError
-from twinct.scenario import load_scenario
+from twinct.scenario import Detector, Source, load_scenario
 
 ROOT = Path(__file__).parents[1]
 YAML = re.compile(r"^```yaml\n(extends:.*?)^```", re.MULTILINE | re.DOTALL)
@@ -34,3 +34,17 @@ def test_the_scenario_reference_is_up_to_date() -> None:
     tool = runpy.run_path(str(ROOT / "tools" / "scenario_reference.py"))
     page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
     assert page == tool["reference"](), "run make docs"
+
+
+def test_every_effect_on_the_image_has_its_picture_in_the_scenario_reference() -> None:
+    page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    without = {"columns", "rows", "pixel_pitch_mm"}
+    for title, section in (("source", Source), ("detector", Detector)):
+        text = page.split(f"\n## {title}\n")[1].split("\n## ")[0]
+        captions = [line for line in text.splitlines() if line.startswith("`")]
+        for key in section.model_fields.keys() - without:
+            assert any(re.search(rf"`{key}\b", caption) for caption in captions), key
+
+
+def test_links_and_pictures_lead_somewhere() -> None:
+    assert runpy.run_path(str(ROOT / "tools" / "check_links.py"))["main"]() == 0

@@ -1,12 +1,17 @@
-"""Pictures of the X-ray physics on the skull, for docs/physics.md: one for each effect.
+"""Pictures of the X-ray physics on the skull, for docs/physics.md and docs/scenario.md.
 
-Each shows the ideal image, the image with the effect, and their difference, as line integrals or
-transmission; all in one view of the paper's geometry on a coarser panel.
+One for each effect: the ideal image, the image with the effect, and the difference of transmission,
+all in one view of the paper's geometry on a coarser panel. Beam hardening is shown in a volume.
+
+    python tools/gallery.py            # all
+    python tools/gallery.py lag noise  # some
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +24,11 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
 from twinct.geometry import Pose, ScanGeometry
+from twinct.pipeline import effective_energy, reconstruct, simulate
 from twinct.scan import Workshop
 from twinct.scenario import Scenario, parse_scenario
 
+MM_PER_CM = 10.0
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
 TUBE = {"kind": "tube", "kvp": 80}
 BASE = {
@@ -30,6 +37,7 @@ BASE = {
     "specimen": {"parts": [{"shape": {"kind": "skull"}, "material": "bone"}]},
 }
 EFFECTS: dict[str, dict[str, Mapping[str, Any]]] = {
+    "energy": {"source": {"energy_kev": 50}},
     "spectrum": {"source": {"spectrum": TUBE}},
     "response": {
         "source": {"spectrum": TUBE},
@@ -39,6 +47,7 @@ EFFECTS: dict[str, dict[str, Mapping[str, Any]]] = {
     "motion": {"source": {"motion_samples": 24}},
     "pixel_samples": {"detector": {"pixel_samples": 4}},
     "point_spread": {"detector": {"point_spread": {"kind": "gaussian", "sigma_mm": 2.0}}},
+    "binning": {"detector": {"columns": 80, "rows": 60, "pixel_pitch_mm": 4.0, "binning": 4}},
     "noise": {
         "source": {"photons_per_mm2_mas": 1e6, "exposure_ms": 0.5},
         "detector": {"noise": {"kind": "quantum"}},
@@ -58,6 +67,32 @@ EFFECTS: dict[str, dict[str, Mapping[str, Any]]] = {
     },
     "lag": {"detector": {"lag": 0.3}},
     "scatter": {"detector": {"scatter": {"kind": "kernel"}}},
+}
+HEAD: dict[str, Any] = {
+    "source": {"spectrum": TUBE},
+    "detector": {"columns": 160, "rows": 120, "pixel_pitch_mm": 2.0},
+    "trajectory": {"kind": "sinusoid", "views": 60},
+    "specimen": {
+        "parts": [
+            {
+                "shape": {"kind": "ellipsoid", "semi_axes_mm": [48, 61, 44]},
+                "material": "soft_tissue",
+                "position_mm": [0, 0, 15],
+            },
+            {"shape": {"kind": "skull", "scale": 0.7}, "material": "bone"},
+        ]
+    },
+    "reconstruction": {
+        "algorithm": "cgls",
+        "geometry": "executed",
+        "grid": {"voxels": 128, "voxel_mm": 1.24},
+    },
+}
+"""A small head: beam hardening asks for two materials, and for a volume without truncation."""
+CORRECTIONS: dict[str, Any] = {
+    "uncorrected": None,
+    "one_material": {"kind": "one_material", "material": "bone"},
+    "two_materials": {"kind": "two_materials"},
 }
 TURN_DEG = 4.0
 """Between the last view and this one, for lag, and during the exposure, for motion."""
@@ -110,13 +145,46 @@ def draw(name: str, ideal: NDArray[np.float32], image: NDArray[np.float32]) -> N
     plt.close(figure)
 
 
+def draw_hardening() -> None:
+    """A slice of the truth, and of volumes with each correction less the truth."""
+    base = parse_scenario(HEAD)
+    workshop = Workshop(base)
+    scan = simulate(base, workshop=workshop)
+    grid = base.reconstruction.grid.volume_grid
+    truth = workshop.specimen.truth(grid, effective_energy(base))
+    middle = truth.shape[0] * 5 // 8
+    slices = {}
+    for name, correction in CORRECTIONS.items():
+        section = base.reconstruction.model_dump() | {"beam_hardening": correction}
+        corrected = parse_scenario(HEAD | {"reconstruction": section})
+        volume = reconstruct(replace(scan, scenario=corrected))
+        slices[name] = (volume[middle] - truth[middle]) * MM_PER_CM
+    figure, axes = plt.subplots(1, 4, figsize=(9.6, 2.7), layout="constrained")
+    shown = axes[0].imshow(truth[middle] * MM_PER_CM, cmap="gray", origin="lower")
+    axes[0].set_title("truth, 1/cm", fontsize=9)
+    figure.colorbar(shown, ax=axes[0], shrink=0.7).ax.tick_params(labelsize=7)
+    for axis, (name, pixels) in zip(axes[1:], slices.items(), strict=True):
+        shown = axis.imshow(pixels, cmap="RdBu", vmin=-0.1, vmax=0.1, origin="lower")
+        axis.set_title(f"{name} - truth", fontsize=9)
+    figure.colorbar(shown, ax=axes[1:], shrink=0.7).ax.tick_params(labelsize=7)
+    for axis in axes:
+        axis.set_axis_off()
+    figure.savefig(FOLDER / "physics-beam-hardening.png", dpi=80, pil_kwargs={"optimize": True})
+    plt.close(figure)
+
+
 def main() -> None:
-    """Draw every effect."""
+    """Draw the effects named on the command line, or all."""
     FOLDER.mkdir(parents=True, exist_ok=True)
+    wanted = sys.argv[1:] or [*EFFECTS, "beam_hardening"]
     ideal = take(Workshop(scenario({})))
-    for name, effect in EFFECTS.items():
-        draw(name, ideal, take(Workshop(scenario(effect))))
-        print(f"physics-{name.replace('_', '-')}.png")
+    for name in wanted:
+        if name == "beam_hardening":
+            draw_hardening()
+            continue
+        image = take(Workshop(scenario(EFFECTS[name])))
+        coarse = ideal.shape[0] // image.shape[0]
+        draw(name, ideal, image.repeat(coarse, axis=0).repeat(coarse, axis=1))
 
 
 if __name__ == "__main__":

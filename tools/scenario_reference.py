@@ -29,7 +29,61 @@ trajectory: {views: 100}
 starts afresh. `--set KEY=VALUE` on the command line overrides a key:
 `--set specimen.parts.0.material=water`. Unknown keys are refused. Lengths are mm, angles degrees,
 and each key says so in its name. A `path` is relative to the file that names it.
+
+*Source* is where a default or a definition comes from: "the paper" is that of Freiling et al.
+([how we read it](paper.md)); where nothing is said, the value is our choice. The pictures show the
+built-in skull without and with the effect of a key, and the difference
+([more about each](physics.md)).
 """
+
+UNITS = {
+    "mm": "mm",
+    "deg": "deg",
+    "deg_s": "deg/s",
+    "deg_s2": "deg/s^2",
+    "deg_s3": "deg/s^3",
+    "mm_s": "mm/s",
+    "s": "s",
+    "ms": "ms",
+    "kg": "kg",
+    "kev": "keV",
+    "kvp": "kV",
+    "ma": "mA",
+    "hu": "HU",
+    "cm3": "cm^3",
+    "g_cm3": "g/cm^3",
+}
+"""By the end of a key's name, the longest first."""
+
+PICTURES = {
+    "source": {
+        "energy": "`energy_kev: 50` in place of 80.",
+        "spectrum": "`spectrum: {kind: tube, kvp: 80}`.",
+        "motion": "`motion_samples: 24`, while the arms turn by 4 degrees.",
+        "focal-spot": "`focal_spot: {kind: gaussian, sigma_mm: 1.5}`.",
+        "noise": "`current_ma`, `exposure_ms` and `photons_per_mm2_mas` make the photon number: "
+        "500 per mm^2 at 1 m, with `detector.noise` of the kind `quantum`.",
+    },
+    "detector": {
+        "response": "`response: {kind: scintillator, thickness_mm: 0.2}`, a tube of 80 kV.",
+        "pixel-samples": "`pixel_samples: 4`.",
+        "binning": "`binning: 4`.",
+        "point-spread": "`point_spread: {kind: gaussian, sigma_mm: 2}`.",
+        "noise": "`noise: {kind: quantum}`, 500 photons per mm^2 at 1 m.",
+        "readout": "`readout: {bits: 8, free_beam: 200, offset: 5}`, "
+        "`noise: {kind: snr, snr: 400}`.",
+        "bad-pixels": "`bad_pixels: {kind: random, share: 0.02}`, filled by the correction.",
+        "lag": "`lag: 0.3`, from a view 8 degrees away.",
+        "correction": "`correction: {flat_frames: 1, flat_geometry: first}`, "
+        "`noise: {kind: snr, snr: 60}`.",
+        "scatter": "`scatter: {kind: kernel}`.",
+    },
+    "reconstruction": {
+        "beam-hardening": "`beam_hardening: null`, `{kind: one_material, material: bone}` and "
+        "`{kind: two_materials}`: a small head, less the truth at the mean energy, 1/cm.",
+    },
+}
+"""Captions by section, and by what ``tools/gallery.py`` calls its pictures."""
 
 
 def reference() -> str:
@@ -47,18 +101,32 @@ def _write(
         return
     seen.add(model)
     rows = [f"## {title}\n", f"{(model.__doc__ or '').strip()}\n"]
-    rows += ["| key | value | default | meaning |", "|---|---|---|---|"]
+    rows += ["| key | value | unit | default | meaning | source |", "|---|---|---|---|---|---|"]
     inner: list[tuple[type[BaseModel], str]] = []
     for name, info in model.model_fields.items():
         models = _models(info.annotation)
         inner += [(m, f"{_title(title)}{name}{_kind(m)}") for m in models]
+        facts: Any = info.json_schema_extra or {}
         rows.append(
-            f"| `{name}` | {_type(info.annotation, info.metadata)} | {_default(info)} "
-            f"| {info.description or ''} |"
+            f"| `{name}` | {_type(info.annotation, info.metadata)} | {_unit(name, facts)} "
+            f"| {_default(info)} | {_meaning(name, info)} | {facts.get('x-source', '')} |"
         )
+    for picture, caption in PICTURES.get(title, {}).items():
+        rows += ["", caption, "", f"![](images/physics-{picture}.png)"]
     sections.append("\n".join(rows) + "\n")
     for other, name in inner:
         _write(other, name, sections, seen)
+
+
+def _unit(name: str, facts: dict[str, Any]) -> str:
+    if "x-unit" in facts:
+        return facts["x-unit"]
+    ends = (end for end in sorted(UNITS, key=len, reverse=True))
+    return next((UNITS[end] for end in ends if f"_{name}".endswith(f"_{end}")), "")
+
+
+def _meaning(name: str, info: Any) -> str:
+    return info.description or {"kind": "Which of these sections it is."}[name]
 
 
 def _title(title: str) -> str:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from twinct.scenario.section import Positive, Section
+from twinct.scenario.section import Positive, Section, facts
 
 
 class Composition(Section):
     """A material by its elements."""
 
     formula: str | None = Field(
-        default=None, description="Chemical formula, such as Ca10(PO4)6(OH)2."
+        default=None,
+        description="Chemical formula, such as Ca10(PO4)6(OH)2.",
+        json_schema_extra=facts(source="attenuation of the elements: xraylib"),
     )
     mass_fractions: dict[str, Positive] | None = Field(
-        default=None, description="Element symbol to share of mass; the shares add up to 1."
+        default=None,
+        description="Element symbol to share of mass; the shares add up to 1.",
+        json_schema_extra=facts(source="attenuation of the elements: xraylib"),
     )
-    density_g_cm3: Positive
+    density_g_cm3: Positive = Field(description="Density.")
 
     @model_validator(mode="after")
     def _one_description(self) -> Composition:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.geometry import Pose, VolumeGrid
-from twinct.scenario.section import Lengths, NonNegative, Positive, Section, Vector
+from twinct.scenario.section import Lengths, NonNegative, Positive, Section, Vector, facts
 from twinct.scenario.xray import BeamHardening
 
 
@@ -15,13 +15,21 @@ class Grid(Section):
     """The voxels of the reconstruction."""
 
     voxels: Annotated[int, Field(ge=2, le=4096)] | tuple[int, int, int] = Field(
-        default=512, description="Voxels along each axis; three numbers for (x, y, z)."
+        default=512,
+        description="Voxels along each axis; three numbers for (x, y, z).",
+        json_schema_extra=facts(source="the paper"),
     )
     voxel_mm: Positive | Lengths = Field(
-        default=0.31, description="Voxel edge; three for (x, y, z)."
+        default=0.31,
+        description="Voxel edge; three for (x, y, z).",
+        json_schema_extra=facts(source="the paper"),
     )
-    centre_mm: Vector = (0.0, 0.0, 0.0)
-    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    centre_mm: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Centre of the grid in the world."
+    )
+    rotation_deg: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
+    )
 
     @model_validator(mode="after")
     def _some_voxels(self) -> Grid:
@@ -46,7 +54,8 @@ class Surroundings(Section):
 
     margin_mm: Positive = Field(
         description="By how much the coarse grid is larger on each side; the specimen should end "
-        "inside of it."
+        "inside of it.",
+        json_schema_extra=facts(source="Ziegler, Nielsen and Grass, Med. Phys. 35 (2008)"),
     )
     voxel_mm: Positive = Field(description="Coarse voxel edge, such as four times the grid's.")
     iterations: int = Field(default=5, ge=1, le=10_000, description="Of a coarse SART.")
@@ -57,18 +66,32 @@ class Reconstruction(Section):
     """From projections to a volume. A key that the algorithm does not use has no effect."""
 
     algorithm: Literal["sart", "os_sart", "sirt", "cgls", "fdk", "fista_tv"] = Field(
-        default="sart", description="docs/reconstruction.md says which for what."
+        default="sart",
+        description="docs/reconstruction.md says which for what.",
+        json_schema_extra=facts(source="the paper"),
     )
     engine: Literal["twinct", "rtk"] = Field(
         default="twinct",
         description="rtk is the independent cross-check of sart; it needs the extra rtk.",
     )
     iterations: int = Field(
-        default=10, ge=1, le=10_000, description="Passes over all views; not for fdk."
+        default=10,
+        ge=1,
+        le=10_000,
+        description="Passes over all views; not for fdk.",
+        json_schema_extra=facts(source="the paper"),
     )
-    relaxation: float = Field(default=0.3, gt=0, lt=2, description="For sart, os_sart and sirt.")
+    relaxation: float = Field(
+        default=0.3,
+        gt=0,
+        lt=2,
+        description="For sart, os_sart and sirt.",
+        json_schema_extra=facts(source="the paper"),
+    )
     order: Literal["golden", "sequential", "random", "weighted_distance"] = Field(
-        default="golden", description="Order of the views, for sart."
+        default="golden",
+        description="Order of the views, for sart.",
+        json_schema_extra=facts(source="weighted_distance: Mueller, Yagel and Cornhill 1997"),
     )
     subsets: int | None = Field(
         default=None,
@@ -106,8 +129,9 @@ class Reconstruction(Section):
         default="believed",
         description="Geometry to reconstruct from; several are judged side by side, and the first "
         "one's volume is kept.",
+        json_schema_extra=facts(source="the paper"),
     )
-    grid: Grid = Grid()
+    grid: Grid = Field(default=Grid(), description="The voxels.")
 
     @model_validator(mode="after")
     def _distinct_geometries(self) -> Reconstruction:

@@ -17,15 +17,23 @@ from pydantic import Field, field_validator, model_validator
 from twinct.geometry import Pose
 from twinct.scenario.composition import Composition
 from twinct.scenario.reconstruction import Reconstruction
-from twinct.scenario.section import Finite, Lengths, NonNegative, Positive, Section, Vector
+from twinct.scenario.section import Finite, Lengths, NonNegative, Positive, Section, Vector, facts
 from twinct.scenario.xray import Detector, Source, TubeSpectrum
 
 
 class _Orbit(Section):
     views: int = Field(ge=1, le=100_000, description="Number of projections.")
     isocentre_mm: Vector = Field(default=(0.0, 0.0, 0.0), description="Centre of the orbit.")
-    sod_mm: Positive = Field(default=300.0, description="Distance from source to isocentre.")
-    sdd_mm: Positive = Field(default=600.0, description="Distance from source to panel centre.")
+    sod_mm: Positive = Field(
+        default=300.0,
+        description="Distance from source to isocentre.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    sdd_mm: Positive = Field(
+        default=600.0,
+        description="Distance from source to panel centre.",
+        json_schema_extra=facts(source="the paper, as docs/paper.md reads it"),
+    )
     centre_longitude_deg: Finite = Field(
         default=0.0,
         description="Longitude of the source in the middle of the path; 0 is +x, 90 is +y.",
@@ -45,9 +53,25 @@ class SinusoidTrajectory(_Orbit):
     """The paper's path: a sine of latitude over an arc of longitude, on a sphere."""
 
     kind: Literal["sinusoid"]
-    longitude_range_deg: float = Field(default=210.0, gt=0, le=360)
-    latitude_amplitude_deg: float = Field(default=30.0, ge=0, lt=90)
-    periods: Positive = Field(default=1.0, description="Sine periods over the range.")
+    longitude_range_deg: float = Field(
+        default=210.0,
+        gt=0,
+        le=360,
+        description="Arc of longitude.",
+        json_schema_extra=facts(source="the paper: 180 degrees and the fan"),
+    )
+    latitude_amplitude_deg: float = Field(
+        default=30.0,
+        ge=0,
+        lt=90,
+        description="Amplitude of the sine of latitude.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    periods: Positive = Field(
+        default=1.0,
+        description="Sine periods over the range.",
+        json_schema_extra=facts(source="the paper, as docs/paper.md reads it"),
+    )
 
 
 class CircleTrajectory(_Orbit):
@@ -61,15 +85,23 @@ class ArcTrajectory(_Orbit):
     """Part of a circle of constant latitude, both ends included."""
 
     kind: Literal["arc"]
-    longitude_range_deg: float = Field(default=210.0, gt=0, le=360)
-    latitude_deg: float = Field(default=0.0, gt=-90, lt=90)
+    longitude_range_deg: float = Field(
+        default=210.0,
+        gt=0,
+        le=360,
+        description="Arc of longitude.",
+        json_schema_extra=facts(source="180 degrees and the paper's fan"),
+    )
+    latitude_deg: float = Field(
+        default=0.0, gt=-90, lt=90, description="Latitude of the source; 90 is +z."
+    )
 
 
 class HelixTrajectory(_Orbit):
     """A helix about z: source and panel rise together."""
 
     kind: Literal["helix"]
-    turns: Positive = 2.0
+    turns: Positive = Field(default=2.0, description="Turns about z.")
     pitch_mm: Finite = Field(default=50.0, description="Rise for each turn.")
 
 
@@ -77,7 +109,7 @@ class FileTrajectory(Section):
     """Views from a CSV file: S and D, or S, D, u, v for each row, mm."""
 
     kind: Literal["file"]
-    path: Path
+    path: Path = Field(description="CSV file.")
 
 
 Trajectory = Annotated[
@@ -100,36 +132,36 @@ class Sphere(Section):
     """A sphere about the part's origin."""
 
     kind: Literal["sphere"]
-    radius_mm: Positive
+    radius_mm: Positive = Field(description="Radius.")
 
 
 class Ellipsoid(Section):
     """An ellipsoid along the part's axes."""
 
     kind: Literal["ellipsoid"]
-    semi_axes_mm: Lengths
+    semi_axes_mm: Lengths = Field(description="Semi-axes along x, y, z.")
 
 
 class Cylinder(Section):
     """A cylinder along the part's z axis, centred."""
 
     kind: Literal["cylinder"]
-    radius_mm: Positive
-    height_mm: Positive
+    radius_mm: Positive = Field(description="Radius.")
+    height_mm: Positive = Field(description="Height.")
 
 
 class Box(Section):
     """A box along the part's axes, centred."""
 
     kind: Literal["box"]
-    size_mm: Lengths
+    size_mm: Lengths = Field(description="Edges along x, y, z.")
 
 
 class MeshFile(Section):
     """A watertight triangle mesh: STL, PLY, OBJ or what else trimesh reads."""
 
     kind: Literal["mesh"]
-    path: Path
+    path: Path = Field(description="Mesh file.")
     unit_mm: Positive = Field(default=1.0, description="Length of the file's unit.")
     centre: bool = Field(
         default=False, description="Move the middle of its bounds to the part's origin."
@@ -141,7 +173,7 @@ class CtVolume(Section):
 
     kind: Literal["ct"]
     path: Path = Field(description="NIfTI file, folder of one DICOM series, or InVesalius .inv3.")
-    threshold_hu: Finite = 300.0
+    threshold_hu: Finite = Field(default=300.0, description="Bone is what lies above.")
     smoothing_mm: NonNegative = Field(
         default=0.0, description="Sigma of a Gaussian filter before the threshold."
     )
@@ -164,8 +196,12 @@ class Part(Section):
     """One body of one material. Where parts overlap the later one wins."""
 
     name: str = Field(default="", description="Shown in messages; the kind of shape where empty.")
-    shape: Shape
-    material: str | Composition = "bone"
+    shape: Shape = Field(description="Its shape.")
+    material: str | Composition = Field(
+        default="bone",
+        description="A name, or a composition with its density.",
+        json_schema_extra=facts(source="attenuation: xraylib"),
+    )
     position_mm: Vector = Field(
         default=(0.0, 0.0, 0.0), description="Origin in the specimen's frame."
     )
@@ -187,7 +223,7 @@ class Part(Section):
 class Specimen(Section):
     """What is imaged, and where it stands."""
 
-    parts: tuple[Part, ...] = Field(min_length=1)
+    parts: tuple[Part, ...] = Field(min_length=1, description="Bodies, each of one material.")
     position_mm: Vector = Field(default=(0.0, 0.0, 0.0), description="Origin in the world.")
     rotation_deg: Vector = Field(
         default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
@@ -209,10 +245,13 @@ class Arm(Section):
     model: str = Field(
         default="ur10e",
         description="ur10e, lbr_iiwa14, or menagerie:NAME.",
-        json_schema_extra={"pattern": r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$"},
+        json_schema_extra=facts(source="makers' data sheets: docs/arms.md")
+        | {"pattern": r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$"},
     )
-    base_position_mm: Vector
-    base_rotation_deg: Vector = (0.0, 0.0, 0.0)
+    base_position_mm: Vector = Field(description="Origin of the arm's base in the world.")
+    base_rotation_deg: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Extrinsic rotations of the base about x, y, z."
+    )
     standoff_mm: Positive = Field(
         default=150.0,
         description="From flange to focal spot, or to panel centre, along the flange axis.",
@@ -220,18 +259,20 @@ class Arm(Section):
     tool_rotation_deg: Finite = Field(
         default=0.0, description="Turn of the tool about the flange axis when it was mounted."
     )
-    tool_mass_kg: Positive
+    tool_mass_kg: Positive = Field(description="Mass of the tool.")
     torque_scale: float = Field(
         default=1.0,
         gt=0,
         le=1,
         description="Share of the published torque limits that may be used.",
+        json_schema_extra=facts(source="limits: the maker's"),
     )
     speed_scale: float = Field(
         default=0.5,
         gt=0,
         le=1,
         description="Share of the published joint speeds that a move may use.",
+        json_schema_extra=facts(source="limits: the maker's"),
     )
     joint_speed_deg_s: Positive = Field(
         default=90.0,
@@ -255,22 +296,28 @@ class Arm(Section):
 class SourceArm(Arm):
     """The arm with the X-ray source."""
 
-    base_position_mm: Vector = (850.0, 0.0, 0.0)
-    base_rotation_deg: Vector = (0.0, 0.0, 180.0)
-    tool_mass_kg: Positive = 8.0
+    base_position_mm: Vector = Field(
+        default=(850.0, 0.0, 0.0), description="Origin of the arm's base in the world."
+    )
+    base_rotation_deg: Vector = Field(
+        default=(0.0, 0.0, 180.0), description="Extrinsic rotations of the base about x, y, z."
+    )
+    tool_mass_kg: Positive = Field(default=8.0, description="Mass of the X-ray source.")
 
 
 class DetectorArm(Arm):
     """The arm with the panel."""
 
-    base_position_mm: Vector = (-850.0, 0.0, 0.0)
-    tool_mass_kg: Positive = 4.0
+    base_position_mm: Vector = Field(
+        default=(-850.0, 0.0, 0.0), description="Origin of the arm's base in the world."
+    )
+    tool_mass_kg: Positive = Field(default=4.0, description="Mass of the panel.")
 
 
 class Table(Section):
     """The table and the post that carries the specimen."""
 
-    present: bool = True
+    present: bool = Field(default=True, description="Whether there is a table.")
     size_mm: Lengths = Field(default=(500.0, 900.0, 50.0), description="Top plate along x, y, z.")
     top_z_mm: Finite = Field(default=-450.0, description="Height of the upper face of the plate.")
     holder_radius_mm: Positive = Field(
@@ -281,9 +328,9 @@ class Table(Section):
 class Cell(Section):
     """The operating room: two arms, table, floor."""
 
-    source_arm: SourceArm = SourceArm()
-    detector_arm: DetectorArm = DetectorArm()
-    table: Table = Table()
+    source_arm: SourceArm = Field(default=SourceArm(), description="The arm with the X-ray source.")
+    detector_arm: DetectorArm = Field(default=DetectorArm(), description="The arm with the panel.")
+    table: Table = Field(default=Table(), description="The table.")
     floor_z_mm: Finite = Field(default=-1200.0, description="Height of the floor.")
     timestep_ms: float = Field(
         default=2.0, gt=0, le=10, description="Step of the dynamic simulation."
@@ -293,22 +340,35 @@ class Cell(Section):
 class InverseKinematics(Section):
     """When a joint configuration counts as solved."""
 
-    position_tolerance_mm: Positive = 0.1
-    rotation_tolerance_deg: Positive = 0.05
-    max_iterations: int = Field(default=200, ge=1)
+    position_tolerance_mm: Positive = Field(
+        default=0.1,
+        description="Distance from the target at which an end-effector counts as there.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    rotation_tolerance_deg: Positive = Field(
+        default=0.05, description="Angle from the target at which an end-effector counts as there."
+    )
+    max_iterations: int = Field(
+        default=200, ge=1, description="Steps of the solver before it gives up."
+    )
 
 
 class Motion(Section):
     """How the arms get from view to view, and when the image is taken."""
 
-    ik: InverseKinematics = InverseKinematics()
+    ik: InverseKinematics = Field(
+        default=InverseKinematics(), description="The inverse kinematics."
+    )
     trigger: Literal["on_entry", "settled"] = Field(
         default="on_entry",
         description="on_entry: first step with both end-effectors within the tolerance, still "
         "moving; settled: at rest.",
+        json_schema_extra=facts(source="the paper"),
     )
     tolerance_mm: Positive = Field(
-        default=1.0, description="Distance at which a target counts as reached."
+        default=1.0,
+        description="Distance at which a target counts as reached.",
+        json_schema_extra=facts(source="the paper"),
     )
     clearance_mm: NonNegative = Field(
         default=10.0, description="Smallest gap between bodies that a plan may have."
@@ -326,31 +386,53 @@ class Motion(Section):
 class PositionNoise(Section):
     """Normal noise for each axis, redrawn beyond the cut-off."""
 
-    sigma_mm: NonNegative = 0.1
-    cutoff_mm: Positive = 0.15
+    sigma_mm: NonNegative = Field(
+        default=0.1,
+        description="Standard deviation for each axis.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    cutoff_mm: Positive = Field(
+        default=0.15,
+        description="Largest deviation on each axis.",
+        json_schema_extra=facts(source="the paper: repeatability"),
+    )
 
 
 class Uncertainty(Section):
     """What separates the believed poses from the executed ones."""
 
-    source: PositionNoise = PositionNoise()
-    detector: PositionNoise = PositionNoise()
+    source: PositionNoise = Field(
+        default=PositionNoise(),
+        description="Of the source's position.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    detector: PositionNoise = Field(
+        default=PositionNoise(),
+        description="Of the panel's position.",
+        json_schema_extra=facts(source="the paper"),
+    )
 
 
 class Scenario(Section):
     """Everything one simulation needs."""
 
-    name: str = Field(default="scan", min_length=1)
-    description: str = ""
+    name: str = Field(
+        default="scan", min_length=1, description="Names the scan in the report and in messages."
+    )
+    description: str = Field(default="", description="What the scan is for; the report shows it.")
     seed: int = Field(default=0, ge=0, lt=2**63, description="Every random draw is keyed by it.")
-    source: Source = Source()
-    detector: Detector = Detector()
-    trajectory: Trajectory
-    specimen: Specimen
-    cell: Cell = Cell()
-    motion: Motion = Motion()
-    uncertainty: Uncertainty = Uncertainty()
-    reconstruction: Reconstruction = Reconstruction()
+    source: Source = Field(default=Source(), description="The X-ray source.")
+    detector: Detector = Field(default=Detector(), description="The flat panel.")
+    trajectory: Trajectory = Field(description="Where source and panel shall go.")
+    specimen: Specimen = Field(description="What is imaged.")
+    cell: Cell = Field(default=Cell(), description="The room and the arms.")
+    motion: Motion = Field(default=Motion(), description="How the arms move.")
+    uncertainty: Uncertainty = Field(
+        default=Uncertainty(), description="What the reported poses are off by."
+    )
+    reconstruction: Reconstruction = Field(
+        default=Reconstruction(), description="How the volume is made."
+    )
 
     @model_validator(mode="after")
     def _photon_number(self) -> Scenario:

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from twinct.geometry import Panel
 from twinct.scenario.composition import Composition
-from twinct.scenario.section import NonNegative, Positive, Section
+from twinct.scenario.section import NonNegative, Positive, Section, facts
 
 Pair = tuple[Positive, Positive]
 
@@ -17,21 +17,38 @@ Pair = tuple[Positive, Positive]
 class Filter(Section):
     """A plate in the beam, crossed at right angles."""
 
-    material: str | Composition = "aluminium"
-    thickness_mm: Positive
+    material: str | Composition = Field(
+        default="aluminium",
+        description="Material of the plate.",
+        json_schema_extra=facts(source="attenuation: xraylib"),
+    )
+    thickness_mm: Positive = Field(description="Its thickness.")
 
 
 class TubeSpectrum(Section):
     """The spectrum of an X-ray tube, by SpekPy."""
 
     kind: Literal["tube"]
-    kvp: float = Field(ge=20, le=300, description="Tube voltage, kV.")
-    anode_angle_deg: float = Field(
-        default=12.0, gt=0, le=90, description="Between anode face and central ray."
+    kvp: float = Field(
+        ge=20,
+        le=300,
+        description="Tube voltage.",
+        json_schema_extra=facts(source="SpekPy (Poludniowski et al., Med. Phys. 48 (2021) 3630)"),
     )
-    target: Literal["W", "Mo", "Rh"] = "W"
+    anode_angle_deg: float = Field(
+        default=12.0,
+        gt=0,
+        le=90,
+        description="Between anode face and central ray.",
+        json_schema_extra=facts(source="SpekPy's default"),
+    )
+    target: Literal["W", "Mo", "Rh"] = Field(
+        default="W", description="Element of the anode.", json_schema_extra=facts(source="SpekPy")
+    )
     filters: tuple[Filter, ...] = Field(
-        default=(Filter(thickness_mm=2.5),), description="Plates between anode and specimen."
+        default=(Filter(thickness_mm=2.5),),
+        description="Plates between anode and specimen.",
+        json_schema_extra=facts(source="2.5 mm Al: the least total filtration of IEC 60601-1-3"),
     )
     bins: int = Field(default=60, ge=1, le=1000, description="Energy bins at most.")
 
@@ -41,7 +58,9 @@ class FileSpectrum(Section):
 
     kind: Literal["file"]
     path: Path = Field(description="Two columns: energy in keV, photons of that bin.")
-    filters: tuple[Filter, ...] = ()
+    filters: tuple[Filter, ...] = Field(
+        default=(), description="Plates between this spectrum and the specimen."
+    )
     bins: int = Field(default=60, ge=1, le=1000, description="Energy bins at most.")
 
 
@@ -87,14 +106,18 @@ class Source(Section):
         ge=5,
         le=500,
         description="Photon energy of the monochromatic source; not used with a spectrum.",
+        json_schema_extra=facts(source="the paper"),
     )
     spectrum: Spectrum | None = Field(
-        default=None, description="A tube, or a file; monochromatic where there is none."
+        default=None,
+        description="A tube, or a file; monochromatic where there is none.",
+        json_schema_extra=facts(source="one energy: the paper"),
     )
     photons_per_mm2_mas: Positive | None = Field(
         default=None,
         description="Photons of the free beam per mm^2 at 1 m and mAs, behind the filters. A tube "
         "knows its own number; noise of any other source needs this one.",
+        json_schema_extra=facts(unit="1/(mm^2 mAs)", source="a tube's: SpekPy"),
     )
     current_ma: Positive = Field(default=1.0, description="Tube current.")
     exposure_ms: Positive = Field(default=10.0, description="How long the shutter is open.")
@@ -104,8 +127,13 @@ class Source(Section):
         le=1000,
         description="Instants of the exposure, at equal distances, whose mean the image is: motion "
         "blur. 1: all stands as when the image was triggered. An image costs as many renders.",
+        json_schema_extra=facts(source="1, no blur: the paper"),
     )
-    focal_spot: Spot | None = Field(default=None, description="A point where there is none.")
+    focal_spot: Spot | None = Field(
+        default=None,
+        description="A point where there is none.",
+        json_schema_extra=facts(source="a point: the paper"),
+    )
 
     @property
     def mas(self) -> float:
@@ -134,8 +162,15 @@ class ScintillatorResponse(Section):
     """A scintillator: what it attenuates it absorbs, with all of the photon's energy."""
 
     kind: Literal["scintillator"]
-    material: Literal["CsI", "Gd2O2S"] | Composition = "CsI"
-    thickness_mm: Positive
+    material: Literal["CsI", "Gd2O2S"] | Composition = Field(
+        default="CsI",
+        description="Scintillator. CsI has 4.51, Gd2O2S 7.32 g/cm^3.",
+        json_schema_extra=facts(source="attenuation: xraylib"),
+    )
+    thickness_mm: Positive = Field(
+        description="Its thickness: the share 1 - exp(-mu t) of the photons is absorbed.",
+        json_schema_extra=facts(source="Beer-Lambert"),
+    )
 
 
 class FileResponse(Section):
@@ -156,7 +191,8 @@ class GaussianSpread(Section):
 
     kind: Literal["gaussian"]
     sigma_mm: Positive = Field(
-        description="Standard deviation: the basic spatial resolution of ISO 19232-5 over 1.41."
+        description="Standard deviation: the basic spatial resolution of ISO 19232-5 over 1.41.",
+        json_schema_extra=facts(source="ISO 19232-5"),
     )
 
 
@@ -180,7 +216,10 @@ class SnrNoise(Section):
     """Normal noise of a given signal-to-noise ratio; it grows with the root of the signal."""
 
     kind: Literal["snr"]
-    snr: Positive = Field(description="In the free beam, at the middle of the first view's panel.")
+    snr: Positive = Field(
+        description="In the free beam, at the middle of the first view's panel.",
+        json_schema_extra=facts(source="as in CTSimU files"),
+    )
 
 
 Noise = Annotated[QuantumNoise | SnrNoise, Field(discriminator="kind")]
@@ -193,16 +232,29 @@ class Readout(Section):
         default=50000.0,
         description="Grey value of the free beam, above the offset, at the middle of the first "
         "view's panel: it sets the gain.",
+        json_schema_extra=facts(unit="grey values"),
     )
-    offset: NonNegative = Field(default=500.0, description="Grey value without beam.")
+    offset: NonNegative = Field(
+        default=500.0,
+        description="Grey value without beam.",
+        json_schema_extra=facts(unit="grey values"),
+    )
     electronic_noise: NonNegative = Field(
-        default=0.0, description="Standard deviation of the noise without beam, grey values."
+        default=0.0,
+        description="Standard deviation of the noise without beam.",
+        json_schema_extra=facts(unit="grey values"),
     )
     bits: int | None = Field(
-        default=16, ge=1, le=32, description="Bit depth; null keeps fractions."
+        default=16,
+        ge=1,
+        le=32,
+        description="Bit depth; null keeps fractions.",
+        json_schema_extra=facts(unit="bit"),
     )
     saturation: Positive | None = Field(
-        default=None, description="Grey value of saturation; the converter's largest where null."
+        default=None,
+        description="Grey value of saturation; the converter's largest where null.",
+        json_schema_extra=facts(unit="grey values"),
     )
 
 
@@ -244,7 +296,9 @@ class OneMaterialHardening(Section):
 
     kind: Literal["one_material"]
     material: str | Composition | None = Field(
-        default=None, description="The specimen's part with the largest volume where null."
+        default=None,
+        description="What is linearised; null: the specimen's part with the largest volume.",
+        json_schema_extra=facts(source="attenuation: xraylib"),
     )
 
 
@@ -252,8 +306,18 @@ class TwoMaterialHardening(Section):
     """Beam hardening of two materials; the dense one is segmented in a first volume."""
 
     kind: Literal["two_materials"]
-    base: str | Composition = "soft_tissue"
-    dense: str | Composition = "bone"
+    base: str | Composition = Field(
+        default="soft_tissue",
+        description="Material of everything that is not dense.",
+        json_schema_extra=facts(
+            source="Joseph and Spital, J. Comput. Assist. Tomogr. 2 (1978) 100"
+        ),
+    )
+    dense: str | Composition = Field(
+        default="bone",
+        description="Material that is segmented.",
+        json_schema_extra=facts(source="the same"),
+    )
     first_iterations: int = Field(
         default=3, ge=1, description="SART iterations of the volume that is segmented."
     )
@@ -269,16 +333,33 @@ class Scatter(Section):
     scale: NonNegative = Field(
         default=1.0,
         description="Factor: above 1 for scatter of higher order, below 1 for a grid.",
+        json_schema_extra=facts(
+            source="kernel: Ohnesorge et al., Eur. Radiol. 9 (1999) 563, and Klein-Nishina"
+        ),
     )
 
 
 class Detector(Section):
     """The flat panel: by default a lattice of ideal pixels."""
 
-    columns: int = Field(default=640, ge=1, le=8192, description="Pixels along u.")
-    rows: int = Field(default=480, ge=1, le=8192, description="Pixels along v.")
+    columns: int = Field(
+        default=640,
+        ge=1,
+        le=8192,
+        description="Pixels along u.",
+        json_schema_extra=facts(unit="px", source="the paper"),
+    )
+    rows: int = Field(
+        default=480,
+        ge=1,
+        le=8192,
+        description="Pixels along v.",
+        json_schema_extra=facts(unit="px", source="the paper"),
+    )
     pixel_pitch_mm: Positive | Pair = Field(
-        default=0.5, description="Pixel pitch; two numbers for (u, v)."
+        default=0.5,
+        description="Pixel pitch; two numbers for (u, v).",
+        json_schema_extra=facts(source="the paper"),
     )
     response: Response = Field(
         default=IntegratingResponse(), description="What the detector makes of a photon."
@@ -289,14 +370,23 @@ class Detector(Section):
         le=16,
         description="Samples along each edge of a pixel; its value is their mean. The cost grows "
         "with their square.",
+        json_schema_extra=facts(source="1: the paper's gVXR"),
     )
     binning: Annotated[int, Field(ge=1, le=8)] = Field(
         default=1,
         description="Physical pixels along each edge of an image pixel; noise and spread happen in "
         "the physical ones.",
     )
-    point_spread: PointSpread | None = Field(default=None, description="Spread of the signal.")
-    noise: Noise | None = Field(default=None, description="Noise of the signal.")
+    point_spread: PointSpread | None = Field(
+        default=None,
+        description="Spread of the signal.",
+        json_schema_extra=facts(source="none: the paper"),
+    )
+    noise: Noise | None = Field(
+        default=None,
+        description="Noise of the signal.",
+        json_schema_extra=facts(source="none: the paper"),
+    )
     readout: Readout | None = Field(default=None, description="Grey values.")
     bad_pixels: BadPixels | None = Field(
         default=None, description="Dead pixels; correction fills them from their neighbours."
@@ -307,7 +397,9 @@ class Detector(Section):
         lt=1,
         description="Share of a view's signal that appears in the next one. It doubles the cost.",
     )
-    correction: Correction = Correction()
+    correction: Correction = Field(
+        default=Correction(), description="How the raw images become transmission."
+    )
     scatter: Scatter | None = Field(
         default=None, description="Scattered radiation; none where null."
     )
