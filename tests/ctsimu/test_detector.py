@@ -49,6 +49,20 @@ def test_noise_by_snr_and_by_file(tmp_path):
     assert detector().deviation(np.ones(1)) is None
 
 
+def test_noise_has_the_deviation_of_the_file_and_the_texture_of_the_point_spread():
+    panel = Panel(256, 256, 0.1, 0.1)
+    white = detector(panel=panel).noise(np.random.default_rng(1))
+    spread = detector(panel=panel, resolution_mm=0.25)
+    coloured = spread.noise(np.random.default_rng(1))
+    # 65536 pixels, of which a dozen share their noise: 1 / sqrt(2 * 65536 / 12) = 1 %.
+    assert white.std() == pytest.approx(1, rel=0.01)
+    assert coloured.std() == pytest.approx(1, rel=0.03)
+    neighbours = np.mean(coloured[:, 1:] * coloured[:, :-1]) / coloured.var()
+    expected = np.exp(-((panel.pitch_u / 2 / spread._sigma_mm()) ** 2))  # of a Gaussian
+    assert neighbours == pytest.approx(expected, abs=0.02)
+    assert abs(np.mean(white[:, 1:] * white[:, :-1])) < 0.02
+
+
 @pytest.mark.parametrize("resolution_mm", [0.1, 0.15])
 def test_wires_as_wide_as_the_basic_spatial_resolution_dip_by_20_percent(resolution_mm):
     # ISO 19232-5: two wires of that diameter, that far apart; thin, so their shadow is a chord.

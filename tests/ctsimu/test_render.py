@@ -74,6 +74,29 @@ def test_interrupted_rendering_goes_on_to_the_same_bytes(data, write, tmp_path):
         render(scenario, out, Options(samples=1, seed=1), resume=True)
 
 
+def test_frame_does_not_depend_on_the_frames_before(data, write):
+    # The bar swings towards the source and away; two samples overlap.
+    data["samples"][0]["scaling_factor"]["r"] = quantity(12.0)
+    iron = json.loads(json.dumps(data["samples"][0])) | {"name": "iron", "material_id": "Fe"}
+    iron["scaling_factor"] = {axis: quantity(0.5) for axis in "rst"}
+    data["samples"].append(iron)
+    data["acquisition"] |= {"stop_angle": quantity(200.0, "deg"), "number_of_projections": 5}
+    scenario = load_ctsimu(write(data))
+    with Camera(1) as camera:
+        course = [camera.expose(scenario.frame(index)) for index in range(5)]
+    for index in (1, 2, 4):
+        with Camera(1) as camera:
+            assert (camera.expose(scenario.frame(index)) == course[index]).all()
+
+
+def test_sample_at_the_source_is_refused(data, write):
+    data["samples"][0]["position"]["center"]["u"] = quantity(-200.0, "mm")
+    data["samples"][0]["scaling_factor"] = {axis: quantity(5.0) for axis in "rst"}
+    scenario = load_ctsimu(write(data))
+    with Camera(1) as camera, pytest.raises(SpecimenError, match="'cube' comes within .* of the s"):
+        camera.expose(scenario.frame(0))
+
+
 def test_noise_lag_and_averages(data, write, tmp_path):
     data = noisy(data)
     data["acquisition"] |= {"frame_average": 4, "stop_angle": quantity(0.0, "deg")}

@@ -25,8 +25,11 @@ OVERLAP = 1e-9
 KEPT = 16
 """Relative positions remembered: samples that pass each other have a new one each frame."""
 
-MIN_DISTANCE_MM = 1.0
-"""Nearer to the source no mesh is made finer."""
+LADDER = 1.4
+"""Distances for which a mesh is refined are powers of this: each frame finds the same mesh."""
+
+MAX_TRIANGLES = 5_000_000
+"""Of one sample; gVXR takes 0.1 kB for each."""
 
 DEPTH_MM = 0.001
 """How far a path may be off because gVXR takes the distance to the source as linear in a triangle.
@@ -41,7 +44,7 @@ class Solids:
 
     _meshes: dict[tuple[Path, tuple[float, float, float]], Trimesh] = field(default_factory=dict)
     _cut: dict[object, Trimesh] = field(default_factory=dict)
-    _fine: dict[int, tuple[Trimesh, float, Trimesh]] = field(default_factory=dict)
+    _fine: dict[tuple[int, int], tuple[Trimesh, Trimesh]] = field(default_factory=dict)
 
     def of(self, bodies: Sequence[Body], source: Floats) -> list[tuple[Body, Trimesh]]:
         """The bodies that are not vacuum, and what each of them is in its own frame.
@@ -51,7 +54,8 @@ class Solids:
             source: the focal spot in the world, (3,), mm.
 
         Raises:
-            SpecimenError: a file that is no closed surface; names it.
+            SpecimenError: a file that is no closed surface, or a sample that is too near to the
+                source for its size; names it.
         """
         solids = [(body, self._mesh(body)) for body in bodies]
         found = []
@@ -68,16 +72,23 @@ class Solids:
         return found
 
     def _refined(self, body: Body, mesh: Trimesh, source: Floats) -> Trimesh:
-        """Fine enough for a distance, and as long as the body stays about there."""
+        """Fine enough for the body's distance, whatever the frames before."""
         seen = body.world_from_body.inverse().apply(source)
         nearest = np.clip(seen, *np.asarray(mesh.bounds))
-        distance = max(float(np.linalg.norm(seen - nearest)), MIN_DISTANCE_MM)
-        coarse, reached, fine = self._fine.get(id(mesh), (None, np.inf, mesh))
-        if coarse is not mesh or distance < reached:
-            reached = distance / 1.2
-            fine = refined(mesh, np.sqrt(8 * reached * DEPTH_MM) / 1.5)
-            self._fine[id(mesh)] = mesh, reached, fine
-        return fine
+        distance = max(float(np.linalg.norm(seen - nearest)), DEPTH_MM)
+        rung = int(np.floor(np.log(distance) / np.log(LADDER)))
+        key = id(mesh), rung
+        if key not in self._fine:
+            edge = np.sqrt(8 * LADDER**rung * DEPTH_MM) / 1.5
+            # An equilateral triangle of that edge has 0.43 of its square.
+            if mesh.area / (0.43 * edge**2) > MAX_TRIANGLES:
+                raise SpecimenError(
+                    f"sample '{body.name}' comes within {distance:.3g} mm of the source: its "
+                    f"{mesh.area:.3g} mm^2 would need more than {MAX_TRIANGLES} triangles "
+                    "for gVXR to get its depth right"
+                )
+            self._fine[key] = mesh, refined(mesh, edge)  # the mesh too: its id must stay its own
+        return self._fine[key][1]
 
     def _without(
         self, body: Body, mesh: Trimesh, later: list[tuple[Body, Pose, Trimesh]]
@@ -92,8 +103,12 @@ class Solids:
             if len(self._cut) >= KEPT:
                 self._cut.clear()
                 self._fine.clear()
+            # Rounded as in the key: the frame that comes first must not matter.
             tools = [
-                surface(pose.apply(np.asarray(shape.vertices)), np.asarray(shape.faces))
+                surface(
+                    trimesh.transform_points(shape.vertices, np.round(pose.matrix, 9)),
+                    np.asarray(shape.faces),
+                )
                 for _, pose, shape in near
             ]
             left = subtract(mesh, tools, body.name)

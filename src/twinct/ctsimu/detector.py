@@ -69,17 +69,31 @@ class Detector:
 
     def blurred(self, image: Image) -> Image:
         """Convolve with the point spread; beyond the rim the image is mirrored."""
-        response, panel = self.response, self.panel
-        if response.mtf is not None:
-            spread = PointSpread.tabulated(*read_table(response.mtf), reach_mm=MTF_REACH_MM)
-        elif (sigma_mm := self._sigma_mm()) > 0:
-            spread = PointSpread.gaussian(sigma_mm)
-        else:
+        spread, panel = self._spread(), self.panel
+        if spread is None:
             return image
         # Single floats would do for the image, but not for energies of 1e-9 J.
         level = float(image.max()) or 1.0
         relative = (image / level).astype(np.float32)
         return spread.apply(relative, panel.pitch_u, panel.pitch_v).astype(np.float64) * level
+
+    def noise(self, rng: np.random.Generator) -> Image:
+        """Normal noise of standard deviation 1 with the texture that the point spread makes.
+
+        The file states the noise of measured images, which the point spread has passed.
+        """
+        spread, panel = self._spread(), self.panel
+        white = rng.standard_normal(panel.shape)
+        if spread is None:
+            return white
+        noise = spread.apply(white.astype(np.float32), panel.pitch_u, panel.pitch_v)
+        return noise.astype(np.float64) / spread.noise_gain(panel.pitch_u, panel.pitch_v)
+
+    def _spread(self) -> PointSpread | None:
+        if self.response.mtf is not None:
+            return PointSpread.tabulated(*read_table(self.response.mtf), reach_mm=MTF_REACH_MM)
+        sigma_mm = self._sigma_mm()
+        return PointSpread.gaussian(sigma_mm) if sigma_mm > 0 else None
 
     def _sigma_mm(self) -> float:
         """Of the Gaussian that, together with the pixel, has the basic spatial resolution.

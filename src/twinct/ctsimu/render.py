@@ -175,7 +175,7 @@ class _Run:
         image = mean
         if deviation is not None and average > 0:
             rng = view_rng(self.options.seed, f"ctsimu {kind}", index)
-            image = mean + rng.standard_normal(mean.shape) * deviation / np.sqrt(average)
+            image = mean + detector.noise(rng) * deviation / np.sqrt(average)
         image = image[::-1] if frame.upside_down else image
         return binned(detector.with_bad_pixels(image), frame.binning)
 

@@ -14,6 +14,9 @@ from twinct.errors import InputError
 from twinct.geometry import Floats
 from twinct.xray.spectrum import read_columns
 
+_FREQUENCIES = 512
+"""Along each half axis, for an integral over frequencies."""
+
 
 @dataclass(frozen=True)
 class PointSpread:
@@ -86,6 +89,15 @@ class PointSpread:
         spectrum *= _transfer(self, shape, pitch_u, pitch_v)
         spread = np.asarray(fft.irfft2(spectrum, s=shape, overwrite_x=True))
         return spread[pad_v : pad_v + rows, pad_u : pad_u + columns].astype(np.float32, copy=False)
+
+    def noise_gain(self, pitch_u: float, pitch_v: float) -> float:
+        """Standard deviation of what the point spread makes of white noise of deviation 1.
+
+        The root of the mean square of the modulation up to the Nyquist frequencies (Parseval).
+        """
+        half = (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES / 2
+        f = np.hypot(half[:, None] / pitch_v, half[None, :] / pitch_u)
+        return float(np.sqrt(np.mean(self.mtf(f) ** 2)))
 
 
 def _fast(length: int) -> int:
