@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from twinct.xray.build import (
     build_bad_pixels,
     build_response,
     build_spectrum,
+    build_spot,
     build_spread,
     effective_energy_kev,
     physical_panel,
@@ -26,6 +27,7 @@ from twinct.xray.noise import normal_noise, quantum_noise
 from twinct.xray.readout import Readout, correct, mend_bad_pixels
 from twinct.xray.scatter import ScatterKernel, compton_per_mm
 from twinct.xray.signal import Signal
+from twinct.xray.spot import moved_source
 
 Image = NDArray[np.float32]
 
@@ -60,6 +62,7 @@ class Chain:
 
     Attributes:
         panel: the physical pixels, before binning.
+        spot: points of the focal spot in the source frame's x and y, (points, 2), mm.
         samples: along each edge of a physical pixel.
         free: expected signal and its variance of a physical pixel in the free beam at the middle
             of the reference view's panel, (2,).
@@ -87,6 +90,7 @@ class Chain:
             MissingExtraError: SpekPy is needed and not installed.
         """
         spectrum = build_spectrum(source)
+        self.spot = build_spot(source)
         self.panel = physical_panel(detector)
         self.samples = detector.pixel_samples
         self._detector, self._seed = detector, seed
@@ -94,10 +98,8 @@ class Chain:
         mas = source.mas if spectrum.absolute else 1.0
         self._scale = np.float32(mas * self.panel.pitch_u * self.panel.pitch_v)
         self._reference = self.physical(reference)
-        distance = np.linalg.norm(reference.source[0] - reference.detector[0])
-        to_source = reference.source[0] - reference.detector[0]
-        at_middle = MM_PER_M**2 * float(to_source @ reference.normal[0]) / distance**3
-        self.free: Floats = self._signal.free * float(self._scale) * at_middle
+        at_middle = np.mean([_at_middle(seen) for seen in self.from_spot(reference)])
+        self.free: Floats = self._signal.free * float(self._scale) * float(at_middle)
         self._kernel: ScatterKernel | None = None
         if detector.scatter is not None:
             energy = effective_energy_kev(source, detector)
@@ -123,6 +125,11 @@ class Chain:
     def physical(self, view: ScanGeometry) -> ScanGeometry:
         """The same view on the physical pixels."""
         return ScanGeometry(view.source, view.detector, view.u, view.v, self.panel)
+
+    def from_spot(self, view: ScanGeometry) -> Iterator[ScanGeometry]:
+        """The view from each point of the focal spot."""
+        for offset in self.spot:
+            yield moved_source(view, offset) if offset.any() else view
 
     def blank(self) -> Image:
         """Where exposures add up, (2 or 3, rows, columns).
@@ -200,7 +207,13 @@ class Chain:
 
     def _flat_at(self, view: ScanGeometry) -> Image:
         detector, frames = self._detector, self._detector.correction.flat_frames
-        beam = _binned(fall_off(view, self.samples), self.samples)
+        # From every point of the spot, as the views: what a spot off its centre does must cancel.
+        first, *others = self.from_spot(view)
+        beam = _binned(fall_off(first, self.samples), self.samples)
+        for seen in others:
+            beam += _binned(fall_off(seen, self.samples), self.samples)
+        if others:
+            beam /= np.float32(len(self.spot))
         factor = self._signal.free.astype(np.float32) * self._scale
         signal = beam * factor[0]
         if self._spread is not None:
@@ -253,6 +266,13 @@ class Chain:
             photon = self.free[1] / self.free[0] / self._detector.binning**2
             return 0.5 * float(photon) * self._readout.gain
         return _DARKEST
+
+
+def _at_middle(view: ScanGeometry) -> float:
+    """``fall_off`` at the middle of the panel."""
+    to_source = view.source[0] - view.detector[0]
+    distance = float(np.linalg.norm(to_source))
+    return MM_PER_M**2 * float(to_source @ view.normal[0]) / distance**3
 
 
 def _binned(image: Image, n: int) -> Image:

@@ -15,10 +15,9 @@ from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.xray._engine import ENGINE, Upload
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
-from twinct.xray.build import build_spot, physical_panel
+from twinct.xray.build import physical_panel
 from twinct.xray.chain import Chain, Frame
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
-from twinct.xray.spot import moved_source
 
 if TYPE_CHECKING:
     from twinct.specimen import BuiltPart, BuiltSpecimen
@@ -90,7 +89,6 @@ class Imager:
             self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
             ENGINE.acquire(bodies, source.energy_kev, self.panel)
         else:
-            self._spot = build_spot(source)
             corners = np.array([part.mesh.bounds for part in specimen.parts])
             self._centre = (corners[:, 0].min(axis=0) + corners[:, 1].max(axis=0)) / 2
             self._materials = tuple(dict.fromkeys(part.material for part in specimen.parts))
@@ -178,12 +176,9 @@ class Imager:
         """Mean and mean square of the signal, (2, rows, columns) of the physical pixels."""
         assert self._paths is not None
         expected = chain.blank()
-        share = 1.0 / (len(path) * len(self._spot))
+        share = 1.0 / (len(path) * len(chain.spot))
         for geometry, world_from_object in path:
-            for offset in self._spot:
-                seen = chain.physical(geometry)
-                if offset.any():
-                    seen = moved_source(seen, offset)
+            for seen in chain.from_spot(chain.physical(geometry)):
                 chain.add(self._paths.render(seen, world_from_object), seen, expected, share)
         return expected
 
