@@ -214,3 +214,95 @@ def test_reconstruction_keys_that_exclude_each_other() -> None:
     words = load_scenario(DEMO, ["reconstruction.algorithm=fista_tv"]).reconstruction.in_words
     assert words.startswith("fista_tv, 10 iterations, regularisation 0.0001, weighting uniform")
     assert "non-negative" in words
+
+
+TUBE = "source.spectrum={kind: tube, kvp: 90}"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "reason"),
+    [
+        (
+            ["detector.readout={saturation: 100}"],
+            "detector.readout: offset (500) must be below saturation (100)",
+        ),
+        (
+            ["detector.readout={bits: 8, offset: 5}"],
+            "detector.readout: the free beam saturates: offset (5) + free_beam (50000) = 50005 "
+            "exceeds the largest value of 8 bits (255)",
+        ),
+        (
+            ["detector.readout={saturation: 50499}"],
+            "= 50500 exceeds saturation (50499)",
+        ),
+        (
+            [TUBE, "reconstruction.beam_hardening={kind: two_materials, base: bone}"],
+            "reconstruction.beam_hardening: base and dense are the same material, 'bone'",
+        ),
+        (
+            ["reconstruction.beam_hardening={kind: one_material}"],
+            "reconstruction.beam_hardening needs a source.spectrum",
+        ),
+        (["source.exposure_ms=60001"], "source.exposure_ms: must be less than or equal to 60000"),
+        (
+            ["source.spectrum={kind: tube, kvp: 51, target: Mo}"],
+            "source.spectrum: kvp (51) must be at most 50 with target Mo",
+        ),
+    ],
+)
+def test_keys_that_contradict_each_other_are_refused(overrides: list[str], reason: str) -> None:
+    text = problems(*overrides)
+    assert text.startswith(f"--set {overrides[-1]}: ") and reason in text
+    assert len(text.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "detector.readout={bits: null, free_beam: 1e9}",
+        "detector.readout={saturation: 50500}",
+        "source.spectrum={kind: tube, kvp: 50, target: Rh}",
+        "source.exposure_ms=60000",
+    ],
+)
+def test_keys_that_just_fit_are_taken(override: str) -> None:
+    load_scenario(DEMO, [override])
+
+
+def test_a_conflict_of_keys_is_told_where_the_last_of_them_was_set(tmp_path: Path) -> None:
+    base, file = tmp_path / "base.yaml", tmp_path / "mine.yaml"
+    base.write_text(f"extends: {DEMO}\nsource:\n  spectrum: {{kind: tube, kvp: 90}}\n")
+    noise = "detector:\n  rows: 32\n  noise: {kind: quantum}\n"
+    file.write_text(f"extends: {DEMO}\nname: x\n{noise}")
+    assert problems(path=file).startswith(f"{file}:5: detector.noise of kind 'quantum' needs")
+    file.write_text(f"extends: base.yaml\n{noise}\nsource: {{spectrum: null}}\n")
+    assert problems(path=file).startswith(f"{file}:6: detector.noise")
+    file.write_text(f"extends: base.yaml\n{noise}")
+    load_scenario(file)
+    override = "source.spectrum=null"
+    assert problems(override, path=file).startswith(f"--set {override}: detector.noise")
+    # A key set before among those set later is not to blame.
+    base.write_text(f"extends: {DEMO}\ntrajectory: {{sod_mm: 500}}\n")
+    file.write_text("extends: base.yaml\n\ntrajectory:\n  views: 3\n  sdd_mm: 400\n")
+    assert problems(path=file).startswith(f"{file}:5: trajectory: sdd_mm (400)")
+    assert problems("trajectory.views=4", path=file).startswith(f"{file}:5: trajectory: sdd_mm")
+
+
+def test_conflicts_of_several_sections_are_all_told() -> None:
+    text = problems(
+        "detector.noise={kind: quantum}",
+        "reconstruction.beam_hardening={kind: one_material}",
+        "reconstruction.subsets=500",
+    )
+    assert [line.split(": ", 1)[0] for line in text.splitlines()] == [
+        "--set detector.noise={kind",
+        "--set reconstruction.subsets=500",
+        "--set reconstruction.beam_hardening={kind",
+    ]
+
+
+def test_a_dotted_key_in_a_file_is_named_in_its_own_line(tmp_path: Path) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text(f"extends: {DEMO}\n\nsource.spectrum: x\n")
+    text = problems(path=file)
+    assert text.startswith(f"{file}:3: source.spectrum: unknown key; a file nests its keys")

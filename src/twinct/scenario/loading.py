@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from twinct.errors import InputError, ScenarioError
+from twinct.scenario.section import Conflict, ConflictError
 from twinct.scenario.sections import Scenario
 
 Key = tuple[str | int, ...]
@@ -37,7 +38,7 @@ _Loader.add_implicit_resolver(
 
 @dataclass
 class _Draft:
-    """Merged raw data, and for each key the place that set it.
+    """Merged raw data, and for each key the place that set it, in the order of setting.
 
     A section counts as set by the last file or override that set one of its keys: what is wrong
     with a section as a whole became so there.
@@ -51,6 +52,18 @@ class _Draft:
         while key and key not in self.origins:
             key = key[:-1]
         return self.origins.get(key, "")
+
+    def record(self, places: Mapping[Key, str]) -> None:
+        """Note who set what, after all that was set before."""
+        for key, place in places.items():
+            self.origins.pop(key, None)
+            self.origins[key] = place
+
+    def last_origin(self, keys: Iterable[Key]) -> str:
+        """The place that set the last of some keys; of the section around them if it set none."""
+        keys = list(keys)
+        order = {key: rank for rank, key in enumerate(self.origins)}
+        return self.origin(max(keys, key=lambda key: order.get(key, -1)))
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
@@ -66,7 +79,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     draft = _draft(path, overrides)
     scenario = _validate(draft)
     missing = [
-        f"{_place(draft, tuple(key.split('.')))}no file at {file}"
+        f"{_place(draft, _key(key))}no file at {file}"
         for key, file in scenario.files().items()
         if not file.exists()
     ]
@@ -216,13 +229,13 @@ def _merge(base: _Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key
             kind = old.get("kind")
             if value.get("kind", kind) == kind:
                 _merge(base, value, origins, inner)
-                base.origins[inner] = origins[inner]
+                base.record({inner: origins[inner]})
                 continue
         here[name] = value
         stale = [k for k in base.origins if k[: len(inner)] == inner]
         for k in stale:
             del base.origins[k]
-        base.origins |= {k: v for k, v in origins.items() if k[: len(inner)] == inner}
+        base.record({k: v for k, v in origins.items() if k[: len(inner)] == inner})
 
 
 def _apply_override(draft: _Draft, override: str) -> None:
@@ -262,7 +275,7 @@ def _apply_override(draft: _Draft, override: str) -> None:
         else:
             here = here[index]
     draft.origins = {k: v for k, v in draft.origins.items() if k[: len(key)] != key}
-    draft.origins |= {key[:depth]: place for depth in range(1, len(key) + 1)}
+    draft.record({key[:depth]: place for depth in range(1, len(key) + 1)})
 
 
 def _start_afresh(draft: _Draft, section: dict[str, Any], key: Key) -> None:
@@ -297,8 +310,13 @@ def _validate(draft: _Draft) -> Scenario:
 def _problems(draft: _Draft, error: ValidationError) -> list[str]:
     """One sentence a problem: of a union's branches only those that the value could have meant."""
     found: dict[Key, list[tuple[bool, str]]] = {}
+    conflicts: list[str] = []
     for detail in error.errors():
         key, model = _plain_key(detail["loc"], draft.data)
+        cause = detail.get("ctx", {}).get("error")
+        if isinstance(cause, ConflictError):
+            conflicts += (_blamed(draft, key, conflict) for conflict in cause.conflicts)
+            continue
         if detail["type"] == "union_tag_invalid" and _exists(draft.data, [*key, "kind"]):
             key = (*key, "kind")
         wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
@@ -311,11 +329,20 @@ def _problems(draft: _Draft, error: ValidationError) -> list[str]:
             meant = [text for _, text in parts]
         if meant:
             sentences.append(_place(draft, key) + " or ".join(dict.fromkeys(meant)))
-    return sentences
+    return sentences + conflicts
+
+
+def _blamed(draft: _Draft, section: Key, conflict: Conflict) -> str:
+    """A conflict at the place of the last of its keys that was set."""
+    origin = draft.last_origin((*section, *_key(key)) for key in conflict.keys)
+    return _prefix(origin, section) + conflict.message
 
 
 def _place(draft: _Draft, key: Key) -> str:
-    origin = draft.origin(_key(".".join(map(str, key)))) if key else draft.origin(())
+    return _prefix(draft.origin(key), key)
+
+
+def _prefix(origin: str, key: Key) -> str:
     return (f"{origin}: " if origin else "") + (".".join(map(str, key)) + ": " if key else "")
 
 
@@ -342,6 +369,8 @@ def _sentence(detail: Any, key: Key, model: type[BaseModel] | None) -> str:
         known = list(model.model_fields) if model else []
         near = difflib.get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
         hint = f"; did you mean {near[0]!r}?" if near else ""
+        if "." in str(key[-1]):
+            hint = "; a file nests its keys, dots are for --set"
         return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
     if kind == "missing":
         return "this key is needed and missing"

@@ -7,7 +7,16 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.geometry import Pose, VolumeGrid
-from twinct.scenario.section import Lengths, NonNegative, Positive, Section, Vector, facts
+from twinct.scenario.section import (
+    Conflict,
+    ConflictError,
+    Lengths,
+    NonNegative,
+    Positive,
+    Section,
+    Vector,
+    facts,
+)
 from twinct.scenario.xray import BeamHardening
 
 
@@ -142,9 +151,11 @@ class Reconstruction(Section):
     @model_validator(mode="after")
     def _possible(self) -> Reconstruction:
         if self.engine == "rtk" and self.algorithm != "sart":
-            raise ValueError(f"engine rtk has the algorithm sart only, not {self.algorithm}")
+            message = f"engine rtk has the algorithm sart only, not {self.algorithm}"
+            raise ConflictError(Conflict(message, ("engine", "algorithm")))
         if self.algorithm == "cgls" and self.nonnegative:
-            raise ValueError("nonnegative is not possible with cgls: use sirt or fista_tv")
+            message = "nonnegative is not possible with cgls: use sirt or fista_tv"
+            raise ConflictError(Conflict(message, ("nonnegative", "algorithm")))
         return self
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
@@ -21,6 +21,27 @@ def facts(*, unit: str = "", source: str = "") -> dict[str, JsonValue]:
         source: where its default or its definition comes from.
     """
     return {f"x-{name}": text for name, text in (("unit", unit), ("source", source)) if text}
+
+
+class Conflict(NamedTuple):
+    """Keys that do not go together.
+
+    Attributes:
+        message: what is wrong.
+        keys: dotted, below the section that says so; the last one that was set is to blame.
+    """
+
+    message: str
+    keys: tuple[str, ...]
+
+
+class ConflictError(ValueError):
+    """Raised by a section's validator: each conflict gets the place of its keys."""
+
+    def __init__(self, *conflicts: Conflict) -> None:
+        """Keep all of them."""
+        super().__init__("; ".join(conflict.message for conflict in conflicts))
+        self.conflicts = conflicts
 
 
 class Section(BaseModel):

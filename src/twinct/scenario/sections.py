@@ -17,7 +17,17 @@ from pydantic import Field, field_validator, model_validator
 from twinct.geometry import Pose
 from twinct.scenario.composition import Composition
 from twinct.scenario.reconstruction import Reconstruction
-from twinct.scenario.section import Finite, Lengths, NonNegative, Positive, Section, Vector, facts
+from twinct.scenario.section import (
+    Conflict,
+    ConflictError,
+    Finite,
+    Lengths,
+    NonNegative,
+    Positive,
+    Section,
+    Vector,
+    facts,
+)
 from twinct.scenario.xray import Detector, Source, TubeSpectrum
 
 
@@ -42,10 +52,11 @@ class _Orbit(Section):
     @model_validator(mode="after")
     def _isocentre_between(self) -> _Orbit:
         if self.sdd_mm <= self.sod_mm:
-            raise ValueError(
+            message = (
                 f"sdd_mm ({self.sdd_mm:g}) must exceed sod_mm ({self.sod_mm:g}): "
                 "the isocentre lies between source and panel"
             )
+            raise ConflictError(Conflict(message, ("sdd_mm", "sod_mm")))
         return self
 
 
@@ -435,25 +446,41 @@ class Scenario(Section):
     )
 
     @model_validator(mode="after")
-    def _photon_number(self) -> Scenario:
-        quantum = self.detector.noise is not None and self.detector.noise.kind == "quantum"
-        tube = isinstance(self.source.spectrum, TubeSpectrum)
-        if quantum and not tube and self.source.photons_per_mm2_mas is None:
-            raise ValueError(
-                "detector.noise of kind 'quantum' needs a photon number: give "
-                "source.photons_per_mm2_mas, or a source.spectrum of kind 'tube'"
-            )
+    def _sections_go_together(self) -> Scenario:
+        found = (self._photon_number(), self._subsets(), self._something_to_correct())
+        if conflicts := [conflict for conflict in found if conflict is not None]:
+            raise ConflictError(*conflicts)
         return self
 
-    @model_validator(mode="after")
-    def _no_more_subsets_than_views(self) -> Scenario:
+    def _photon_number(self) -> Conflict | None:
+        quantum = self.detector.noise is not None and self.detector.noise.kind == "quantum"
+        tube = isinstance(self.source.spectrum, TubeSpectrum)
+        if not quantum or tube or self.source.photons_per_mm2_mas is not None:
+            return None
+        return Conflict(
+            "detector.noise of kind 'quantum' needs a photon number: give "
+            "source.photons_per_mm2_mas, or a source.spectrum of kind 'tube'",
+            ("detector.noise", "source.photons_per_mm2_mas", "source.spectrum"),
+        )
+
+    def _subsets(self) -> Conflict | None:
         views = getattr(self.trajectory, "views", None)
         subsets = self.reconstruction.subsets
-        if views is not None and subsets is not None and subsets > views:
-            raise ValueError(
-                f"reconstruction.subsets ({subsets}) must be at most trajectory.views ({views})"
-            )
-        return self
+        if views is None or subsets is None or subsets <= views:
+            return None
+        return Conflict(
+            f"reconstruction.subsets ({subsets}) must be at most trajectory.views ({views})",
+            ("reconstruction.subsets", "trajectory.views"),
+        )
+
+    def _something_to_correct(self) -> Conflict | None:
+        if self.reconstruction.beam_hardening is None or self.source.spectrum is not None:
+            return None
+        return Conflict(
+            "reconstruction.beam_hardening needs a source.spectrum: a beam of one energy, as here, "
+            "does not harden",
+            ("reconstruction.beam_hardening", "source.spectrum"),
+        )
 
     def resolved(self) -> str:
         """The whole scenario, defaults included, as canonical JSON."""

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twinct.geometry import Panel
 from twinct.scenario.composition import Composition
-from twinct.scenario.section import NonNegative, Positive, Section, facts
+from twinct.scenario.section import (
+    Conflict,
+    ConflictError,
+    NonNegative,
+    Positive,
+    Section,
+    facts,
+)
 
 Pair = tuple[Positive, Positive]
+
+MOST_KV = 50.0
+"""Highest tube voltage for which SpekPy knows molybdenum and rhodium."""
 
 
 class Filter(Section):
@@ -32,7 +43,7 @@ class TubeSpectrum(Section):
     kvp: float = Field(
         ge=20,
         le=300,
-        description="Tube voltage.",
+        description="Tube voltage: up to 300 kV for W, up to 50 kV for Mo and Rh.",
         json_schema_extra=facts(source="SpekPy (Poludniowski et al., Med. Phys. 48 (2021) 3630)"),
     )
     anode_angle_deg: float = Field(
@@ -52,12 +63,24 @@ class TubeSpectrum(Section):
     )
     bins: int = Field(default=60, ge=1, le=1000, description="Energy bins at most.")
 
+    @model_validator(mode="after")
+    def _range_of_the_target(self) -> TubeSpectrum:
+        if self.target != "W" and self.kvp > MOST_KV:
+            message = (
+                f"kvp ({self.kvp:g}) must be at most {MOST_KV:g} with target {self.target}: SpekPy "
+                "knows no more of it"
+            )
+            raise ConflictError(Conflict(message, ("kvp", "target")))
+        return self
+
 
 class FileSpectrum(Section):
     """A tabulated spectrum."""
 
     kind: Literal["file"]
-    path: Path = Field(description="Two columns: energy in keV, photons of that bin.")
+    path: Path = Field(
+        description="Two columns: energy in keV (rising, 0.1 to 800), photons of that bin."
+    )
     filters: tuple[Filter, ...] = Field(
         default=(), description="Plates between this spectrum and the specimen."
     )
@@ -77,14 +100,19 @@ class GaussianSpot(_Spot):
     """A focal spot of Gaussian intensity."""
 
     kind: Literal["gaussian"]
-    sigma_mm: Positive | Pair = Field(description="Standard deviation; two numbers for (x, y).")
+    sigma_mm: Positive | Pair = Field(
+        description="Standard deviation; two numbers for (x, y). 4 sigma are at most a quarter of "
+        "the distance to the panel."
+    )
 
 
 class SquareSpot(_Spot):
     """A rectangle of constant intensity."""
 
     kind: Literal["square"]
-    size_mm: Positive | Pair = Field(description="Edge; two numbers for (x, y).")
+    size_mm: Positive | Pair = Field(
+        description="Edge; two numbers for (x, y). At most a quarter of the distance to the panel."
+    )
 
 
 class ImageSpot(_Spot):
@@ -92,7 +120,10 @@ class ImageSpot(_Spot):
 
     kind: Literal["image"]
     path: Path = Field(description="Intensity as .npy, or an image; row 0 at the lowest y.")
-    size_mm: Positive | Pair = Field(description="Edge of the image; two numbers for (x, y).")
+    size_mm: Positive | Pair = Field(
+        description="Edge of the image; two numbers for (x, y). At most a quarter of the distance "
+        "to the panel."
+    )
 
 
 Spot = Annotated[GaussianSpot | SquareSpot | ImageSpot, Field(discriminator="kind")]
@@ -120,7 +151,13 @@ class Source(Section):
         json_schema_extra=facts(unit="1/(mm^2 mAs)", source="a tube's: SpekPy"),
     )
     current_ma: Positive = Field(default=1.0, description="Tube current.")
-    exposure_ms: Positive = Field(default=10.0, description="How long the shutter is open.")
+    exposure_ms: float = Field(
+        default=10.0,
+        gt=0,
+        le=60_000,
+        description="How long the shutter is open. With motion_samples above 1 the arms are "
+        "simulated for as long in every view.",
+    )
     motion_samples: int = Field(
         default=1,
         ge=1,
@@ -177,7 +214,10 @@ class FileResponse(Section):
     """A measured quantum efficiency."""
 
     kind: Literal["file"]
-    path: Path = Field(description="Two columns: energy in keV, share of photons absorbed.")
+    path: Path = Field(
+        description="Two columns: energy in keV (rising), share of photons absorbed (0 to 1). At "
+        "most 0.1 % of the source's photons may lie outside its energies."
+    )
 
 
 Response = Annotated[
@@ -200,7 +240,11 @@ class FileSpread(Section):
     """A measured modulation transfer function."""
 
     kind: Literal["mtf"]
-    path: Path = Field(description="Two columns: spatial frequency in 1/mm, modulation.")
+    path: Path = Field(
+        description="Two columns: spatial frequency in 1/mm (rising from 0), modulation (1 at 0; 0 "
+        "to 1.05). Linear between, 0 beyond the last row, which is at the Nyquist frequency of the "
+        "physical pixels or above, or has a modulation of at most 0.1."
+    )
 
 
 PointSpread = Annotated[GaussianSpread | FileSpread, Field(discriminator="kind")]
@@ -253,9 +297,36 @@ class Readout(Section):
     )
     saturation: Positive | None = Field(
         default=None,
-        description="Grey value of saturation; the converter's largest where null.",
+        description="Grey value of saturation; the converter's largest where null. The free beam "
+        "stays below it: offset + free_beam.",
         json_schema_extra=facts(unit="grey values"),
     )
+
+    @property
+    def largest(self) -> float:
+        """The largest grey value there is."""
+        ends = (None if self.bits is None else 2.0**self.bits - 1, self.saturation)
+        return min((end for end in ends if end is not None), default=math.inf)
+
+    @model_validator(mode="after")
+    def _free_beam_fits(self) -> Readout:
+        beam = self.offset + self.free_beam
+        if beam <= self.largest:
+            return self
+        end = (
+            f"saturation ({self.largest:g})"
+            if self.largest == self.saturation
+            else f"the largest value of {self.bits} bits ({self.largest:g})"
+        )
+        keys = ("free_beam", "offset", "saturation", "bits")
+        if self.offset >= self.largest:
+            message = f"offset ({self.offset:g}) must be below {end}: no signal could be read"
+        else:
+            message = (
+                f"the free beam saturates: offset ({self.offset:g}) + free_beam "
+                f"({self.free_beam:g}) = {beam:g} exceeds {end}"
+            )
+        raise ConflictError(Conflict(message, keys))
 
 
 class RandomBadPixels(Section):
@@ -315,12 +386,19 @@ class TwoMaterialHardening(Section):
     )
     dense: str | Composition = Field(
         default="bone",
-        description="Material that is segmented.",
+        description="Material that is segmented; it attenuates more than base.",
         json_schema_extra=facts(source="the same"),
     )
     first_iterations: int = Field(
         default=3, ge=1, description="SART iterations of the volume that is segmented."
     )
+
+    @model_validator(mode="after")
+    def _two(self) -> TwoMaterialHardening:
+        if self.base == self.dense:
+            message = f"base and dense are the same material, {self.base!r}: use one_material"
+            raise ConflictError(Conflict(message, ("base", "dense")))
+        return self
 
 
 BeamHardening = Annotated[OneMaterialHardening | TwoMaterialHardening, Field(discriminator="kind")]
