@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.errors import InputError
 from twinct.geometry import ScanGeometry
 from twinct.scan import Workshop
 from twinct.scenario import Scenario
+from twinct.scenario.xray import BeamHardening
+
+if TYPE_CHECKING:
+    from twinct.specimen.materials import Material
+
+_KEY = "reconstruction.beam_hardening"
 
 
 def hardening_corrected(
@@ -23,24 +32,20 @@ def hardening_corrected(
     section = scenario.reconstruction.beam_hardening
     if section is None:
         return integrals
-    from twinct.specimen.materials import material
     from twinct.xray.build import build_response, build_spectrum
     from twinct.xray.hardening import Hardening
 
     source, detector = scenario.source, scenario.detector
     energy = effective_energy(scenario)
     known = build_spectrum(source), build_response(detector)
-    origin = "reconstruction.beam_hardening"
+    materials = _materials(section)
     if section.kind == "one_material":
-        if section.material is None:
-            substance = Workshop(scenario).specimen.reference_part.material
-        else:
-            substance = material(section.material, f"{origin}.material")
-        return Hardening(*known, [substance], energy).correct(integrals)
+        substances = materials or [Workshop(scenario).specimen.reference_part.material]
+        return Hardening(*known, substances, energy).correct(integrals)
 
     from twinct.recon import Projector, sart
 
-    base, dense = (material(getattr(section, n), f"{origin}.{n}") for n in ("base", "dense"))
+    base, dense = materials
     projector = Projector(geometry, scenario.reconstruction.grid.volume_grid)
     volume = sart(
         projector,
@@ -54,6 +59,44 @@ def hardening_corrected(
     paths = projector(share)
     hardening = Hardening(*known, [base, dense], energy, float(paths.max()))
     return np.stack([hardening.correct(*view) for view in zip(integrals, paths, strict=True)])
+
+
+def check_hardening(scenario: Scenario) -> None:
+    """Look at what the correction needs, before any work.
+
+    Raises:
+        InputError: unknown materials, each with its key, or a dense one that attenuates less.
+    """
+    section = scenario.reconstruction.beam_hardening
+    if section is None:
+        return
+    materials = _materials(section)
+    if section.kind == "two_materials":
+        energy = effective_energy(scenario)
+        base, dense = (substance.mu_per_mm(energy) for substance in materials)
+        if dense <= base:
+            raise InputError(
+                f"{_KEY}.dense: {materials[1].name} attenuates by {dense:.3g}/mm at {energy:.4g} "
+                f"keV, {_KEY}.base: {materials[0].name} by {base:.3g}/mm: dense must exceed base"
+            )
+
+
+def _materials(section: BeamHardening) -> list[Material]:
+    """Those that the section names: none, one, or base and dense."""
+    from twinct.specimen.materials import material
+
+    names = ("material",) if section.kind == "one_material" else ("base", "dense")
+    found: list[Material] = []
+    problems: list[str] = []
+    for name in names:
+        if (described := getattr(section, name)) is not None:
+            try:
+                found.append(material(described, f"{_KEY}.{name}"))
+            except InputError as error:
+                problems += error.problems
+    if problems:
+        raise InputError(problems)
+    return found
 
 
 def effective_energy(scenario: Scenario) -> float:

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import InputError, TrajectoryError
+from twinct.errors import InputError, MissingExtraError, TrajectoryError
 from twinct.evaluate import ImageFigures, image_figures, region_of_interest, sight
 from twinct.extras import require
 from twinct.geometry import Pose, ScanGeometry
-from twinct.hardening import effective_energy
+from twinct.hardening import check_hardening, effective_energy
 from twinct.reconstruction import (
     SILENT,
     Progress,
@@ -42,6 +42,7 @@ __all__ = [
     "Progress",
     "Truth",
     "acquire_to_store",
+    "check_physics",
     "check_sight",
     "effective_energy",
     "judge",
@@ -72,10 +73,12 @@ def simulate(
         progress: told of each view.
 
     Raises:
+        InputError: a file or material of the source or the detector that cannot be used.
         TrajectoryError: views that cannot be reached, or would collide; before anything moves.
         MotionError: the arms did not arrive.
     """
     workshop = workshop or Workshop(scenario)
+    check_physics(workshop)
     views: list[View] = []
     names: tuple[str, ...] = ()
     with local_rig(workshop) as rig, progress.stage("views", len(workshop.targets)) as step:
@@ -279,6 +282,31 @@ def check_sight(workshop: Workshop) -> list[str]:
 def _views(views: tuple[int, ...]) -> str:
     few = ", ".join(map(str, views[:8])) + (", ..." if len(views) > 8 else "")
     return f"view {few}" if len(views) == 1 else f"{len(views)} views ({few})"
+
+
+def check_physics(workshop: Workshop) -> None:
+    """Make sure that source, detector and corrections can be built, before any other work.
+
+    Raises:
+        InputError: every file, material or number that cannot be used, each with its key.
+        MissingExtraError: SpekPy is needed and not installed.
+    """
+    from twinct.xray.check import check_parts
+
+    scenario = workshop.scenario
+    problems: list[str] = []
+    for check in (
+        lambda: check_parts(scenario.source, scenario.detector, workshop.commanded, scenario.seed),
+        lambda: check_hardening(scenario),
+    ):
+        try:
+            check()
+        except MissingExtraError:
+            raise
+        except InputError as error:
+            problems += error.problems
+    if problems:  # both need the spectrum, and may say the same of it
+        raise InputError(dict.fromkeys(problems))
 
 
 def require_extras(scenario: Scenario) -> None:

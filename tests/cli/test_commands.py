@@ -179,6 +179,45 @@ def test_bad_scenarios_get_one_line_a_problem(capfd, tmp_path: Path) -> None:
     assert "SCENARIO" in bad(capfd, "run", "--out", "x")
 
 
+@pytest.mark.parametrize("name", ["check", "run"])
+def test_bad_physics_is_named_before_any_work(capfd, tmp_path: Path, name: str) -> None:
+    for file in ("spectrum.txt", "spot.png", "map.npy", "mtf.txt", "efficiency.txt"):
+        (tmp_path / file).write_text("")
+    file = tmp_path / "x.yaml"
+    file.write_text(
+        f"extends: {DEMO}\n"
+        "source:\n"
+        "  spectrum: {kind: file, path: spectrum.txt}\n"
+        "  focal_spot: {kind: image, path: spot.png, size_mm: 1}\n"
+        "detector:\n"
+        "  response: {kind: file, path: efficiency.txt}\n"
+        "  point_spread: {kind: mtf, path: mtf.txt}\n"
+        "  bad_pixels: {kind: file, path: map.npy}\n"
+        "reconstruction:\n"
+        "  beam_hardening: {kind: two_materials, base: kryptonite}\n"
+    )
+    out = tmp_path / "out"
+    more = ["--out", str(out), "--link", "local"] if name == "run" else []
+    stderr = bad(capfd, name, str(file), *more)
+    assert sorted(line.split(": ")[1:3] for line in stderr.splitlines()) == [
+        [f"{file}:10", "reconstruction.beam_hardening.base"],
+        [f"{file}:3", "source.spectrum.path"],
+        [f"{file}:4", "source.focal_spot.path"],
+        [f"{file}:6", "detector.response.path"],
+        [f"{file}:7", "detector.point_spread.path"],
+        [f"{file}:8", "detector.bad_pixels.path"],
+    ]
+    assert not out.exists()
+
+
+def test_a_dense_material_must_be_the_denser(capfd) -> None:
+    swapped = "reconstruction.beam_hardening={kind: two_materials, base: bone, dense: water}"
+    tube = "source.spectrum={kind: tube, kvp: 80}"
+    stderr = bad(capfd, "check", DEMO, "--set", tube, "--set", swapped)
+    assert stderr.startswith(f"twinct: --set {swapped}: reconstruction.beam_hardening.dense: water")
+    assert len(stderr.splitlines()) == 1
+
+
 def test_bad_specimens_are_named(capfd, tmp_path: Path) -> None:
     import trimesh
 

@@ -42,13 +42,14 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
     Names every view that an arm cannot reach or that would collide.
     """
     from twinct.cli.run import summary, warn
-    from twinct.pipeline import check_sight, require_extras, require_feasible
+    from twinct.pipeline import check_physics, check_sight, require_extras, require_feasible
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
     workshop = Workshop(loaded)
     with named_places(scenario, set_):
+        check_physics(workshop)
         require_feasible(loaded, workshop.commanded)
         warn(check_sight(workshop))
         Console().print(summary(workshop))

@@ -28,6 +28,7 @@ from twinct.evaluate import ImageFigures, pose_errors
 from twinct.pipeline import (
     Truth,
     acquire_to_store,
+    check_physics,
     check_sight,
     judge,
     local_rig,
@@ -218,24 +219,25 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     if resume and folder.finished(scenario):
         console.print(f"{folder.path} is complete; the report is {folder.report}", highlight=False)
         return
+    workshop = Workshop(scenario)
+    check_physics(workshop)
     with contextlib.ExitStack() as stack:
         with seconds.stage("link"):
             make_rig = _link(link, folder, console, stack)
-        _run(scenario, folder, console, seconds, link, make_rig, resume=resume)
+        _run(workshop, folder, seconds, link, make_rig, resume=resume)
     _say_result(console, folder)
 
 
 def _run(
-    scenario: Scenario,
+    workshop: Workshop,
     folder: Folder,
-    console: Console,
     seconds: _Seconds,
     link: Link,
     make_rig: MakeRig,
     *,
     resume: bool,
 ) -> None:
-    progress, workshop = TerminalProgress(), Workshop(scenario)
+    progress, scenario = TerminalProgress(), workshop.scenario
     require_feasible(scenario, workshop.commanded)
     out = folder.path
     check_space(out, scenario, len(workshop.targets))

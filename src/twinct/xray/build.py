@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct import scenario
-from twinct.errors import InputError
+from twinct.errors import InputError, MissingExtraError
 from twinct.geometry import Floats, Panel
 from twinct.scenario import xray as sections
 from twinct.specimen.materials import Material, material
 from twinct.uncertainty import view_rng
 from twinct.xray.response import Response
-from twinct.xray.spectrum import Spectrum
+from twinct.xray.spectrum import Spectrum, attenuation
 from twinct.xray.spot import gaussian_spot, image_spot, read_image, square_spot
 from twinct.xray.spread import PointSpread
 
@@ -22,12 +25,16 @@ SCINTILLATORS = {
 }
 """Solid densities; a powder screen is given by its own composition."""
 
+_FAINTEST = 1e-9
+"""Least share of its photons that a spectrum must keep behind its filters."""
+
 
 def build_spectrum(source: scenario.Source) -> Spectrum:
     """What the source emits, behind its filters.
 
     Raises:
-        InputError: a file that is no spectrum, a tube that SpekPy does not know.
+        InputError: a file that is no spectrum, a tube that SpekPy does not know, filters that let
+            nothing through.
         MissingExtraError: SpekPy is not installed.
     """
     photons = source.photons_per_mm2_mas
@@ -37,14 +44,40 @@ def build_spectrum(source: scenario.Source) -> Spectrum:
     if isinstance(section, sections.TubeSpectrum):
         from twinct.xray.tube import tube_spectrum
 
-        spectrum = tube_spectrum(section.kvp, section.anode_angle_deg, target=section.target)
+        with _named("source.spectrum"):
+            spectrum = tube_spectrum(section.kvp, section.anode_angle_deg, target=section.target)
     else:
-        spectrum = Spectrum.read(section.path)
-    for i, plate in enumerate(section.filters):
-        substance = material(plate.material, f"source.spectrum.filters.{i}.material")
-        spectrum = spectrum.filtered(substance, plate.thickness_mm)
-    spectrum = spectrum.rebinned(section.bins)
+        with _named("source.spectrum.path"):
+            spectrum = Spectrum.read(section.path)
+    spectrum = _filtered(spectrum, section.filters).rebinned(section.bins)
     return spectrum if photons is None else spectrum.scaled(photons)
+
+
+def _filtered(spectrum: Spectrum, filters: Sequence[sections.Filter]) -> Spectrum:
+    """Behind all plates; refused where less than ``_FAINTEST`` of the photons is left."""
+    plates: list[tuple[Material, float]] = []
+    problems: list[str] = []
+    for i, plate in enumerate(filters):
+        try:
+            substance = material(plate.material, f"source.spectrum.filters.{i}.material")
+            plates.append((substance, plate.thickness_mm))
+        except InputError as error:
+            problems += error.problems
+    if problems:
+        raise InputError(problems)
+    depth = np.zeros_like(spectrum.photons)
+    for substance, thickness in plates:
+        depth += attenuation(substance, spectrum.energies_kev) * thickness
+    share = float(spectrum.photons @ np.exp(-depth) / spectrum.total)
+    if share < _FAINTEST:
+        listed = " and ".join(f"{thickness:g} mm {what.name}" for what, thickness in plates)
+        raise InputError(
+            f"source.spectrum.filters: {listed} let {share:.1g} of the photons through; "
+            f"at least {_FAINTEST:g} must be left of a beam"
+        )
+    for substance, thickness in plates:
+        spectrum = spectrum.filtered(substance, thickness)
+    return spectrum
 
 
 def build_response(detector: scenario.Detector) -> Response:
@@ -59,7 +92,8 @@ def build_response(detector: scenario.Detector) -> Response:
     if isinstance(section, sections.IntegratingResponse):
         return Response.integrating()
     if isinstance(section, sections.FileResponse):
-        return Response.read_efficiency(section.path)
+        with _named("detector.response.path"):
+            return Response.read_efficiency(section.path)
     substance: Material
     if isinstance(section.material, str):
         substance = material(SCINTILLATORS[section.material])
@@ -93,38 +127,48 @@ def build_spot(source: scenario.Source) -> Floats:
         return gaussian_spot(*_pair(section.sigma_mm), section.samples)
     if isinstance(section, sections.SquareSpot):
         return square_spot(*_pair(section.size_mm), section.samples)
-    image = read_image(section.path, "a focal spot")
-    return image_spot(image, *_pair(section.size_mm), section.samples)
+    with _named("source.focal_spot.path"):
+        image = read_image(section.path, "a focal spot")
+        with _named(str(section.path)):
+            return image_spot(image, *_pair(section.size_mm), section.samples)
 
 
 def build_spread(detector: scenario.Detector) -> PointSpread | None:
     """The detector's point spread.
 
     Raises:
-        InputError: a file that is no MTF.
+        InputError: a file that is no MTF, or ends where it still matters.
     """
     section = detector.point_spread
     if section is None:
         return None
     if isinstance(section, sections.GaussianSpread):
         return PointSpread.gaussian(section.sigma_mm)
-    return PointSpread.read(section.path)
+    panel = physical_panel(detector)
+    with _named("detector.point_spread.path"):
+        spread = PointSpread.read(section.path)
+        with _named(str(section.path)):
+            spread.check_end(min(panel.pitch_u, panel.pitch_v))
+    return spread
 
 
 def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_]:
     """Dead pixels, (rows, columns).
 
     Raises:
-        InputError: a map of another shape.
+        InputError: a map of another shape, or without a good pixel.
     """
     shape, section = detector.panel.shape, detector.bad_pixels
     if section is None:
         return np.zeros(shape, dtype=bool)
     if isinstance(section, sections.RandomBadPixels):
         return view_rng(seed, "bad pixels", 0).random(shape) < section.share
-    bad = read_image(section.path, "bad pixels") != 0
-    if bad.shape != shape:
-        raise InputError(f"{section.path}: a map of {bad.shape} pixels, the panel has {shape}")
+    with _named("detector.bad_pixels.path"):
+        bad = read_image(section.path, "bad pixels") != 0
+        if bad.shape != shape:
+            raise InputError(f"{section.path}: a map of {bad.shape} pixels, the panel has {shape}")
+        if bad.all():
+            raise InputError(f"{section.path}: every pixel is bad (not 0): one good one is needed")
     return bad
 
 
@@ -132,6 +176,17 @@ def physical_panel(detector: scenario.Detector) -> Panel:
     """The lattice before binning."""
     panel, n = detector.panel, detector.binning
     return Panel(panel.rows * n, panel.columns * n, panel.pitch_u / n, panel.pitch_v / n)
+
+
+@contextmanager
+def _named(origin: str) -> Iterator[None]:
+    """Let problems begin with the key, or the file, that they come from."""
+    try:
+        yield
+    except MissingExtraError:
+        raise
+    except InputError as error:
+        raise InputError([f"{origin}: {problem}" for problem in error.problems]) from None
 
 
 def _pair(size: float | tuple[float, float]) -> tuple[float, float]:

@@ -6,8 +6,9 @@ each with signal q, has the variance N E[q^2].
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +28,14 @@ class Response:
         mean: energies in keV to the mean signal of a photon, in ``unit``.
         square: energies in keV to the mean square of it.
         unit: ``photons`` or ``keV``.
+        range_kev: where it is known; beyond a table's ends its first and last share stand.
     """
 
     name: str
     mean: Callable[[Floats], Floats]
     square: Callable[[Floats], Floats]
     unit: str
+    range_kev: tuple[float, float] = (0.0, math.inf)
 
     @classmethod
     def counting(cls) -> Response:
@@ -80,9 +83,18 @@ class Response:
             InputError: not such a table; names the file.
         """
         energies, shares = read_columns(path, 2)
-        if (np.diff(energies) <= 0).any() or (shares < 0).any() or (shares > 1).any():
-            raise InputError(f"{path}: energies must rise, and shares lie between 0 and 1")
-        return cls.efficiency(energies, shares, str(path))
+        problems = []
+        if (np.diff(energies) <= 0).any():
+            problems.append(f"{path}: the energies must rise")
+        if shares.min() < 0 or shares.max() > 1:
+            wrong = shares.min() if shares.min() < 0 else shares.max()
+            problems.append(f"{path}: a share of {wrong:g}: shares lie between 0 and 1")
+        if not shares.any():
+            problems.append(f"{path}: the detector absorbs nothing: all shares are 0")
+        if problems:
+            raise InputError(problems)
+        made = cls.efficiency(energies, shares, str(path))
+        return replace(made, range_kev=(float(energies[0]), float(energies[-1])))
 
     def behind(self, material: Material, thickness_mm: float) -> Response:
         """The same detector behind a window or filter, crossed at right angles."""
@@ -95,4 +107,5 @@ class Response:
             lambda e: passed(e) * self.mean(e),
             lambda e: passed(e) * self.square(e),
             self.unit,
+            self.range_kev,
         )

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from twinct.specimen.materials import Material
 
 
+XRAYLIB_KEV = (0.1, 800.0)
+"""Energies for which xraylib has attenuation."""
+
+
 @dataclass(frozen=True, eq=False)
 class Spectrum:
     """Photons of a free beam by energy.
@@ -46,8 +50,10 @@ class Spectrum:
             problems.append("a spectrum must consist of finite numbers")
         elif (np.diff(energies) <= 0).any():
             problems.append("the energies of a spectrum must rise")
-        elif (counts < 0).any() or not counts.any():
-            problems.append("a spectrum needs photons, and no negative number of them")
+        elif (counts < 0).any():
+            problems.append(f"{counts.min():g} photons: a spectrum has no negative number of them")
+        elif not counts.any():
+            problems.append("a spectrum needs photons, all bins are empty")
         else:
             used = np.flatnonzero(counts)
             energies = energies[used[0] : used[-1] + 1]
@@ -76,7 +82,15 @@ class Spectrum:
         """
         energies, photons = read_columns(path, 2)
         try:
-            return cls(energies, photons, absolute)
+            spectrum = cls(energies, photons, absolute)
+            low, high = XRAYLIB_KEV
+            ends = spectrum.energies_kev[[0, -1]]
+            if ends[0] < low or ends[1] > high:
+                raise InputError(
+                    f"photons of {ends[0]:g} to {ends[1]:g} keV: attenuation is known from "
+                    f"{low:g} to {high:g} keV"
+                )
+            return spectrum
         except InputError as error:
             raise InputError([f"{path}: {problem}" for problem in error.problems]) from None
 
@@ -125,18 +139,34 @@ def attenuation(material: Material, energies_kev: Floats) -> Floats:
 
 
 def read_columns(path: Path, columns: int) -> Floats:
-    """Columns of numbers from a text file, (columns, rows); more columns are left out.
+    """Columns of finite numbers from a text file, (columns, rows); ``#`` starts a comment.
 
-    Blanks, commas or semicolons stand between them.
+    Blanks, commas or semicolons stand between them. Another number of columns is refused: nobody
+    can tell which of them is meant.
 
     Raises:
         InputError: it cannot be read; names the file.
     """
     try:
-        lines = path.read_text(encoding="utf-8").replace(",", " ").replace(";", " ").splitlines()
-        table = np.loadtxt(lines, comments="#", ndmin=2, usecols=range(columns))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not {columns} columns of numbers: {error}") from None
-    if not len(table):
-        raise InputError(f"{path}: the file is empty")
-    return table.T
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise InputError(f"{path}: not {columns} columns of numbers: {reason}") from None
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        try:
+            row = [float(word) for word in words]
+        except ValueError as error:
+            reason = f"not {columns} columns of numbers: {error}"
+            raise InputError(f"{path}:{number}: {reason}") from None
+        if len(row) != columns:
+            raise InputError(f"{path}:{number}: columns: {len(row)}, not {columns}")
+        if not np.isfinite(row).all():
+            raise InputError(f"{path}:{number}: {line.strip()!r}: the numbers must be finite")
+        rows.append(row)
+    if not rows:
+        raise InputError(f"{path}: the file holds no numbers")
+    return np.array(rows).T

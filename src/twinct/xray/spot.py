@@ -43,10 +43,15 @@ def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, samples: i
         InputError: no image, or one with negative or no intensity.
     """
     intensity = np.asarray(intensity, dtype=float)
-    if intensity.ndim != 2 or (intensity < 0).any() or not intensity.sum() > 0:
-        raise InputError(
-            "the image of a focal spot must have two dimensions and intensity, none of it negative"
-        )
+    what = "the image of a focal spot"
+    if intensity.ndim != 2:
+        raise InputError(f"{what} has rows and columns, this one has the shape {intensity.shape}")
+    if not np.isfinite(intensity).all():
+        raise InputError(f"{what} has finite intensity, this one also NaN or infinite")
+    if (intensity < 0).any():
+        raise InputError(f"{what} has no negative intensity, this one {intensity.min():g}")
+    if not intensity.any():
+        raise InputError(f"{what} needs intensity, this one is 0 everywhere")
     rows, columns = intensity.shape
     unit = _unit_square(samples)
     by_column = np.concatenate([[0], np.cumsum(intensity.sum(axis=0))])
@@ -67,14 +72,18 @@ def read_image(path: Path, what: str) -> Floats:
     """
     try:
         if path.suffix == ".npy":
-            image = np.load(path)
+            image = np.load(path, allow_pickle=False)
         else:
             from skimage import io
 
             image = io.imread(path, as_gray=True)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as the image of {what}: {error}") from None
-    return np.asarray(image, dtype=float)
+        if image.dtype.kind not in "biuf":
+            raise ValueError
+        return np.asarray(image, dtype=float)
+    except Exception as error:  # readers of pictures raise what they like, and speak of themselves
+        kind = "array of numbers as numpy.save writes it" if path.suffix == ".npy" else "picture"
+        reason = getattr(error, "strerror", None) or f"it holds no {kind}"
+        raise InputError(f"{path}: cannot be read as the image of {what}: {reason}") from None
 
 
 def moved_source(view: ScanGeometry, offset_mm: Floats) -> ScanGeometry:

@@ -16,6 +16,10 @@ from twinct.xray.spectrum import read_columns
 
 _FREQUENCIES = 512
 """Along each half axis, for an integral over frequencies."""
+HIGHEST = 1.05
+"""Largest modulation: measured tables go above 1 by their noise, what sharpens by more."""
+CUT_OFF = 0.1
+"""Largest modulation at the end of a table below the Nyquist frequency: an edge rings by 0.3 %."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +29,12 @@ class PointSpread:
     Attributes:
         mtf: spatial frequency in 1/mm (cycles) to modulation, 1 at 0.
         reach_mm: how far it reaches; the image is mirrored at its edges as far as this.
+        end_per_mm: last frequency of a table, beyond which the modulation is taken as 0.
     """
 
     mtf: Callable[[Floats], Floats]
     reach_mm: float
+    end_per_mm: float = np.inf
 
     @classmethod
     def gaussian(cls, sigma_mm: float) -> PointSpread:
@@ -50,21 +56,59 @@ class PointSpread:
         """
         frequencies = np.asarray(frequencies_per_mm, dtype=float)
         values = np.asarray(modulation, dtype=float)
-        if frequencies[0] != 0 or (np.diff(frequencies) <= 0).any() or abs(values[0] - 1) > 1e-6:
-            raise InputError("an MTF must start with frequency 0 and modulation 1, and rise")
-        return cls(lambda f: np.interp(f, frequencies, values, right=0.0), reach_mm)
+        problems = []
+        if frequencies[0] != 0 or abs(values[0] - 1) > 1e-6:
+            problems.append(
+                "an MTF must start with frequency 0 and modulation 1, not with "
+                f"{frequencies[0]:g} and {values[0]:g}"
+            )
+        if (np.diff(frequencies) <= 0).any():
+            problems.append("the frequencies of an MTF must rise")
+        if problems:
+            raise InputError(problems)
+        return cls(
+            lambda f: np.interp(f, frequencies, values, right=0.0), reach_mm, float(frequencies[-1])
+        )
 
     @classmethod
     def read(cls, path: Path) -> PointSpread:
-        """Two columns of text: spatial frequency in 1/mm, modulation.
+        """Two columns of text: spatial frequency in 1/mm, modulation from 0 to ``HIGHEST``.
 
         Raises:
             InputError: not such a table; names the file.
         """
+        frequencies, values = read_columns(path, 2)
+        problems: list[str] = []
+        if values.min() < 0 or values.max() > HIGHEST:
+            wrong = values.min() if values.min() < 0 else values.max()
+            problems.append(f"a modulation of {wrong:g}: it must lie between 0 and {HIGHEST:g}")
         try:
-            return cls.tabulated(*read_columns(path, 2))
+            made = cls.tabulated(frequencies, values)
         except InputError as error:
-            raise InputError([f"{path}: {problem}" for problem in error.problems]) from None
+            problems += error.problems
+        else:
+            if not problems:
+                return made
+        raise InputError([f"{path}: {problem}" for problem in problems])
+
+    def check_end(self, pitch_mm: float) -> None:
+        """Refuse a table that breaks off where it still matters.
+
+        Beyond its end the modulation is 0. What is cut off there makes an edge ring.
+
+        Args:
+            pitch_mm: of the pixels; their Nyquist frequency is 1 / (2 pitch).
+
+        Raises:
+            InputError: it ends below the Nyquist frequency, above ``CUT_OFF``.
+        """
+        nyquist = 0.5 / pitch_mm
+        last = float(self.mtf(np.array(self.end_per_mm)))
+        if self.end_per_mm < nyquist and last > CUT_OFF:
+            raise InputError(
+                f"the MTF ends at {self.end_per_mm:g}/mm with a modulation of {last:g}: it must go "
+                f"on to the Nyquist frequency of the pixels, {nyquist:g}/mm, or down to {CUT_OFF:g}"
+            )
 
     def apply(
         self, image: NDArray[np.float32], pitch_u: float, pitch_v: float

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from twinct.errors import InputError, MissingExtraError
@@ -10,6 +12,7 @@ from twinct.xray.spectrum import Spectrum
 _CM2_MM2 = 100.0
 
 
+@lru_cache(maxsize=8)  # a second of SpekPy's time, and asked for at several places
 def tube_spectrum(
     kvp: float, anode_angle_deg: float = 12.0, *, step_kev: float = 1.0, target: str = "W"
 ) -> Spectrum:

@@ -1,0 +1,102 @@
+"""Whether source and detector can be built, before any work and without gVXR."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from twinct import scenario
+from twinct.errors import InputError, MissingExtraError
+from twinct.geometry import ScanGeometry
+from twinct.scenario import xray as sections
+from twinct.xray.build import (
+    build_bad_pixels,
+    build_response,
+    build_spectrum,
+    build_spot,
+    build_spread,
+)
+from twinct.xray.response import Response
+from twinct.xray.spectrum import Spectrum
+
+T = TypeVar("T")
+
+_UNCOVERED = 1e-3
+"""Share of the photons that may lie outside a tabulated response."""
+_WIDEST_SPOT = 0.25
+"""Width of a focal spot, as a share of the distance to the panel."""
+
+
+def check_parts(
+    source: scenario.Source, detector: scenario.Detector, views: ScanGeometry, seed: int = 0
+) -> None:
+    """Build every part of the chain once, and look whether they go together.
+
+    Args:
+        source: spectrum and focal spot.
+        detector: everything behind the specimen.
+        views: the commanded ones.
+        seed: of the scenario.
+
+    Raises:
+        InputError: every file, material or number that cannot be used, each with its key.
+        MissingExtraError: SpekPy is needed and not installed.
+    """
+    problems: list[str] = []
+
+    def of(build: Callable[[], T]) -> T | None:
+        try:
+            return build()
+        except MissingExtraError:
+            raise
+        except InputError as error:
+            problems.extend(error.problems)
+        return None
+
+    spectrum = of(lambda: build_spectrum(source))
+    response = of(lambda: build_response(detector))
+    of(lambda: build_spread(detector))
+    of(lambda: build_bad_pixels(detector, seed))
+    if of(lambda: build_spot(source)) is not None:
+        problems += _spot_problems(source, views)
+    if spectrum is not None and response is not None:
+        problems += _response_problems(spectrum, response)
+    if problems:
+        raise InputError(problems)
+
+
+def _response_problems(spectrum: Spectrum, response: Response) -> list[str]:
+    low, high = response.range_kev
+    energies = spectrum.energies_kev
+    outside = (energies < low) | (energies > high)
+    share = float(spectrum.photons[outside].sum() / spectrum.total)
+    if share > _UNCOVERED:
+        return [
+            f"detector.response.path: {response.name}: covers {low:g} to {high:g} keV, but "
+            f"{100 * share:.3g} % of the source's photons lie outside, at {energies[0]:.4g} to "
+            f"{energies[-1]:.4g} keV; at most {100 * _UNCOVERED:g} % may"
+        ]
+    if not (spectrum.photons * response.mean(energies)).sum() > 0:
+        return [f"detector.response: {response.name} absorbs none of the source's photons"]
+    return []
+
+
+def _spot_problems(source: scenario.Source, views: ScanGeometry) -> list[str]:
+    section = source.focal_spot
+    if section is None:
+        return []
+    if isinstance(section, sections.GaussianSpot):
+        key, width = "sigma_mm", 4 * np.max(section.sigma_mm)
+    else:
+        key, width = "size_mm", np.max(section.size_mm)
+    distance = np.linalg.norm(views.source - views.detector, axis=1).min()
+    limit = _WIDEST_SPOT * float(distance)
+    if width <= limit:
+        return []
+    return [
+        f"source.focal_spot.{key}: a spot {width:g} mm wide"
+        f"{' (4 sigma)' if key == 'sigma_mm' else ''} is none: at most {limit:g} mm, a quarter of "
+        f"the distance of {distance:g} mm to the panel"
+    ]
