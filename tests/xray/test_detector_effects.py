@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy import special
 
+from twinct.errors import InputError
 from twinct.xray.noise import normal_noise, quantum_noise
 from twinct.xray.readout import Readout, correct, mend_bad_pixels
-from twinct.xray.spread import PointSpread
+from twinct.xray.spread import CUT_OFF, PointSpread
 
 N = 400 * 500
 """Pixels of a uniform image: its variance is known to sqrt(2 / N) = 0.3 %."""
@@ -71,6 +72,44 @@ def test_an_edge_spreads_like_the_error_function(sigma_mm):
     assert (
         np.abs(np.mean(differences, axis=0)[inner]).max() < 3e-3
     )  # at one pixel the MTF is cut at 0.7 %
+
+
+def overshoot(spread, pitch):
+    """Of an edge that lies between two pixels."""
+    edge = np.repeat(np.array([0, 1], np.float32), 100)
+    return float(spread.apply(np.tile(edge, (4, 1)), pitch, pitch)[0, 50:150].max()) - 1
+
+
+def gaussian_table(sigma_mm, end_per_mm):
+    frequencies = np.linspace(0, end_per_mm, 401)
+    return PointSpread.tabulated(frequencies, np.exp(-2 * (np.pi * sigma_mm * frequencies) ** 2))
+
+
+@pytest.mark.parametrize(
+    ("sigma_px", "most"), [(0.3, 0.014), (0.4, 0.014), (0.5, 0.014), (0.8, 1e-3), (1.2, 1e-4)]
+)
+def test_an_edge_overshoots_where_the_spread_is_narrower_than_a_pixel(sigma_px, most):
+    """What whole pixels cannot show is cut off at their Nyquist frequency, whatever the kind."""
+    found = overshoot(PointSpread.gaussian(0.2 * sigma_px), 0.2)
+    assert found < most
+    if sigma_px <= 0.5:
+        assert found > 0.01
+    table = gaussian_table(0.2 * sigma_px, 10.0)
+    assert overshoot(table, 0.2) == pytest.approx(found, abs=2e-4)
+    # Physical pixels of a quarter show it.
+    assert overshoot(PointSpread.gaussian(0.2 * sigma_px), 0.05) < 1e-4
+
+
+def test_a_table_may_end_where_it_hardly_matters():
+    for modulation, most in ((0.99 * CUT_OFF, 0.004), (0.01, 0.0004)):
+        end = np.sqrt(-np.log(modulation) / 2) / (np.pi * 0.5)
+        table = gaussian_table(0.5, end)
+        assert overshoot(table, 0.1) < most
+        table.check_end(0.1)
+    broken = gaussian_table(0.5, np.sqrt(-np.log(0.5) / 2) / (np.pi * 0.5))
+    assert overshoot(broken, 0.1) > 0.03
+    with pytest.raises(InputError, match="Nyquist"):
+        broken.check_end(0.1)
 
 
 def test_a_line_spreads_by_its_sigma_along_either_axis():
