@@ -76,6 +76,7 @@ def test_a_run_keeps_the_contract(finished: Path) -> None:
         10, 24, 32,
     )  # fmt: skip
     assert (finished / "report.html").read_text().lower().startswith("<!doctype html>")
+    assert "detector: 32 × 24 px of 10 × 10 mm" in (finished / "twinct.log").read_text()
     assert not (finished / "checkpoints").exists()
     assert not (finished / "seconds.json").exists()
 

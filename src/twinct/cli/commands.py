@@ -176,8 +176,9 @@ def specimen(
     loaded = load_scenario(scenario, set_)
     check_folder(out)
     with named_places(scenario, set_):
+        energy = effective_energy(loaded)
         built = Workshop(loaded).specimen
-    grid, energy = loaded.reconstruction.grid.volume_grid, effective_energy(loaded)
+    grid = loaded.reconstruction.grid.volume_grid
     table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)

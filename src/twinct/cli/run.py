@@ -44,6 +44,7 @@ from twinct.report import (
     build_metrics,
     cross_sections,
     draw_pictures,
+    physics_in_words,
     write_report,
 )
 from twinct.scan import (
@@ -255,6 +256,8 @@ def _run(
         log.info(
             "twinct run %s, %s link, scenario digest %s", scenario.name, link, scenario.digest()
         )
+        for name, words in physics_in_words(scenario, *workshop.commanded_poses[0]).items():
+            log.info("%s: %s", name.lower(), words)
         for warning in warnings:
             log.warning(warning)
         if resume:
@@ -329,12 +332,13 @@ def report_again(path: Path) -> None:
 def summary(workshop: Workshop) -> Table:
     """What ``twinct check`` found."""
     scenario, plan = workshop.scenario, workshop.plan
-    panel, grid = scenario.detector.panel, scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.grid.volume_grid
+    physics = physics_in_words(scenario, *workshop.commanded_poses[0])
     worst = int(plan.clearance_mm.argmin())
     table = Table(title=f"{scenario.name}: can be run", show_header=False)
     for name, value in {
         "views": f"{len(workshop.targets)}, {scenario.trajectory.kind}",
-        "panel": f"{panel.columns} x {panel.rows} px of {panel.pitch_u:g} x {panel.pitch_v:g} mm",
+        **{name.lower(): words.replace("×", "x") for name, words in physics.items()},
         "specimen": ", ".join(
             f"{part.name} of {part.material.name}" for part in workshop.specimen.parts
         ),

@@ -3,6 +3,7 @@
 from twinct.report.data import CrossSection, ReportData, cross_sections
 from twinct.report.metrics import build_metrics
 from twinct.report.page import draw_pictures, render_report, write_report
+from twinct.report.physics import physics_in_words
 
 __all__ = [
     "CrossSection",
@@ -10,6 +11,7 @@ __all__ = [
     "build_metrics",
     "cross_sections",
     "draw_pictures",
+    "physics_in_words",
     "render_report",
     "write_report",
 ]

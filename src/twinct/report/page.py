@@ -14,6 +14,7 @@ from twinct.geometry import Floats
 from twinct.report import figures
 from twinct.report.data import ReportData
 from twinct.report.figures import Picture
+from twinct.report.physics import physics_in_words
 
 PAPER = (
     "Freiling, Schaar, Stille, Kundrat: A Twin Robotic CT System Simulation using MuJoCo and gVXR "
@@ -150,7 +151,7 @@ def _isocentre(report: ReportData) -> Floats:
 
 def _setting(report: ReportData) -> dict[str, str]:
     """The experiment in a few lines."""
-    scenario, panel = report.scenario, report.panel
+    scenario = report.scenario
     grid = scenario.reconstruction.grid.volume_grid
     reconstruction = scenario.reconstruction
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
@@ -162,8 +163,7 @@ def _setting(report: ReportData) -> dict[str, str]:
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
         "Arms": f"{scenario.cell.source_arm.model} (source), "
         f"{scenario.cell.detector_arm.model} (detector)",
-        "Detector": f"{panel.columns} × {panel.rows} px of "
-        f"{panel.pitch_u:g} × {panel.pitch_v:g} mm",
+        **physics_in_words(scenario, report.commanded.source[0], report.commanded.detector[0]),
         "Reconstruction": reconstruction.in_words,
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
     }

@@ -192,6 +192,8 @@ class Reconstruction(Section):
         ]
         if self.keeps_nonnegative:
             words.append("non-negative")
+        if self.beam_hardening:
+            words.append(f"beam hardening of {self.beam_hardening.kind.replace('_', ' ')}")
         if self.surroundings:
             words.append(f"surroundings of {self.surroundings.margin_mm:g} mm taken out")
         return ", ".join([name, *words])

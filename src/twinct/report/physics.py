@@ -1,0 +1,143 @@
+"""Source and detector in words: only what a scenario sets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinct.geometry import MM_PER_M, Pose
+from twinct.scenario import Detector, Scenario, Source
+from twinct.scenario import xray as sections
+from twinct.scenario.composition import Composition
+from twinct.xray.build import build_spectrum, effective_energy_kev
+
+
+def physics_in_words(scenario: Scenario, source: Pose, panel: Pose) -> dict[str, str]:
+    """One line each for source and detector, for the report and the log.
+
+    Args:
+        scenario: what was run.
+        source: pose of the focal spot in one view.
+        panel: pose of the panel in the same view; the photons at its middle are counted.
+
+    Raises:
+        InputError: a file that cannot be used any more.
+        MissingExtraError: SpekPy is needed and not installed.
+    """
+    words = [*_beam(scenario.source), *_exposure(scenario.source)]
+    if scenario.source.spectrum is not None:
+        energy = effective_energy_kev(scenario.source, scenario.detector)
+        words.append(f"mean energy seen by the detector {energy:.1f} keV")
+    photons = _photons(scenario, source, panel)
+    if photons is not None:
+        words.append(f"{photons:.3g} photons per pixel in the free beam")
+    lattice, n = scenario.detector.panel, scenario.detector.binning
+    size = (
+        f"{lattice.columns} × {lattice.rows} px of {lattice.pitch_u:g} × {lattice.pitch_v:g} mm"
+        + (f", each of {n} × {n}" if n > 1 else "")
+    )
+    return {
+        "Source": "; ".join(words),
+        "Detector": "; ".join([size, *_signal(scenario.detector), *_raw(scenario.detector)]),
+    }
+
+
+def _photons(scenario: Scenario, source: Pose, panel: Pose) -> float | None:
+    """Photons that meet an image pixel in the free beam; None where their number is not known."""
+    spectrum = build_spectrum(scenario.source)
+    if not spectrum.absolute:
+        return None
+    lattice = scenario.detector.panel
+    to_source = np.subtract(source.position, panel.position)
+    distance = float(np.linalg.norm(to_source))
+    cosine = float(abs(panel.rotation[:, 2] @ to_source)) / distance
+    per_mm2 = spectrum.total * scenario.source.mas * (MM_PER_M / distance) ** 2 * cosine
+    return per_mm2 * lattice.pitch_u * lattice.pitch_v
+
+
+def _beam(source: Source) -> list[str]:
+    section = source.spectrum
+    if section is None:
+        return [f"{source.energy_kev:g} keV"]
+    if isinstance(section, sections.TubeSpectrum):
+        kind = f"tube {section.kvp:g} kV, {section.target} at {section.anode_angle_deg:g} deg"
+    else:
+        kind = f"spectrum {section.path.name}"
+    plates = [f"{plate.thickness_mm:g} mm {_name(plate.material)}" for plate in section.filters]
+    return [kind, *([f"filtered by {' and '.join(plates)}"] if plates else [])]
+
+
+def _exposure(source: Source) -> list[str]:
+    words = []
+    if source.photons_per_mm2_mas or isinstance(source.spectrum, sections.TubeSpectrum):
+        words.append(f"{source.mas:g} mAs")
+    spot = source.focal_spot
+    if isinstance(spot, sections.GaussianSpot):
+        words.append(f"Gaussian spot, sigma {_size(spot.sigma_mm)} mm")
+    elif isinstance(spot, sections.SquareSpot):
+        words.append(f"square spot of {_size(spot.size_mm)} mm")
+    elif spot is not None:
+        words.append(f"spot {spot.path.name} of {_size(spot.size_mm)} mm")
+    if source.motion_samples > 1:
+        words.append(f"motion blur, {source.motion_samples} instants of {source.exposure_ms:g} ms")
+    return words
+
+
+def _signal(detector: Detector) -> list[str]:
+    """What happens before the readout."""
+    words = []
+    response, spread, noise = detector.response, detector.point_spread, detector.noise
+    if isinstance(response, sections.ScintillatorResponse):
+        words.append(f"{response.thickness_mm:g} mm {_name(response.material)}")
+    elif isinstance(response, sections.CountingResponse):
+        words.append("photon counting")
+    elif isinstance(response, sections.FileResponse):
+        words.append(f"efficiency {response.path.name}")
+    if (n := detector.pixel_samples) > 1:
+        words.append(f"{n} × {n} samples a pixel")
+    if detector.scatter is not None:
+        words.append(f"scatter × {detector.scatter.scale:g}")
+    if detector.lag:
+        words.append(f"lag {100 * detector.lag:g} %")
+    if isinstance(spread, sections.GaussianSpread):
+        words.append(f"spread, sigma {spread.sigma_mm:g} mm")
+    elif spread is not None:
+        words.append(f"MTF {spread.path.name}")
+    if isinstance(noise, sections.SnrNoise):
+        words.append(f"SNR {noise.snr:g}")
+    elif noise is not None:
+        words.append("quantum noise")
+    return words
+
+
+def _raw(detector: Detector) -> list[str]:
+    """Grey values, and how they are corrected."""
+    words = []
+    readout, bad, correction = detector.readout, detector.bad_pixels, detector.correction
+    if readout is not None:
+        words.append(
+            f"{'fractions' if readout.bits is None else f'{readout.bits} bit'}, "
+            f"free beam {readout.free_beam:g} above {readout.offset:g}"
+        )
+        if readout.saturation is not None:
+            words.append(f"saturation {readout.saturation:g}")
+        if readout.electronic_noise:
+            words.append(f"electronic noise {readout.electronic_noise:g}")
+    if isinstance(bad, sections.RandomBadPixels):
+        words.append(f"{100 * bad.share:g} % bad pixels")
+    elif bad is not None:
+        words.append(f"bad pixels {bad.path.name}")
+    if correction.flat_frames or correction.dark_frames:
+        words.append(f"{correction.flat_frames} flat, {correction.dark_frames} dark frames")
+    if correction.flat_geometry == "first":
+        words.append("flat image of the first view")
+    return words
+
+
+def _name(material: str | Composition) -> str:
+    if isinstance(material, str):
+        return material
+    return material.formula or " ".join(material.mass_fractions or ())
+
+
+def _size(size: float | tuple[float, float]) -> str:
+    return " × ".join(f"{edge:g}" for edge in (size if isinstance(size, tuple) else (size,)))
