@@ -7,7 +7,7 @@ import pytest
 
 from twinct.ctsimu import load_ctsimu
 from twinct.ctsimu.reader import Moment, Section
-from twinct.ctsimu.writing import quantity, vector
+from twinct.ctsimu.writing import material, quantity, vector
 from twinct.errors import ScenarioError
 
 ROUNDING_MM = 1e-9
@@ -149,7 +149,11 @@ def change(data, key, value):
         (("geometry", "source", "type"), "parallel", ["geometry.source.type", "parallel", "cone"]),
         (("acquisition", "scattering"), True, ["acquisition.scattering"]),
         (("acquisition", "scan_mode"), "continuous", ["scan_mode", "stop+go"]),
-        (("detector", "sharpness"), {"value": 1}, ["detector.sharpness", "not supported"]),
+        (
+            ("detector", "sharpness"),
+            {"value": 1},
+            ["detector.sharpness: unknown key", "'unsharpness'"],
+        ),
         (("detector", "columns"), {"value": 2, "units": "px"}, ["columns.units"]),
         (("samples", 0, "material_id"), "Unobtainium", ["samples[0]", "Unobtainium", "Fe"]),
         (("samples", 0, "file"), {"value": "none.stl"}, ["samples[0].file", "no file at"]),
@@ -176,7 +180,186 @@ def test_all_problems_are_told_at_once(data, write):
     assert len(refused.value.problems) == 2
 
 
-def test_broken_file_is_named(tmp_path):
-    (tmp_path / "broken.json").write_text('{"file": \n oops')
-    with pytest.raises(ScenarioError, match=r"broken.json:2: not valid JSON"):
+def mm(value, *drifts):
+    return quantity(value, "mm") | {"drifts": list(drifts)}
+
+
+def problems_of(path):
+    with pytest.raises(ScenarioError) as refused:
+        load_ctsimu(path)
+    return [problem.removeprefix(f"{path}: ") for problem in refused.value.problems]
+
+
+WRONG = [
+    ("materials.0.density.value", -1, "materials[0].density: -1 g/cm^3 must be from 0 to 1e+09"),
+    ("materials.0.density.value", float("inf"), "materials[0].density: holds a value that is not"),
+    ("materials.0.density.value", 10**400, "materials[0].density: holds a value that"),
+    ("materials.0.composition.0.mass_fraction.value", 1.2, "mass_fraction: 1.2 must be from 0"),
+    ("materials.0.composition.0.mass_fraction.value", 0.3, "the mass fractions add up to 0.3"),
+    ("materials.0.composition.0.formula.value", "Xx2", "composition[0].formula: 'Xx2' cannot be"),
+    ("materials.1.id", "Al", "materials[1].id: 'Al' is the id of an earlier material too"),
+    ("acquisition.number_of_projections", 0, "number_of_projections: 0 must be from 1 to 100000"),
+    ("acquisition.number_of_projections", -3, "number_of_projections: -3 must be from 1"),
+    ("acquisition.number_of_projections", "ten", "number_of_projections: 'ten' is no number"),
+    ("acquisition.number_of_projections", 2.5, "number_of_projections: 2.5 is no whole number"),
+    ("acquisition.number_of_projections", None, "acquisition.number_of_projections: is missing"),
+    ("acquisition.frame_average", 0, "acquisition.frame_average: 0 must be from 1 to 100000"),
+    ("acquisition.dark_field.number", -1, "acquisition.dark_field.number: -1 must be from 0"),
+    ("acquisition.flat_field.frame_average", 0, "flat_field.frame_average: 0 must be from 1"),
+    ("acquisition.pixel_binning", {"u": 0}, "acquisition.pixel_binning.u: 0 must be from 1"),
+    ("acquisition.pixel_binning", {"u": 5}, "columns, rows: 24 x 16 cannot be binned 5 x 1"),
+    ("acquisition.scan_speed", {"value": 3, "unit": "deg/s"}, "acquisition.scan_speed: is not"),
+    ("detector.gray_value.imax.value", 0, "detector.gray_value.imax: 0 must be above imin, 0"),
+    ("detector.gray_value.factor", {"value": 1e13}, "gray_value.factor, offset: one of them is"),
+    ("detector.columns.value", 1e9, "detector.columns: 1e+09 px must be from 1 to 65536"),
+    ("detector.columns.value", 65536, None),
+    ("detector.columns", None, "detector.columns: is missing"),
+    ("detector.pixel_pitch.u.value", 0, "detector.pixel_pitch.u: 0 mm must be above 0"),
+    ("detector.pixel_pitch", None, "detector.pixel_pitch: is missing"),
+    ("detector.bit_depth.value", 32, "detector.bit_depth: 32 must be from 1 to 16"),
+    ("detector.integration_time.value", 0, "detector.integration_time: 0 s must be above 0"),
+    ("detector.image_lag", {"value": 1}, "detector.image_lag: 1 must be at least 0 and below 1"),
+    ("detector.noise", {"snr_at_imax": {"value": 0}}, "noise.snr_at_imax: 0 must be above 0"),
+    ("detector.unsharpness", {"basic_spatial_resolution": mm(-1)}, "-1 mm must be from 0"),
+    ("detector.scintillator", {"thickness": {"value": 1, "unit": "mm"}}, "material_id: is missing"),
+    ("detector.window", {"front": [{"material_id": "Al"}]}, "front[0].thickness: is missing"),
+    ("source.voltage.value", 0, "source.voltage: 0 kV must be above 0 and at most 800"),
+    ("source.voltage.value", 1000, "source.voltage: 1000 kV must be above 0 and at most 800"),
+    ("source.voltage", None, "source.voltage: is missing"),
+    ("source.current.value", -1, "source.current: -1 mA must be at least 0"),
+    ("source.filters", [{"material_id": "Al", "thickness": mm(-1)}], "filters[0].thickness: -1"),
+    ("source.spot", {"sigma": {"u": {"value": -1, "unit": "mm"}}}, "source.spot.sigma.u: -1 mm"),
+    ("source.spot", {"size": {"v": {"value": -1, "unit": "mm"}}}, "source.spot.size.v: -1 mm"),
+    ("samples.0.scaling_factor.s.value", 0, "samples[0].scaling_factor.s: 0 must be above 0"),
+    ("samples.0.file", None, "samples[0].file: is missing"),
+    ("samples.0.file", {"value": "."}, "is a folder, not a file"),
+    ("samples.0.material_id", None, "samples[0].material_id: is missing"),
+    ("geometry.detector.center.x.value", float("nan"), "center.x: holds a value that is not"),
+    ("geometry.detector.center.x.value", 1e300, "center.x: 1e+300 mm must be from -1e+09"),
+    ("geometry.detector.center.x.value", 0, "geometry.detector: the source lies in the plane"),
+    ("geometry.detector.vector_u.y.value", 1e300, "detector.vector_u.y: 1e+300 must be from"),
+    ("geometry.detector.vector_u", vector([1, 0, 0]), "orthogonal, their angle is 0.0000 deg"),
+    ("geometry.detector.vector_u", None, "geometry.detector.vector_u: is missing"),
+    ("geometry.stage.center.z", mm(1, {"value": [0, float("nan")]}), "z.drifts: holds a value"),
+    ("geometry.stage.center.z", mm(1, {"file": "d"}), "No such file or directory"),
+    ("geometry.stage.center.z", mm(1, {"file": "."}), "it is a folder"),
+    ("geometry.stage.center.z", mm(None, {"value": 1}), "has drifts, but no value"),
+    ("detector", None, "detector: is missing"),
+    ("geometry", None, "geometry: is missing"),
+    ("source", None, "source: is missing"),
+    ("acquisition", None, "acquisition: is missing"),
+    ("file", None, "file: is missing"),
+    ("file.file_type", None, "file.file_type: is missing"),
+    ("sampels", [], "sampels: unknown key; did you mean 'samples'?"),
+    ("file.descripton", "", "file.descripton: unknown key; did you mean 'description'?"),
+    ("geometry.turntable", {}, "geometry.turntable: unknown key"),
+    ("geometry.stage.center.q", None, "geometry.stage.center.q: unknown key"),
+    ("geometry.stage.center.u", {"value": 1}, "geometry.stage.center.u: is not supported here"),
+    ("geometry.stage.center.x.drift", None, "center.x.drift: unknown key; did you mean 'drifts'?"),
+    ("acquisition.dark_field.idea", None, "dark_field.idea: unknown key; did you mean 'ideal'?"),
+]  # fmt: skip
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("key", "value", "words"), WRONG, ids=lambda v: str(v)[:40])
+def test_what_cannot_be_is_one_problem_with_its_key(data, write, key, value, words):
+    change(data, [int(step) if step.isdigit() else step for step in key.split(".")], value)
+    path = write(data)
+    if words is None:
+        assert load_ctsimu(path).frame(0).panel.columns == value
+        return
+    found = problems_of(path)
+    assert len(found) == 1 and words in found[0], found
+    assert "Errno" not in found[0]
+
+
+def test_panel_of_too_many_pixels_is_refused(data, write):
+    data["detector"] |= {"columns": {"value": 65536}, "rows": {"value": 65536}}
+    assert problems_of(write(data)) == [
+        "detector.columns, rows: 65536 x 65536 pixels are more than the 268435456 allowed"
+    ]
+
+
+def test_needed_key_that_is_misspelt_is_one_problem(data, write):
+    data["detector"]["pixel_pich"] = data["detector"].pop("pixel_pitch")
+    data["detektor"] = data.pop("detector")
+    assert problems_of(write(data)) == ["detektor: unknown key; did you mean 'detector'?"]
+    data["detector"] = data.pop("detektor")
+    assert problems_of(write(data)) == [
+        "detector.pixel_pich: unknown key; did you mean 'pixel_pitch'?"
+    ]
+
+
+def test_known_keys_may_be_empty(data, write):
+    data["geometry"]["stage"]["center"] |= {"u": None, "v": {"value": None, "unit": "mm"}}
+    data["detector"] |= {
+        "scintillator": {"material_id": None, "thickness": {"value": None, "unit": "mm"}},
+        "bad_pixel_map": {"file": None, "type": "int16", "endian": "little", "headersize": 0},
+        "noise": {"snr_at_imax": {"value": None}},
+        "gray_value": {"factor": {"value": None, "unit": "1/J"}, "offset": {"value": None}},
+    }
+    data["source"] |= {"target": None, "spot": {"size": None}, "filters": [], "window": None}
+    data["acquisition"] |= {"scan_speed": {"value": None, "unit": "deg/s"}, "comment": "x"}
+    data["simulation"] = {"anything": {"at": "all"}}
+    assert load_ctsimu(write(data)).frames == 3
+
+
+def test_no_samples_are_a_free_beam_and_no_density_is_vacuum(data, write):
+    data["samples"] = []
+    data["materials"][0]["density"] = quantity(0.0, "g/cm^3")
+    data["environment"]["material_id"] = "Al"
+    frame = load_ctsimu(write(data)).frame(0)
+    assert frame.bodies == () and frame.environment is None
+
+
+def test_mass_fractions_add_up_within_rounding(data, write):
+    shares = {"N2": 0.7552, "O2": 0.2314, "Ar": 0.0128}  # of BAM's example, without its CO2
+    data["materials"][1] = material("Fe", 0.0013, shares)
+    data["environment"]["material_id"] = "Fe"
+    found = load_ctsimu(write(data)).frame(0).environment
+    assert found.mass_fractions["Ar"] == pytest.approx(0.0128 / 0.9994)
+    data["materials"][1] = material("Fe", 0.0013, {**shares, "CO2": 0.02})
+    assert "add up to 1.019" in problems_of(write(data))[0]
+
+
+def test_problem_of_a_later_frame_says_which(data, write):
+    data["source"]["voltage"]["drifts"] = [{"value": [0, -60, -120], "unit": "kV"}]
+    assert problems_of(write(data)) == [
+        "source.voltage: -40 kV must be above 0 and at most 800 (frame 2)"
+    ]
+
+
+def test_spectrum_needs_a_current(data, write, tmp_path):
+    (tmp_path / "spectrum.tsv").write_text("50 1\n60 2\n")
+    data["source"]["spectrum"] = {"monochromatic": False, "file": {"value": "spectrum.tsv"}}
+    data["source"]["current"] = quantity(0.0, "mA")
+    assert problems_of(write(data)) == ["source.current: 0 mA gives no radiation"]
+    del data["source"]["current"]
+    assert problems_of(write(data)) == ["source.current: is missing"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"file": \n oops', "broken.json:2: not valid JSON: Expecting value at column 2"),
+        ('{"file', "broken.json:1: not valid JSON: Unterminated string starting at column 2"),
+        ("", "broken.json: the file is empty"),
+        ("[1]", "broken.json: a CTSimU scenario is a JSON object"),
+        ("[" * 100_000, "broken.json: not valid JSON: "),
+        ('{"a": ' + "1" * 5000 + "}", "broken.json: not valid JSON: "),
+        ('{"a": [{"b": 1, "b": 2}], "a": [{"b": 1, "b": 2}]}', "broken.json: a: is given twice"),
+        ('{"a": [{"b": 1, "b": 2}]}', "broken.json: a[0].b: is given twice"),
+    ],
+    ids=lambda v: v[:20],
+)
+def test_broken_file_is_named(tmp_path, text, words):
+    (tmp_path / "broken.json").write_text(text)
+    with pytest.raises(ScenarioError) as refused:
         load_ctsimu(tmp_path / "broken.json")
+    assert words in str(refused.value)
+
+
+def test_file_that_is_no_text_is_named(tmp_path):
+    (tmp_path / "latin.json").write_bytes('{"name": "Röhre"}'.encode("latin-1"))
+    with pytest.raises(ScenarioError, match=r"latin.json: cannot read the scenario: not UTF-8"):
+        load_ctsimu(tmp_path / "latin.json")

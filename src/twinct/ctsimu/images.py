@@ -9,6 +9,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from twinct.ctsimu.drifts import reason
 from twinct.ctsimu.scene import RawImage
 from twinct.errors import InputError
 
@@ -32,7 +33,7 @@ def read_image(image: RawImage, shape: tuple[int, int] | None = None) -> NDArray
             data = path.read_bytes()[image.header :]
             pixels = np.frombuffer(data, dtype=image.kind).reshape(rows, columns).astype(float)
     except (OSError, ValueError) as error:  # tifffile's own errors are ValueErrors
-        raise InputError(f"{path}: cannot be read as an image: {error}") from None
+        raise InputError(f"{path}: cannot be read as an image: {reason(error)}") from None
     if pixels.ndim != 2 or (shape is not None and pixels.shape != shape):
         raise InputError(f"{path}: an image of {pixels.shape}, expected {shape}")
     return pixels

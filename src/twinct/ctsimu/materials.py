@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xraylib
 
+from twinct.ctsimu.ranges import DENSITY, SHARE
 from twinct.ctsimu.reader import Section
 from twinct.errors import SpecimenError
 from twinct.specimen import Material
@@ -11,41 +12,60 @@ from twinct.specimen import Material
 Materials = dict[str, Material | None]
 """By id; None for one of no density: vacuum."""
 
+SUM_TOLERANCE = 0.01
+"""How far the mass fractions of a material may be from 1 in all: rounded tables still pass."""
+
 
 def read_materials(root: Section) -> Materials:
     """All materials of the file."""
     found: Materials = {}
     for section in root.sections("materials"):
-        name = section.text("id") or section.place
+        name = section.text("id")
+        if name is None and not section.has("id"):
+            section.missing("id")
+        if name in found:
+            section.problem("id", f"{name!r} is the id of an earlier material too")
         section.skip("name")
-        density = section.needed("density", "g/cm^3")
-        shares: dict[str, float] = {}
-        for part in section.sections("composition"):
-            formula, weight = part.text("formula"), part.number("mass_fraction")
-            weight = 1.0 if weight is None else weight
-            if density > 0 and weight > 0:
-                _add(part, formula or "", weight, shares)
-        if density <= 0:
-            found[name] = None
-            continue
-        total = sum(shares.values())
-        if total <= 0:
-            section.problem("composition", "holds no elements")
-            found[name] = None
-            continue
-        try:
-            found[name] = Material(name, density, {s: w / total for s, w in shares.items()})
-        except SpecimenError as error:
-            section.problem("composition", str(error))
+        found[name or section.place] = _read(section, name or section.place)
     return found
 
 
-def _add(section: Section, formula: str, weight: float, shares: dict[str, float]) -> None:
+def _read(section: Section, name: str) -> Material | None:
+    density = section.needed("density", "g/cm^3", DENSITY)
+    parts = [
+        (part, part.text("formula"), part.number("mass_fraction", "", SHARE))
+        for part in section.sections("composition")
+    ]
+    if not density > 0:
+        return None  # vacuum, or noted already
+    if not parts:
+        if not section.has("composition"):
+            section.missing("composition")
+        return None
+    weights = [1.0 if weight is None else weight for _, _, weight in parts]
+    shares: dict[str, float] = {}
+    for (part, formula, _), weight in zip(parts, weights, strict=True):
+        if not _add(part, formula or "", weight, shares):
+            return None
+    if abs(sum(weights) - 1) > SUM_TOLERANCE:
+        section.problem("composition", f"the mass fractions add up to {sum(weights):.4g}, not to 1")
+        return None
+    total = sum(shares.values())
+    try:
+        return Material(name, density, {s: w / total for s, w in shares.items() if w > 0})
+    except SpecimenError as error:
+        section.problem("composition", str(error))
+        return None
+
+
+def _add(section: Section, formula: str, weight: float, shares: dict[str, float]) -> bool:
+    """Add the elements of a formula to the shares; whether it could be read."""
     try:
         parsed = xraylib.CompoundParser("".join(formula.split()))
     except ValueError as error:
         section.problem("formula", f"{formula!r} cannot be read: {error}")
-        return
+        return False
     for number, share in zip(parsed["Elements"], parsed["massFractions"], strict=True):
         symbol = xraylib.AtomicNumberToSymbol(number)
         shares[symbol] = shares.get(symbol, 0.0) + weight * share
+    return True

@@ -6,7 +6,8 @@ import json
 import os
 from typing import TYPE_CHECKING, Any
 
-from twinct.ctsimu.scenario import FORMAT, CtsimuScenario
+from twinct.ctsimu.acquisition import FORMAT
+from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.ctsimu.scene import FieldImages, Frame
 
 if TYPE_CHECKING:

@@ -13,10 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from twinct.ctsimu.drifts import short
+from twinct.ctsimu.ranges import FARTHEST_MM, PLACE, Range
 from twinct.ctsimu.reader import Section
 from twinct.geometry import Floats, Pose
 
 WORLD, LOCAL, SAMPLE = ("x", "y", "z"), ("u", "v", "w"), ("r", "s", "t")
+COMPONENT = Range(-FARTHEST_MM, FARTHEST_MM)
+"""Of a direction: larger ones have squares that no double holds."""
 ORTHOGONAL = 1e-3
 """Largest cosine between u and w that counts as a right angle: four digits still pass."""
 
@@ -49,9 +53,11 @@ def place(
         world_from_stage: allows a sample to stand on the stage.
         vectors: keys of the first and the third axis.
     """
-    on_stage = world_from_stage is not None and section.section("center").has("u")
+    inner = section.section("center", needed=True)
+    on_stage = world_from_stage is not None and inner.has("u")
     axes = LOCAL if on_stage else WORLD
     centre, drift = _vector(section, "center", axes, "mm")
+    centre = np.nan_to_num(centre)  # noted already
     first, first_drift = _vector(section, vectors[0], axes)
     third, third_drift = _vector(section, vectors[1], axes)
     basis = _basis(section, vectors, first, third)
@@ -73,11 +79,13 @@ def _deviate(pose: Pose, deviation: Section, world_from_stage: Pose | None) -> P
     known = deviation.flag("known_to_reconstruction", True)
     axis = _turned(deviation, "axis", pose, world_from_stage)
     pivot = _pivot(deviation, pose, world_from_stage)
-    amount = deviation.needed("amount", "mm" if kind == "translation" else "rad")
+    amount = deviation.needed("amount", "mm" if kind == "translation" else "rad", PLACE)
     length = float(np.linalg.norm(axis))
     if length == 0:
         deviation.problem("axis", "has no direction")
         return pose
+    if not np.isfinite([*axis, *pivot, amount]).all():
+        return pose  # noted already
     if not known and deviation.moment.believed:
         return pose
     axis = axis / length
@@ -96,9 +104,9 @@ def _turned(section: Section, key: str, pose: Pose, world_from_stage: Pose | Non
         for names in (WORLD, LOCAL, SAMPLE):
             if value in names:
                 return _seen(np.eye(3)[names.index(value)], names, pose, world_from_stage)
-        section.problem(key, f"{value!r} is no axis; allowed: x y z u v w r s t or a vector")
-        return np.zeros(3)
-    names = _names(section.section(key))
+        section.problem(key, f"{short(value)} is no axis; allowed: x y z u v w r s t or a vector")
+        return np.full(3, np.nan)
+    names = _names(section.section(key, needed=True))
     direction, drift = _vector(section, key, names)
     return _seen(direction + drift, names, pose, world_from_stage)
 
@@ -139,24 +147,29 @@ def _names(section: Section) -> tuple[str, ...]:
 def _vector(
     section: Section, key: str, names: tuple[str, ...], unit: str = ""
 ) -> tuple[Floats, Floats]:
-    """A vector without its drifts, and the sum of its drifts."""
-    inner = section.section(key)
+    """A vector without its drifts, and the sum of its drifts; NaN where one is missing."""
+    inner = section.section(key, needed=True)
+    inner.may_be_empty(*WORLD, *LOCAL, *SAMPLE)
     drift = np.array([inner.drift(name, unit) for name in names])
-    return np.array([inner.needed(name, unit) for name in names]) - drift, drift
+    allowed = PLACE if unit else COMPONENT
+    return np.array([inner.needed(name, unit, allowed) for name in names]) - drift, drift
 
 
 def _basis(section: Section, keys: tuple[str, str], first: Floats, third: Floats) -> Floats:
     lengths = np.linalg.norm(first), np.linalg.norm(third)
+    if not np.isfinite(lengths).all():
+        return np.eye(3)  # noted already
     if min(lengths) == 0:
         section.problem(f"{keys[0]}, {keys[1]}", "one of them has no length")
         return np.eye(3)
     first, third = first / lengths[0], third / lengths[1]
     cosine = float(first @ third)
     if abs(cosine) > ORTHOGONAL:
-        angle = np.degrees(np.arccos(cosine))
+        angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
         section.problem(
             f"{keys[0]}, {keys[1]}", f"must be orthogonal, their angle is {angle:.4f} deg"
         )
+        return np.eye(3)
     first = first - (first @ third) * third
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(third, first), third], axis=1)

@@ -5,18 +5,21 @@ object with ``value``, ``unit``, ``uncertainty`` and ``drifts``. A drift is an a
 from the value, given at equidistant moments between first and last frame, linear between them;
 several add up. Where the value is a text, a drift replaces it and holds until the next.
 
-A section notes what was read of it. What is left over and says something is a problem: it would
-otherwise be ignored.
+A section notes what was read of it. What is left over is no key of the format, or says something
+that is not supported: a problem, as it would otherwise be ignored.
 """
 
 from __future__ import annotations
 
-import csv
+import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from twinct.ctsimu.drifts import as_float, drift_values, interpolated, short
+from twinct.ctsimu.ranges import ANY, Range
 
 UNITS: Mapping[str, Mapping[str | None, float]] = {
     "mm": {"nm": 1e-6, "um": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0},
@@ -28,6 +31,7 @@ UNITS: Mapping[str, Mapping[str | None, float]] = {
     "g/cm^3": {"g/cm^3": 1.0, "kg/m^3": 1e-3},
     "px": {"px": 1.0, None: 1.0},
     "1/J": {"1/J": 1.0, None: 1.0},
+    "deg/s": {"deg/s": 1.0},
     "": {None: 1.0, "relative": 1.0},
 }
 """What each unit is in ours; the key is ours."""
@@ -69,20 +73,30 @@ class Section:
     folder: Path
     problems: list[str]
     _read: set[str] = field(default_factory=set)
+    _may_be_empty: set[str] = field(default_factory=set)
+    _missing: list[str] = field(default_factory=list)
     _inner: dict[str, Section] = field(default_factory=dict)
 
     def has(self, key: str) -> bool:
         """Whether the key is there and says something."""
         return not _says_nothing(self.data.get(key))
 
-    def section(self, key: str) -> Section:
-        """The object below a key; an empty one where it is missing or null."""
+    def section(self, key: str, *, needed: bool = False) -> Section:
+        """The object below a key; an empty one where it is missing or null.
+
+        Args:
+            key: of the object.
+            needed: it must be there; one that is missing says nothing of its own keys.
+        """
         self._read.add(key)
         value = self.data.get(key)
-        if value is not None and not isinstance(value, Mapping):
-            self.problem(key, f"{value!r} is no object")
-            value = None
-        return self._below(key, value or {})
+        quiet = value is None and needed
+        if quiet:
+            self.missing(key)
+        elif value is not None and not isinstance(value, Mapping):
+            self.problem(key, f"{short(value)} is no object")
+            value, quiet = None, True
+        return self._below(key, value or {}, quiet=quiet)
 
     def sections(self, key: str) -> list[Section]:
         """The objects of the array below a key."""
@@ -95,18 +109,23 @@ class Section:
             return []
         return [self._below(f"{key}[{i}]", item) for i, item in enumerate(value)]
 
-    def number(self, key: str, unit: str = "") -> float | None:
-        """A number in our unit, drifts added; None where it is missing or null."""
+    def number(self, key: str, unit: str = "", allowed: Range = ANY) -> float | None:
+        """A number in our unit, drifts added; None where it is missing, null, or a problem."""
         found = self._parameter(key, unit)
         if found is None:
             return None
         value, drifts, scale = found
         if isinstance(value, bool) or not isinstance(value, int | float):
-            self.problem(key, f"{value!r} is no number")
+            self.problem(key, f"{short(value)} is no number")
             return None
-        total = float(value) * scale
-        for drift in drifts:
-            total += self._drifted(key, drift, unit, scale)
+        total = as_float(value) * scale
+        if not math.isfinite(total):
+            self.problem(key, "holds a value that is not finite")
+            return None
+        total += sum(self._drifted(key, drift, unit, scale) for drift in drifts)
+        if total not in allowed:
+            self.problem(key, f"{' '.join((f'{total:g}', unit)).strip()} must be {allowed}")
+            return None
         return total
 
     def drift(self, key: str, unit: str = "") -> float:
@@ -116,24 +135,22 @@ class Section:
             return 0.0
         return sum(self._drifted(key, drift, unit, found[2]) for drift in found[1])
 
-    def needed(self, key: str, unit: str = "") -> float:
-        """A number that must be there; 0 after noting that it is missing."""
-        value = self.number(key, unit)
-        if value is None:
-            if self.has(key):
-                return 0.0  # noted already
-            self.problem(key, "is missing")
-            return 0.0
-        return value
+    def needed(self, key: str, unit: str = "", allowed: Range = ANY) -> float:
+        """A number that must be there; NaN after noting that it is missing or wrong."""
+        value = self.number(key, unit, allowed)
+        if value is None and not self.has(key):
+            self.missing(key)
+        return math.nan if value is None else value
 
-    def whole(self, key: str, default: int, unit: str = "") -> int:
+    def whole(self, key: str, default: int, unit: str = "", allowed: Range = ANY) -> int:
         """A whole number."""
-        value = self.number(key, unit)
+        value = self.number(key, unit, allowed)
         if value is None:
             return default
         if value != round(value):
             self.problem(key, f"{value:g} is no whole number")
-        return int(round(value))
+            return default
+        return round(value)
 
     def flag(self, key: str, default: bool) -> bool:
         """True or false."""
@@ -142,9 +159,12 @@ class Section:
         if value is None:
             return default
         if isinstance(value, Mapping):
-            value = value.get("value", default)
+            self._only(key, value, _PARAMETER_KEYS)
+            value = value.get("value")
+        if value is None:
+            return default
         if not isinstance(value, bool):
-            self.problem(key, f"{value!r} is neither true nor false")
+            self.problem(key, f"{short(value)} is neither true nor false")
             return default
         return value
 
@@ -155,14 +175,14 @@ class Section:
             return None
         value, drifts, _ = found
         for drift in drifts:
-            values = self._drift_values(key, drift, as_text=True)
+            values = self._values(key, drift, as_text=True)
             if values:
                 value = values[int(math.floor(self._position(len(values))))]
         if not isinstance(value, str):
-            self.problem(key, f"{value!r} is no text")
+            self.problem(key, f"{short(value)} is no text")
             return None
         if allowed is not None and value not in allowed:
-            self.problem(key, f"{value!r} is not supported; allowed: {', '.join(allowed)}")
+            self.problem(key, f"{short(value)} is not supported; allowed: {', '.join(allowed)}")
         return value or None
 
     def file(self, key: str) -> Path | None:
@@ -170,34 +190,61 @@ class Section:
         name = self.text(key)
         if name is None:
             return None
-        path = (self.folder / name.replace("\\", "/")).resolve()
-        if not path.is_file():
-            self.problem(key, f"no file at {path}")
-            return None
-        return path
+        path = self.folder / name.replace("\\", "/")
+        try:
+            path = path.resolve()
+            if path.is_file():
+                return path
+            what = "is a folder, not a file" if path.is_dir() else ""
+        except (OSError, ValueError):  # a name that no file can have
+            what = ""
+        self.problem(key, f"{path} {what}" if what else f"no file at {path}")
+        return None
 
     def skip(self, *keys: str) -> None:
         """Note keys that change nothing in an image."""
         self._read.update(keys)
 
+    def may_be_empty(self, *keys: str) -> None:
+        """Name keys of the format that are not read here: they may be there, but say nothing."""
+        self._may_be_empty.update(keys)
+
     def problem(self, key: str, sentence: str) -> None:
         """Note what is wrong with a key."""
-        message = f"{self.place}.{key}: {sentence}" if self.place else f"{key}: {sentence}"
+        message = f"{self._place_of(key)}: {sentence}"
         if message not in self.problems:
             self.problems.append(message)
 
+    def missing(self, key: str) -> None:
+        """Note that a key is needed; ``finish`` says so, unless it finds the key misspelt."""
+        if key not in self._missing:
+            self._missing.append(key)
+
     def finish(self) -> None:
-        """Note every key that says something and that nobody read, here and below."""
-        for key in self.data:
-            if key not in self._read and key != "comment" and self.has(key):
-                self.problem(key, "is not supported")
+        """Note every key that is missing, and every one that nobody read, here and below."""
+        known = self._read | self._may_be_empty
+        unread = [key for key in self.data if key not in self._read and key != "comment"]
+        near = {key: _nearest(key, known) for key in unread if key not in self._may_be_empty}
+        for key in self._missing:
+            if key not in near.values():
+                self.problem(key, "is missing")
+        for key in unread:
+            if key in near:
+                self.problem(key, f"unknown key{_did_you_mean(near[key])}")
+            elif self.has(key):
+                self.problem(key, "is not supported here")
         for inner in self._inner.values():
             inner.finish()
 
-    def _below(self, key: str, data: Mapping[str, Any]) -> Section:
+    def _place_of(self, key: str) -> str:
+        return ".".join(part for part in (self.place, key) if part)
+
+    def _below(self, key: str, data: Mapping[str, Any], *, quiet: bool = False) -> Section:
         if key not in self._inner:
-            place = f"{self.place}.{key}" if self.place else key
-            self._inner[key] = Section(data, place, self.moment, self.folder, self.problems)
+            problems = [] if quiet else self.problems
+            self._inner[key] = Section(
+                data, self._place_of(key), self.moment, self.folder, problems
+            )
         return self._inner[key]
 
     def _parameter(self, key: str, unit: str) -> tuple[Any, list[Mapping[str, Any]], float] | None:
@@ -215,32 +262,36 @@ class Section:
             drifts = []
         for drift in drifts:
             self._only(f"{key}.drifts", drift, _DRIFT_KEYS)
+            if not isinstance(drift.get("known_to_reconstruction"), bool | None):
+                self.problem(
+                    f"{key}.drifts.known_to_reconstruction",
+                    f"{short(drift['known_to_reconstruction'])} is neither true nor false",
+                )
         if self.moment.believed:
             drifts = [d for d in drifts if d.get("known_to_reconstruction") is not False]
         value = data.get("value")
         if value is None:
+            if any(not _says_nothing(drift.get("value")) or drift.get("file") for drift in drifts):
+                self.problem(key, "has drifts, but no value")
             return None
-        return value, drifts, self._scale(key, unit, data.get("unit"))
+        scale = self._scale(key, unit, data.get("unit"))
+        return None if scale is None else (value, drifts, scale)
 
-    def _scale(self, key: str, unit: str, given: Any) -> float:
+    def _scale(self, key: str, unit: str, given: Any) -> float | None:
         allowed = UNITS[unit]
-        if given in allowed:
+        if isinstance(given, str | None) and given in allowed:
             return allowed[given]
         names = ", ".join("null" if name is None else name for name in allowed)
-        self.problem(key, f"unit {given!r} is not one of {names}")
-        return 1.0
+        self.problem(key, f"unit {short(given)} is not one of {names}")
+        return None
 
     def _drifted(self, key: str, drift: Mapping[str, Any], unit: str, scale: float) -> float:
-        values = self._drift_values(key, drift)
+        values = self._values(key, drift)
         if not values:
             return 0.0
         if drift.get("unit") is not None:
-            scale = self._scale(f"{key}.drifts", unit, drift["unit"])
-        place = self._position(len(values))
-        left = min(max(int(math.floor(place)), 0), max(len(values) - 2, 0))
-        right = min(left + 1, len(values) - 1)
-        share = place - left
-        return scale * ((1 - share) * values[left] + share * values[right])
+            scale = self._scale(f"{key}.drifts", unit, drift["unit"]) or 0.0
+        return scale * interpolated(values, self._position(len(values)))
 
     def _position(self, count: int) -> float:
         """Index into a list of drift values that spans the scan."""
@@ -248,29 +299,26 @@ class Section:
             return 0.0
         return self.moment.frame / (self.moment.frames - 1) * (count - 1)
 
-    def _drift_values(self, key: str, drift: Mapping[str, Any], as_text: bool = False) -> list[Any]:
-        value = drift.get("value")
-        if value is None and drift.get("file"):
-            path = self.folder / str(drift["file"])
-            try:
-                value = [row[0].strip() for row in csv.reader(path.open()) if row]
-                value = value if as_text else [float(cell) for cell in value]
-            except (OSError, ValueError, UnicodeDecodeError) as error:
-                self.problem(f"{key}.drifts", f"{path} cannot be read as one column: {error}")
-                return []
-        if value is None:
+    def _values(self, key: str, drift: Mapping[str, Any], *, as_text: bool = False) -> list[Any]:
+        try:
+            return drift_values(drift, self.folder, as_text=as_text)
+        except ValueError as error:
+            self.problem(f"{key}.drifts", str(error))
             return []
-        values = value if isinstance(value, list) else [value]
-        kind = str if as_text else (int, float)
-        if any(isinstance(v, bool) or not isinstance(v, kind) for v in values):
-            self.problem(f"{key}.drifts", f"{value!r} are no {'texts' if as_text else 'numbers'}")
-            return []
-        return values
 
     def _only(self, key: str, data: Mapping[str, Any], known: set[str]) -> None:
-        for name, value in data.items():
-            if name not in known and not _says_nothing(value):
-                self.problem(f"{key}.{name}", "is not supported")
+        for name in data:
+            if name not in known:
+                near = _nearest(name, known)
+                self.problem(f"{key}.{name}", f"unknown key{_did_you_mean(near)}")
+
+
+def _nearest(key: str, known: set[str]) -> str | None:
+    return next(iter(difflib.get_close_matches(key, sorted(known), n=1, cutoff=0.6)), None)
+
+
+def _did_you_mean(key: str | None) -> str:
+    return f"; did you mean {key!r}?" if key else ""
 
 
 def _says_nothing(value: Any) -> bool:

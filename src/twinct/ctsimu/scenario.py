@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from twinct.ctsimu.acquisition import read_plan
+from twinct.ctsimu.jsonfile import read_json
 from twinct.ctsimu.reader import Moment, Section
 from twinct.ctsimu.scene import FieldImages, Frame
 from twinct.ctsimu.sections import read_frame
 from twinct.errors import ScenarioError
 from twinct.geometry import ScanGeometry
-
-FORMAT = (1, 2)
-"""Newest version of the file format that is understood; older ones down to 1.0 are subsets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,55 +84,15 @@ def load_ctsimu(path: str | Path) -> CtsimuScenario:
         ScenarioError: with one sentence for each thing that is wrong, missing or not supported.
     """
     path = Path(path).expanduser()
-    try:
-        data = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise ScenarioError(f"{path}: cannot read the scenario: {reason}") from None
-    except json.JSONDecodeError as error:
-        raise ScenarioError(f"{path}:{error.lineno}: not valid JSON: {error.msg}") from None
-    if not isinstance(data, dict):
-        raise ScenarioError(f"{path}: a CTSimU scenario is a JSON object")
-    problems: list[str] = []
-    frames = _frames(data)
-    scenario = CtsimuScenario(path, data, frames, 1, *2 * [FieldImages(0, 1, False, False)])
-    root = scenario._root(Moment(0, frames), problems)
-    _check_version(root.section("file"))
-    acquisition = root.section("acquisition")
-    average = acquisition.whole("frame_average", 1)
-    dark, flat = (_field_images(acquisition.section(f"{kind}_field")) for kind in ("dark", "flat"))
-    if frames < 1 or average < 1:
-        acquisition.problem("number_of_projections, frame_average", "must be at least 1")
-    if flat.correction and not flat.number:
-        acquisition.problem("flat_field.correction", "needs flat_field.number of at least 1")
-    if not problems:
-        for index in range(frames):
-            read_frame(scenario._root(Moment(index, frames), problems))
-    if problems:
-        raise ScenarioError([f"{path}: {problem}" for problem in problems])
-    return CtsimuScenario(path, data, frames, average, dark, flat)
-
-
-def _frames(data: Mapping[str, Any]) -> int:
-    acquisition = data.get("acquisition")
-    number = acquisition.get("number_of_projections") if isinstance(acquisition, Mapping) else None
-    return int(number) if isinstance(number, int | float) and number >= 1 else 1
-
-
-def _check_version(section: Section) -> None:
-    kind = section.text("file_type")
-    if kind != "CTSimU Scenario":
-        section.problem("file_type", f"{kind!r} is not 'CTSimU Scenario'")
-    version = section.section("file_format_version")
-    found = version.whole("major", 0), version.whole("minor", 0)
-    if not (1, 0) <= found <= FORMAT:
-        section.problem("file_format_version", f"{found[0]}.{found[1]} is not one of 1.0, 1.1, 1.2")
-
-
-def _field_images(section: Section) -> FieldImages:
-    return FieldImages(
-        section.whole("number", 0),
-        section.whole("frame_average", 1),
-        section.flag("ideal", False),
-        section.flag("correction", False),
-    )
+    data = read_json(path, skipped="simulation")
+    # What is wrong with the plan is told with all else that is wrong in frame 0.
+    plan = read_plan(Section(data, "", Moment(0, 1), path.parent, []).section("acquisition"))
+    scenario = CtsimuScenario(path, data, plan.frames, plan.average, plan.dark, plan.flat)
+    for index in range(plan.frames):
+        problems: list[str] = []
+        read_frame(scenario._root(Moment(index, plan.frames), problems))
+        if problems:
+            # Later frames repeat what is wrong in this one, with other numbers.
+            when = f" (frame {index})" if index else ""
+            raise ScenarioError(f"{path}: {problem}{when}" for problem in problems)
+    return scenario

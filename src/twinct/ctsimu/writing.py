@@ -10,7 +10,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from twinct.ctsimu.scenario import FORMAT
+from twinct.ctsimu.acquisition import FORMAT
 from twinct.specimen import Material
 
 Json = dict[str, Any]

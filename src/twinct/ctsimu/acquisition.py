@@ -1,0 +1,89 @@
+"""The sections of a CTSimU file that say what is written: ``file`` and ``acquisition``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from twinct.ctsimu.drifts import short
+from twinct.ctsimu.ranges import COUNT, FIELDS, PLACE
+from twinct.ctsimu.reader import Section
+from twinct.ctsimu.scene import FieldImages
+
+FORMAT = (1, 2)
+"""Newest version of the file format that is understood; older ones down to 1.0 are subsets."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How many images.
+
+    Attributes:
+        frames: number of projections.
+        average: frames averaged for each projection.
+        dark: dark images.
+        flat: flat images.
+    """
+
+    frames: int
+    average: int
+    dark: FieldImages
+    flat: FieldImages
+
+
+def check_header(section: Section) -> None:
+    """Check kind and version of the file."""
+    section.skip("name", "description", "contact", "date_created", "date_changed")
+    version = section.section("version")
+    version.skip("major", "minor")
+    kind = section.text("file_type")
+    if kind is None and not section.has("file_type"):
+        section.missing("file_type")
+    elif kind is not None and kind != "CTSimU Scenario":
+        section.problem("file_type", f"{short(kind)} is not 'CTSimU Scenario'")
+    found = section.section("file_format_version", needed=True)
+    number = found.whole("major", 0), found.whole("minor", 0)
+    if found.data and not (1, 0) <= number <= FORMAT:
+        section.problem("file_format_version", f"{number[0]}.{number[1]} is not one of 1.0 to 1.2")
+
+
+def read_plan(section: Section) -> Plan:
+    """Number of images in the section ``acquisition``; 1 where it is wrong."""
+    if not section.has("number_of_projections"):
+        section.missing("number_of_projections")
+    frames = section.whole("number_of_projections", 1, "", COUNT)
+    average = section.whole("frame_average", 1, "", COUNT)
+    dark, flat = (_fields(section.section(f"{kind}_field")) for kind in ("dark", "flat"))
+    if flat.correction and not flat.number:
+        section.problem("flat_field.correction", "needs flat_field.number of at least 1")
+    return Plan(frames, average, dark, flat)
+
+
+def read_binning(section: Section) -> tuple[int, int]:
+    """Pixels put together along (u, v), in the section ``acquisition``."""
+    binning = section.section("pixel_binning")
+    return binning.whole("u", 1, "", COUNT), binning.whole("v", 1, "", COUNT)
+
+
+def read_turn(section: Section) -> float:
+    """Angle of the stage about its w, degrees, in the section ``acquisition``."""
+    start = section.number("start_angle", "deg", PLACE) or 0.0
+    stop = section.number("stop_angle", "deg", PLACE) or 0.0
+    if stop < start:
+        section.problem("stop_angle", f"{stop:g} deg is less than start_angle {start:g} deg")
+    direction = section.text("direction", ("CCW", "CW")) or "CCW"
+    moment = section.moment
+    steps = moment.frames - 1 if section.flag("include_final_angle", True) else moment.frames
+    section.text("scan_mode", ("stop+go",))
+    if section.number("scan_speed", "deg/s"):
+        section.problem("scan_speed", "is not supported: the stage stops for every frame")
+    angle = start + (stop - start) * moment.frame / steps if steps else start
+    return -angle if direction == "CW" else angle
+
+
+def _fields(section: Section) -> FieldImages:
+    return FieldImages(
+        section.whole("number", 0, "", FIELDS),
+        section.whole("frame_average", 1, "", COUNT),
+        section.flag("ideal", False),
+        section.flag("correction", False),
+    )

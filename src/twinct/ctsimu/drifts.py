@@ -1,0 +1,89 @@
+"""The drifts of a parameter: absolute deviations at equidistant moments of the scan."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+
+def drift_values(drift: Mapping[str, Any], folder: Path, *, as_text: bool) -> list[Any]:
+    """What a drift says at its moments; empty where it says nothing.
+
+    Args:
+        drift: the object of the file.
+        folder: names of files are relative to it.
+        as_text: texts instead of numbers.
+
+    Raises:
+        ValueError: no such values; says why, in one sentence.
+    """
+    value, file = drift.get("value"), drift.get("file")
+    if value is None and file is not None and file != "":
+        return _column(file, folder, as_text)
+    if value is None:
+        return []
+    values = value if isinstance(value, list) else [value]
+    kind = str if as_text else (int, float)
+    if not values or any(isinstance(v, bool) or not isinstance(v, kind) for v in values):
+        raise ValueError(f"{short(value)} are no {'texts' if as_text else 'numbers'}")
+    return values if as_text else _finite(values)
+
+
+def _column(file: object, folder: Path, as_text: bool) -> list[Any]:
+    if not isinstance(file, str):
+        raise ValueError(f"{short(file)} is no name of a file")
+    path = folder / file.replace("\\", "/")
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        cells = [row[0].strip() for row in csv.reader(lines) if row]
+    except (OSError, ValueError, csv.Error) as error:
+        raise ValueError(f"{path} cannot be read: {reason(error)}") from None
+    if not cells:
+        raise ValueError(f"{path} holds no values")
+    if as_text:
+        return cells
+    try:
+        return _finite([float(cell) for cell in cells])
+    except ValueError as error:
+        raise ValueError(f"{path} is no column of numbers: {error}") from None
+
+
+def _finite(values: Sequence[float]) -> list[float]:
+    found = [as_float(value) for value in values]
+    if not all(math.isfinite(value) for value in found):
+        raise ValueError("holds a value that is not finite")
+    return found
+
+
+def interpolated(values: Sequence[float], place: float) -> float:
+    """Linear between the values; ``place`` counts from the first."""
+    left = min(max(int(math.floor(place)), 0), max(len(values) - 2, 0))
+    right = min(left + 1, len(values) - 1)
+    share = place - left
+    return (1 - share) * values[left] + share * values[right]
+
+
+def as_float(value: float) -> float:
+    """A number; infinite where a whole number of JSON is too large for a float."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def reason(error: Exception) -> str:
+    """Why a file cannot be read, in words, without error numbers."""
+    if isinstance(error, IsADirectoryError):
+        return "it is a folder"
+    if isinstance(error, UnicodeDecodeError):
+        return "not UTF-8 text"
+    return getattr(error, "strerror", None) or str(error)
+
+
+def short(value: object) -> str:
+    """A value in a message, cut off where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,73 @@
+"""Reading a JSON file: where it is broken, and keys that are given twice."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from twinct.ctsimu.drifts import reason
+from twinct.errors import ScenarioError
+
+
+class _Repeating(dict[str, Any]):
+    """An object in which keys are given twice."""
+
+    repeated: tuple[str, ...] = ()
+
+
+def read_json(path: Path, skipped: str) -> dict[str, Any]:
+    """Read the JSON object in a file.
+
+    Args:
+        path: the file.
+        skipped: key of the section that may hold anything.
+
+    Raises:
+        ScenarioError: not readable, no JSON object, or keys given twice; says where.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"{path}: cannot read the scenario: {reason(error)}") from None
+    if not text.strip():
+        raise ScenarioError(f"{path}: the file is empty")
+    try:
+        data = json.loads(text, object_pairs_hook=_object)
+    except json.JSONDecodeError as error:
+        what = error.msg.removesuffix(" at")
+        raise ScenarioError(
+            f"{path}:{error.lineno}: not valid JSON: {what} at column {error.colno}"
+        ) from None
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, deep nesting
+        raise ScenarioError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(data, dict):
+        raise ScenarioError(f"{path}: a CTSimU scenario is a JSON object")
+    repeated = list(_repeated(data, "", skipped))
+    if repeated:
+        raise ScenarioError(f"{path}: {key}: is given twice" for key in repeated)
+    return data
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    data = dict(pairs)
+    if len(data) == len(pairs):
+        return data
+    keys = [key for key, _ in pairs]
+    found = _Repeating(data)
+    found.repeated = tuple(key for key in data if keys.count(key) > 1)
+    return found
+
+
+def _repeated(value: Any, place: str, skipped: str) -> Iterator[str]:
+    if isinstance(value, dict):
+        dot = f"{place}." if place else ""
+        if isinstance(value, _Repeating):
+            yield from (f"{dot}{key}" for key in value.repeated)
+        for key, inner in value.items():
+            if place or key != skipped:
+                yield from _repeated(inner, f"{dot}{key}", skipped)
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _repeated(inner, f"{place}[{index}]", skipped)

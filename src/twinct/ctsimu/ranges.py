@@ -1,0 +1,63 @@
+"""What numbers of a CTSimU file may be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from ``low`` to ``high``.
+
+    Attributes:
+        low: smallest number.
+        high: largest number.
+        above: leaves ``low`` itself out.
+        below: leaves ``high`` itself out.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    above: bool = False
+    below: bool = False
+
+    def __contains__(self, value: float) -> bool:
+        """Whether a number is one of them."""
+        left = value > self.low if self.above else value >= self.low
+        right = value < self.high if self.below else value <= self.high
+        return left and right
+
+    def __str__(self) -> str:
+        """As in "must be above 0"."""
+        if math.isfinite(self.low) and math.isfinite(self.high) and not self.above | self.below:
+            return f"from {self.low:g} to {self.high:g}"
+        left = f"{'above' if self.above else 'at least'} {self.low:g}"
+        right = f"{'below' if self.below else 'at most'} {self.high:g}"
+        ends = (left, self.low), (right, self.high)
+        return " and ".join(words for words, limit in ends if math.isfinite(limit))
+
+
+FARTHEST_MM = 1e9
+"""Of any length or coordinate: beyond it, squares of doubles lose a micrometre."""
+
+ANY = Range()
+NOT_NEGATIVE = Range(0)
+POSITIVE = Range(0, above=True)
+SHARE = Range(0, 1)
+LAG = Range(0, 1, below=True)
+PLACE = Range(-FARTHEST_MM, FARTHEST_MM)
+LENGTH = Range(0, FARTHEST_MM)
+EDGE = Range(0, FARTHEST_MM, above=True)
+DENSITY = Range(0, 1e9)
+"""g/cm^3. 0 is vacuum; the suite's opaque material has 1e7."""
+VOLTAGE = Range(0, 800, above=True)
+"""kV: xraylib knows no attenuation above 800 keV."""
+TAKE_OFF = Range(0, 90, above=True)
+PIXELS = Range(1, 65536)
+"""Along one edge of the panel."""
+BITS = Range(1, 16)
+COUNT = Range(1, 100_000)
+"""Of projections, and of frames averaged."""
+FIELDS = Range(0, 10_000)
+"""Of dark and flat images: their file names have four digits."""
