@@ -97,6 +97,24 @@ def test_sample_at_the_source_is_refused(data, write):
         camera.expose(scenario.frame(0))
 
 
+def test_files_of_other_names_stay_and_the_same_name_is_refused(data, write, tmp_path):
+    scenario, out = load_ctsimu(write(data)), tmp_path / "out"
+    out.mkdir()
+    others = ["notes.txt", "small_2_0000.tif", "small_bone_flat.tif", "large_0000.tif"]
+    for name in others:
+        (out / name).write_text("mine")
+    # What a rendering leaves that failed before its first image.
+    (out / "small_rendering.json").write_text('{"digest": "of another"}')
+    render(scenario, out, QUICK)
+    assert {(out / name).read_text() for name in others} == {"mine"}
+    (out / "small_rendering.json").write_text("not JSON")
+    with pytest.raises(ScanExistsError, match="other options"):
+        render(scenario, out, QUICK, resume=True)
+    (out / "small_rendering.json").unlink()
+    with pytest.raises(ScanExistsError, match="from elsewhere"):
+        render(scenario, out, QUICK)
+
+
 def test_noise_lag_and_averages(data, write, tmp_path):
     data = noisy(data)
     data["acquisition"] |= {"frame_average": 4, "stop_angle": quantity(0.0, "deg")}

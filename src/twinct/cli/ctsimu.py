@@ -10,6 +10,12 @@ from rich.console import Console
 
 ctsimu = tyro.extras.SubcommandApp()
 
+MOST_SAMPLES = 64
+"""Along a pixel's edge: 4096 rays a pixel."""
+
+MOST_SPOT_POINTS = 10_000
+"""Each is a render of the whole panel."""
+
 _Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
@@ -30,18 +36,19 @@ def render(
     Args:
         scenario: CTSimU scenario, file format 1.0 to 1.2.
         out: Folder for the images; what is there is never touched without --resume.
-        samples: Rays along each pixel edge, for a point source; the time grows with its square.
-        spot_points: Points that a focal spot with extent is sampled by; the time grows with it.
-        seed: Seed of the noise.
+        samples: Rays along each pixel edge, for a point source, 1 to 64; the time grows with its
+            square.
+        spot_points: Points that a focal spot with extent is sampled by, 1 to 10000; the time grows
+            with it.
+        seed: Seed of the noise, 0 or more.
         resume: Go on with a rendering that was interrupted.
     """
+    from twinct.cli.output import check_folder
     from twinct.cli.progress import TerminalProgress
     from twinct.ctsimu import Options, load_ctsimu, render
-    from twinct.errors import InputError
 
-    low = [f"--{n} {v}: must be at least 1" for n, v in _counts(samples, spot_points) if v < 1]
-    if low:
-        raise InputError(low)
+    _check_options(samples, spot_points, seed)
+    check_folder(out)
     loaded = load_ctsimu(scenario)
     options = Options(samples, spot_points, seed)
     with TerminalProgress().stage("projections", loaded.frames) as step:
@@ -65,6 +72,7 @@ def export(
         out: Folder for the files.
         ideal: Describe an ideal source and detector, whatever the scan's were.
     """
+    from twinct.cli.output import check_folder
     from twinct.ctsimu.export import export_scan
     from twinct.errors import InputError
     from twinct.scan import ScanStore, Workshop
@@ -72,6 +80,7 @@ def export(
     store = scan if scan.suffix == ".zarr" else scan / "scan.zarr"
     if not store.is_dir():
         raise InputError(f"{scan}: no scan there: it needs a scan.zarr, which 'twinct run' writes")
+    check_folder(out)
     taken = ScanStore(store).read()
     files = export_scan(taken, Workshop(taken.scenario).specimen, out, ideal=ideal)
     Console().print(f"wrote {files.scenario} and {files.trajectory}", highlight=False)
@@ -93,8 +102,10 @@ def qualify(
     """
     from rich.table import Table
 
+    from twinct.cli.output import check_folder
     from twinct.ctsimu.suite import TESTS, qualify
 
+    check_folder(out)
     console = Console()
 
     def say(name: str) -> None:
@@ -112,5 +123,18 @@ def qualify(
         raise SystemExit(1)
 
 
-def _counts(samples: int, spot_points: int) -> list[tuple[str, int]]:
-    return [("samples", samples), ("spot-points", spot_points)]
+def _check_options(samples: int, spot_points: int, seed: int) -> None:
+    from twinct.errors import InputError
+
+    wrong = []
+    for name, value, most in (
+        ("samples", samples, MOST_SAMPLES),
+        ("spot-points", spot_points, MOST_SPOT_POINTS),
+    ):
+        if not 1 <= value <= most:
+            limit = "at least 1" if value < 1 else f"at most {most}"
+            wrong.append(f"--{name} {value}: must be {limit}")
+    if seed < 0:
+        wrong.append(f"--seed {seed}: must be at least 0")
+    if wrong:
+        raise InputError(wrong)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -23,6 +24,7 @@ from twinct.ctsimu.images import write_tiff
 from twinct.ctsimu.metadata import write_metadata
 from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.ctsimu.scene import FieldImages, Frame, RawImage
+from twinct.ctsimu.writing import make_folder
 from twinct.errors import ScanExistsError, ScenarioError
 from twinct.scan.store import storage_errors
 from twinct.uncertainty import view_rng
@@ -212,23 +214,36 @@ class _Run:
 
 def _claim(files: Files, identity: str, resume: bool) -> None:
     """Make sure that the folder is free, or holds this very rendering."""
-    files.folder.mkdir(parents=True, exist_ok=True)
-    if files.key.exists():
+    make_folder(files.folder)
+    # Not NAME_*: that would take the images of NAME_2 for ours.
+    own = re.compile(re.escape(files.name) + r"_(\d{4,}|(dark|flat)(_\d{4,})?)\.tif")
+    images = any(own.fullmatch(path.name) for path in files.folder.iterdir())
+    # A rendering that failed before its first image has claimed nothing.
+    if files.key.exists() and (images or files.metadata.exists()):
         if not resume:
             raise ScanExistsError(
                 f"{files.folder} already holds images of {files.name}: choose another --out, or "
                 "go on with --resume"
             )
-        if json.loads(files.key.read_text()).get("digest") != identity:
+        if _digest(files.key) != identity:
             raise ScanExistsError(
                 f"{files.folder} holds {files.name} rendered from other files or with other "
                 "options: choose another --out"
             )
-    elif list(files.folder.glob(f"{files.name}_*.tif")):
+    elif images:
         raise ScanExistsError(
             f"{files.folder} holds images of {files.name} from elsewhere: choose another --out"
         )
     files.key.write_text(json.dumps({"digest": identity}) + "\n")
+
+
+def _digest(key: Path) -> str | None:
+    """What a key file says; None where it is none of ours."""
+    try:
+        found = json.loads(key.read_text())
+    except ValueError:
+        return None
+    return found.get("digest") if isinstance(found, dict) else None
 
 
 def _identity(scenario: CtsimuScenario, options: Options) -> str:

@@ -11,6 +11,8 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from twinct.ctsimu.acquisition import FORMAT
+from twinct.ctsimu.drifts import reason
+from twinct.errors import StorageError
 from twinct.specimen import Material
 
 Json = dict[str, Any]
@@ -64,6 +66,20 @@ def header(name: str, description: str) -> Json:
         "file_type": "CTSimU Scenario",
         "file_format_version": {"major": FORMAT[0], "minor": FORMAT[1]},
     }
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for what is written, unless it is there.
+
+    Raises:
+        StorageError: it is a file, or the system refuses; says why.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise StorageError(f"{folder}: this is a file; a folder is needed") from None
+    except OSError as error:
+        raise StorageError(f"{folder}: the folder cannot be made: {reason(error)}") from None
 
 
 def write_json(path: Path, data: Json) -> None:
