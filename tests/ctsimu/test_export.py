@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,15 @@ import pytest
 import tifffile
 
 from twinct.ctsimu import Options, load_ctsimu, render
+from twinct.ctsimu.detector import Detector as CtsimuDetector
 from twinct.ctsimu.export import export_scan, from_openct, to_openct
+from twinct.ctsimu.scene import FieldImages
 from twinct.errors import InputError, ScanExistsError
 from twinct.geometry import Panel
 from twinct.pipeline import simulate
 from twinct.scan import Scan, Workshop
-from twinct.scenario import load_scenario
+from twinct.scenario import Detector, Source, load_scenario
+from twinct.scenario.xray import Correction
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 TINY = [
@@ -105,11 +109,88 @@ def test_export_renders_as_the_scan_did(scan, workshop, tmp_path):
         assert np.median(off) < 1e-3 and (off > 0.02).sum() <= 4
 
 
+def of(scan, *changes):
+    """The same scan, as if its scenario had been another."""
+    return replace(scan, scenario=load_scenario(DEMO, [*TINY, *changes]))
+
+
+UNSAID = {
+    "source.focal_spot": "{kind: square, size_mm: 1}",
+    "source.motion_samples": "3",
+    "detector.noise": "{kind: quantum}",
+    "detector.readout": "{}",
+    "detector.bad_pixels": "{kind: random, share: 0.01}",
+    "detector.scatter": "{kind: kernel}",
+}
+
+
 def test_what_ctsimu_cannot_say_is_refused_by_name(scan, workshop, tmp_path):
-    changed = load_scenario(DEMO, [*TINY, "source.motion_samples=3", "detector.readout={}"])
-    noisy = Scan(changed, *[getattr(scan, f) for f in list(Scan.__dataclass_fields__)[1:]])
+    photons = "source.photons_per_mm2_mas=1e6"
+    noisy = of(scan, photons, *(f"{key}={value}" for key, value in UNSAID.items()))
     with pytest.raises(InputError) as refused:
-        export_scan(noisy, workshop.specimen, tmp_path)
-    for word in ("source.motion_samples", "detector.readout", "--ideal"):
-        assert word in str(refused.value)
-    assert export_scan(noisy, workshop.specimen, tmp_path, ideal=True).scenario.is_file()
+        export_scan(noisy, workshop.specimen, tmp_path / "out")
+    *named, advice = refused.value.problems
+    assert [problem.split(":")[0] for problem in named] == list(UNSAID)
+    assert "--ideal" in advice and not (tmp_path / "out").exists()
+    files = export_scan(noisy, workshop.specimen, tmp_path / "out", ideal=True)
+    found = load_ctsimu(files.scenario)
+    assert files.options == "" and found.flat == FieldImages(1, 1, True, False)
+
+
+def test_every_key_of_source_and_detector_is_said_refused_or_sampling():
+    # A new key of a scenario has to be put somewhere here, and into describe.py.
+    said = {
+        "source": {"energy_kev", "spectrum", "current_ma", "exposure_ms", "focal_spot"},
+        "detector": {
+            "columns", "rows", "pixel_pitch_mm", "response", "binning", "point_spread", "noise",
+            "lag", "correction",
+        },
+    }  # fmt: skip
+    sampling, without_effect = {"pixel_samples"}, {"photons_per_mm2_mas"}
+    for name, model in (("source", Source), ("detector", Detector)):
+        refused = {key.split(".")[1] for key in UNSAID if key.startswith(name)}
+        known = said[name] | refused | sampling | without_effect
+        assert set(model.model_fields) <= known
+    assert set(Correction.model_fields) == {"flat_frames", "dark_frames", "flat_geometry"}
+
+
+def test_flat_and_dark_frames_binning_and_noise_are_written(scan, workshop, tmp_path):
+    described = of(
+        scan,
+        "detector.correction={flat_frames: 20, dark_frames: 5, flat_geometry: first}",
+        "detector.binning=2",
+        "detector.noise={kind: snr, snr: 200}",
+        "detector.pixel_samples=3",
+        "source.exposure_ms=40",
+    )
+    files = export_scan(described, workshop.specimen, tmp_path)
+    found = load_ctsimu(files.scenario)
+    assert found.flat == FieldImages(1, 20, False, False)
+    assert found.dark == FieldImages(1, 5, False, False)
+    frame = found.frame(0)
+    assert frame.binning == (2, 2) and frame.panel.shape == (48, 64)
+    assert frame.exposure_s == pytest.approx(0.04)
+    assert files.options == "--samples 3"
+    # Noise of the binned image, as the renderer makes it.
+    detector = CtsimuDetector(frame.response, frame.panel, 1.0)
+    deviation = detector.deviation(np.full((1, 1), 60000.0))[0, 0]
+    assert 60000 / (deviation / 2) == pytest.approx(200)
+
+
+def test_spot_names_its_own_option(scan, workshop, tmp_path):
+    spot = of(scan, "source.focal_spot={kind: gaussian, sigma_mm: 0.3, samples: 7}")
+    assert export_scan(spot, workshop.specimen, tmp_path).options == "--spot-points 7"
+
+
+def test_materials_of_one_name_stay_apart(scan, tmp_path):
+    parts = ", ".join(
+        f"{{shape: {{kind: sphere, radius_mm: 5}}, position_mm: [{20 * i}, 0, 0], "
+        f"material: {{formula: CsI, density_g_cm3: {density}}}}}"
+        for i, density in enumerate((1.0, 2.0, 4.51, 1.0))
+    )
+    layer = "detector.response={kind: scintillator, material: CsI, thickness_mm: 0.2}"
+    mixed = of(scan, f"specimen.parts=[{parts}]", layer)
+    files = export_scan(mixed, Workshop(mixed.scenario).specimen, tmp_path)
+    frame = load_ctsimu(files.scenario).frame(0)
+    assert [body.material.density_g_cm3 for body in frame.bodies] == [1.0, 2.0, 4.51, 1.0]
+    assert frame.response.scintillator.material.density_g_cm3 == 4.51

@@ -83,7 +83,12 @@ def export(
     check_folder(out)
     taken = ScanStore(store).read()
     files = export_scan(taken, Workshop(taken.scenario).specimen, out, ideal=ideal)
-    Console().print(f"wrote {files.scenario} and {files.trajectory}", highlight=False)
+    console = Console()
+    console.print(f"wrote {files.scenario} and {files.trajectory}", highlight=False)
+    if files.options:
+        console.print(
+            f"render it with {files.options} to get the scan's own images", highlight=False
+        )
 
 
 @ctsimu.command

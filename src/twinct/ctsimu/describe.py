@@ -27,33 +27,47 @@ class Description:
     Attributes:
         source: the section ``source``.
         detector: the section ``detector``.
-        binning: the section ``acquisition.pixel_binning``.
+        acquisition: binning, dark and flat images of the section ``acquisition``.
         materials: those that these name.
     """
 
     source: Json
     detector: Json
-    binning: Json
+    acquisition: Json
     materials: list[Json]
+
+
+def refuse_unsaid(scenario: Scenario) -> None:
+    """Refuse what CTSimU has no words for.
+
+    Raises:
+        InputError: names every key.
+    """
+    problems = [f"{key}: CTSimU cannot say this" for key in _unsaid(scenario)]
+    if problems:
+        raise InputError([*problems, "--ideal exports an ideal source and detector instead"])
+
+
+def render_options(scenario: Scenario) -> str:
+    """Options of ``twinct ctsimu render`` that sample as the scan did: the format has none."""
+    spot = scenario.source.focal_spot
+    if spot is None:
+        return f"--samples {scenario.detector.pixel_samples}"
+    return f"--spot-points {spot.samples}"
 
 
 def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Description:
     """Describe source and detector; their curves become files in the folder.
+
+    What ``refuse_unsaid`` refuses must not be there, unless it shall be ideal.
 
     Args:
         scenario: of ours.
         folder: where the curves go.
         name: start of their names.
         ideal: a monochromatic point and an ideal panel, whatever the scenario says.
-
-    Raises:
-        InputError: what CTSimU cannot say; names every key.
     """
     source, detector = scenario.source, scenario.detector
-    if not ideal:
-        problems = [f"{key}: CTSimU cannot say this" for key in _unsaid(scenario)]
-        if problems:
-            raise InputError([*problems, "--ideal exports an ideal source and detector instead"])
     panel = physical_panel(detector)
     seen: Json = {
         "type": "ideal",
@@ -75,16 +89,30 @@ def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Descri
         "filters": [],
     }
     materials: list[Json] = []
+    correction = sections.Correction() if ideal else detector.correction
     if not ideal:
         beam |= _beam(source, folder, name)
         more, materials = _seen(detector, folder, name)
         more["gray_value"] = seen["gray_value"] | more.get("gray_value", {})
         seen |= more
-    binning = {axis: detector.binning for axis in "uv"}
-    return Description(beam, seen, binning, materials)
+    acquisition = {
+        "dark_field": _fields(correction.dark_frames, without_noise=0),
+        # One, of frame 0: what ``flat_geometry: first`` says. For a flat of each view, divide.
+        "flat_field": _fields(correction.flat_frames, without_noise=1),
+        "pixel_binning": {axis: detector.binning for axis in "uv"},
+    }
+    return Description(beam, seen, acquisition, materials)
+
+
+def _fields(frames: int, without_noise: int) -> Json:
+    """Dark or flat images; without averaged frames they have no noise."""
+    number = 1 if frames else without_noise
+    return {"number": number, "frame_average": max(frames, 1), "ideal": not frames}
 
 
 def _unsaid(scenario: Scenario) -> list[str]:
+    # ``photons_per_mm2_mas`` of a monochromatic source and photon counting at one energy have no
+    # words either; without quantum noise they change no transmission.
     source, detector = scenario.source, scenario.detector
     spot, response = source.focal_spot, detector.response
     table = {
@@ -142,7 +170,8 @@ def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, l
         _write_table(file, *read_columns(spread.path, 2))
         found["unsharpness"] = {"mtf": {"value": file.name}}
     if isinstance(detector.noise, sections.SnrNoise):
-        found["noise"] = {"snr_at_imax": quantity(detector.noise.snr)}
+        # Of a physical pixel: the mean of n x n of them has n times its SNR.
+        found["noise"] = {"snr_at_imax": quantity(detector.noise.snr / detector.binning)}
     if detector.lag:
         found["image_lag"] = quantity(detector.lag)
     return found, materials

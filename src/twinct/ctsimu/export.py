@@ -19,9 +19,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from twinct.ctsimu.describe import describe
+from twinct.ctsimu.describe import describe, refuse_unsaid, render_options
 from twinct.ctsimu.images import write_tiff
-from twinct.ctsimu.writing import Json, as_material, header, quantity, vector, write_json
+from twinct.ctsimu.writing import (
+    Json,
+    as_material,
+    header,
+    make_folder,
+    quantity,
+    vector,
+    write_json,
+)
 from twinct.errors import ScanExistsError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.scan import Scan
@@ -36,10 +44,12 @@ class Exported:
     Attributes:
         scenario: the CTSimU scenario.
         trajectory: the OpenCT free trajectory.
+        options: of ``twinct ctsimu render``, to get the scan's own images; empty for ideal ones.
     """
 
     scenario: Path
     trajectory: Path
+    options: str
 
 
 def export_scan(
@@ -59,12 +69,15 @@ def export_scan(
         StorageError: it cannot be written.
     """
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scan.scenario.name)
-    files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json")
+    options = "" if ideal else render_options(scan.scenario)
+    files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json", options)
     taken = [p.name for p in (files.scenario, files.trajectory) if p.exists()]
     if taken:
         raise ScanExistsError(f"{folder} already holds {', '.join(taken)}: choose another --out")
+    if not ideal:
+        refuse_unsaid(scan.scenario)
+    make_folder(folder)
     with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
         write_json(files.scenario, _scenario(scan, specimen, folder, name, ideal))
         images = folder / "projections"
         images.mkdir(exist_ok=True)
@@ -127,26 +140,28 @@ def _scenario(scan: Scan, specimen: BuiltSpecimen, folder: Path, name: str, idea
 
     detector = _moving(away(scan.believed.detector), away(scan.executed.detector))
     source = _moving(scan.believed.source, scan.executed.source)
-    parts, samples = {}, []
+    substances: list[Json] = []
+    samples = []
     for index, part in enumerate(specimen.parts):
         middle = np.asarray(part.mesh.bounds).mean(axis=0)
         file = folder / f"{name}_{index}_{part.name}.obj"
         part.mesh.copy().apply_translation(-middle).export(file, digits=12)
         shift = Pose(middle, np.array([0.0, 0.0, 0.0, 1.0]))
         poses = [pose @ shift for pose in scan.executed_object]
-        parts[part.material.name] = as_material(part.material)
         samples.append(
             {
                 "name": part.name,
                 "file": {"value": os.path.basename(file)},
                 "unit": "mm",
                 "scaling_factor": {axis: quantity(1.0) for axis in "rst"},
-                "material_id": part.material.name,
+                "material_id": _listed(as_material(part.material), substances),
                 "position": _moving(poses, poses, "rt"),
             }
         )
     views = len(scan)
     description = describe(scan.scenario, folder, name, ideal)
+    for substance in description.materials:  # the scintillator's, or none
+        description.detector["scintillator"]["material_id"] = _listed(substance, substances)
     still = _moving([Pose.identity()], [Pose.identity()])
     return {
         "file": header(scan.scenario.name, "Scan of a twin robotic CT system, by twinct"),
@@ -167,14 +182,24 @@ def _scenario(scan: Scan, specimen: BuiltSpecimen, folder: Path, name: str, idea
             "number_of_projections": views,
             "include_final_angle": True,
             "frame_average": 1,
-            "dark_field": {"number": 0},
-            "flat_field": {"number": 1, "frame_average": 1, "ideal": True},
-            "pixel_binning": description.binning,
+            **description.acquisition,
             "scattering": False,
         },
-        "materials": [*parts.values(), *description.materials],
+        "materials": substances,
         "simulation": {"twinct": {"scenario": scan.scenario.resolved()}},
     }
+
+
+def _listed(substance: Json, substances: list[Json]) -> str:
+    """The id of a material in the list, where it is put unless it is there."""
+    wanted, number = substance["id"], 1
+    while any(s["id"] == substance["id"] and s != substance for s in substances):
+        # Two of the same name, such as one formula at two densities.
+        number += 1
+        substance = substance | {"id": f"{wanted} ({number})"}
+    if substance not in substances:
+        substances.append(substance)
+    return substance["id"]
 
 
 def _moving(believed: Sequence[Pose], executed: Sequence[Pose], keys: str = "uw") -> Json:
