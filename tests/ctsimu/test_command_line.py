@@ -66,8 +66,21 @@ def test_bad_scenario_is_named_before_anything_is_written(data, write, tmp_path,
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a /proc")
-def test_folder_that_cannot_be_made_is_named(data, write, capsys):
-    path = str(write(data))
-    assert run_command(["ctsimu", "render", path, "--out", "/proc/twinct"]) == 2
+@pytest.mark.parametrize("command", ["render", "qualify"])
+def test_folder_that_cannot_be_made_is_named(data, write, capsys, command):
+    if command == "qualify":
+        pytest.importorskip("ctsimu.toolbox", reason="needs the extra ctsimu")
+    arguments = [str(write(data))] if command == "render" else []
+    assert run_command(["ctsimu", command, *arguments, "--out", "/proc/twinct"]) == 2
     said = capsys.readouterr().err
     assert "/proc/twinct" in said and "bug" not in said
+
+
+def test_too_little_memory_is_no_bug(data, write, tmp_path, monkeypatch, capsys):
+    def render(*args, **kwargs):
+        raise MemoryError("Unable to allocate 2 GiB")
+
+    monkeypatch.setattr("twinct.ctsimu.render", render)
+    path = str(write(data))
+    assert run_command(["ctsimu", "render", path, "--out", str(tmp_path / "out")]) == 2
+    assert f"{path}: a panel of 24 x 16 pixels does not fit" in capsys.readouterr().err

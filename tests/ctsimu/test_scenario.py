@@ -338,6 +338,53 @@ def test_spectrum_needs_a_current(data, write, tmp_path):
     assert problems_of(write(data)) == ["source.current: is missing"]
 
 
+CURVES = {
+    "source.spectrum": "file",
+    "detector.gray_value": "intensity_characteristics_file",
+    "detector.noise": "noise_characteristics_file",
+    "detector.unsharpness": "mtf",
+}
+
+
+@pytest.mark.parametrize("place", CURVES)
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1 2\n0 3\n", "the first column must rise"),
+        ("1 2\n2 nan\n", "holds a value that is not finite"),
+        ("1 2\ntwo 3\n", "not two columns of numbers"),
+        ("", "the first column must rise"),
+    ],
+)
+def test_broken_curve_is_named_with_its_key(data, write, tmp_path, place, text, words):
+    data["source"]["spectrum"] = {"monochromatic": False, "file": {"value": "good.tsv"}}
+    (tmp_path / "good.tsv").write_text("50 1\n60 2\n")
+    (tmp_path / "bad.tsv").write_text(text)
+    change(data, [*place.split("."), CURVES[place]], {"value": "bad.tsv"})
+    found = problems_of(write(data))
+    assert len(found) == 1 and words in found[0], found
+    assert found[0].startswith(f"{place}.{CURVES[place]}: {tmp_path / 'bad.tsv'}: ")
+
+
+def test_broken_picture_is_named_with_its_key(data, write, tmp_path):
+    np.zeros(7, "<i2").tofile(tmp_path / "seven.raw")
+    (tmp_path / "no.tif").write_text("no image")
+    file = {"file": {"value": "seven.raw"}, "type": "int16"}
+    data["detector"]["bad_pixel_map"] = file
+    size = {axis: quantity(1.0, "mm") for axis in "uv"}
+    data["source"]["spot"] = {"size": size, "intensity_map": {"file": {"value": "no.tif"}}}
+    found = problems_of(write(data))
+    assert [problem.split(": ")[0] for problem in found] == [
+        "source.spot.intensity_map.file",
+        "detector.bad_pixel_map.file",
+    ]
+    data["detector"]["bad_pixel_map"] = None
+    data["source"]["spot"]["intensity_map"] = dict(file)
+    assert problems_of(write(data)) == [
+        "source.spot.intensity_map.dim_x, dim_y: a raw file needs both"
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -46,13 +46,20 @@ def render(
     from twinct.cli.output import check_folder
     from twinct.cli.progress import TerminalProgress
     from twinct.ctsimu import Options, load_ctsimu, render
+    from twinct.errors import MemoryShortageError
 
     _check_options(samples, spot_points, seed)
     check_folder(out)
     loaded = load_ctsimu(scenario)
     options = Options(samples, spot_points, seed)
-    with TerminalProgress().stage("projections", loaded.frames) as step:
-        files = render(loaded, out, options, resume=resume, step=step)
+    try:
+        with TerminalProgress().stage("projections", loaded.frames) as step:
+            files = render(loaded, out, options, resume=resume, step=step)
+    except MemoryError as error:
+        columns, rows = reversed(loaded.frame(0).panel.shape)
+        raise MemoryShortageError(
+            f"{scenario}: a panel of {columns} x {rows} pixels does not fit into memory: {error}"
+        ) from None
     Console().print(f"wrote {files.metadata}", highlight=False)
 
 

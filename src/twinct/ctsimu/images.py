@@ -26,7 +26,7 @@ def read_image(image: RawImage, shape: tuple[int, int] | None = None) -> NDArray
     """
     path = image.path
     try:
-        if path.suffix.lower() in (".tif", ".tiff"):
+        if image.is_tiff:
             pixels = tifffile.imread(path).astype(np.float64)
         else:
             rows, columns = shape or (image.rows, image.columns)

@@ -12,6 +12,7 @@ import numpy as np
 from twinct.ctsimu.acquisition import read_plan
 from twinct.ctsimu.jsonfile import read_json
 from twinct.ctsimu.reader import Moment, Section
+from twinct.ctsimu.references import wrong_references
 from twinct.ctsimu.scene import FieldImages, Frame
 from twinct.ctsimu.sections import read_frame
 from twinct.errors import ScenarioError
@@ -88,9 +89,12 @@ def load_ctsimu(path: str | Path) -> CtsimuScenario:
     # What is wrong with the plan is told with all else that is wrong in frame 0.
     plan = read_plan(Section(data, "", Moment(0, 1), path.parent, []).section("acquisition"))
     scenario = CtsimuScenario(path, data, plan.frames, plan.average, plan.dark, plan.flat)
+    seen: set[object] = set()
     for index in range(plan.frames):
         problems: list[str] = []
-        read_frame(scenario._root(Moment(index, plan.frames), problems))
+        frame = read_frame(scenario._root(Moment(index, plan.frames), problems))
+        if frame is not None:
+            problems += wrong_references(frame, seen)
         if problems:
             # Later frames repeat what is wrong in this one, with other numbers.
             when = f" (frame {index})" if index else ""

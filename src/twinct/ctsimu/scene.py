@@ -40,6 +40,11 @@ class RawImage:
     rows: int
     header: int
 
+    @property
+    def is_tiff(self) -> bool:
+        """By its name."""
+        return self.path.suffix.lower() in (".tif", ".tiff")
+
 
 @dataclass(frozen=True)
 class Spot:

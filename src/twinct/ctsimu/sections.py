@@ -210,6 +210,8 @@ def _spot(section: Section) -> Spot:
         (sigma.number("u", "mm", LENGTH) or 0.0, sigma.number("v", "mm", LENGTH) or 0.0),
         _raw_image(picture, shape),
     )
+    if profile.image is not None and not profile.image.is_tiff and min(shape) < 1:
+        picture.problem("dim_x, dim_y", "a raw file needs both")
     if profile.image is not None and min(profile.size_mm) <= 0:
         section.problem("size", "an intensity_map needs the size of its rectangle")
     return profile

@@ -15,7 +15,7 @@ from twinct.ctsimu.render import Files, Options, render
 from twinct.ctsimu.scenario import load_ctsimu
 from twinct.ctsimu.suite.cases import TESTS, Case, cases
 from twinct.ctsimu.suite.verdicts import Verdict, verdicts
-from twinct.ctsimu.writing import write_json
+from twinct.ctsimu.writing import make_folder, write_json
 from twinct.errors import InputError, MissingExtraError
 
 __all__ = ["TESTS", "Verdict", "qualify"]
@@ -39,11 +39,13 @@ def qualify(
     Raises:
         InputError: a test that does not exist.
         MissingExtraError: the toolbox is not installed.
+        StorageError: the folder cannot be made.
     """
     unknown = [name for name in tests if name not in TESTS]
     if unknown:
         raise InputError(f"unknown tests {', '.join(unknown)}; there are {', '.join(TESTS)}")
     _toolbox()
+    make_folder(folder)
     found: list[Verdict] = []
     for test in tests:
         place = folder / test
