@@ -29,7 +29,7 @@ def drift_values(drift: Mapping[str, Any], folder: Path, *, as_text: bool) -> li
     kind = str if as_text else (int, float)
     if not values or any(isinstance(v, bool) or not isinstance(v, kind) for v in values):
         raise ValueError(f"{short(value)} are no {'texts' if as_text else 'numbers'}")
-    return values if as_text else _finite(values)
+    return _filled(values) if as_text else _finite(values)
 
 
 def _column(file: object, folder: Path, as_text: bool) -> list[Any]:
@@ -44,11 +44,17 @@ def _column(file: object, folder: Path, as_text: bool) -> list[Any]:
     if not cells:
         raise ValueError(f"{path} holds no values")
     if as_text:
-        return cells
+        return _filled(cells)
     try:
         return _finite([float(cell) for cell in cells])
     except ValueError as error:
         raise ValueError(f"{path} is no column of numbers: {error}") from None
+
+
+def _filled(values: list[str]) -> list[str]:
+    if "" in values:
+        raise ValueError("holds an empty text")
+    return values
 
 
 def _finite(values: Sequence[float]) -> list[float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xraylib
 
+from twinct.ctsimu.drifts import short
 from twinct.ctsimu.ranges import DENSITY, SHARE
 from twinct.ctsimu.reader import Section
 from twinct.errors import SpecimenError
@@ -24,7 +25,7 @@ def read_materials(root: Section) -> Materials:
         if name is None and not section.has("id"):
             section.missing("id")
         if name in found:
-            section.problem("id", f"{name!r} is the id of an earlier material too")
+            section.problem("id", f"{short(name)} is the id of an earlier material too")
         section.skip("name")
         found[name or section.place] = _read(section, name or section.place)
     return found
@@ -63,7 +64,7 @@ def _add(section: Section, formula: str, weight: float, shares: dict[str, float]
     try:
         parsed = xraylib.CompoundParser("".join(formula.split()))
     except ValueError as error:
-        section.problem("formula", f"{formula!r} cannot be read: {error}")
+        section.problem("formula", f"{short(formula)} cannot be read: {error}")
         return False
     for number, share in zip(parsed["Elements"], parsed["massFractions"], strict=True):
         symbol = xraylib.AtomicNumberToSymbol(number)

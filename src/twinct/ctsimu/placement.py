@@ -76,6 +76,8 @@ def place(
 def _deviate(pose: Pose, deviation: Section, world_from_stage: Pose | None) -> Pose:
     """One translation or rotation; the pose is in the stage where one is given, else the world."""
     kind = deviation.text("type", ("translation", "rotation"))
+    if not deviation.has("type"):
+        deviation.missing("type")
     known = deviation.flag("known_to_reconstruction", True)
     axis = _turned(deviation, "axis", pose, world_from_stage)
     pivot = _pivot(deviation, pose, world_from_stage)
@@ -152,7 +154,9 @@ def _vector(
     inner.may_be_empty(*WORLD, *LOCAL, *SAMPLE)
     drift = np.array([inner.drift(name, unit) for name in names])
     allowed = PLACE if unit else COMPONENT
-    return np.array([inner.needed(name, unit, allowed) for name in names]) - drift, drift
+    values = np.array([inner.needed(name, unit, allowed) for name in names])
+    drift = np.where(np.isnan(values), 0.0, drift)  # it may be endless there
+    return values - drift, drift
 
 
 def _basis(section: Section, keys: tuple[str, str], first: Floats, third: Floats) -> Floats:

@@ -41,9 +41,14 @@ class Range:
 FARTHEST_MM = 1e9
 """Of any length or coordinate: beyond it, squares of doubles lose a micrometre."""
 
+LARGEST = 1e12
+"""Of what has no limit of its own: products of a few of them are still finite."""
+
 ANY = Range()
-NOT_NEGATIVE = Range(0)
-POSITIVE = Range(0, above=True)
+NOT_NEGATIVE = Range(0, LARGEST)
+POSITIVE = Range(0, LARGEST, above=True)
+GREY = Range(-LARGEST, LARGEST)
+GREY_PER_J = Range(0, 1e30, above=True)
 SHARE = Range(0, 1)
 LAG = Range(0, 1, below=True)
 PLACE = Range(-FARTHEST_MM, FARTHEST_MM)

@@ -174,13 +174,13 @@ class Section:
         if found is None:
             return None
         value, drifts, _ = found
+        if not isinstance(value, str):
+            self.problem(key, f"{short(value)} is no text")
+            return None
         for drift in drifts:
             values = self._values(key, drift, as_text=True)
             if values:
                 value = values[int(math.floor(self._position(len(values))))]
-        if not isinstance(value, str):
-            self.problem(key, f"{short(value)} is no text")
-            return None
         if allowed is not None and value not in allowed:
             self.problem(key, f"{short(value)} is not supported; allowed: {', '.join(allowed)}")
         return value or None
@@ -256,7 +256,8 @@ class Section:
         if not isinstance(data, Mapping):
             return data, [], 1.0
         self._only(key, data, _PARAMETER_KEYS)
-        drifts = data.get("drifts") or []
+        drifts = data.get("drifts")
+        drifts = [] if _says_nothing(drifts) else drifts
         if not isinstance(drifts, list) or not all(isinstance(d, Mapping) for d in drifts):
             self.problem(f"{key}.drifts", "is no array of objects")
             drifts = []

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from twinct.ctsimu.acquisition import check_header, read_binning, read_plan, read_turn
+from twinct.ctsimu.drifts import short
 from twinct.ctsimu.materials import Materials, read_materials
 from twinct.ctsimu.placement import place
 from twinct.ctsimu.ranges import (
     BITS,
     EDGE,
+    GREY,
+    GREY_PER_J,
     LAG,
     LENGTH,
     NOT_NEGATIVE,
@@ -29,6 +32,7 @@ MAX_PIXELS = 2**28
 IN_PLANE_MM = 1e-6
 """The source cannot be nearer to the plane of the panel."""
 
+TARGETS = ("reflection", "transmission")
 RAW_KINDS = ("uint8", "int8", "uint16", "int16", "float32", "float64")
 
 
@@ -131,11 +135,11 @@ def _response(section: Section, materials: Materials) -> Response:
     efficiency = grey.file("efficiency_characteristics_file")
     if kind == "real" and scintillator is None and efficiency is None:
         section.problem("scintillator", "a real detector needs one, or an efficiency file")
-    factor, offset = grey.number("factor", "1/J", POSITIVE), grey.number("offset")
+    factor, offset = grey.number("factor", "1/J", GREY_PER_J), grey.number("offset", "", GREY)
     curve = grey.file("intensity_characteristics_file")
     if (factor is None) != (offset is None) and grey.has("factor") != grey.has("offset"):
         grey.problem("factor, offset", "one of them is missing")
-    imin, imax = grey.number("imin"), grey.number("imax")
+    imin, imax = grey.number("imin", "", GREY), grey.number("imax", "", GREY)
     imin, imax = 0.0 if imin is None else imin, 60000.0 if imax is None else imax
     if not imax > imin:
         grey.problem("imax", f"{imax:g} must be above imin, {imin:g}")
@@ -167,7 +171,9 @@ def _tube(section: Section, materials: Materials) -> tuple[Tube, Spot]:
         if spectrum.flag(name, True) is False and not monochromatic and file is None:
             spectrum.problem(name, "false is not supported: a tube emits both")
     symbol, angle = target.text("material_id"), target.section("angle")
-    take_off, kind = angle.number("emission", "deg", TAKE_OFF), target.text("type")
+    take_off, kind = angle.number("emission", "deg", TAKE_OFF), target.text("type", TARGETS)
+    if symbol is not None:
+        _of(target, materials)
     for inner, key, unit in ((angle, "incidence", "deg"), (target, "thickness", "mm")):
         inner.number(key, unit)  # documentation, but with the right unit
     if not monochromatic and file is None:
@@ -222,7 +228,7 @@ def _raw_image(section: Section, shape: tuple[int, int]) -> RawImage | None:
     kind = section.text("type", RAW_KINDS) or "uint16"
     endian = section.text("endian", ("little", "big")) or "little"
     header = section.whole("headersize", 0, "", NOT_NEGATIVE)
-    if path is None:
+    if path is None or kind not in RAW_KINDS:
         return None
     order = "<" if endian == "little" else ">"
     return RawImage(path, np.dtype(kind).newbyteorder(order).str, shape[0], shape[1], header)
@@ -232,7 +238,7 @@ def _body(section: Section, stage: Pose, materials: Materials) -> Body | None:
     name = section.text("name") or section.place
     file, unit = section.file("file"), section.text("unit") or "mm"
     if unit not in UNITS["mm"]:
-        section.problem("unit", f"{unit!r} is not one of {', '.join(map(str, UNITS['mm']))}")
+        section.problem("unit", f"{short(unit)} is not one of {', '.join(map(str, UNITS['mm']))}")
     factors = section.section("scaling_factor")
     scale = [1.0 if (f := factors.number(axis, "", EDGE)) is None else f for axis in "rst"]
     position = section.section("position", needed=True)
@@ -276,5 +282,5 @@ def _of(section: Section, materials: Materials) -> Material | None:
             section.missing("material_id")
     elif name not in materials:
         known = ", ".join(materials) or "none"
-        section.problem("material_id", f"{name!r} is not among the materials: {known}")
+        section.problem("material_id", f"{short(name)} is not among the materials: {known}")
     return materials.get(name or "")
