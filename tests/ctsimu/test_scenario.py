@@ -223,7 +223,7 @@ WRONG = [
     ("samples.0.file.drifts", [{"value": ["", "cube.stl"]}], "file.drifts: holds an empty text"),
     ("samples.0.file.drifts", 0, "samples[0].file.drifts: is no array of objects"),
     ("samples.0.file", {"value": 3, "drifts": [{"value": ["cube.stl"]}]}, "3 is no text"),
-    ("geometry.stage.deviations", [{"axis": "x", "amount": quantity(0, "deg")}], "type: is missing"),
+    ("geometry.stage.deviations", [{"axis": "x", "amount": quantity(0, "deg")}], "type: is miss"),
     ("detector.pixel_pitch.u.value", 0, "detector.pixel_pitch.u: 0 mm must be above 0"),
     ("detector.pixel_pitch", None, "detector.pixel_pitch: is missing"),
     ("detector.bit_depth.value", 32, "detector.bit_depth: 32 must be from 1 to 16"),

@@ -27,7 +27,7 @@ from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import Material
 
 MAX_PIXELS = 2**28
-"""Of a panel: 16384 x 16384. A frame of them takes 10 GB."""
+"""Of a panel: 16384 x 16384. The signal of a frame alone takes 2 GB."""
 
 IN_PLANE_MM = 1e-6
 """The source cannot be nearer to the plane of the panel."""
