@@ -47,7 +47,7 @@ bench: setup ## Time the parts of the simulation (benchmarks/)
 	[ $${#scripts[@]} -gt 0 ] || { echo "No benchmarks yet: put scripts into benchmarks/"; exit 0; }; \
 	for script in "$${scripts[@]}"; do echo "== $$script"; $(VENV)/python "$$script" || exit 1; done
 
-qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; half an hour)
+qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; 20 minutes)
 	@$(VENV)/twinct ctsimu qualify --out out/qualify
 
 docs: setup ## Regenerate the scenario reference and the pictures, check the links of the pages

@@ -180,7 +180,7 @@ def test_bad_scenarios_get_one_line_a_problem(capfd, tmp_path: Path) -> None:
     assert "SCENARIO" in bad(capfd, "run", "--out", "x")
 
 
-@pytest.mark.parametrize("name", ["check", "run"])
+@pytest.mark.parametrize("name", ["check", "run", "node xray"])
 def test_bad_physics_is_named_before_any_work(capfd, tmp_path: Path, name: str) -> None:
     for file in ("spectrum.txt", "spot.png", "map.npy", "mtf.txt", "efficiency.txt"):
         (tmp_path / file).write_text("")
@@ -199,7 +199,7 @@ def test_bad_physics_is_named_before_any_work(capfd, tmp_path: Path, name: str) 
     )
     out = tmp_path / "out"
     more = ["--out", str(out), "--link", "local"] if name == "run" else []
-    stderr = bad(capfd, name, str(file), *more)
+    stderr = bad(capfd, *name.split(), str(file), *more)
     assert sorted(line.split(": ")[1:3] for line in stderr.splitlines()) == [
         [f"{file}:10", "reconstruction.beam_hardening.base"],
         [f"{file}:3", "source.spectrum.path"],

@@ -138,11 +138,15 @@ def node(
         which: The robot simulation or the X-ray simulation.
     """
     from twinct.extras import require
+    from twinct.pipeline import check_physics
     from twinct.ros import spin_robots, spin_xray
+    from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     require("robots" if which == "robots" else "xray")
     with named_places(scenario, set_):
+        if which == "xray":
+            check_physics(Workshop(loaded))
         code = spin_robots(loaded) if which == "robots" else spin_xray(loaded)
     if code:
         sys.exit(code)
