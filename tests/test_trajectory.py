@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
+from twinct import scenario as sections
 from twinct.errors import TrajectoryError
 from twinct.geometry import Panel
-from twinct.scenario import sections
 from twinct.trajectory import commanded_views, write_views
 
 PANEL = Panel(480, 640, 0.5, 0.5)

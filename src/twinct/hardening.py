@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from twinct.errors import InputError
 from twinct.geometry import ScanGeometry
 from twinct.scan import Workshop
-from twinct.scenario import Scenario
-from twinct.scenario.xray import BeamHardening
+from twinct.scenario import BeamHardening, Scenario
 
 if TYPE_CHECKING:
     from twinct.specimen.materials import Material

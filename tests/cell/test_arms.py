@@ -14,8 +14,7 @@ from twinct.cell import build_cell
 from twinct.cell.arms import load_arm
 from twinct.errors import MissingExtraError, ScenarioError
 from twinct.geometry import Pose
-from twinct.scenario import Cell, Detector
-from twinct.scenario.sections import SourceArm
+from twinct.scenario import Cell, Detector, SourceArm
 
 EXACT_M = 1e-9
 MENAGERIE = Path(__file__).resolve().parents[3] / "shared" / "data" / "menagerie"

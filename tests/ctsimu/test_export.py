@@ -18,8 +18,7 @@ from twinct.errors import InputError, ScanExistsError
 from twinct.geometry import Panel
 from twinct.pipeline import simulate
 from twinct.scan import Scan, Workshop
-from twinct.scenario import Detector, Source, load_scenario
-from twinct.scenario.xray import Correction
+from twinct.scenario import Correction, Detector, Source, load_scenario
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 TINY = [

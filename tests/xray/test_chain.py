@@ -6,15 +6,17 @@ from xray_scenes import box, front_view, sphere
 
 from twinct.errors import InputError, ScenarioError
 from twinct.geometry import Pose
-from twinct.scenario import Detector, Source, parse_scenario
-from twinct.scenario.xray import (
+from twinct.scenario import (
     Correction,
+    Detector,
     GaussianSpread,
     QuantumNoise,
     RandomBadPixels,
     Readout,
     SnrNoise,
+    Source,
     TubeSpectrum,
+    parse_scenario,
 )
 from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.specimen.materials import material

@@ -6,8 +6,7 @@ from xray_scenes import box
 
 from twinct.errors import InputError
 from twinct.geometry import Pose, ScanGeometry
-from twinct.scenario import Detector, Source
-from twinct.scenario.xray import GaussianSpot
+from twinct.scenario import Detector, GaussianSpot, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.specimen.materials import material
 from twinct.xray import Imager

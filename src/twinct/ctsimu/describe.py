@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from twinct import scenario as sections
 from twinct.ctsimu.camera import MM2_AT_1M_PER_SR
 from twinct.ctsimu.writing import Json, as_material, quantity
 from twinct.errors import InputError
 from twinct.geometry import Floats
 from twinct.scenario import Scenario
-from twinct.scenario import xray as sections
 from twinct.specimen import Material, material
 from twinct.xray.build import SCINTILLATORS, build_spectrum, physical_panel
 from twinct.xray.spectrum import read_columns

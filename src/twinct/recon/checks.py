@@ -126,7 +126,7 @@ class Checks:
         return x
 
 
-def start_volume(A: Projector, x0: ArrayLike | None, nonnegative: bool) -> Volume:  # noqa: N803
+def start_volume(A: Projector, x0: ArrayLike | None, nonnegative: bool) -> Volume:
     """A copy of ``x0``, or zero."""
     if x0 is None:
         return np.zeros(A.domain_shape, np.float32)
@@ -148,7 +148,7 @@ def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Volume:
 
 
 def remainder(
-    A: Projector,  # noqa: N803
+    A: Projector,
     x: Volume,
     p: NDArray[Any],
     views: Iterable[int],
@@ -161,7 +161,7 @@ def remainder(
     return rest
 
 
-def counting_rays(A: Projector, mask: Mask | None) -> tuple[Mask, Volume]:  # noqa: N803
+def counting_rays(A: Projector, mask: Mask | None) -> tuple[Mask, Volume]:
     """Which rays count, and their length inside the grid, mm.
 
     Rays shorter than the smallest voxel edge count as missing the grid.

@@ -25,7 +25,7 @@ BLOCK = 16
 
 
 def fdk(
-    A: Projector,  # noqa: N803
+    A: Projector,
     line_integrals: ArrayLike,
     *,
     window: Window = "ramp",

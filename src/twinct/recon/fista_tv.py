@@ -25,7 +25,7 @@ DUAL_STEP = 1.8
 
 
 def fista_tv(
-    A: Projector,  # noqa: N803
+    A: Projector,
     line_integrals: ArrayLike,
     *,
     iterations: int,
@@ -138,7 +138,7 @@ def fista_tv(
     return x
 
 
-def _trust(A: Projector, weights: np.ndarray | None, pixels: np.ndarray | None) -> Volume:  # noqa: N803
+def _trust(A: Projector, weights: np.ndarray | None, pixels: np.ndarray | None) -> Volume:
     """W of the rays that count, 0 of the others."""
     counts, trust = counting_rays(A, pixels)
     for view, image in enumerate(trust):

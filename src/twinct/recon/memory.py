@@ -98,7 +98,7 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
         )
 
 
-def require_memory(algorithm: str, A: Projector) -> None:  # noqa: N803
+def require_memory(algorithm: str, A: Projector) -> None:
     """Refuse to start what cannot fit, beside what is in memory already.
 
     Raises:

@@ -16,7 +16,7 @@ from twinct.recon.steps import Callback, Reporter, sum_of_squares
 
 
 def os_sart(
-    A: Projector,  # noqa: N803
+    A: Projector,
     line_integrals: ArrayLike,
     *,
     iterations: int,

@@ -103,7 +103,7 @@ def _image(itk: Any, array: NDArray[np.float32], origin: Any, spacing: Any) -> A
     return image
 
 
-def _geometry(itk: Any, RTK: Any, numbers: dict[str, Any]) -> Any:  # noqa: N803
+def _geometry(itk: Any, RTK: Any, numbers: dict[str, Any]) -> Any:
     geometry = RTK.ThreeDCircularProjectionGeometry.New()
     points = [itk.Point[itk.D, 3](numbers[name][0].tolist()) for name in ("source", "detector")]
     vectors = [itk.Vector[itk.D, 3](numbers[name][0].tolist()) for name in ("row", "column")]

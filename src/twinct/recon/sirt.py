@@ -12,7 +12,7 @@ from twinct.recon.steps import Callback, Reporter, sum_of_squares
 
 
 def sirt(
-    A: Projector,  # noqa: N803
+    A: Projector,
     line_integrals: ArrayLike,
     *,
     iterations: int,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from twinct import scenario as sections
 from twinct.geometry import MM_PER_M, Pose
 from twinct.scenario import Detector, Scenario, Source
-from twinct.scenario import xray as sections
 from twinct.scenario.composition import Composition
 from twinct.xray.build import build_spectrum, effective_energy_kev
 

@@ -16,8 +16,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from twinct.errors import InputError, ScenarioError
+from twinct.scenario.scenario import Scenario
 from twinct.scenario.section import Conflict, ConflictError
-from twinct.scenario.sections import Scenario
 
 Key = tuple[str | int, ...]
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.geometry import Pose, VolumeGrid
+from twinct.scenario.beam_hardening import BeamHardening
 from twinct.scenario.section import (
     Conflict,
     ConflictError,
@@ -17,7 +18,6 @@ from twinct.scenario.section import (
     Vector,
     facts,
 )
-from twinct.scenario.xray import BeamHardening
 
 
 class Grid(Section):

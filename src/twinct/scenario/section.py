@@ -11,6 +11,7 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Lengths = tuple[Positive, Positive, Positive]
+Pair = tuple[Positive, Positive]
 
 
 def facts(*, unit: str = "", source: str = "") -> dict[str, JsonValue]:

@@ -9,7 +9,7 @@ import trimesh
 
 from twinct import scenario
 from twinct.errors import SpecimenError
-from twinct.scenario.sections import Shape
+from twinct.scenario import Shape
 from twinct.specimen.skull import skull_surface
 from twinct.specimen.surface import open_edges, surface
 from twinct.specimen.volumes import ct_surface

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from twinct import scenario
 from twinct.errors import InputError, MissingExtraError
 from twinct.geometry import Floats, Panel
-from twinct.scenario import xray as sections
 from twinct.specimen.materials import Material, material
 from twinct.uncertainty import view_rng
 from twinct.xray.response import Response
@@ -41,7 +40,7 @@ def build_spectrum(source: scenario.Source) -> Spectrum:
     section = source.spectrum
     if section is None:
         return Spectrum.monochromatic(source.energy_kev, photons)
-    if isinstance(section, sections.TubeSpectrum):
+    if isinstance(section, scenario.TubeSpectrum):
         from twinct.xray.tube import tube_spectrum
 
         with _named("source.spectrum"):
@@ -53,7 +52,7 @@ def build_spectrum(source: scenario.Source) -> Spectrum:
     return spectrum if photons is None else spectrum.scaled(photons)
 
 
-def _filtered(spectrum: Spectrum, filters: Sequence[sections.Filter]) -> Spectrum:
+def _filtered(spectrum: Spectrum, filters: Sequence[scenario.Filter]) -> Spectrum:
     """Behind all plates; refused where less than ``_FAINTEST`` of the photons is left."""
     plates: list[tuple[Material, float]] = []
     problems: list[str] = []
@@ -87,11 +86,11 @@ def build_response(detector: scenario.Detector) -> Response:
         InputError: a file that is no efficiency, or an unknown material.
     """
     section = detector.response
-    if isinstance(section, sections.CountingResponse):
+    if isinstance(section, scenario.CountingResponse):
         return Response.counting()
-    if isinstance(section, sections.IntegratingResponse):
+    if isinstance(section, scenario.IntegratingResponse):
         return Response.integrating()
-    if isinstance(section, sections.FileResponse):
+    if isinstance(section, scenario.FileResponse):
         with _named("detector.response.path"):
             return Response.read_efficiency(section.path)
     substance: Material
@@ -123,9 +122,9 @@ def build_spot(source: scenario.Source) -> Floats:
     section = source.focal_spot
     if section is None:
         return np.zeros((1, 2))
-    if isinstance(section, sections.GaussianSpot):
+    if isinstance(section, scenario.GaussianSpot):
         return gaussian_spot(*_pair(section.sigma_mm), section.samples)
-    if isinstance(section, sections.SquareSpot):
+    if isinstance(section, scenario.SquareSpot):
         return square_spot(*_pair(section.size_mm), section.samples)
     with _named("source.focal_spot.path"):
         image = read_image(section.path, "a focal spot")
@@ -142,7 +141,7 @@ def build_spread(detector: scenario.Detector) -> PointSpread | None:
     section = detector.point_spread
     if section is None:
         return None
-    if isinstance(section, sections.GaussianSpread):
+    if isinstance(section, scenario.GaussianSpread):
         return PointSpread.gaussian(section.sigma_mm)
     panel = physical_panel(detector)
     with _named("detector.point_spread.path"):
@@ -161,7 +160,7 @@ def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_
     shape, section = detector.panel.shape, detector.bad_pixels
     if section is None:
         return np.zeros(shape, dtype=bool)
-    if isinstance(section, sections.RandomBadPixels):
+    if isinstance(section, scenario.RandomBadPixels):
         return view_rng(seed, "bad pixels", 0).random(shape) < section.share
     with _named("detector.bad_pixels.path"):
         bad = read_image(section.path, "bad pixels") != 0

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from twinct import scenario
 from twinct.geometry import MM_PER_M, Floats, ScanGeometry
-from twinct.scenario import xray as sections
 from twinct.specimen.materials import Material
 from twinct.uncertainty import view_rng
 from twinct.xray.beam import fall_off
@@ -112,7 +111,7 @@ class Chain:
         self._dark: Image | None = None
         self._fixed_flat: Image | None = None
 
-    def _amplifier(self, section: sections.Readout | None) -> tuple[Readout, float]:
+    def _amplifier(self, section: scenario.Readout | None) -> tuple[Readout, float]:
         """The readout, and the electronic noise of a physical pixel in grey values."""
         free = float(self.free[0])
         if section is None:
@@ -184,11 +183,11 @@ class Chain:
     def _digitise(self, expected: Image, rng: np.random.Generator) -> Image:
         detector = self._detector
         signal = expected[0]
-        if isinstance(detector.noise, sections.QuantumNoise):
+        if isinstance(detector.noise, scenario.QuantumNoise):
             signal = quantum_noise(signal, expected[1], rng)
         if self._spread is not None:
             signal = self._spread.apply(signal, self.panel.pitch_u, self.panel.pitch_v)
-        if isinstance(detector.noise, sections.SnrNoise):
+        if isinstance(detector.noise, scenario.SnrNoise):
             free = np.float32(self.free[0])
             sigma = np.sqrt(np.maximum(signal, np.float32(0)) * free)
             sigma *= np.float32(detector.binning / detector.noise.snr)
@@ -222,9 +221,9 @@ class Chain:
             if self._flat_pattern is None:
                 self._flat_pattern = self._pattern("flat noise", blurred=True)
             variance = np.zeros_like(signal)
-            if isinstance(detector.noise, sections.QuantumNoise):
+            if isinstance(detector.noise, scenario.QuantumNoise):
                 variance = beam * factor[1]
-            elif isinstance(detector.noise, sections.SnrNoise):
+            elif isinstance(detector.noise, scenario.SnrNoise):
                 share = detector.binning / detector.noise.snr
                 variance = signal * np.float32(self.free[0] * share**2)
             variance = variance + np.float32((self._electronic / self._readout.gain) ** 2)
@@ -246,7 +245,7 @@ class Chain:
         """Unit normal noise of the physical pixels; the spread blurs quantum noise."""
         rng = view_rng(self._seed, purpose, 0)
         pattern = rng.standard_normal(self.panel.shape, dtype=np.float32)
-        quantum = isinstance(self._detector.noise, sections.QuantumNoise)
+        quantum = isinstance(self._detector.noise, scenario.QuantumNoise)
         if blurred and quantum and self._spread is not None:
             pattern = self._spread.apply(pattern, self.panel.pitch_u, self.panel.pitch_v)
         return pattern
@@ -262,7 +261,7 @@ class Chain:
         """Smallest grey value above the dark image that counts as light."""
         if self._detector.readout is not None:
             return 0.5
-        if isinstance(self._detector.noise, sections.QuantumNoise):
+        if isinstance(self._detector.noise, scenario.QuantumNoise):
             photon = self.free[1] / self.free[0] / self._detector.binning**2
             return 0.5 * float(photon) * self._readout.gain
         return _DARKEST

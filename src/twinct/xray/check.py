@@ -10,7 +10,6 @@ import numpy as np
 from twinct import scenario
 from twinct.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry
-from twinct.scenario import xray as sections
 from twinct.xray.build import (
     build_bad_pixels,
     build_response,
@@ -87,7 +86,7 @@ def _spot_problems(source: scenario.Source, views: ScanGeometry) -> list[str]:
     section = source.focal_spot
     if section is None:
         return []
-    if isinstance(section, sections.GaussianSpot):
+    if isinstance(section, scenario.GaussianSpot):
         key, width = "sigma_mm", 4 * np.max(section.sigma_mm)
     else:
         key, width = "size_mm", np.max(section.size_mm)

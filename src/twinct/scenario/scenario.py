@@ -1,0 +1,132 @@
+"""The scenario itself: all sections, what they ask of each other, and its digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from pydantic import Field, model_validator
+
+from twinct.scenario.cell import Cell
+from twinct.scenario.detector import Detector
+from twinct.scenario.motion import Motion
+from twinct.scenario.reconstruction import Reconstruction
+from twinct.scenario.section import Conflict, ConflictError, Section
+from twinct.scenario.source import Source, TubeSpectrum
+from twinct.scenario.specimen import CtVolume, MeshFile, Specimen
+from twinct.scenario.trajectory import FileTrajectory, Trajectory
+from twinct.scenario.uncertainty import Uncertainty
+
+
+class Scenario(Section):
+    """Everything one simulation needs."""
+
+    name: str = Field(
+        default="scan", min_length=1, description="Names the scan in the report and in messages."
+    )
+    description: str = Field(default="", description="What the scan is for; the report shows it.")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="Every random draw is keyed by it.")
+    source: Source = Field(default=Source(), description="The X-ray source.")
+    detector: Detector = Field(default=Detector(), description="The flat panel.")
+    trajectory: Trajectory = Field(description="Where source and panel shall go.")
+    specimen: Specimen = Field(description="What is imaged.")
+    cell: Cell = Field(default=Cell(), description="The room and the arms.")
+    motion: Motion = Field(default=Motion(), description="How the arms move.")
+    uncertainty: Uncertainty = Field(
+        default=Uncertainty(), description="What the reported poses are off by."
+    )
+    reconstruction: Reconstruction = Field(
+        default=Reconstruction(), description="How the volume is made."
+    )
+
+    @model_validator(mode="after")
+    def _sections_go_together(self) -> Scenario:
+        found = (self._photon_number(), self._subsets(), self._something_to_correct())
+        if conflicts := [conflict for conflict in found if conflict is not None]:
+            raise ConflictError(*conflicts)
+        return self
+
+    def _photon_number(self) -> Conflict | None:
+        quantum = self.detector.noise is not None and self.detector.noise.kind == "quantum"
+        tube = isinstance(self.source.spectrum, TubeSpectrum)
+        if not quantum or tube or self.source.photons_per_mm2_mas is not None:
+            return None
+        return Conflict(
+            "detector.noise of kind 'quantum' needs a photon number: give "
+            "source.photons_per_mm2_mas, or a source.spectrum of kind 'tube'",
+            ("detector.noise", "source.photons_per_mm2_mas", "source.spectrum"),
+        )
+
+    def _subsets(self) -> Conflict | None:
+        views = getattr(self.trajectory, "views", None)
+        subsets = self.reconstruction.subsets
+        if views is None or subsets is None or subsets <= views:
+            return None
+        return Conflict(
+            f"reconstruction.subsets ({subsets}) must be at most trajectory.views ({views})",
+            ("reconstruction.subsets", "trajectory.views"),
+        )
+
+    def _something_to_correct(self) -> Conflict | None:
+        if self.reconstruction.beam_hardening is None or self.source.spectrum is not None:
+            return None
+        return Conflict(
+            "reconstruction.beam_hardening needs a source.spectrum: a beam of one energy, as here, "
+            "does not harden",
+            ("reconstruction.beam_hardening", "source.spectrum"),
+        )
+
+    def resolved(self) -> str:
+        """The whole scenario, defaults included, as canonical JSON."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+
+    def digest(self) -> str:
+        """SHA-256 of what the scan depends on; a file counts by its content, not by its place.
+
+        Name, description and reconstruction are left out: they may change without a new scan.
+        """
+        data = self.model_dump(mode="json", exclude={"name", "description", "reconstruction"})
+        text = json.dumps(_with_contents(data), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def files(self) -> dict[str, Path]:
+        """Files and folders the scenario names, by key."""
+        files = {}
+        if isinstance(self.trajectory, FileTrajectory):
+            files["trajectory.path"] = self.trajectory.path
+        for i, part in enumerate(self.specimen.parts):
+            if isinstance(part.shape, MeshFile | CtVolume):
+                files[f"specimen.parts.{i}.shape.path"] = part.shape.path
+        chain = {
+            "source.spectrum": self.source.spectrum,
+            "source.focal_spot": self.source.focal_spot,
+            "detector.response": self.detector.response,
+            "detector.point_spread": self.detector.point_spread,
+            "detector.bad_pixels": self.detector.bad_pixels,
+        }
+        for key, section in chain.items():
+            path = getattr(section, "path", None)
+            if path is not None:
+                files[f"{key}.path"] = path
+        return files
+
+
+def _with_contents(data: object) -> object:
+    if isinstance(data, dict):
+        return {
+            key: _content_digest(Path(value)) if key == "path" else _with_contents(value)
+            for key, value in data.items()
+        }
+    if isinstance(data, list):
+        return [_with_contents(value) for value in data]
+    return data
+
+
+def _content_digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    for file in files:
+        with file.open("rb") as stream:
+            digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()

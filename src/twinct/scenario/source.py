@@ -1,0 +1,172 @@
+"""The X-ray source. Each default is the ideal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from twinct.scenario.composition import Composition
+from twinct.scenario.section import Conflict, ConflictError, Pair, Positive, Section, facts
+
+MOST_KV = 50.0
+"""Highest tube voltage for which SpekPy knows molybdenum and rhodium."""
+
+
+class Filter(Section):
+    """A plate in the beam, crossed at right angles."""
+
+    material: str | Composition = Field(
+        default="aluminium",
+        description="Material of the plate.",
+        json_schema_extra=facts(source="attenuation: xraylib"),
+    )
+    thickness_mm: Positive = Field(description="Its thickness.")
+
+
+class TubeSpectrum(Section):
+    """The spectrum of an X-ray tube, by SpekPy."""
+
+    kind: Literal["tube"]
+    kvp: float = Field(
+        ge=20,
+        le=300,
+        description="Tube voltage: up to 300 kV for W, up to 50 kV for Mo and Rh.",
+        json_schema_extra=facts(source="SpekPy (Poludniowski et al., Med. Phys. 48 (2021) 3630)"),
+    )
+    anode_angle_deg: float = Field(
+        default=12.0,
+        gt=0,
+        le=90,
+        description="Between anode face and central ray.",
+        json_schema_extra=facts(source="SpekPy's default"),
+    )
+    target: Literal["W", "Mo", "Rh"] = Field(
+        default="W", description="Element of the anode.", json_schema_extra=facts(source="SpekPy")
+    )
+    filters: tuple[Filter, ...] = Field(
+        default=(Filter(thickness_mm=2.5),),
+        description="Plates between anode and specimen.",
+        json_schema_extra=facts(source="2.5 mm Al: the least total filtration of IEC 60601-1-3"),
+    )
+    bins: int = Field(default=60, ge=1, le=1000, description="Energy bins at most.")
+
+    @model_validator(mode="after")
+    def _range_of_the_target(self) -> TubeSpectrum:
+        if self.target != "W" and self.kvp > MOST_KV:
+            message = (
+                f"kvp ({self.kvp:g}) must be at most {MOST_KV:g} with target {self.target}: SpekPy "
+                "knows no more of it"
+            )
+            raise ConflictError(Conflict(message, ("kvp", "target")))
+        return self
+
+
+class FileSpectrum(Section):
+    """A tabulated spectrum."""
+
+    kind: Literal["file"]
+    path: Path = Field(
+        description="Two columns: energy in keV (rising, 0.1 to 800), photons of that bin."
+    )
+    filters: tuple[Filter, ...] = Field(
+        default=(), description="Plates between this spectrum and the specimen."
+    )
+    bins: int = Field(default=60, ge=1, le=1000, description="Energy bins at most.")
+
+
+Spectrum = Annotated[TubeSpectrum | FileSpectrum, Field(discriminator="kind")]
+
+
+class _Spot(Section):
+    samples: int = Field(
+        default=24, ge=1, le=1000, description="Points of the spot; an image costs as many renders."
+    )
+
+
+class GaussianSpot(_Spot):
+    """A focal spot of Gaussian intensity."""
+
+    kind: Literal["gaussian"]
+    sigma_mm: Positive | Pair = Field(
+        description="Standard deviation; two numbers for (x, y). 4 sigma are at most a quarter of "
+        "the distance to the panel."
+    )
+
+
+class SquareSpot(_Spot):
+    """A rectangle of constant intensity."""
+
+    kind: Literal["square"]
+    size_mm: Positive | Pair = Field(
+        description="Edge; two numbers for (x, y). At most a quarter of the distance to the panel."
+    )
+
+
+class ImageSpot(_Spot):
+    """A focal spot as measured."""
+
+    kind: Literal["image"]
+    path: Path = Field(description="Intensity as .npy, or an image; row 0 at the lowest y.")
+    size_mm: Positive | Pair = Field(
+        description="Edge of the image; two numbers for (x, y). At most a quarter of the distance "
+        "to the panel."
+    )
+
+
+Spot = Annotated[GaussianSpot | SquareSpot | ImageSpot, Field(discriminator="kind")]
+
+
+class Source(Section):
+    """The X-ray source: by default a monochromatic point."""
+
+    energy_kev: float = Field(
+        default=80.0,
+        ge=5,
+        le=500,
+        description="Photon energy of the monochromatic source; not used with a spectrum.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    spectrum: Spectrum | None = Field(
+        default=None,
+        description="A tube, or a file; monochromatic where there is none.",
+        json_schema_extra=facts(source="one energy: the paper"),
+    )
+    photons_per_mm2_mas: Positive | None = Field(
+        default=None,
+        description="Photons of the free beam per mm^2 at 1 m and mAs, behind the filters. A tube "
+        "knows its own number; noise of any other source needs this one.",
+        json_schema_extra=facts(unit="1/(mm^2 mAs)", source="a tube's: SpekPy"),
+    )
+    current_ma: Positive = Field(default=1.0, description="Tube current.")
+    exposure_ms: float = Field(
+        default=10.0,
+        gt=0,
+        le=60_000,
+        description="How long the shutter is open. With motion_samples above 1 the arms are "
+        "simulated for as long in every view.",
+    )
+    motion_samples: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="Instants of the exposure, at equal distances, whose mean the image is: motion "
+        "blur. 1: all stands as when the image was triggered. An image costs as many renders.",
+        json_schema_extra=facts(source="1, no blur: the paper"),
+    )
+    focal_spot: Spot | None = Field(
+        default=None,
+        description="A point where there is none.",
+        json_schema_extra=facts(source="a point: the paper"),
+    )
+
+    @property
+    def mas(self) -> float:
+        """Tube load of one view, mAs."""
+        return self.current_ma * self.exposure_ms / 1000.0
+
+    @property
+    def ideal(self) -> bool:
+        """Whether it is a monochromatic point."""
+        return self.spectrum is None and self.focal_spot is None

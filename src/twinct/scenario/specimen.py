@@ -1,0 +1,129 @@
+"""What is imaged, and where it stands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from twinct.geometry import Pose
+from twinct.scenario.composition import Composition
+from twinct.scenario.section import Finite, Lengths, NonNegative, Positive, Section, Vector, facts
+
+
+class Skull(Section):
+    """The built-in adult skull from implicit surfaces."""
+
+    kind: Literal["skull"]
+    scale: Positive = Field(default=1.0, description="1 is adult size.")
+    mesh_resolution_mm: Positive = Field(
+        default=1.0, description="Cell of the lattice on which the surface mesh is extracted."
+    )
+
+
+class Sphere(Section):
+    """A sphere about the part's origin."""
+
+    kind: Literal["sphere"]
+    radius_mm: Positive = Field(description="Radius.")
+
+
+class Ellipsoid(Section):
+    """An ellipsoid along the part's axes."""
+
+    kind: Literal["ellipsoid"]
+    semi_axes_mm: Lengths = Field(description="Semi-axes along x, y, z.")
+
+
+class Cylinder(Section):
+    """A cylinder along the part's z axis, centred."""
+
+    kind: Literal["cylinder"]
+    radius_mm: Positive = Field(description="Radius.")
+    height_mm: Positive = Field(description="Height.")
+
+
+class Box(Section):
+    """A box along the part's axes, centred."""
+
+    kind: Literal["box"]
+    size_mm: Lengths = Field(description="Edges along x, y, z.")
+
+
+class MeshFile(Section):
+    """A watertight triangle mesh: STL, PLY, OBJ or what else trimesh reads."""
+
+    kind: Literal["mesh"]
+    path: Path = Field(description="Mesh file.")
+    unit_mm: Positive = Field(default=1.0, description="Length of the file's unit.")
+    centre: bool = Field(
+        default=False, description="Move the middle of its bounds to the part's origin."
+    )
+
+
+class CtVolume(Section):
+    """A CT volume, segmented at a threshold into a closed surface."""
+
+    kind: Literal["ct"]
+    path: Path = Field(description="NIfTI file, folder of one DICOM series, or InVesalius .inv3.")
+    threshold_hu: Finite = Field(default=300.0, description="Bone is what lies above.")
+    smoothing_mm: NonNegative = Field(
+        default=0.0, description="Sigma of a Gaussian filter before the threshold."
+    )
+    smallest_part_cm3: NonNegative = Field(
+        default=0.1,
+        description="Connected pieces below this volume are left out: crumbs by default; a larger "
+        "number leaves out a head rest or other things around the patient.",
+    )
+    centre: bool = Field(
+        default=True, description="Move the middle of its bounds to the part's origin."
+    )
+
+
+Shape = Annotated[
+    Skull | Sphere | Ellipsoid | Cylinder | Box | MeshFile | CtVolume, Field(discriminator="kind")
+]
+
+
+class Part(Section):
+    """One body of one material. Where parts overlap the later one wins."""
+
+    name: str = Field(default="", description="Shown in messages; the kind of shape where empty.")
+    shape: Shape = Field(description="Its shape.")
+    material: str | Composition = Field(
+        default="bone",
+        description="A name, or a composition with its density.",
+        json_schema_extra=facts(source="attenuation: xraylib"),
+    )
+    position_mm: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Origin in the specimen's frame."
+    )
+    rotation_deg: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
+    )
+
+    @property
+    def specimen_from_part(self) -> Pose:
+        """Pose of the part in the specimen's frame."""
+        return Pose.from_euler(self.position_mm, self.rotation_deg)
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return self.name or self.shape.kind
+
+
+class Specimen(Section):
+    """What is imaged, and where it stands."""
+
+    parts: tuple[Part, ...] = Field(min_length=1, description="Bodies, each of one material.")
+    position_mm: Vector = Field(default=(0.0, 0.0, 0.0), description="Origin in the world.")
+    rotation_deg: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
+    )
+
+    @property
+    def world_from_specimen(self) -> Pose:
+        """Pose of the specimen where it stands."""
+        return Pose.from_euler(self.position_mm, self.rotation_deg)
