@@ -7,9 +7,8 @@ import json
 import logging
 import shutil
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -21,9 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from twinct.cell import check_drawing
-from twinct.cli.output import check_folder
+from twinct.cli.folder import Folder, read_metrics, write_text
 from twinct.cli.progress import TerminalProgress
-from twinct.errors import InputError, ScanExistsError
+from twinct.cli.seconds import Seconds
+from twinct.errors import InputError
 from twinct.evaluate import ImageFigures, pose_errors
 from twinct.pipeline import (
     Truth,
@@ -51,7 +51,6 @@ from twinct.scan import (
     Rig,
     Scan,
     ScanStore,
-    Stopwatch,
     Workshop,
     check_space,
     storage_errors,
@@ -68,140 +67,6 @@ _SHOWN_VIEWS = 4
 """Projections shown in the report."""
 
 
-@dataclass
-class _Seconds:
-    """Wall-clock seconds of each stage, also of runs that were interrupted before."""
-
-    path: Path
-    start: float = field(default_factory=time.perf_counter)
-    stages: dict[str, float] = field(default_factory=dict)
-    before: dict[str, float] = field(default_factory=dict)
-    simulated_s: float = 0.0
-
-    @contextlib.contextmanager
-    def stage(self, name: str, keep: bool = False) -> Iterator[None]:
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
-            if keep:
-                self.keep()
-
-    @contextlib.contextmanager
-    def views(self) -> Iterator[Stopwatch]:
-        """A stopwatch for the views; its seconds are kept, however the block ends."""
-        watch, start = Stopwatch(), time.perf_counter()
-        try:
-            yield watch
-        finally:
-            parts = {"motion": watch.motion_s, "xray": watch.xray_s, "storing": watch.storing_s}
-            # Before the first view and after the last: both simulations start and end.
-            parts["link"] = time.perf_counter() - start - sum(parts.values())
-            for name, spent in parts.items():
-                self.stages[name] = self.stages.get(name, 0.0) + spent
-            self.simulated_s = watch.simulated_s
-            self.keep()
-
-    def go_on(self) -> None:
-        """Count from where an interrupted run of before stood."""
-        with contextlib.suppress(OSError, ValueError):
-            self.before = json.loads(self.path.read_text(encoding="utf-8"))
-
-    def keep(self) -> None:
-        now = self.stages | {"total": self._elapsed(), "simulated": self.simulated_s}
-        write_text(self.path, json.dumps(self._with_before(now)))
-
-    def finished(self) -> tuple[dict[str, float], float]:
-        """Seconds of each stage, which add up to ``total``; simulated seconds of the motion."""
-        stages = self._with_before(self.stages | {"total": self._elapsed()})
-        simulated = self.simulated_s + stages.pop("simulated", 0.0)
-        total = stages.pop("total")
-        return stages | {"other": total - sum(stages.values()), "total": total}, simulated
-
-    def _elapsed(self) -> float:
-        return time.perf_counter() - self.start
-
-    def _with_before(self, now: dict[str, float]) -> dict[str, float]:
-        return {name: now.get(name, 0.0) + self.before.get(name, 0.0) for name in now | self.before}
-
-
-@dataclass(frozen=True)
-class Folder:
-    """Where a run keeps what, below its ``--out``."""
-
-    path: Path
-
-    @property
-    def scan(self) -> Path:
-        """The scan store."""
-        return self.path / "scan.zarr"
-
-    @property
-    def volume(self) -> Path:
-        """The reconstruction."""
-        return self.path / "volume.nii"
-
-    @property
-    def metrics(self) -> Path:
-        """The figures."""
-        return self.path / "metrics.json"
-
-    @property
-    def report(self) -> Path:
-        """The report."""
-        return self.path / "report.html"
-
-    @property
-    def checkpoints(self) -> Path:
-        """Reconstructions that are under way."""
-        return self.path / "checkpoints"
-
-    @property
-    def scenario(self) -> Path:
-        """The scenario as it was run, defaults included."""
-        return self.path / "scenario.yaml"
-
-    @property
-    def seconds(self) -> Path:
-        """Seconds of a run that is under way."""
-        return self.path / "seconds.json"
-
-    @property
-    def logs(self) -> Path:
-        """What the nodes of the ROS 2 link said."""
-        return self.path / "log"
-
-    @property
-    def log(self) -> Path:
-        """What happened."""
-        return self.path / "twinct.log"
-
-    def finished(self, scenario: Scenario) -> bool:
-        """Whether everything of this very scenario is there."""
-        if not all(p.exists() for p in (self.scan, self.volume, self.metrics, self.report)):
-            return False
-        return _read_metrics(self.metrics).get("reconstruction_digest") == reconstruction_digest(
-            scenario
-        )
-
-    def refuse_others(self) -> None:
-        """Raise where something else than a run of before is in the way."""
-        own = (self.scan, self.volume, self.metrics, self.report, self.checkpoints, self.scenario)
-        own = (*own, self.seconds, self.logs, self.log, self.scan.with_name("scan.zarr.new"))
-        names = {name for p in own for name in (p.name, f".{p.name}.partial")}
-        check_folder(self.path, names)
-
-    def refuse_if_taken(self) -> None:
-        """Raise where a run of before must not be touched."""
-        taken = [p.name for p in (self.scan, self.volume, self.metrics, self.report) if p.exists()]
-        if taken:
-            raise ScanExistsError(
-                f"{self.path} already holds {', '.join(taken)}: "
-                "choose another --out, or go on with --resume"
-            )
-
-
 def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
     """Plan, acquire, reconstruct, judge and report.
 
@@ -209,7 +74,7 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
         InputError: whatever can be known before work starts; nothing has been written then.
     """
     folder, console = Folder(out), Console()
-    seconds = _Seconds(folder.seconds)
+    seconds = Seconds(folder.seconds)
     if not resume:
         folder.refuse_if_taken()
     folder.refuse_others()
@@ -232,7 +97,7 @@ def run_job(scenario: Scenario, out: Path, link: Link, *, resume: bool) -> None:
 def _run(
     workshop: Workshop,
     folder: Folder,
-    seconds: _Seconds,
+    seconds: Seconds,
     link: Link,
     make_rig: MakeRig,
     *,
@@ -314,7 +179,7 @@ def report_again(path: Path) -> None:
     missing = [p.name for p in needed if not p.exists()]
     if missing:
         raise InputError(f"{path} holds no finished run: {', '.join(missing)} missing")
-    before = _read_metrics(folder.metrics)
+    before = read_metrics(folder.metrics)
     scenario = load_scenario(folder.scenario)
     scan = replace(ScanStore(folder.scan).read(), scenario=scenario)
     workshop = Workshop(scenario)
@@ -404,7 +269,7 @@ def _report(
     volume: NDArray[np.float32],
     truth: Truth,
     figures: dict[str, ImageFigures],
-    seconds: _Seconds | Mapping[str, Any],
+    seconds: Seconds | Mapping[str, Any],
     residuals: dict[str, list[float]],
 ) -> None:
     """Write metrics.json and report.html, each complete or not at all.
@@ -420,10 +285,10 @@ def _report(
         residuals: of each iteration, for each geometry.
     """
     scenario = scan.scenario
-    with seconds.stage("report") if isinstance(seconds, _Seconds) else contextlib.nullcontext():
+    with seconds.stage("report") if isinstance(seconds, Seconds) else contextlib.nullcontext():
         data = _report_data(scan, workshop, volume, truth)
         pictures = draw_pictures(data)
-    if isinstance(seconds, _Seconds):
+    if isinstance(seconds, Seconds):
         stages, simulated = seconds.finished()
         factor = simulated / stages["motion"] if stages["motion"] else float("nan")
     else:
@@ -483,21 +348,6 @@ def _room(workshop: Workshop) -> bytes:
         return path.read_bytes()
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file that appears under its name only when it is complete."""
-    draft = path.with_name(f".{path.name}.partial")
-    draft.write_text(text, encoding="utf-8")
-    draft.replace(path)
-
-
-def _read_metrics(path: Path) -> dict[str, Any]:
-    try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not readable figures of a run: {error}") from None
-    return metrics if isinstance(metrics, dict) else {}
-
-
 def _log_to(path: Path) -> None:
     handler = logging.FileHandler(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
@@ -513,7 +363,7 @@ def warn(warnings: list[str]) -> None:
 
 
 def _say_result(console: Console, folder: Folder) -> None:
-    metrics = _read_metrics(folder.metrics)
+    metrics = read_metrics(folder.metrics)
     image, pose = metrics["image"], metrics["pose_error"]
     console.print(
         f"{metrics['reached']} of {metrics['views']} views; "

@@ -177,11 +177,11 @@ def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, l
     return found, materials
 
 
-def _substance(of: object) -> Material:
+def _substance(of: str | sections.Composition) -> Material:
     if isinstance(of, str):
         made = material(SCINTILLATORS[of])
         return Material(of, made.density_g_cm3, made.mass_fractions)
-    return material(of)  # type: ignore[arg-type]
+    return material(of)
 
 
 def _write_table(path: Path, first: Floats, second: Floats) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.ctsimu.acquisition import FORMAT
@@ -25,7 +26,8 @@ def quantity(value: float | None, unit: str | None = None) -> Json:
 
 def vector(values: ArrayLike, names: str = "xyz", unit: str | None = None) -> Json:
     """A vector by its components."""
-    return {n: quantity(float(v), unit) for n, v in zip(names, values, strict=True)}  # type: ignore[arg-type]
+    components = np.asarray(values, dtype=float).tolist()
+    return {n: quantity(v, unit) for n, v in zip(names, components, strict=True)}
 
 
 def placed(

@@ -1,0 +1,73 @@
+"""The seconds that each stage of a run takes, also over interruptions."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from twinct.cli.folder import write_text
+from twinct.scan import Stopwatch
+
+
+@dataclass
+class Seconds:
+    """Wall-clock seconds of each stage, also of runs that were interrupted before."""
+
+    path: Path
+    start: float = field(default_factory=time.perf_counter)
+    stages: dict[str, float] = field(default_factory=dict)
+    before: dict[str, float] = field(default_factory=dict)
+    simulated_s: float = 0.0
+
+    @contextlib.contextmanager
+    def stage(self, name: str, keep: bool = False) -> Iterator[None]:
+        """Time a block of work; ``keep`` also writes all seconds down."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
+            if keep:
+                self.keep()
+
+    @contextlib.contextmanager
+    def views(self) -> Iterator[Stopwatch]:
+        """A stopwatch for the views; its seconds are kept, however the block ends."""
+        watch, start = Stopwatch(), time.perf_counter()
+        try:
+            yield watch
+        finally:
+            parts = {"motion": watch.motion_s, "xray": watch.xray_s, "storing": watch.storing_s}
+            # Before the first view and after the last: both simulations start and end.
+            parts["link"] = time.perf_counter() - start - sum(parts.values())
+            for name, spent in parts.items():
+                self.stages[name] = self.stages.get(name, 0.0) + spent
+            self.simulated_s = watch.simulated_s
+            self.keep()
+
+    def go_on(self) -> None:
+        """Count from where an interrupted run of before stood."""
+        with contextlib.suppress(OSError, ValueError):
+            self.before = json.loads(self.path.read_text(encoding="utf-8"))
+
+    def keep(self) -> None:
+        """Write down what a resumed run goes on from."""
+        now = self.stages | {"total": self._elapsed(), "simulated": self.simulated_s}
+        write_text(self.path, json.dumps(self._with_before(now)))
+
+    def finished(self) -> tuple[dict[str, float], float]:
+        """Seconds of each stage, which add up to ``total``; simulated seconds of the motion."""
+        stages = self._with_before(self.stages | {"total": self._elapsed()})
+        simulated = self.simulated_s + stages.pop("simulated", 0.0)
+        total = stages.pop("total")
+        return stages | {"other": total - sum(stages.values()), "total": total}, simulated
+
+    def _elapsed(self) -> float:
+        return time.perf_counter() - self.start
+
+    def _with_before(self, now: dict[str, float]) -> dict[str, float]:
+        return {name: now.get(name, 0.0) + self.before.get(name, 0.0) for name in now | self.before}
