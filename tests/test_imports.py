@@ -19,7 +19,7 @@ MODULES = (
     "twinct.evaluate",
     "twinct.exchange",
     "twinct.extras",
-    "twinct.pipeline",
+    "twinct.runs",
     "twinct.recon",
     "twinct.report",
     "twinct.ros",

@@ -24,7 +24,7 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
 from twinct.geometry import Pose, ScanGeometry
-from twinct.pipeline import effective_energy, reconstruct, simulate
+from twinct.runs import effective_energy, reconstruct, simulate
 from twinct.scan import Workshop
 from twinct.scenario import Scenario, parse_scenario
 

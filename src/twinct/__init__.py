@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twinct.pipeline import reconstruct, simulate
+    from twinct.runs import reconstruct, simulate
     from twinct.scenario import load_scenario
 
 __version__ = "0.1.0"
@@ -18,8 +18,8 @@ __all__ = ["__version__", "load_scenario", "reconstruct", "simulate"]
 
 _HOMES = {
     "load_scenario": "twinct.scenario",
-    "reconstruct": "twinct.pipeline",
-    "simulate": "twinct.pipeline",
+    "reconstruct": "twinct.runs",
+    "simulate": "twinct.runs",
 }
 
 

@@ -7,17 +7,11 @@ resumed scan believes what an undisturbed one believes.
 
 from __future__ import annotations
 
-import zlib
-
 import numpy as np
 
+from twinct.draws import view_rng
 from twinct.geometry import Floats, Pose
 from twinct.scenario import PositionNoise, Uncertainty
-
-
-def view_rng(seed: int, purpose: str, view: int) -> np.random.Generator:
-    """The generator of one purpose in one view, whatever was drawn before."""
-    return np.random.default_rng([seed, zlib.crc32(purpose.encode()), view])
 
 
 def truncated_normal(rng: np.random.Generator, noise: PositionNoise) -> Floats:

@@ -11,6 +11,7 @@ from nibabel.wrapstruct import WrapStructError
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
+from twinct.files.writing import complete
 from twinct.geometry import VolumeGrid
 
 
@@ -28,9 +29,8 @@ def write_volume(path: Path, volume: NDArray[np.float32], grid: VolumeGrid, note
     image.header["descrip"] = note.encode()[:79]
     image.set_qform(grid.affine, code="scanner")
     image.set_sform(grid.affine, code="scanner")
-    draft = path.with_name(f".{path.stem}.partial.nii")
-    nibabel.save(image, draft)
-    draft.replace(path)
+    with complete(path) as draft:
+        nibabel.save(image, draft)
 
 
 def read_volume(path: Path) -> tuple[NDArray[np.float32], str]:

@@ -12,7 +12,7 @@ import pytest
 
 from twinct.cli import run_command
 from twinct.geometry import Pose
-from twinct.pipeline import line_integrals
+from twinct.runs import line_integrals
 from twinct.scan import ScanStore, View
 from twinct.scan import store as store_module
 from twinct.scenario import Scenario, load_scenario

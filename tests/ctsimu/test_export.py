@@ -16,7 +16,7 @@ from twinct.ctsimu.export import export_scan, from_openct, to_openct
 from twinct.ctsimu.scene import FieldImages
 from twinct.errors import InputError, ScanExistsError
 from twinct.geometry import Panel
-from twinct.pipeline import simulate
+from twinct.runs import simulate
 from twinct.scan import Scan, Workshop
 from twinct.scenario import Correction, Detector, Source, load_scenario
 

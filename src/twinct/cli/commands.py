@@ -41,8 +41,8 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
 
     Names every view that an arm cannot reach or that would collide.
     """
-    from twinct.cli.run import summary, warn
-    from twinct.pipeline import check_physics, check_sight, require_extras, require_feasible
+    from twinct.runs import check_physics, check_sight, require_extras, require_feasible
+    from twinct.runs.job import summary, warn
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
@@ -73,7 +73,7 @@ def run(
         link: ros2 starts both simulations as processes; local runs them in this one.
         resume: Go on with a scan that was interrupted.
     """
-    from twinct.cli.run import run_job
+    from twinct.runs.job import run_job
 
     loaded = load_scenario(scenario, set_)
     with named_places(scenario, set_):
@@ -99,11 +99,10 @@ def render(
         height: Height of the picture in pixels.
     """
     from twinct.cell import check_drawing, check_picture_size, render_cell
-    from twinct.cli.output import check_picture
     from twinct.errors import InputError
     from twinct.extras import require
+    from twinct.files.writing import check_picture, storage_errors
     from twinct.scan import Workshop
-    from twinct.scan.store import storage_errors
 
     loaded = load_scenario(scenario, set_)
     check_picture(out)
@@ -138,8 +137,8 @@ def node(
         which: The robot simulation or the X-ray simulation.
     """
     from twinct.extras import require
-    from twinct.pipeline import check_physics
     from twinct.ros import spin_robots, spin_xray
+    from twinct.runs import check_physics
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
@@ -170,10 +169,9 @@ def specimen(
     Args:
         out: Folder for PART.stl, truth.nii and specimen.png.
     """
-    from twinct.cli.output import check_folder
-    from twinct.pipeline import effective_energy
+    from twinct.files.writing import check_folder, storage_errors
+    from twinct.runs.integrals import effective_energy
     from twinct.scan import Workshop
-    from twinct.scan.store import storage_errors
     from twinct.specimen.preview import preview_specimen
     from twinct.volume import write_volume
 
@@ -238,7 +236,7 @@ def report(
     Args:
         folder: What ``twinct run --out`` wrote.
     """
-    from twinct.cli.run import report_again
+    from twinct.runs.job import report_again
 
     report_again(folder)
 

@@ -43,10 +43,10 @@ def render(
         seed: Seed of the noise, 0 or more.
         resume: Go on with a rendering that was interrupted.
     """
-    from twinct.cli.output import check_folder
     from twinct.cli.progress import TerminalProgress
     from twinct.ctsimu import Options, load_ctsimu, render
     from twinct.errors import MemoryShortageError
+    from twinct.files.writing import check_folder
 
     _check_options(samples, spot_points, seed)
     check_folder(out)
@@ -79,9 +79,9 @@ def export(
         out: Folder for the files.
         ideal: Describe an ideal source and detector, whatever the scan's were.
     """
-    from twinct.cli.output import check_folder
     from twinct.ctsimu.export import export_scan
     from twinct.errors import InputError
+    from twinct.files.writing import check_folder
     from twinct.scan import ScanStore, Workshop
 
     store = scan if scan.suffix == ".zarr" else scan / "scan.zarr"
@@ -114,8 +114,8 @@ def qualify(
     """
     from rich.table import Table
 
-    from twinct.cli.output import check_folder
     from twinct.ctsimu.suite import TESTS, qualify
+    from twinct.files.writing import check_folder
 
     check_folder(out)
     console = Console()

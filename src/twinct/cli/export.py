@@ -12,8 +12,9 @@ from rich.console import Console
 from twinct.cli.progress import TerminalProgress
 from twinct.errors import InputError, ScanExistsError
 from twinct.exchange import Bundle, Toolkit, Values, bundle_bytes, write_bundle
-from twinct.pipeline import line_integrals
-from twinct.scan import ScanStore, require_space, storage_errors
+from twinct.files.writing import require_space, storage_errors
+from twinct.runs import line_integrals
+from twinct.scan import ScanStore
 
 
 def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: Path | None) -> None:

@@ -28,7 +28,7 @@ class TerminalProgress:
 
     @contextmanager
     def stage(self, name: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
-        """See ``twinct.pipeline.Progress.stage``."""
+        """See ``twinct.progress.Progress.stage``."""
         if self._console.is_terminal:
             with self._bar() as bar:
                 task = bar.add_task(name, total=total, completed=done)

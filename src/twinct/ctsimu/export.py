@@ -28,12 +28,11 @@ from twinct.ctsimu.writing import (
     make_folder,
     quantity,
     vector,
-    write_json,
 )
 from twinct.errors import ScanExistsError
+from twinct.files.writing import storage_errors, write_json
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.scan import Scan
-from twinct.scan.store import storage_errors
 from twinct.specimen import BuiltSpecimen
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from twinct.ctsimu.drifts import reason
 from twinct.ctsimu.scene import RawImage
 from twinct.errors import InputError
+from twinct.files.writing import complete
 
 
 def read_image(image: RawImage, shape: tuple[int, int] | None = None) -> NDArray[np.float64]:
@@ -41,6 +41,5 @@ def read_image(image: RawImage, shape: tuple[int, int] | None = None) -> NDArray
 
 def write_tiff(path: Path, pixels: NDArray[np.generic]) -> None:
     """Write an image as little-endian TIFF without compression; never leaves half a file."""
-    draft = path.with_name(path.name + ".partial")
-    tifffile.imwrite(draft, pixels, byteorder="<", photometric="minisblack", metadata=None)
-    os.replace(draft, path)
+    with complete(path) as draft:
+        tifffile.imwrite(draft, pixels, byteorder="<", photometric="minisblack", metadata=None)

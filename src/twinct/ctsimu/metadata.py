@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from typing import TYPE_CHECKING, Any
 
 from twinct.ctsimu.acquisition import FORMAT
 from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.ctsimu.scene import FieldImages, Frame
+from twinct.files.writing import write_json
 
 if TYPE_CHECKING:
     from twinct.ctsimu.render import Files, Options
@@ -78,9 +78,7 @@ def write_metadata(
             "ctsimu_scenario": scenario.data,
         },
     }
-    draft = files.metadata.with_suffix(".partial")
-    draft.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    os.replace(draft, files.metadata)
+    write_json(files.metadata, data)
 
 
 def _field(name: str, kind: str, images: FieldImages) -> dict[str, Any]:

@@ -25,9 +25,9 @@ from twinct.ctsimu.metadata import write_metadata
 from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.ctsimu.scene import FieldImages, Frame, RawImage
 from twinct.ctsimu.writing import make_folder
+from twinct.draws import view_rng
 from twinct.errors import ScanExistsError, ScenarioError
-from twinct.scan.store import storage_errors
-from twinct.uncertainty import view_rng
+from twinct.files.writing import storage_errors
 
 LAG_LEFT = 1e-6
 """Share of an earlier projection below which its lag is left out."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -82,10 +80,3 @@ def make_folder(folder: Path) -> None:
         raise StorageError(f"{folder}: this is a file; a folder is needed") from None
     except OSError as error:
         raise StorageError(f"{folder}: the folder cannot be made: {reason(error)}") from None
-
-
-def write_json(path: Path, data: Json) -> None:
-    """Write a file under its name only when it is complete."""
-    draft = path.with_name(path.name + ".partial")
-    draft.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    os.replace(draft, path)

@@ -10,6 +10,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from twinct.evaluate import pose_errors
+from twinct.files.writing import write_text
 from twinct.geometry import Floats
 from twinct.report import figures
 from twinct.report.data import ReportData
@@ -80,9 +81,7 @@ def write_report(path: Path, report: ReportData, pictures: Pictures | None = Non
         report: what it shows.
         pictures: what ``draw_pictures`` made of it; drawn here where None.
     """
-    draft = path.with_name(f".{path.name}.partial")
-    draft.write_text(render_report(report, pictures), encoding="utf-8")
-    draft.replace(path)
+    write_text(path, render_report(report, pictures))
 
 
 def render_report(report: ReportData, pictures: Pictures | None = None) -> str:

@@ -3,7 +3,7 @@
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.data import Scan, View
 from twinct.scan.rig import LocalRig, Rig
-from twinct.scan.store import ScanStore, check_space, require_space, storage_errors
+from twinct.scan.store import ScanStore, check_space
 from twinct.scan.workshop import Workshop, build_imager, build_robots, commanded_targets
 
 __all__ = [
@@ -19,6 +19,4 @@ __all__ = [
     "build_robots",
     "check_space",
     "commanded_targets",
-    "require_space",
-    "storage_errors",
 ]

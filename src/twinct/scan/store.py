@@ -6,11 +6,8 @@ and is removed on resume. The store holds no clock times: the same scenario give
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +16,8 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from twinct.errors import ScanExistsError, StorageError
+from twinct.errors import ScanExistsError
+from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.scan.data import Scan, View
 from twinct.scenario import Scenario, parse_scenario
@@ -29,30 +27,8 @@ FORMAT = 1
 ACQUIRED = 1
 EXPOSURE = "executed/exposure"
 """Present where an exposure has several instants."""
-_SPARE_BYTES = 64 * 2**20
-"""Disk space to leave free beside the scan and its volume."""
 
 _POSE_COLUMNS = {"source": 3, "detector": 3, "u": 3, "v": 3, "source_quat": 4, "detector_quat": 4}
-
-
-@contextlib.contextmanager
-def storage_errors(path: Path, left: str = "what was written before is kept") -> Iterator[None]:
-    """Turn a full disk or a missing permission into one clear message.
-
-    Args:
-        path: what is being written.
-        left: what a full disk leaves of it.
-    """
-    try:
-        yield
-    except OSError as error:
-        if error.errno == errno.ENOSPC:
-            message = f"{path}: the disk is full; {left}"
-        elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EDQUOT):
-            message = f"{path}: cannot be written: {error.strerror}"
-        else:
-            raise
-        raise StorageError(message) from error
 
 
 def check_space(folder: Path, scenario: Scenario, views: int) -> None:
@@ -65,26 +41,6 @@ def check_space(folder: Path, scenario: Scenario, views: int) -> None:
     images = views * scenario.detector.rows * scenario.detector.columns * 4
     volumes = 2 * int(np.prod(grid.shape)) * 4
     require_space(folder, images + volumes, "the scan and its volume need")
-
-
-def require_space(folder: Path, size: int, what: str) -> None:
-    """Refuse to start what the disk cannot hold.
-
-    Args:
-        folder: where it shall go; need not exist yet.
-        size: bytes to write.
-        what: subject and verb of the message, such as "the scan needs".
-
-    Raises:
-        StorageError: with the bytes needed and the bytes free.
-    """
-    needed = size + _SPARE_BYTES
-    existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    free = shutil.disk_usage(existing).free
-    if free < needed:
-        raise StorageError(
-            f"{folder}: {what} up to {needed / 2**30:.2f} GiB, only {free / 2**30:.2f} GiB are free"
-        )
 
 
 class ScanStore:

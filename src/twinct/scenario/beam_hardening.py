@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.scenario.composition import Composition
-from twinct.scenario.section import Conflict, ConflictError, Section, facts
+from twinct.settings import Conflict, ConflictError, Section, facts
 
 
 class OneMaterialHardening(Section):

@@ -7,7 +7,7 @@ import re
 
 from pydantic import Field, field_validator
 
-from twinct.scenario.section import Finite, Lengths, Positive, Section, Vector, facts
+from twinct.settings import Finite, Lengths, Positive, Section, Vector, facts
 
 ARMS = ("ur10e", "lbr_iiwa14")
 """Arms that are built in."""

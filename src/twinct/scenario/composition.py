@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from twinct.scenario.section import Positive, Section, facts
+from twinct.settings import Positive, Section, facts
 
 
 class Composition(Section):

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from twinct.geometry import Panel
 from twinct.scenario.composition import Composition
-from twinct.scenario.section import (
+from twinct.settings import (
     Conflict,
     ConflictError,
     NonNegative,

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from twinct.errors import InputError, ScenarioError
 from twinct.scenario.scenario import Scenario
-from twinct.scenario.section import Conflict, ConflictError
+from twinct.settings import Conflict, ConflictError
 
 Key = tuple[str | int, ...]
 

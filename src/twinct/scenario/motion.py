@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from twinct.scenario.section import NonNegative, Positive, Section, facts
+from twinct.settings import NonNegative, Positive, Section, facts
 
 
 class InverseKinematics(Section):

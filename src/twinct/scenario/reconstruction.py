@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario.beam_hardening import BeamHardening
-from twinct.scenario.section import (
+from twinct.settings import (
     Conflict,
     ConflictError,
     Lengths,

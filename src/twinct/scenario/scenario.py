@@ -12,11 +12,11 @@ from twinct.scenario.cell import Cell
 from twinct.scenario.detector import Detector
 from twinct.scenario.motion import Motion
 from twinct.scenario.reconstruction import Reconstruction
-from twinct.scenario.section import Conflict, ConflictError, Section
 from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import CtVolume, MeshFile, Specimen
 from twinct.scenario.trajectory import FileTrajectory, Trajectory
 from twinct.scenario.uncertainty import Uncertainty
+from twinct.settings import Conflict, ConflictError, Section
 
 
 class Scenario(Section):

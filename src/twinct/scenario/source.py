@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.scenario.composition import Composition
-from twinct.scenario.section import Conflict, ConflictError, Pair, Positive, Section, facts
+from twinct.settings import Conflict, ConflictError, Pair, Positive, Section, facts
 
 MOST_KV = 50.0
 """Highest tube voltage for which SpekPy knows molybdenum and rhodium."""

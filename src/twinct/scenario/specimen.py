@@ -9,7 +9,7 @@ from pydantic import Field
 
 from twinct.geometry import Pose
 from twinct.scenario.composition import Composition
-from twinct.scenario.section import Finite, Lengths, NonNegative, Positive, Section, Vector, facts
+from twinct.settings import Finite, Lengths, NonNegative, Positive, Section, Vector, facts
 
 
 class Skull(Section):

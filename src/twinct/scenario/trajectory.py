@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twinct.scenario.section import (
+from twinct.settings import (
     Conflict,
     ConflictError,
     Finite,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from twinct.scenario.section import NonNegative, Positive, Section, facts
+from twinct.settings import NonNegative, Positive, Section, facts
 
 
 class PositionNoise(Section):

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct import scenario
+from twinct.draws import view_rng
 from twinct.errors import InputError, MissingExtraError
 from twinct.geometry import Floats, Panel
 from twinct.specimen.materials import Material, material
-from twinct.uncertainty import view_rng
 from twinct.xray.response import Response
 from twinct.xray.spectrum import Spectrum, attenuation
 from twinct.xray.spot import gaussian_spot, image_spot, read_image, square_spot

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct import scenario
+from twinct.draws import view_rng
 from twinct.geometry import MM_PER_M, Floats, ScanGeometry
 from twinct.specimen.materials import Material
-from twinct.uncertainty import view_rng
 from twinct.xray.beam import fall_off
 from twinct.xray.build import (
     build_bad_pixels,

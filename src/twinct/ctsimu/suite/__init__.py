@@ -15,8 +15,9 @@ from twinct.ctsimu.render import Files, Options, render
 from twinct.ctsimu.scenario import load_ctsimu
 from twinct.ctsimu.suite.cases import TESTS, Case, cases
 from twinct.ctsimu.suite.verdicts import Verdict, verdicts
-from twinct.ctsimu.writing import make_folder, write_json
+from twinct.ctsimu.writing import make_folder
 from twinct.errors import InputError, MissingExtraError
+from twinct.files.writing import write_json
 
 __all__ = ["TESTS", "Verdict", "qualify"]
 

@@ -15,7 +15,8 @@ import numpy as np
 from trimesh import Trimesh
 
 from twinct.ctsimu.suite import samples
-from twinct.ctsimu.writing import Json, header, material, placed, quantity, write_json
+from twinct.ctsimu.writing import Json, header, material, placed, quantity
+from twinct.files.writing import write_json
 
 DENSITY_G_CM3 = {
     "Al": 2.6989,

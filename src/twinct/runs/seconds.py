@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from twinct.cli.folder import write_text
+from twinct.files.writing import write_text
 from twinct.scan import Stopwatch
 
 

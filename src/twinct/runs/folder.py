@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twinct.cli.output import check_folder
 from twinct.errors import InputError, ScanExistsError
-from twinct.pipeline import reconstruction_digest
+from twinct.files.writing import check_folder, draft_of
+from twinct.runs.volumes import reconstruction_digest
 from twinct.scenario import Scenario
 
 
@@ -76,7 +76,7 @@ class Folder:
         """Raise where something else than a run of before is in the way."""
         own = (self.scan, self.volume, self.metrics, self.report, self.checkpoints, self.scenario)
         own = (*own, self.seconds, self.logs, self.log, self.scan.with_name("scan.zarr.new"))
-        names = {name for p in own for name in (p.name, f".{p.name}.partial")}
+        names = {name for p in own for name in (p.name, draft_of(p).name)}
         check_folder(self.path, names)
 
     def refuse_if_taken(self) -> None:
@@ -87,13 +87,6 @@ class Folder:
                 f"{self.path} already holds {', '.join(taken)}: "
                 "choose another --out, or go on with --resume"
             )
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file that appears under its name only when it is complete."""
-    draft = path.with_name(f".{path.name}.partial")
-    draft.write_text(text, encoding="utf-8")
-    draft.replace(path)
 
 
 def read_metrics(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What all sections of a scenario share: their base, and the types of their numbers."""
+"""What all sections of settings share: their base, and the types of their numbers."""
 
 from __future__ import annotations
 

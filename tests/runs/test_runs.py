@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct import reconstruction
 from twinct.errors import InputError, MemoryShortageError
 from twinct.evaluate import pose_errors
 from twinct.geometry import Pose
-from twinct.hardening import effective_energy, hardening_corrected
-from twinct.pipeline import (
+from twinct.recon import Projector, cgls, fista_tv, os_sart, random_order, sart, sirt
+from twinct.runs import (
     judge,
     line_integrals,
     machine_frames,
@@ -22,12 +21,13 @@ from twinct.pipeline import (
     require_feasible,
     simulate,
     truth_of,
+    volumes,
 )
-from twinct.recon import Projector, cgls, fista_tv, os_sart, random_order, sart, sirt
+from twinct.runs.integrals import effective_energy, hardening_corrected
 from twinct.scan import Scan, Workshop
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
 BALL_MM = np.array([20.0, -30.0, 40.0])
 
 TINY = [
@@ -141,7 +141,7 @@ def test_a_scan_is_a_function_of_scenario_and_seed(scenario: Scenario, scan: Sca
 
 def test_reconstruction_goes_on_from_its_checkpoint(scan: Scan, tmp_path, monkeypatch) -> None:
     whole = reconstruct(scan)
-    kept = reconstruction._Checkpoints.keep
+    kept = volumes._Checkpoints.keep
 
     def killed(self, iterations, volume, residuals) -> None:
         kept(self, iterations, volume, residuals)
@@ -149,7 +149,7 @@ def test_reconstruction_goes_on_from_its_checkpoint(scan: Scan, tmp_path, monkey
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(reconstruction._Checkpoints, "keep", killed)
+        patch.setattr(volumes._Checkpoints, "keep", killed)
         with pytest.raises(KeyboardInterrupt):
             reconstruct(scan, checkpoints=tmp_path)
     assert [p.name.rpartition("-")[2] for p in tmp_path.iterdir()] == ["0002.npz"]
@@ -192,7 +192,7 @@ def test_the_scenario_selects_algorithm_and_parameters(scan: Scan, algorithm: st
     else:
         # A permutation that the scenario's seed draws, again and again the same.
         np.testing.assert_array_equal(volume, reconstruct(chosen))
-        rng = reconstruction.view_rng(scan.scenario.seed, "order of views", 0)
+        rng = volumes.view_rng(scan.scenario.seed, "order of views", 0)
         order = random_order(len(scan), rng)
         drawn = sart(A, p, iterations=3, relaxation=0.3, order=order)
         np.testing.assert_array_equal(volume, drawn)

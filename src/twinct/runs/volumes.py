@@ -8,20 +8,20 @@ import logging
 import math
 import zipfile
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinct.draws import view_rng
+from twinct.files.writing import complete, storage_errors
 from twinct.geometry import ScanGeometry, VolumeGrid
-from twinct.hardening import hardening_corrected
+from twinct.progress import SILENT, Progress
+from twinct.runs.integrals import hardening_corrected
 from twinct.scan import Scan
-from twinct.scan.store import storage_errors
 from twinct.scenario import Reconstruction, Scenario
-from twinct.uncertainty import view_rng
 
 if TYPE_CHECKING:
     from twinct.recon import Callback, Step
@@ -35,26 +35,6 @@ RESUMABLE = ("sart", "os_sart", "sirt")
 """Algorithms that go on from a volume as if nothing had happened. Of the others, ``cgls`` and
 ``fista_tv`` have directions and momentum beside the volume, and ``fdk`` no iterations: interrupted,
 they start again."""
-
-
-class Progress(Protocol):
-    """Where long work says how far it is."""
-
-    def stage(
-        self, name: str, total: int, done: int = 0
-    ) -> AbstractContextManager[Callable[[], None]]:
-        """A stage of ``total`` steps; the context's value is called after each step."""
-        ...
-
-
-class _Silent:
-    def stage(
-        self, name: str, total: int, done: int = 0
-    ) -> AbstractContextManager[Callable[[], None]]:
-        return nullcontext(lambda: None)
-
-
-SILENT: Progress = _Silent()
 
 
 def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -304,10 +284,8 @@ class _Checkpoints:
             self.folder.mkdir(parents=True, exist_ok=True)
             older = self._files()
             final = self.folder / f"{self.name}-{iterations:04d}.npz"
-            draft = final.with_suffix(".partial")
-            with draft.open("wb") as stream:
-                np.savez(stream, volume=volume, residuals=json.dumps(residuals))
-            draft.replace(final)
+            with complete(final) as draft:
+                np.savez(draft, volume=volume, residuals=json.dumps(residuals))
             for file in older:
                 if file != final:
                     file.unlink()

@@ -20,25 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from twinct.cell import check_drawing
-from twinct.cli.folder import Folder, read_metrics, write_text
 from twinct.cli.progress import TerminalProgress
-from twinct.cli.seconds import Seconds
 from twinct.errors import InputError
 from twinct.evaluate import ImageFigures, pose_errors
-from twinct.pipeline import (
-    Truth,
-    acquire_to_store,
-    check_physics,
-    check_sight,
-    judge,
-    local_rig,
-    reconstruct,
-    reconstruction_digest,
-    require_extras,
-    require_feasible,
-    scenario_as_data,
-    truth_of,
-)
+from twinct.files.writing import storage_errors, write_text
 from twinct.report import (
     ReportData,
     build_metrics,
@@ -47,14 +32,13 @@ from twinct.report import (
     physics_in_words,
     write_report,
 )
-from twinct.scan import (
-    Rig,
-    Scan,
-    ScanStore,
-    Workshop,
-    check_space,
-    storage_errors,
-)
+from twinct.runs.acquisition import acquire_to_store, local_rig
+from twinct.runs.checks import check_physics, check_sight, require_extras
+from twinct.runs.folder import Folder, read_metrics
+from twinct.runs.judgement import Truth, judge, truth_of
+from twinct.runs.seconds import Seconds
+from twinct.runs.volumes import reconstruct, reconstruction_digest, require_feasible
+from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space
 from twinct.scenario import Scenario, load_scenario
 from twinct.volume import read_volume, write_volume
 
@@ -335,7 +319,7 @@ def _report_data(
 
 
 def _as_yaml(scenario: Scenario) -> str:
-    return yaml.safe_dump(scenario_as_data(scenario), sort_keys=False)
+    return yaml.safe_dump(json.loads(scenario.resolved()), sort_keys=False)
 
 
 def _room(workshop: Workshop) -> bytes:

@@ -1,0 +1,90 @@
+"""Voxel lattices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinct.geometry.arrays import Floats, frozen
+from twinct.geometry.pose import Pose
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeGrid:
+    """A voxel lattice centred on the origin of its own frame.
+
+    Arrays on it have shape ``shape`` = (nz, ny, nx). Voxel (k, j, i) has its centre at
+    ``world_from_grid`` applied to ((i, j, k) - (n - 1) / 2) * voxel.
+
+    Attributes:
+        shape: voxels along (z, y, x).
+        voxel: voxel edges along (x, y, z), mm.
+        world_from_grid: pose of the lattice.
+    """
+
+    shape: tuple[int, int, int]
+    voxel: Floats
+    world_from_grid: Pose
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        voxel: float | ArrayLike,
+        world_from_grid: Pose | None = None,
+    ) -> None:
+        """Take one voxel edge for a cubic voxel, or three (x, y, z).
+
+        Raises:
+            ValueError: no voxels, or an edge that is not positive.
+        """
+        shape = tuple(int(n) for n in shape)
+        edges = frozen(np.broadcast_to(np.asarray(voxel, dtype=np.float64), (3,)), (3,), "voxel")
+        if len(shape) != 3 or min(shape) < 1 or (edges <= 0).any():
+            raise ValueError(f"a grid of {shape} voxels of {edges} mm holds nothing")
+        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "voxel", edges)
+        object.__setattr__(self, "world_from_grid", world_from_grid or Pose.identity())
+
+    @property
+    def shape_xyz(self) -> tuple[int, int, int]:
+        """Voxels along (x, y, z)."""
+        return self.shape[2], self.shape[1], self.shape[0]
+
+    @property
+    def size_mm(self) -> Floats:
+        """Edges of the whole grid along (x, y, z), mm."""
+        return np.array(self.shape_xyz) * self.voxel
+
+    def axes(self) -> tuple[Floats, Floats, Floats]:
+        """Voxel centres along x, y and z of the grid's own frame, mm."""
+        x, y, z = (
+            (np.arange(n) - (n - 1) / 2) * edge
+            for n, edge in zip(self.shape_xyz, self.voxel, strict=True)
+        )
+        return x, y, z
+
+    @property
+    def affine(self) -> Floats:
+        """(4, 4): voxel index (i, j, k) along (x, y, z) to world mm, as in NIfTI."""
+        local = np.eye(4)
+        local[:3, :3] = np.diag(self.voxel)
+        local[:3, 3] = -(np.array(self.shape_xyz) - 1) / 2 * self.voxel
+        return self.world_from_grid.matrix @ local
+
+    def __eq__(self, other: object) -> bool:
+        """Same lattice, to the last bit."""
+        return (
+            isinstance(other, VolumeGrid)
+            and self.shape == other.shape
+            and np.array_equal(self.voxel, other.voxel)
+            and self.world_from_grid == other.world_from_grid
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        """Evaluates to an equal grid."""
+        return f"VolumeGrid({self.shape}, {self.voxel.tolist()}, {self.world_from_grid!r})"

@@ -1,0 +1,118 @@
+"""Rigid transforms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, frozen
+
+MM_PER_M = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rigid transform, written ``world_from_tool``: it maps tool coordinates to world ones.
+
+    Attributes:
+        position: origin of the inner frame in the outer one, (3,), mm.
+        quat: unit quaternion (x, y, z, w), (4,).
+    """
+
+    position: Floats
+    quat: Floats
+
+    def __post_init__(self) -> None:
+        """Copy, check and freeze the arrays."""
+        quat = frozen(self.quat, (4,), "quat")
+        if abs(np.linalg.norm(quat) - 1.0) > UNIT_TOLERANCE:
+            raise ValueError(f"quat {quat} is not a unit quaternion")
+        object.__setattr__(self, "position", frozen(self.position, (3,), "position"))
+        object.__setattr__(self, "quat", quat)
+
+    @classmethod
+    def identity(cls) -> Pose:
+        """Outer and inner frame coincide."""
+        return cls(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+
+    @classmethod
+    def from_matrix(cls, position: ArrayLike, rotation: ArrayLike) -> Pose:
+        """Build from an origin (3,) in mm and a rotation matrix (3, 3), columns the inner axes."""
+        return cls(np.asarray(position), Rotation.from_matrix(np.asarray(rotation)).as_quat())
+
+    @classmethod
+    def from_euler(cls, position: ArrayLike, degrees: ArrayLike) -> Pose:
+        """Build from an origin in mm and extrinsic x, y, z rotations in degrees."""
+        return cls(
+            np.asarray(position), Rotation.from_euler("xyz", degrees, degrees=True).as_quat()
+        )
+
+    @classmethod
+    def from_metres(cls, position_m: ArrayLike, quat: ArrayLike) -> Pose:
+        """Build from what MuJoCo and ROS 2 speak: metres, and a quaternion (x, y, z, w)."""
+        return cls(np.asarray(position_m, dtype=np.float64) * MM_PER_M, np.asarray(quat))
+
+    def to_metres(self) -> tuple[Floats, Floats]:
+        """Position in metres and quaternion (x, y, z, w)."""
+        return self.position / MM_PER_M, self.quat
+
+    @property
+    def rotation(self) -> Floats:
+        """Rotation matrix (3, 3); its columns are the inner axes in the outer frame."""
+        return Rotation.from_quat(self.quat).as_matrix()
+
+    @property
+    def matrix(self) -> Floats:
+        """Homogeneous matrix (4, 4), mm."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation
+        matrix[:3, 3] = self.position
+        return matrix
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Compose: ``world_from_tool @ tool_from_source`` is ``world_from_source``."""
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return Pose(
+            self.apply(other.position),
+            (Rotation.from_quat(self.quat) * Rotation.from_quat(other.quat)).as_quat(),
+        )
+
+    def inverse(self) -> Pose:
+        """The transform back."""
+        back = Rotation.from_quat(self.quat).inv()
+        return Pose(-back.apply(self.position.copy()), back.as_quat())
+
+    def apply(self, points: ArrayLike) -> Floats:
+        """Map points (..., 3) from the inner to the outer frame."""
+        return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.position
+
+    def rotate(self, vectors: ArrayLike) -> Floats:
+        """Turn vectors (..., 3) from the inner to the outer frame."""
+        return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
+
+    def angle_deg(self, other: Pose) -> float:
+        """Angle of the relative rotation, degrees."""
+        relative = Rotation.from_quat(self.quat).inv() * Rotation.from_quat(other.quat)
+        return float(np.degrees(relative.magnitude()))
+
+    def distance_mm(self, other: Pose) -> float:
+        """Distance of the two origins, mm."""
+        return float(np.linalg.norm(self.position - other.position))
+
+    def __eq__(self, other: object) -> bool:
+        """Same numbers, to the last bit."""
+        return (
+            isinstance(other, Pose)
+            and np.array_equal(self.position, other.position)
+            and np.array_equal(self.quat, other.quat)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        """Evaluates to an equal pose."""
+        return f"Pose({self.position.tolist()}, {self.quat.tolist()})"

@@ -1,0 +1,30 @@
+"""A run: from scenario to scan to volume to figures, in memory or in a folder."""
+
+from twinct.runs.acquisition import acquire_to_store, local_rig, machine_frames, simulate
+from twinct.runs.checks import check_physics, check_sight, require_extras
+from twinct.runs.folder import Folder
+from twinct.runs.judgement import Truth, judge, truth_of
+from twinct.runs.volumes import (
+    line_integrals,
+    reconstruct,
+    reconstruction_digest,
+    require_feasible,
+)
+
+__all__ = [
+    "Folder",
+    "Truth",
+    "acquire_to_store",
+    "check_physics",
+    "check_sight",
+    "judge",
+    "line_integrals",
+    "local_rig",
+    "machine_frames",
+    "reconstruct",
+    "reconstruction_digest",
+    "require_extras",
+    "require_feasible",
+    "simulate",
+    "truth_of",
+]

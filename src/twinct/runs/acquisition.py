@@ -1,0 +1,153 @@
+"""Acquires a scan, in memory or into its store."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import InputError
+from twinct.geometry import Pose, ScanGeometry
+from twinct.progress import SILENT, Progress
+from twinct.runs.checks import check_physics
+from twinct.scan import LocalRig, Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire
+from twinct.scenario import Scenario
+from twinct.views import Instant, Reached
+
+if TYPE_CHECKING:
+    from twinct.xray.chain import Frame
+
+log = logging.getLogger(__name__)
+
+
+def simulate(
+    scenario: Scenario, *, workshop: Workshop | None = None, progress: Progress = SILENT
+) -> Scan:
+    """Plan, move and expose every view in this process, without files and without ROS.
+
+    Args:
+        scenario: what to scan and how.
+        workshop: parts already built of this scenario.
+        progress: told of each view.
+
+    Raises:
+        InputError: a file or material of the source or the detector that cannot be used.
+        TrajectoryError: views that cannot be reached, or would collide; before anything moves.
+        MotionError: the arms did not arrive.
+    """
+    workshop = workshop or Workshop(scenario)
+    check_physics(workshop)
+    views: list[View] = []
+    names: tuple[str, ...] = ()
+    with local_rig(workshop) as rig, progress.stage("views", len(workshop.targets)) as step:
+
+        def keep(_: int, view: View, reached: Reached) -> None:
+            nonlocal names
+            names = reached.joint_names
+            views.append(view)
+            step()
+
+        acquire(rig, scenario, workshop.targets, keep)
+    return Scan.from_views(scenario, workshop.commanded_poses, names, views)
+
+
+def local_rig(workshop: Workshop, start_state: NDArray[np.float64] | None = None) -> LocalRig:
+    """Both simulations in this process, at home or in a state they had before."""
+    robots = workshop.robots()
+    if start_state is not None:
+        robots.restore(start_state)
+    return LocalRig(robots, workshop.imager(), workshop.scenario.detector.panel)
+
+
+def acquire_to_store(
+    workshop: Workshop,
+    path: Path,
+    make_rig: Callable[[int, NDArray[np.float64] | None], Rig],
+    *,
+    resume: bool,
+    watch: Stopwatch | None = None,
+    progress: Progress = SILENT,
+) -> ScanStore:
+    """Take the views that the store lacks; each is on disk before the next is requested.
+
+    Args:
+        workshop: the scenario's parts.
+        path: the store.
+        make_rig: gives a rig for the first view to take and the simulator state before it.
+        resume: go on with a store that is there.
+        watch: counts the seconds of this call.
+        progress: told of each view.
+
+    Raises:
+        ScanExistsError: there is a scan and ``resume`` is false, or it is another scenario's.
+    """
+    scenario, targets = workshop.scenario, workshop.targets
+    store = ScanStore.resume(path, scenario) if resume and path.exists() else None
+    first = store.acquired if store else 0
+    if store and first == len(targets):
+        return store
+    state = store.state(first - 1) if store and first else None
+    with (
+        closing(make_rig(first, state)) as rig,
+        progress.stage("views", len(targets), first) as step,
+    ):
+
+        def keep(index: int, view: View, reached: Reached) -> None:
+            nonlocal store
+            if store is None:
+                store = ScanStore.create(
+                    path, scenario, workshop.commanded_poses, reached.joint_names, len(view.state)
+                )
+            store.write(index, view)
+            log.info(
+                "view %d: t %.3f s, clearance %.1f mm",
+                index,
+                view.simulated_s,
+                view.clearance_mm,
+            )
+            step()
+
+        acquire(rig, scenario, targets, keep, first=first, watch=watch)
+    assert store is not None
+    return store
+
+
+def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[Frame]:
+    """Raw, flat and dark images of views of a scan, rendered again from the executed poses.
+
+    A scan stores transmission only; these are the images that it came from, to the last bit.
+
+    Args:
+        scan: with its executed poses.
+        workshop: the scenario's parts.
+        views: their indices.
+
+    Raises:
+        InputError: an ideal source and detector, which have no such images; or lag together with
+            motion blur, for which the scan does not hold where the last exposure ended.
+    """
+    source, detector = scan.scenario.source, scan.scenario.detector
+    if source.ideal and detector.ideal:
+        raise InputError("an ideal source and detector have no raw images: set detector.readout")
+    if detector.lag and scan.exposure is not None:
+        raise InputError("raw images with detector.lag and source.motion_samples cannot be redone")
+    geometry = scan.executed.geometry(detector.panel)
+
+    def instant(view: int) -> tuple[ScanGeometry, Pose]:
+        return geometry[view], scan.executed_object[view]
+
+    with workshop.imager() as imager:
+        for view in views:
+            path = [instant(view)]
+            if scan.exposure is not None:
+                triples = (
+                    Instant(*map(tuple, numbers)) for numbers in scan.exposure[view].tolist()
+                )
+                path = [triple.placed(detector.panel) for triple in triples]
+            before = instant(view - 1) if detector.lag and view else None
+            yield imager.frame(path, view, before)

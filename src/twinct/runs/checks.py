@@ -1,0 +1,94 @@
+"""What is looked at before any work: extras, physics, and whether the views see the specimen."""
+
+from __future__ import annotations
+
+from twinct.errors import InputError, MissingExtraError, TrajectoryError
+from twinct.evaluate import sight
+from twinct.extras import require
+from twinct.runs.integrals import check_hardening
+from twinct.scan import Workshop
+from twinct.scenario import Scenario
+
+
+def check_sight(workshop: Workshop) -> list[str]:
+    """Make sure that the commanded views see the specimen, before anything is planned.
+
+    Returns:
+        What a user should know of a scan that can be run.
+
+    Raises:
+        TrajectoryError: no view sees the specimen, it stands behind a panel, or no voxel is seen by
+            every view, so that nothing could be judged.
+    """
+    place = workshop.specimen.world_from_specimen
+    grid = workshop.scenario.reconstruction.grid.volume_grid
+    seen = sight(workshop.commanded, place.apply(workshop.hull.vertices), grid)
+    x, y, z = place.position
+    where = f"the specimen at ({x:g}, {y:g}, {z:g}) mm (specimen.position_mm)"
+    problems = []
+    if seen.from_behind:
+        problems.append(
+            f"{_views(seen.from_behind)}: {where} reaches behind the panel: the image would show "
+            "what lies there; move the specimen, or take a longer sdd_mm"
+        )
+    elif len(seen.blind) == seen.views:
+        problems.append(
+            f"no view sees {where}: all its shadows miss the panel; move the specimen, or the "
+            "isocentre of the trajectory"
+        )
+    if seen.region_empty:
+        problems.append(
+            "no voxel of the grid is seen by every view, so the image cannot be judged: move the "
+            "grid into the beam (reconstruction.grid.centre_mm), or use a larger panel or a "
+            "smaller orbit"
+        )
+    if problems:
+        raise TrajectoryError(problems)
+    warnings = []
+    if seen.blind:
+        warnings.append(f"{_views(seen.blind)} of {seen.views} in all see nothing of {where}")
+    if not seen.in_region:
+        warnings.append(
+            f"{where} lies outside the voxels that every view sees: the image figures will say "
+            "nothing of it"
+        )
+    return warnings
+
+
+def _views(views: tuple[int, ...]) -> str:
+    few = ", ".join(map(str, views[:8])) + (", ..." if len(views) > 8 else "")
+    return f"view {few}" if len(views) == 1 else f"{len(views)} views ({few})"
+
+
+def check_physics(workshop: Workshop) -> None:
+    """Make sure that source, detector and corrections can be built, before any other work.
+
+    Raises:
+        InputError: every file, material or number that cannot be used, each with its key.
+        MissingExtraError: SpekPy is needed and not installed.
+    """
+    from twinct.xray.check import check_parts
+
+    scenario = workshop.scenario
+    problems: list[str] = []
+    for check in (
+        lambda: check_parts(scenario.source, scenario.detector, workshop.commanded, scenario.seed),
+        lambda: check_hardening(scenario),
+    ):
+        try:
+            check()
+        except MissingExtraError:
+            raise
+        except InputError as error:
+            problems += error.problems
+    if problems:  # both need the spectrum, and may say the same of it
+        raise InputError(dict.fromkeys(problems))
+
+
+def require_extras(scenario: Scenario) -> None:
+    """Refuse before any work what is not installed.
+
+    Raises:
+        InputError: naming the extra that brings it.
+    """
+    require("robots", "xray", *(["rtk"] if scenario.reconstruction.engine == "rtk" else []))

@@ -1,0 +1,139 @@
+"""Projections, geometries and volumes keep their bytes, whatever is rebuilt around them.
+
+``same_bytes/digests.json`` holds what the command line wrote before; to run this file as a program
+takes it anew, and the commit that does says what changed and why. Compiled kernels and software
+OpenGL give other last bits on another processor: there, samples of every array are compared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import nibabel
+import numpy as np
+import pytest
+import tifffile
+import zarr
+from llvmlite.binding import get_host_cpu_name
+
+HERE = Path(__file__).parent
+KEPT = HERE / "same_bytes" / "digests.json"
+SMALL = ("titanium", "blur", "lag")
+CTSIMU = Path(os.environ.get("CTSIMU_DATA", HERE.parents[1] / "shared/data/ctsimu"))
+EXAMPLE = "02_simple_scan_circular"
+ARRAYS = (
+    "transmission",
+    *(f"{kind}/{name}" for kind in ("commanded", "executed", "believed")
+      for name in ("source", "detector", "u", "v", "source_quat", "detector_quat")),
+)  # fmt: skip
+SAMPLES = 24
+TOLERANCE = 1e-4
+"""Of the largest value, between processors: float32 sums in another order, and Mesa's vectors."""
+
+
+def machine() -> dict[str, str]:
+    """What the last bits depend on."""
+    found = {name: version(name) for name in ("numba", "numpy", "scipy", "gvxr", "mujoco", "mink")}
+    status = Path("/var/lib/dpkg/status")
+    text = status.read_text(encoding="utf-8", errors="replace") if status.exists() else ""
+    mesa = re.search(r"^Package: libgl1-mesa-dri\n(?:.+\n)*?Version: (.+)$", text, re.MULTILINE)
+    return found | {"cpu": get_host_cpu_name(), "mesa": mesa[1] if mesa else "unknown"}
+
+
+def twinct(*arguments: str) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "twinct", *arguments], capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+
+
+def scanned(scenario: Path, link: str, folder: Path) -> dict[str, Any]:
+    """Digest and samples of every array of a run."""
+    out = folder / f"{scenario.stem}-{link}"
+    twinct("run", str(scenario), "--out", str(out), "--link", link)
+    store: Any = zarr.open_group(str(out / "scan.zarr"), mode="r")
+    arrays = {name: np.asarray(store[name][:]) for name in ARRAYS}
+    volume: Any = nibabel.loadsave.load(out / "volume.nii")
+    arrays |= {"volume": np.asarray(volume.dataobj), "affine": np.asarray(volume.affine)}
+    return {name: described(values) for name, values in arrays.items()}
+
+
+def rendered(folder: Path) -> dict[str, Any]:
+    """Digest and samples of the projections of a CTSimU example."""
+    twinct("ctsimu", "render", str(CTSIMU / EXAMPLE / f"{EXAMPLE}.json"), "--out", str(folder))
+    files = sorted(folder.glob("*.tif"))
+    return {file.stem: described(tifffile.imread(file)) for file in files}
+
+
+def described(values: np.ndarray) -> dict[str, Any]:
+    values = np.ascontiguousarray(values)
+    places = np.random.default_rng(0).integers(0, values.size, SAMPLES)
+    return {
+        "sha256": hashlib.sha256(values.tobytes()).hexdigest(),
+        "shape": list(values.shape),
+        "largest": float(np.abs(values).max()),
+        "samples": values.ravel()[places].astype(float).tolist(),
+    }
+
+
+def same(found: dict[str, Any], name: str) -> None:
+    """Raise an assertion for the first array that is another."""
+    kept = json.loads(KEPT.read_text())
+    assert found.keys() == kept[name].keys()
+    if machine() == kept["machine"]:
+        changed = [key for key in found if found[key]["sha256"] != kept[name][key]["sha256"]]
+        assert not changed, f"{name}: other bytes in {changed}"
+        return
+    for key, values in found.items():
+        expected = kept[name][key]
+        assert values["shape"] == expected["shape"], f"{name}: {key}"
+        allowed = TOLERANCE * expected["largest"]
+        np.testing.assert_allclose(
+            values["samples"], expected["samples"], rtol=0, atol=allowed, err_msg=f"{name}: {key}"
+        )
+
+
+@pytest.mark.parametrize("link", ["local", "ros2"])
+@pytest.mark.parametrize("name", SMALL)
+def test_small_scenarios(name: str, link: str, tmp_path: Path) -> None:
+    same(scanned(HERE / "same_bytes" / f"{name}.yaml", link, tmp_path), name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("link", ["local", "ros2"])
+def test_demo(link: str, tmp_path: Path) -> None:
+    same(scanned(HERE.parent / "scenarios" / "demo.yaml", link, tmp_path), "demo")
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not CTSIMU.is_dir(), reason="needs BAM's CTSimU examples (CTSIMU_DATA)")
+def test_ctsimu_example(tmp_path: Path) -> None:
+    same(rendered(tmp_path), EXAMPLE)
+
+
+def take() -> None:
+    """Write down what the present code gives, over both links."""
+    kept: dict[str, Any] = {"machine": machine()}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        for name in (*SMALL, "demo"):
+            place = HERE / "same_bytes" if name in SMALL else HERE.parent / "scenarios"
+            runs = [scanned(place / f"{name}.yaml", link, folder) for link in ("local", "ros2")]
+            differ = [key for key in runs[0] if runs[0][key] != runs[1][key]]
+            assert not differ, f"{name}: the links differ in {differ}"
+            kept[name] = runs[0]
+        kept[EXAMPLE] = rendered(folder / "example")
+    KEPT.write_text(json.dumps(kept, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    take()
