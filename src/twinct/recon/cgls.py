@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, counting_rays, masked_image, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.projector import Projector, Volume
 from twinct.recon.steps import Callback, Reporter, sum_of_squares
+from twinct.settings import facts
+
+
+class Cgls(AlgorithmSettings):
+    """Conjugate gradients for the least-squares problem."""
+
+    algorithm: Literal["cgls"] = "cgls"
+    iterations: int = Field(
+        default=10,
+        ge=1,
+        le=10_000,
+        description="Passes over all views.",
+        json_schema_extra=facts(source="the paper"),
+    )
 
 
 def cgls(
@@ -93,3 +111,17 @@ def _add(to: Volume, factor: np.float32, values: Volume) -> None:
     """Add factor * values, without a third array of their size."""
     for part, other in zip(to, values, strict=True):
         part += factor * other
+
+
+def _solve(problem: Problem, settings: Cgls) -> Volume:
+    return cgls(
+        problem.projector,
+        problem.line_integrals,
+        iterations=settings.iterations,
+        x0=problem.x0,
+        mask=problem.mask,
+        callback=problem.callback,
+    )
+
+
+CGLS = Algorithm(Cgls, _solve, volumes=3, projections=2.25)

@@ -8,10 +8,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, ScanGeometry
 from twinct.recon._voxel_driven import back_project
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.memory import require_memory
 from twinct.recon.orbit import Circle, fit_circle
@@ -22,6 +24,16 @@ Window = Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"]
 
 BLOCK = 16
 """Views that are filtered, and then back-projected, at a time."""
+
+
+class Fdk(AlgorithmSettings):
+    """Filtered back projection of circular scans."""
+
+    algorithm: Literal["fdk"] = "fdk"
+    window: Window = Field(
+        default="ramp", description="Window of the ramp filter, from sharp to smooth."
+    )
+    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
 
 
 def fdk(
@@ -217,3 +229,17 @@ def _complete(image: Volume, mask: Mask | None, view: int) -> Volume:
         for column in columns:
             image[:, column] = np.interp(np.arange(len(image)), some, image[some, column])
     return image
+
+
+def _solve(problem: Problem, settings: Fdk) -> Volume:
+    return fdk(
+        problem.projector,
+        problem.line_integrals,
+        window=settings.window,
+        nonnegative=settings.nonnegative,
+        mask=problem.mask,
+        callback=problem.callback,
+    )
+
+
+FDK = Algorithm(Fdk, _solve, volumes=1, updates=lambda _, views: -(-views // BLOCK))

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from twinct.recon._tv import ascend, primal
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
 from twinct.recon.memory import require_memory
-from twinct.recon.order import subsets_of
+from twinct.recon.order import subset_number, subsets_of
 from twinct.recon.projector import Projector, Volume
 from twinct.recon.steps import Callback, Reporter, sum_of_squares
+from twinct.settings import NonNegative, facts
 
 VIEWS_PER_SUBSET = 10
 """Of the default. Of 100 views, subsets of 5 converge twice as fast; of 3, not any more."""
@@ -22,6 +26,35 @@ LEAST_WEIGHT = 0.05
 
 DUAL_STEP = 1.8
 """Of 2, at which the dual iteration would cease to converge."""
+
+
+class FistaTv(AlgorithmSettings):
+    """FISTA with total variation: few views, or few photons."""
+
+    algorithm: Literal["fista_tv"] = "fista_tv"
+    iterations: int = Field(
+        default=10,
+        ge=1,
+        le=10_000,
+        description="Passes over all views.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    regularisation: NonNegative = Field(
+        default=1e-4,
+        description="Strength of the total variation: a pure number that means the same for any "
+        "number of views, pixels or voxels.",
+    )
+    subsets: int | None = Field(
+        default=None, ge=1, description="Groups of views; one for each 10 views by default."
+    )
+    weighting: Literal["uniform", "counts"] = Field(
+        default="uniform",
+        description="Weight of each pixel; counts: its transmission, for Poisson noise.",
+    )
+    tv_steps: int = Field(
+        default=10, ge=1, le=1000, description="Steps of the denoising in each update."
+    )
+    nonnegative: bool = Field(default=True, description="Whether no voxel falls below 0.")
 
 
 def fista_tv(
@@ -157,3 +190,28 @@ def _curvature(parts: list[tuple[Projector, list[int]]], trust: Volume) -> Volum
         np.maximum(largest, part.T(rows), out=largest)
     largest *= np.float32(len(parts))
     return largest
+
+
+def _solve(problem: Problem, settings: FistaTv) -> Volume:
+    return fista_tv(
+        problem.projector,
+        problem.line_integrals,
+        iterations=settings.iterations,
+        regularisation=settings.regularisation,
+        subsets=subset_number(settings.subsets, len(problem.projector)),
+        tv_steps=settings.tv_steps,
+        weights=problem.transmission if settings.weighting == "counts" else None,
+        nonnegative=settings.nonnegative,
+        x0=problem.x0,
+        mask=problem.mask,
+        callback=problem.callback,
+    )
+
+
+FISTA_TV = Algorithm(
+    FistaTv,
+    _solve,
+    volumes=8,
+    projections=2,
+    updates=lambda settings, views: subset_number(settings.subsets, views),
+)

@@ -106,3 +106,8 @@ def view_order(checks: Checks, geometry: ScanGeometry, order: Order, rng: Rng | 
 def subsets_of(views: int, subsets: int) -> list[list[int]]:
     """Views split into subsets that each run along the whole path, in golden-angle order."""
     return [list(range(int(first), views, subsets)) for first in spread_order(subsets)]
+
+
+def subset_number(given: int | None, views: int) -> int:
+    """Number of subsets: what is given, else one for each 10 views."""
+    return max(views // 10, 1) if given is None else given

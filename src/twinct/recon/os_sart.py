@@ -2,17 +2,46 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from twinct.recon._forward import forward
 from twinct.recon._rays import chords
 from twinct.recon._spread import residual, spread
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
-from twinct.recon.order import subsets_of
+from twinct.recon.order import subset_number, subsets_of
 from twinct.recon.projector import Projector, Volume
 from twinct.recon.steps import Callback, Reporter, sum_of_squares
+from twinct.settings import facts
+
+
+class OsSart(AlgorithmSettings):
+    """SART with ordered subsets of views."""
+
+    algorithm: Literal["os_sart"] = "os_sart"
+    iterations: int = Field(
+        default=10,
+        ge=1,
+        le=10_000,
+        description="Passes over all views.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    relaxation: float = Field(
+        default=0.3,
+        gt=0,
+        lt=2,
+        description="Share of the residual that an update takes up.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    subsets: int | None = Field(
+        default=None, ge=1, description="Groups of views; one for each 10 views by default."
+    )
+    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
 
 
 def os_sart(
@@ -117,3 +146,26 @@ def os_sart(
             if report(iteration, update, square, rays, x):
                 return x
     return x
+
+
+def _solve(problem: Problem, settings: OsSart) -> Volume:
+    return os_sart(
+        problem.projector,
+        problem.line_integrals,
+        iterations=settings.iterations,
+        relaxation=settings.relaxation,
+        subsets=subset_number(settings.subsets, len(problem.projector)),
+        nonnegative=settings.nonnegative,
+        x0=problem.x0,
+        mask=problem.mask,
+        callback=problem.callback,
+    )
+
+
+OS_SART = Algorithm(
+    OsSart,
+    _solve,
+    volumes=3,
+    resumes=True,
+    updates=lambda settings, views: subset_number(settings.subsets, views),
+)

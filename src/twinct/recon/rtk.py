@@ -6,17 +6,46 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from twinct.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks
-from twinct.recon.order import Order, Rng, view_order
+from twinct.recon.order import Order, OrderName, Rng, view_order
 from twinct.recon.projector import Volume
 from twinct.recon.steps import Callback, Reporter
+from twinct.settings import facts
+
+
+class RtkSart(AlgorithmSettings):
+    """SART by RTK, the independent cross-check; it needs the extra rtk."""
+
+    algorithm: Literal["rtk_sart"] = "rtk_sart"
+    iterations: int = Field(
+        default=10,
+        ge=1,
+        le=10_000,
+        description="Passes over all views.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    relaxation: float = Field(
+        default=0.3,
+        gt=0,
+        lt=2,
+        description="Share of the residual that an update takes up.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    order: OrderName = Field(
+        default="golden",
+        description="Order of the views.",
+        json_schema_extra=facts(source="weighted_distance: Mueller, Yagel and Cornhill 1997"),
+    )
+    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
 
 
 def rtk_sart(
@@ -110,3 +139,21 @@ def _geometry(itk: Any, RTK: Any, numbers: dict[str, Any]) -> Any:
     if not geometry.AddProjection(*points, *vectors):
         raise InputError(f"RTK refuses the view with source {numbers['source'][0]} mm")
     return geometry
+
+
+def _solve(problem: Problem, settings: RtkSart) -> Volume:
+    return rtk_sart(
+        problem.line_integrals,
+        problem.projector.geometry,
+        problem.projector.grid,
+        iterations=settings.iterations,
+        relaxation=settings.relaxation,
+        order=settings.order,
+        nonnegative=settings.nonnegative,
+        x0=problem.x0,
+        rng=problem.rng,
+        callback=problem.callback,
+    )
+
+
+RTK_SART = Algorithm(RtkSart, _solve, volumes=4, updates=lambda _, views: views)

@@ -2,17 +2,48 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from twinct.recon._forward import forward
 from twinct.recon._rays import chords
 from twinct.recon._spread import residual, spread
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
-from twinct.recon.order import Order, Rng, view_order
+from twinct.recon.order import Order, OrderName, Rng, view_order
 from twinct.recon.projector import Projector, Volume
 from twinct.recon.steps import Callback, Reporter, sum_of_squares
+from twinct.settings import facts
+
+
+class Sart(AlgorithmSettings):
+    """SART, one view per update."""
+
+    algorithm: Literal["sart"] = "sart"
+    iterations: int = Field(
+        default=10,
+        ge=1,
+        le=10_000,
+        description="Passes over all views.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    relaxation: float = Field(
+        default=0.3,
+        gt=0,
+        lt=2,
+        description="Share of the residual that an update takes up.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    order: OrderName = Field(
+        default="golden",
+        description="Order of the views.",
+        json_schema_extra=facts(source="weighted_distance: Mueller, Yagel and Cornhill 1997"),
+    )
+    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
 
 
 def sart(
@@ -107,3 +138,21 @@ def sart(
                 if report(iteration, update, square, int(counts.sum()), x):
                     return x
     return x
+
+
+def _solve(problem: Problem, settings: Sart) -> Volume:
+    return sart(
+        problem.projector,
+        problem.line_integrals,
+        iterations=settings.iterations,
+        relaxation=settings.relaxation,
+        order=settings.order,
+        nonnegative=settings.nonnegative,
+        x0=problem.x0,
+        mask=problem.mask,
+        rng=problem.rng,
+        callback=problem.callback,
+    )
+
+
+SART = Algorithm(Sart, _solve, volumes=1, resumes=True, updates=lambda _, views: views)

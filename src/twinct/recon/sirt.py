@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.projector import Projector, Volume
 from twinct.recon.steps import Callback, Reporter, sum_of_squares
+from twinct.settings import facts
+
+
+class Sirt(AlgorithmSettings):
+    """SIRT, all views per update."""
+
+    algorithm: Literal["sirt"] = "sirt"
+    iterations: int = Field(
+        default=10,
+        ge=1,
+        le=10_000,
+        description="Passes over all views.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    relaxation: float = Field(
+        default=0.3,
+        gt=0,
+        lt=2,
+        description="Share of the residual that an update takes up.",
+        json_schema_extra=facts(source="the paper"),
+    )
+    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
 
 
 def sirt(
@@ -86,3 +112,19 @@ def sirt(
         if report(iteration, 0, square, rays, x):
             break
     return x
+
+
+def _solve(problem: Problem, settings: Sirt) -> Volume:
+    return sirt(
+        problem.projector,
+        problem.line_integrals,
+        iterations=settings.iterations,
+        relaxation=settings.relaxation,
+        nonnegative=settings.nonnegative,
+        x0=problem.x0,
+        mask=problem.mask,
+        callback=problem.callback,
+    )
+
+
+SIRT = Algorithm(Sirt, _solve, volumes=3, projections=2.25, resumes=True)

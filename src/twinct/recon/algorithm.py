@@ -1,0 +1,79 @@
+"""What an algorithm is: its settings, its function, what it takes of memory, whether it resumes.
+
+Each algorithm's file ends with its ``Algorithm``; those from outside the package are found by the
+entry points of the group ``twinct.algorithms``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.recon.projector import Projector
+from twinct.recon.steps import Callback
+from twinct.settings import Section
+
+
+class AlgorithmSettings(Section):
+    """Keys of one algorithm; its own ``algorithm`` is a Literal of its name.
+
+    A key named ``path`` is an input file: it is made absolute, must exist, and counts by content.
+    """
+
+    algorithm: str
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What there is to reconstruct from.
+
+    Attributes:
+        projector: A, with the geometry and the grid.
+        line_integrals: p, (views, rows, columns), corrected.
+        transmission: I/I0 as measured, same shape; for weights.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
+        x0: volume to start from, (z, y, x).
+        rng: for what is drawn.
+        callback: to be called after each update; see ``Step``.
+    """
+
+    projector: Projector
+    line_integrals: NDArray[np.float32]
+    transmission: NDArray[np.float32]
+    mask: NDArray[np.bool_] | None = None
+    x0: NDArray[np.float32] | None = None
+    rng: np.random.Generator | int = 0
+    callback: Callback | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Algorithm:
+    """An algorithm as the scenario can name it.
+
+    Attributes:
+        settings: its keys.
+        solve: reconstructs.
+        volumes: at the peak, float32, beside ``x0``.
+        projections: at the peak, float32, beside those given.
+        resumes: n iterations and then m from their result are n + m.
+        updates: in each iteration, of these settings and so many views; for the progress.
+    """
+
+    settings: type[AlgorithmSettings]
+    solve: Callable[[Problem, Any], Any]
+    volumes: float
+    projections: float = 0.0
+    resumes: bool = False
+    updates: Callable[[Any, int], int] = field(default=lambda _settings, _views: 1)
+
+    @property
+    def name(self) -> str:
+        """What the key ``algorithm`` calls it."""
+        return str(self.settings.model_fields["algorithm"].default)
+
+
+Registry = Mapping[str, Algorithm]

@@ -1,0 +1,16 @@
+"""The algorithms of this package, by name."""
+
+from __future__ import annotations
+
+from twinct.recon.algorithm import Algorithm
+from twinct.recon.cgls import CGLS
+from twinct.recon.fdk import FDK
+from twinct.recon.fista_tv import FISTA_TV
+from twinct.recon.os_sart import OS_SART
+from twinct.recon.rtk import RTK_SART
+from twinct.recon.sart import SART
+from twinct.recon.sirt import SIRT
+
+BUILT_IN: dict[str, Algorithm] = {
+    algorithm.name: algorithm for algorithm in (SART, OS_SART, SIRT, CGLS, FDK, FISTA_TV, RTK_SART)
+}
