@@ -1,7 +1,6 @@
 """Simulation of twin robotic CT: two arms, X-ray projections, ROS 2, reconstruction, judgement.
 
-Everything public is imported from its module; ``simulate`` and ``reconstruct`` are here because a
-notebook starts with them.
+Everything public is imported from its module; what a notebook starts with is here too.
 """
 
 from __future__ import annotations
@@ -10,16 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twinct.runs import reconstruct, simulate
+    from twinct.runs import reconstruct, run, simulate
     from twinct.scenario import load_scenario
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "load_scenario", "reconstruct", "simulate"]
+__all__ = ["__version__", "load_scenario", "reconstruct", "run", "simulate"]
 
-_HOMES = {
-    "load_scenario": "twinct.scenario",
-    "reconstruct": "twinct.runs",
-    "simulate": "twinct.runs",
+_HOMES = {name: "twinct.runs" for name in ("reconstruct", "run", "simulate")} | {
+    "load_scenario": "twinct.scenario"
 }
 
 
@@ -28,3 +25,8 @@ def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'twinct' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """What is meant to be found here."""
+    return __all__

@@ -46,6 +46,10 @@ class ScanExistsError(InputError):
     """The output folder already holds a scan, or one of another scenario."""
 
 
+class FolderInUseError(InputError):
+    """Another process works in the output folder."""
+
+
 class MissingExtraError(InputError):
     """A part of twinct was asked for whose optional dependency is not installed."""
 

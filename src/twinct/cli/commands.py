@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from twinct.cli.ctsimu import ctsimu
+from twinct.cli.progress import TerminalProgress
+from twinct.cli.result import say_result
 from twinct.scenario import load_scenario, named_places, scenario_schema
 
 app = tyro.extras.SubcommandApp()
@@ -41,18 +43,21 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
 
     Names every view that an arm cannot reach or that would collide.
     """
-    from twinct.runs import check_physics, check_sight, require_extras, require_feasible
-    from twinct.runs.job import summary, warn
+    from twinct.runs import check_physics, check_sight, findings, require_extras, require_feasible
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
-    workshop = Workshop(loaded)
+    workshop, terminal = Workshop(loaded), TerminalProgress()
     with named_places(scenario, set_):
         check_physics(workshop)
         require_feasible(loaded, workshop.commanded)
-        warn(check_sight(workshop))
-        Console().print(summary(workshop))
+        for warning in check_sight(workshop):
+            terminal.say(warning, warning=True)
+        table = Table(title=f"{loaded.name}: can be run", show_header=False)
+        for name, words in findings(workshop).items():
+            table.add_row(name, words.replace("×", "x"))
+    Console().print(table)
 
 
 @app.command
@@ -73,11 +78,12 @@ def run(
         link: ros2 starts both simulations as processes; local runs them in this one.
         resume: Go on with a scan that was interrupted.
     """
-    from twinct.runs.job import run_job
+    from twinct import runs
 
     loaded = load_scenario(scenario, set_)
     with named_places(scenario, set_):
-        run_job(loaded, out, link, resume=resume)
+        finished = runs.run(loaded, out, link=link, resume=resume, progress=TerminalProgress())
+    say_result(finished)
 
 
 @app.command
@@ -236,9 +242,9 @@ def report(
     Args:
         folder: What ``twinct run --out`` wrote.
     """
-    from twinct.runs.job import report_again
+    from twinct.runs import report_again
 
-    report_again(folder)
+    say_result(report_again(folder, TerminalProgress()))
 
 
 app.command(ctsimu, name="ctsimu", help="Scenarios of the CTSimU format: render, export, qualify.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -17,6 +18,7 @@ from rich.progress import (
 )
 
 _LINE_EVERY_S = 30.0
+_PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False}
 
 
 class TerminalProgress:
@@ -48,6 +50,11 @@ class TerminalProgress:
         yield step
         seconds = time.monotonic() - start
         self._console.print(f"{name}: {count} of {total}, {seconds:.1f} s", highlight=False)
+
+    def say(self, text: str, *, warning: bool = False) -> None:
+        """See ``twinct.progress.Progress.say``: warnings on stderr, all else on stdout."""
+        console = self._console if warning else Console()
+        console.print(f"twinct: warning: {text}" if warning else text, **_PLAIN)
 
     def _bar(self) -> Progress:
         return Progress(

@@ -1,8 +1,9 @@
 """A run: from scenario to scan to volume to figures, in memory or in a folder."""
 
 from twinct.runs.acquisition import acquire_to_store, local_rig, machine_frames, simulate
-from twinct.runs.checks import check_physics, check_sight, require_extras
+from twinct.runs.checks import check_physics, check_sight, findings, require_extras
 from twinct.runs.folder import Folder
+from twinct.runs.job import Run, report_again, run
 from twinct.runs.judgement import Truth, judge, truth_of
 from twinct.runs.volumes import (
     line_integrals,
@@ -13,18 +14,22 @@ from twinct.runs.volumes import (
 
 __all__ = [
     "Folder",
+    "Run",
     "Truth",
     "acquire_to_store",
     "check_physics",
     "check_sight",
+    "findings",
     "judge",
     "line_integrals",
     "local_rig",
     "machine_frames",
     "reconstruct",
     "reconstruction_digest",
+    "report_again",
     "require_extras",
     "require_feasible",
+    "run",
     "simulate",
     "truth_of",
 ]

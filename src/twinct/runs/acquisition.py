@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
+"""Of a scenario's parts, the first view to take, and the simulator's state before it, if any."""
+
 
 def simulate(
     scenario: Scenario, *, workshop: Workshop | None = None, progress: Progress = SILENT
@@ -67,7 +70,7 @@ def local_rig(workshop: Workshop, start_state: NDArray[np.float64] | None = None
 def acquire_to_store(
     workshop: Workshop,
     path: Path,
-    make_rig: Callable[[int, NDArray[np.float64] | None], Rig],
+    make_rig: RigFactory,
     *,
     resume: bool,
     watch: Stopwatch | None = None,
@@ -78,7 +81,7 @@ def acquire_to_store(
     Args:
         workshop: the scenario's parts.
         path: the store.
-        make_rig: gives a rig for the first view to take and the simulator state before it.
+        make_rig: gives a rig for the first view to take and the simulator's state before it.
         resume: go on with a store that is there.
         watch: counts the seconds of this call.
         progress: told of each view.
@@ -93,7 +96,7 @@ def acquire_to_store(
         return store
     state = store.state(first - 1) if store and first else None
     with (
-        closing(make_rig(first, state)) as rig,
+        closing(make_rig(workshop, first, state)) as rig,
         progress.stage("views", len(targets), first) as step,
     ):
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from twinct.errors import InputError, MissingExtraError, TrajectoryError
 from twinct.evaluate import sight
 from twinct.extras import require
+from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
 from twinct.scan import Workshop
 from twinct.scenario import Scenario
@@ -83,6 +84,30 @@ def check_physics(workshop: Workshop) -> None:
             problems += error.problems
     if problems:  # both need the spectrum, and may say the same of it
         raise InputError(dict.fromkeys(problems))
+
+
+def findings(workshop: Workshop) -> dict[str, str]:
+    """What there is to know of a scenario that can be run, in words, after planning it.
+
+    Raises:
+        TrajectoryError: views that cannot be reached, or would collide.
+    """
+    scenario, plan = workshop.scenario, workshop.plan
+    grid = scenario.reconstruction.grid.volume_grid
+    physics = physics_in_words(scenario, *workshop.commanded_poses[0])
+    worst = int(plan.clearance_mm.argmin())
+    parts = (f"{part.name} of {part.material.name}" for part in workshop.specimen.parts)
+    return {
+        "views": f"{len(workshop.targets)}, {scenario.trajectory.kind}",
+        **{name.lower(): words for name, words in physics.items()},
+        "specimen": ", ".join(parts),
+        "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
+        f"at view {worst}, between {' and '.join(plan.nearest[worst])}",
+        "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
+        f"{' x '.join(f'{edge:g}' for edge in grid.voxel)} mm",
+        "reconstruction": scenario.reconstruction.in_words,
+        "digest": scenario.digest(),
+    }
 
 
 def require_extras(scenario: Scenario) -> None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import check_folder, draft_of
 from twinct.runs.volumes import reconstruction_digest
@@ -64,6 +66,11 @@ class Folder:
         """What happened."""
         return self.path / "twinct.log"
 
+    @property
+    def lock(self) -> Path:
+        """Held by the process that works here."""
+        return self.path / "twinct.lock"
+
     def finished(self, scenario: Scenario) -> bool:
         """Whether everything of this very scenario is there."""
         if not all(p.exists() for p in (self.scan, self.volume, self.metrics, self.report)):
@@ -74,8 +81,10 @@ class Folder:
 
     def refuse_others(self) -> None:
         """Raise where something else than a run of before is in the way."""
-        own = (self.scan, self.volume, self.metrics, self.report, self.checkpoints, self.scenario)
-        own = (*own, self.seconds, self.logs, self.log, self.scan.with_name("scan.zarr.new"))
+        own = (
+            *(self.scan, self.volume, self.metrics, self.report, self.checkpoints, self.scenario),
+            *(self.seconds, self.logs, self.log, self.lock, self.scan.with_name("scan.zarr.new")),
+        )
         names = {name for p in own for name in (p.name, draft_of(p).name)}
         check_folder(self.path, names)
 
@@ -87,6 +96,11 @@ class Folder:
                 f"{self.path} already holds {', '.join(taken)}: "
                 "choose another --out, or go on with --resume"
             )
+
+
+def as_yaml(scenario: Scenario) -> str:
+    """The resolved scenario, defaults included."""
+    return yaml.safe_dump(json.loads(scenario.resolved()), sort_keys=False)
 
 
 def read_metrics(path: Path) -> dict[str, Any]:

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from twinct.files.writing import write_text
 from twinct.scan import Stopwatch
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds of a finished run.
+
+    Attributes:
+        stages: wall-clock seconds by stage; all but ``total`` add up to it.
+        real_time_factor: simulated over wall-clock seconds of the motion.
+    """
+
+    stages: Mapping[str, float]
+    real_time_factor: float
 
 
 @dataclass
@@ -59,12 +73,14 @@ class Seconds:
         now = self.stages | {"total": self._elapsed(), "simulated": self.simulated_s}
         write_text(self.path, json.dumps(self._with_before(now)))
 
-    def finished(self) -> tuple[dict[str, float], float]:
-        """Seconds of each stage, which add up to ``total``; simulated seconds of the motion."""
+    def finished(self) -> Timing:
+        """All seconds, those of interrupted runs of before included."""
         stages = self._with_before(self.stages | {"total": self._elapsed()})
         simulated = self.simulated_s + stages.pop("simulated", 0.0)
         total = stages.pop("total")
-        return stages | {"other": total - sum(stages.values()), "total": total}, simulated
+        stages |= {"other": total - sum(stages.values()), "total": total}
+        motion = stages["motion"]
+        return Timing(stages, simulated / motion if motion else math.nan)
 
     def _elapsed(self) -> float:
         return time.perf_counter() - self.start

@@ -1,0 +1,28 @@
+"""What a command says of a finished run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from twinct.cli.progress import TerminalProgress
+
+if TYPE_CHECKING:
+    from twinct.runs import Run
+
+
+def say_result(run: Run) -> None:
+    """The main figures in two lines."""
+    image, pose = run.figures["image"], run.figures["pose_error"]
+    TerminalProgress().say(
+        f"{run.figures['reached']} of {run.figures['views']} views; "
+        f"RMSE {_percent(image['rmse_rel'])} of mu(bone), "
+        f"{_percent(image['rmse_bone_rel'])} near bone; "
+        f"pose error {pose['source']['position_mm']['mean']:.2f} mm source, "
+        f"{pose['detector']['position_mm']['mean']:.2f} mm detector\n"
+        f"report: {run.paths.report}"
+    )
+
+
+def _percent(share: float | None) -> str:
+    """None stands for a figure without a voxel to stand on, such as near bone where is none."""
+    return "no figure" if share is None else f"{100 * share:.1f} %"

@@ -1,0 +1,118 @@
+"""A run as a library call: what it gives, and what a resumed one makes of other settings."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import pytest
+
+from twinct import run
+from twinct.errors import FolderInUseError, InputError, ScanExistsError
+from twinct.files.lock import sole_owner
+from twinct.runs import Run, report_again
+from twinct.scenario import Scenario, load_scenario
+
+DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
+TINY = [
+    "trajectory.views=10",
+    "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
+    "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+    "reconstruction.grid={voxels: 20, voxel_mm: 8}",
+    "reconstruction.iterations=2",
+]
+OTHERS = {
+    "algorithm": ["reconstruction.algorithm=cgls", "reconstruction.iterations=2"],
+    "grid": ["reconstruction.grid={voxels: 12, voxel_mm: 14, centre_mm: [3, -5, 7]}"],
+}
+
+
+def tiny(*more: str) -> Scenario:
+    return load_scenario(DEMO, [*TINY, *more])
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return run(tiny(), tmp_path_factory.mktemp("run") / "out", link="local")
+
+
+def test_a_run_gives_scan_volume_figures_and_paths_and_says_nothing(
+    tmp_path_factory: pytest.TempPathFactory, capfd: pytest.CaptureFixture[str]
+) -> None:
+    done = run(tiny(), tmp_path_factory.mktemp("said") / "out", link="local")
+    said = capfd.readouterr()
+    assert said.out == said.err == ""
+    assert len(done.scan) == done.figures["views"] == 10
+    assert np.asarray(done.volume).shape == (20, 20, 20)
+    assert done.paths.report.is_file() and not done.paths.lock.exists()
+
+
+@pytest.mark.parametrize("key", OTHERS)
+def test_resuming_with_other_settings_makes_what_a_fresh_run_makes(
+    key: str, finished: Run, tmp_path: Path
+) -> None:
+    out, other = tmp_path / "out", tiny(*OTHERS[key])
+    shutil.copytree(finished.paths.path, out)
+    again = run(other, out, link="local", resume=True)
+    fresh = run(other, tmp_path / "fresh", link="local")
+    volumes = [nibabel.loadsave.load(r.paths.volume) for r in (again, fresh)]
+    np.testing.assert_array_equal(*(np.asarray(v.dataobj) for v in volumes))
+    np.testing.assert_array_equal(*(v.affine for v in volumes))
+    np.testing.assert_array_equal(volumes[0].affine, other.reconstruction.grid.volume_grid.affine)
+    for name in ("image", "reconstruction_digest", "residuals"):
+        assert again.figures[name] == fresh.figures[name]
+
+
+def test_a_volume_of_other_settings_is_not_reported(finished: Run, tmp_path: Path) -> None:
+    shutil.copytree(finished.paths.path, tmp_path / "out")
+    file = tmp_path / "out" / finished.paths.scenario.name
+    file.write_text(file.read_text().replace("relaxation: 0.3", "relaxation: 0.4"))
+    with pytest.raises(InputError, match="made with other settings"):
+        report_again(tmp_path / "out")
+
+
+def test_another_process_in_the_folder_is_named(finished: Run) -> None:
+    before = {p: p.stat().st_mtime_ns for p in finished.paths.path.rglob("*") if p.is_file()}
+    other = tiny("reconstruction.iterations=1")
+    with sole_owner(finished.paths.lock):
+        for work in (
+            lambda: run(other, finished.paths.path, link="local", resume=True),
+            lambda: report_again(finished.paths.path),
+        ):
+            with pytest.raises(FolderInUseError, match=f"process {os.getpid()} on "):
+                work()
+    after = {p: p.stat().st_mtime_ns for p in finished.paths.path.rglob("*") if p.is_file()}
+    assert after == before
+    with pytest.raises(ScanExistsError):
+        run(other, finished.paths.path, link="local")
+
+
+@pytest.mark.process
+def test_two_runs_at_once_leave_one_good_scan(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    keys = [word for key in TINY for word in ("--set", key)]
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-m", "twinct", "run", str(DEMO), "--link", "local", *keys]
+            + ["--set", "trajectory.views=30", "--out", str(out)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    deadline = time.monotonic() + 300
+    said = [process.communicate(timeout=deadline - time.monotonic())[1] for process in both]
+    codes = [process.returncode for process in both]
+    assert sorted(codes) == [0, 2], said
+    refused = said[codes.index(2)]
+    assert "works in this folder" in refused or "already holds" in refused
+    assert "Traceback" not in refused and "bug" not in refused
+    assert json.loads((out / "metrics.json").read_text())["reached"] == 30
