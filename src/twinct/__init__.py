@@ -8,11 +8,13 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from twinct.version import __version__
+
 if TYPE_CHECKING:
     from twinct.runs import reconstruct, run, simulate
     from twinct.scenario import load_scenario
 
-__version__ = "0.1.0"
+
 __all__ = ["__version__", "load_scenario", "reconstruct", "run", "simulate"]
 
 _HOMES = {name: "twinct.runs" for name in ("reconstruct", "run", "simulate")} | {

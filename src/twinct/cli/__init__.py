@@ -9,8 +9,9 @@ import traceback
 from collections.abc import Sequence
 from types import FrameType
 
-from twinct import __version__
 from twinct.errors import InputError, TwinctError
+from twinct.threads import limit_threads
+from twinct.version import __version__
 
 EXIT_DONE, EXIT_OTHER, EXIT_BAD_INPUT = 0, 1, 2
 
@@ -22,14 +23,15 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def run_command(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; errors go to stderr, without a traceback."""
-    from twinct.cli.commands import app
-
     arguments = sys.argv[1:] if argv is None else list(argv)
     if arguments == ["--version"]:
         sys.stdout.write(f"twinct {__version__}\n")
         return EXIT_DONE
     signal.signal(signal.SIGTERM, _as_interrupt)
     try:
+        limit_threads()  # before the libraries that it bounds are loaded
+        from twinct.cli.commands import app
+
         app.cli(
             prog="twinct",
             description="Simulates a twin robotic CT system: two arms, X-ray projections, ROS 2, "

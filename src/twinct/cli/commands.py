@@ -34,6 +34,13 @@ Overrides = Annotated[
 MIDDLE = -1
 """Stands for the view in the middle of the scan."""
 
+Threads = Annotated[
+    int | None,
+    tyro.conf.arg(
+        metavar="N",
+        help="Threads that each process may use (default: TWINCT_THREADS, or all there are).",
+    ),
+]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
@@ -67,6 +74,7 @@ def run(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     link: Literal["ros2", "local"] = "ros2",
     resume: Flag = False,
+    threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
     """Run a scenario: plan, move, expose, reconstruct, judge, report.
@@ -82,7 +90,9 @@ def run(
 
     loaded = load_scenario(scenario, set_)
     with named_places(scenario, set_):
-        finished = runs.run(loaded, out, link=link, resume=resume, progress=TerminalProgress())
+        finished = runs.run(
+            loaded, out, link=link, resume=resume, threads=threads, progress=TerminalProgress()
+        )
     say_result(finished)
 
 

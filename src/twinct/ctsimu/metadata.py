@@ -26,7 +26,7 @@ def write_metadata(
         frame: the first frame.
         brightest: grey value of the brightest pixel of the free beam.
     """
-    from twinct import __version__
+    from twinct.version import __version__
 
     about = scenario.data.get("file") or {}
     panel, (across, down) = frame.panel, frame.binning

@@ -17,7 +17,7 @@ from twinct.errors import FolderInUseError
 def sole_owner(path: Path) -> Iterator[None]:
     """Hold a lock file while the block runs; it is removed afterwards.
 
-    The lock is the kernel's (``flock``), so that a dead owner's is free at once; the text in it only
+    The lock is the kernel's (``flock``), so that a dead owner's is free at once; its text only
     says who holds it.
 
     Args:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct import __version__
 from twinct.evaluate import ImageFigures, PoseErrors
+from twinct.version import __version__
 
 STAGES = ("plan", "motion", "xray", "reconstruction", "total")
 """Stages whose seconds every ``metrics.json`` holds."""

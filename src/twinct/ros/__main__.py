@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from twinct.errors import TwinctError
 from twinct.ros import require_ros
 from twinct.scenario import Scenario, load_scenario
+from twinct.threads import limit_threads
 
 if TYPE_CHECKING:
     from twinct.ros.robots_node import Robots
@@ -39,6 +40,7 @@ def main(
     parser.add_argument("--lifeline", action="store_true", help="end when stdin does")
     given = parser.parse_args(arguments)
     try:
+        limit_threads()
         require_ros()
         scenario = load_scenario(given.scenario)
         if given.node == "robots":

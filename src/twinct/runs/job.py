@@ -31,6 +31,7 @@ from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, reconstruction_digest, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space
 from twinct.scenario import Scenario, load_scenario
+from twinct.threads import limit_threads
 from twinct.volume import read_volume, write_volume
 
 log = logging.getLogger(__name__)
@@ -74,6 +75,7 @@ def run(
     *,
     link: Link = "ros2",
     resume: bool = False,
+    threads: int | None = None,
     progress: Progress = SILENT,
 ) -> Run:
     """Run a scenario from the plan to the report.
@@ -84,6 +86,7 @@ def run(
         link: ``ros2`` starts both simulations as processes; ``local`` runs them in this one.
         resume: go on with what is there. Views are never taken twice; a volume that was made with
             other settings is made anew.
+        threads: that each process may use; see ``limit_threads``.
         progress: hears of stages, the ROS domain and warnings.
 
     Raises:
@@ -92,6 +95,7 @@ def run(
         TrajectoryError: views that cannot be reached, or would collide; nothing has been written.
         TwinctError: what went wrong afterwards. Every acquired view is kept.
     """
+    limit_threads(threads)
     scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     folder = Folder(Path(out))
     seconds = Seconds(folder.seconds)

@@ -1,0 +1,84 @@
+"""How many threads this process and its children may use, in all libraries alike."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from pathlib import Path
+
+from twinct.errors import InputError
+
+SETTING = "TWINCT_THREADS"
+_CPU_MAX = Path("/sys/fs/cgroup/cpu.max")
+
+_ENVIRONMENT = (
+    *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"),
+    "NUMBA_NUM_THREADS",
+    *("BLOSC_NTHREADS", "ZARR_THREADING__MAX_WORKERS"),
+    "LP_NUM_THREADS",
+)
+"""What BLAS, numba, Blosc and Zarr, and Mesa's software renderer read when they start."""
+
+
+def available_threads() -> int:
+    """What the machine gives this process: its processors, and its share of them in a container."""
+    processors = len(os.sched_getaffinity(0))
+    try:
+        quota, period = _CPU_MAX.read_text(encoding="ascii").split()
+        return max(min(processors, math.ceil(int(quota) / int(period))), 1)
+    except (OSError, ValueError):  # no such file, or "max"
+        return processors
+
+
+def threads() -> int:
+    """The bound in force: ``TWINCT_THREADS``, or what the machine gives.
+
+    Raises:
+        InputError: the variable holds something else than a whole number from 1.
+    """
+    text = os.environ.get(SETTING, "").strip()
+    if not text:
+        return available_threads()
+    if not (text.isascii() and text.isdigit() and int(text) >= 1):
+        raise InputError(f"{SETTING}={text!r}: a whole number of at least 1 needed")
+    return int(text)
+
+
+def limit_threads(number: int | None = None) -> int:
+    """Bound the threads of numba, BLAS, Blosc and the software renderer, here and in children.
+
+    Libraries read their variables when they are loaded: call this first. Those that are loaded
+    already are told, as far as they listen; gVXR's renderer takes what it found when it started.
+
+    Args:
+        number: threads; None for ``TWINCT_THREADS``, or what the machine gives. What the
+            environment says of single libraries stays unless a number was asked for.
+
+    Returns:
+        The bound.
+
+    Raises:
+        InputError: not a whole number from 1.
+    """
+    if number is not None:
+        os.environ[SETTING] = str(number)
+    asked = bool(os.environ.get(SETTING, "").strip())
+    bound = threads()
+    loaded = "numba" in sys.modules
+    for name in _ENVIRONMENT:
+        if loaded and name == "NUMBA_NUM_THREADS":
+            continue  # numba looks again, and refuses another number once its threads are there
+        if asked:
+            os.environ[name] = str(bound)
+        else:
+            os.environ.setdefault(name, str(bound))
+    if loaded:
+        import numba
+
+        numba.set_num_threads(min(bound, numba.config.NUMBA_NUM_THREADS))
+    if "numpy" in sys.modules:
+        from threadpoolctl import threadpool_limits
+
+        threadpool_limits(bound)
+    return bound

@@ -1,0 +1,77 @@
+"""One setting bounds the threads of every library, in this process and in those it starts."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from twinct.errors import InputError
+from twinct.threads import available_threads, limit_threads, threads
+
+DEMO = Path(__file__).parents[1] / "scenarios" / "demo.yaml"
+ASK = """
+import json, sys
+from pathlib import Path
+from twinct.threads import limit_threads
+if sys.argv[1] == "early":
+    limit_threads()
+import numpy, numba, threadpoolctl
+if sys.argv[1] == "late":
+    limit_threads(int(sys.argv[2]))
+numpy.ones((300, 300)) @ numpy.ones((300, 300))
+pools = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
+from gvxrPython3 import gvxr
+gvxr.createOpenGLContext()
+names = [task.joinpath("comm").read_text() for task in Path("/proc/self/task").iterdir()]
+renderer = sum(name.startswith("llvmpipe") for name in names)
+print(json.dumps([numba.get_num_threads(), max(pools, default=1), renderer]))
+"""
+
+
+def asked(when: str, number: int, environment: dict[str, str]) -> list[int]:
+    result = subprocess.run(
+        [sys.executable, "-c", ASK, when, str(number)],
+        env={k: v for k, v in os.environ.items() if "THREADS" not in k} | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("when", ["early", "late"])
+def test_numba_blas_and_renderer_keep_the_bound(when: str) -> None:
+    environment = {"TWINCT_THREADS": "1"} if when == "early" else {}
+    assert asked(when, 1, environment) == [1, 1, 1]
+
+
+@pytest.mark.process
+def test_the_default_is_what_the_machine_gives() -> None:
+    found = asked("early", 0, {})
+    assert found[0] == available_threads()
+    assert found[1] <= available_threads()
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "two", "1.5", "٣"])
+def test_a_bound_that_is_none_is_named(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWINCT_THREADS", text)
+    with pytest.raises(InputError, match="TWINCT_THREADS="):
+        threads()
+
+
+def test_what_single_libraries_were_told_stays_unless_a_bound_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("TWINCT_THREADS", raising=False)
+    monkeypatch.setenv("LP_NUM_THREADS", "7")
+    limit_threads()
+    assert os.environ["LP_NUM_THREADS"] == "7"
+    monkeypatch.setenv("TWINCT_THREADS", "1")
+    limit_threads()
+    assert os.environ["LP_NUM_THREADS"] == os.environ["BLOSC_NTHREADS"] == "1"
