@@ -7,15 +7,17 @@ JOBS ?= 2
 PYTEST_ARGS ?=
 LOCK_ARGS ?=
 VENV := .venv/bin
+# Markers of what test-all runs beside test.
+LONG := browser or cluster or tutorial or package
 
 # Render without a display.
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test lint format bench qualify docs lock clean
+.PHONY: help setup demo paper test test-all lint format bench qualify docs lock clean
 
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
 
 setup: ## Install system libraries and the locked packages into .venv
 	@tools/setup
@@ -30,7 +32,10 @@ paper: setup ## Fetch a real skull and run the paper's experiment (long)
 	@echo "Report: $(CURDIR)/out/paper/report.html"
 
 test: lint ## Check style and types, run the tests; PYTEST_ARGS="-k sart" chooses, JOBS=0: one process
-	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
+	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "not ($(LONG))" $(PYTEST_ARGS)
+
+test-all: test ## The same, then what takes long: a browser, a cluster, tutorials, the built package
+	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "$(LONG)" $(PYTEST_ARGS)
 
 lint: setup ## Check style, formatting, types and layers only
 	@$(VENV)/ruff check

@@ -2,13 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Panel, Pose, ScanGeometry
+
+STARTS = {"subprocess.Popen": 0, "os.posix_spawn": 0, "os.system": 0}
+"""Audit events of a process that starts, and the argument that names it."""
+
+LOOKUPS = {"ldconfig", "gcc", "cc", "ld", "objdump", "fc-list", "uname", "lscpu"}
+"""What libraries ask when they are loaded: no process of a test."""
+
+_started: list[str] = []
+_accounted = 0
+
+
+def _hear(event: str, arguments: tuple[object, ...]) -> None:
+    if event in STARTS:
+        name = Path(str(arguments[STARTS[event]])).name
+        if name not in LOOKUPS:
+            _started.append(name)
+
+
+sys.addaudithook(_hear)
+
+
+@pytest.fixture(autouse=True)
+def _processes_are_marked(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a test that starts processes, itself or by its fixtures, without the marker."""
+    global _accounted
+    yield
+    new, _accounted = _started[_accounted:], len(_started)
+    if new and request.node.get_closest_marker("process") is None:
+        pytest.fail(f"starts {', '.join(sorted(set(new)))} without the marker 'process'")
 
 
 @pytest.fixture

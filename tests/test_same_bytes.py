@@ -25,6 +25,8 @@ import tifffile
 import zarr
 from llvmlite.binding import get_host_cpu_name
 
+pytestmark = pytest.mark.process
+
 HERE = Path(__file__).parent
 KEPT = HERE / "same_bytes" / "digests.json"
 SMALL = ("titanium", "blur", "lag")
@@ -108,7 +110,7 @@ def test_small_scenarios(name: str, link: str, tmp_path: Path) -> None:
     same(scanned(HERE / "same_bytes" / f"{name}.yaml", link, tmp_path), name)
 
 
-@pytest.mark.slow
+@pytest.mark.tutorial
 @pytest.mark.parametrize("link", ["local", "ros2"])
 def test_demo(link: str, tmp_path: Path) -> None:
     same(scanned(HERE.parent / "scenarios" / "demo.yaml", link, tmp_path), "demo")
