@@ -91,7 +91,7 @@ def _spread(values: list[float]) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--views", type=int, default=399)
     parser.add_argument("--trigger", nargs="+", default=["on_entry", "settled"])
     parser.add_argument("--save", help="write the figures as JSON")

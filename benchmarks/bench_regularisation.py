@@ -45,7 +45,7 @@ class Scan:
         )
         scenario = load_scenario(PAPER, [panel])
         workshop = Workshop(scenario)
-        chosen = np.linspace(0, scenario.trajectory.views - 1, VIEWS).round().astype(int)
+        chosen = np.linspace(0, len(workshop.commanded) - 1, VIEWS).round().astype(int)
         geometry = workshop.commanded[chosen]
         stand = workshop.specimen.world_from_specimen
         with workshop.imager() as imager:

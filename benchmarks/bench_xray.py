@@ -87,7 +87,7 @@ def bare_loop(
     return Bare(images, seconds)
 
 
-def imager_loop(geometry: ScanGeometry, specimen: object, detector: Detector) -> Bare:
+def imager_loop(geometry: ScanGeometry, specimen: Any, detector: Detector) -> Bare:
     """The same views through the imager."""
     from twinct.xray import Imager
 
@@ -163,7 +163,7 @@ def _run(task: tuple[str, int, str | None, int, int]) -> tuple[list[float], floa
 
 def main() -> None:
     """Run, print, save."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--views", type=int, default=30)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--columns", type=int, default=640)

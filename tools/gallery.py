@@ -24,7 +24,8 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
 from twinct.geometry import Pose, ScanGeometry
-from twinct.runs import effective_energy, reconstruct, simulate
+from twinct.runs import reconstruct, simulate
+from twinct.runs.integrals import effective_energy
 from twinct.scan import Workshop
 from twinct.scenario import Scenario, parse_scenario
 

@@ -90,8 +90,14 @@ def lives(folder):
                 begun.setdefault(victim, time.monotonic())
                 seen[victim] = time.monotonic() - begun[victim]
         time.sleep(0.05)
-    assert process.returncode == 0, process.stderr.read()
+    assert process.returncode == 0, said(process)
     return seen
+
+
+def said(process):
+    """What it wrote to stderr, to its end."""
+    assert process.stderr is not None
+    return process.stderr.read()
 
 
 def trial(folder, victim, number, life, expected):
@@ -104,7 +110,7 @@ def trial(folder, victim, number, life, expected):
         while (pid := victim_pid(victim, process, mark)) is None and process.poll() is None:
             time.sleep(0.02)
         time.sleep(moments.uniform(0, life))
-        if process.poll() is not None or (pid not in alive(mark)):
+        if pid is None or process.poll() is not None or pid not in alive(mark):
             process.wait()  # it had ended by then: another moment
             shutil.rmtree(out, ignore_errors=True)
             continue
@@ -116,12 +122,12 @@ def trial(folder, victim, number, life, expected):
             time.sleep(0.02)
         ended_s = time.monotonic() - killed
         left = len(alive(mark))
-        message = process.stderr.read()
+        message = said(process)
         named = victim == "scan" or (victim in message and "Traceback" not in message)
         if process.wait() == 0:  # the node was killed after its work was done
             named = True
         resumed = start(out, mark, "--resume")
-        complaint = resumed.stderr.read()
+        complaint = said(resumed)
         good = resumed.wait() == 0
         equal = good and contents(out / "scan.zarr") == expected
         shutil.rmtree(out, ignore_errors=True)

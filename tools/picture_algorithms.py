@@ -48,7 +48,6 @@ ALGORITHMS: dict[str, Callable[..., np.ndarray]] = {
         A, p, iterations=10, regularisation=1e-4
     ),
 }
-AROUND = {"margin_mm": 30.0, "voxel_mm": 5.0}
 
 demo = load_scenario(ROOT / "scenarios" / "demo.yaml")
 workshop = Workshop(demo)
@@ -111,7 +110,7 @@ def main() -> None:
 
     for name, run in ALGORITHMS.items():
         keep(name, run(A, p), geometry)
-    rest = without_surroundings(p, geometry, grid, **AROUND)
+    rest = without_surroundings(p, geometry, grid, margin_mm=30.0, voxel_mm=5.0)
     tv = fista_tv(A, rest, iterations=10, regularisation=1e-4)
     keep("fista_tv,\nsurroundings taken out", tv, geometry)
     arc = commanded_views(
@@ -123,7 +122,7 @@ def main() -> None:
 
     panels = {"truth": (truth, region)}
     p = line_integrals(geometry, noisy=False)
-    rest = without_surroundings(p, geometry, grid, **AROUND)
+    rest = without_surroundings(p, geometry, grid, margin_mm=30.0, voxel_mm=5.0)
     for name, data in (("sart", p), ("sart, surroundings\ntaken out", rest)):
         keep(name, sart(A, data, iterations=10, relaxation=0.3), geometry)
     draw(IMAGES / "truncation.png", panels, 3)

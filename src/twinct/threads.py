@@ -75,8 +75,10 @@ def limit_threads(number: int | None = None) -> int:
             os.environ.setdefault(name, str(bound))
     if loaded:
         import numba
+        from numba.core import config
 
-        numba.set_num_threads(min(bound, numba.config.NUMBA_NUM_THREADS))
+        most: int = vars(config)["NUMBA_NUM_THREADS"]
+        numba.set_num_threads(min(bound, most))
     if "numpy" in sys.modules:
         from threadpoolctl import threadpool_limits
 

@@ -170,11 +170,12 @@ class Kinematics:
         """
         waypoints = self._between(self.poses(start), (target.source, target.detector))
         joints, largest = start, np.zeros(len(start))
-        for waypoint in [*waypoints, target]:
+        for waypoint in waypoints:
             result = self.solve(joints, waypoint)
             largest = np.maximum(largest, np.abs(result.joints - joints))
             joints = result.joints
-        return result, largest
+        result = self.solve(joints, target)
+        return result, np.maximum(largest, np.abs(result.joints - joints))
 
     def _between(self, here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[Target]:
         steps = 1

@@ -26,7 +26,7 @@ def check_sight(workshop: Workshop) -> list[str]:
     seen = sight(workshop.commanded, place.apply(workshop.hull.vertices), grid)
     x, y, z = place.position
     where = f"the specimen at ({x:g}, {y:g}, {z:g}) mm (specimen.position_mm)"
-    problems = []
+    problems: list[str] = []
     if seen.from_behind:
         problems.append(
             f"{_views(seen.from_behind)}: {where} reaches behind the panel: the image would show "
@@ -45,7 +45,7 @@ def check_sight(workshop: Workshop) -> list[str]:
         )
     if problems:
         raise TrajectoryError(problems)
-    warnings = []
+    warnings: list[str] = []
     if seen.blind:
         warnings.append(f"{_views(seen.blind)} of {seen.views} in all see nothing of {where}")
     if not seen.in_region:

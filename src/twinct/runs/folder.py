@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -113,4 +113,6 @@ def read_metrics(path: Path) -> dict[str, Any]:
         metrics = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: not readable figures of a run: {error}") from None
-    return metrics if isinstance(metrics, dict) else {}
+    if not isinstance(metrics, dict):
+        raise InputError(f"{path}: not readable figures of a run: no mapping of names to values")
+    return cast(dict[str, Any], metrics)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
@@ -18,7 +18,7 @@ Link = Literal["ros2", "local"]
 
 
 @contextmanager
-def rig_factory(link: Link, logs: Path, progress: Progress) -> Iterator[RigFactory]:
+def rig_factory(link: Link, logs: Path, progress: Progress) -> Generator[RigFactory, None, None]:
     """What starts the simulations; whatever can be missing for that is missed here.
 
     The ROS domain is taken and said at once, so that who wants to follow the scan joins in time.

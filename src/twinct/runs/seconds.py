@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,12 +33,12 @@ class Seconds:
 
     path: Path
     start: float = field(default_factory=time.perf_counter)
-    stages: dict[str, float] = field(default_factory=dict)
-    before: dict[str, float] = field(default_factory=dict)
+    stages: dict[str, float] = field(default_factory=dict[str, float])
+    before: dict[str, float] = field(default_factory=dict[str, float])
     simulated_s: float = 0.0
 
     @contextlib.contextmanager
-    def stage(self, name: str, keep: bool = False) -> Iterator[None]:
+    def stage(self, name: str, keep: bool = False) -> Generator[None, None, None]:
         """Time a block of work; ``keep`` also writes all seconds down."""
         start = time.perf_counter()
         try:
@@ -49,7 +49,7 @@ class Seconds:
                 self.keep()
 
     @contextlib.contextmanager
-    def views(self) -> Iterator[Stopwatch]:
+    def views(self) -> Generator[Stopwatch, None, None]:
         """A stopwatch for the views; its seconds are kept, however the block ends."""
         watch, start = Stopwatch(), time.perf_counter()
         try:
