@@ -17,6 +17,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -55,7 +56,9 @@ def bare_loop(
         defaults: as a newcomer writes it, with gVXR's artefact filter and ``np.array`` of the
             tuples that gVXR returns; otherwise in the fastest way that gVXR offers.
     """
-    from gvxrPython3 import gvxr
+    from gvxrPython3 import gvxr as module
+
+    gvxr: Any = module  # its stubs know other numbers of arguments
 
     panel = geometry.panel
     gvxr.createOpenGLContext()
@@ -139,6 +142,7 @@ class _Shell:
         inner.vertices *= [80, 62, 57]
         inner.invert()
         mesh = trimesh.util.concatenate([outer, inner])
+        assert isinstance(mesh, trimesh.Trimesh)
         return cls((_Part("shell", mesh, _Material(0.043)),))
 
 
