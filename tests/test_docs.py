@@ -48,3 +48,12 @@ def test_every_effect_on_the_image_has_its_picture_in_the_scenario_reference() -
 
 def test_links_and_pictures_lead_somewhere() -> None:
     assert runpy.run_path(str(ROOT / "tools" / "check_links.py"))["main"]() == 0
+
+
+def test_every_room_stands_on_the_page_of_the_architecture() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
+    source = ROOT / "src" / "twinct"
+    rooms = {p.parent.name for p in source.glob("*/__init__.py")}
+    rooms |= {p.stem for p in source.glob("*.py") if not p.stem.startswith("__")}
+    assert listed == rooms

@@ -70,5 +70,6 @@ def _broken(name: str, extra: str, error: Exception, advice: str) -> InputError:
     tail = f", {advice}" if advice else ""
     return InputError(
         f"{name} is installed but cannot be imported ({type(error).__name__}: {error}): "
-        f"install it again with 'pip install --force-reinstall twinct[{extra}]'{tail}"
+        "install it again with 'pip install --force-reinstall "
+        f".[{extra}]' in the folder of twinct's sources{tail}"
     )
