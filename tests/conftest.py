@@ -57,19 +57,19 @@ def random_geometry() -> Callable[..., ScanGeometry]:
     """A maker of views all around the origin, with panels tilted and shifted off the beam."""
 
     def make(
-        rng: np.random.Generator, views: int, panel: Panel, tilt_deg: float = 20.0
+        views: int,
+        panel: Panel,
+        rng: np.random.Generator,
+        sod: float = 300.0,
+        odd: float = 300.0,
+        tilt: float = 0.35,
     ) -> ScanGeometry:
-        directions = rng.normal(size=(views, 3))
-        directions /= np.linalg.norm(directions, axis=1)[:, None]
-        sources = directions * rng.uniform(250, 350, (views, 1))
-        detectors = -directions * rng.uniform(250, 350, (views, 1)) + rng.uniform(-5, 5, (views, 3))
-        axes_u, axes_v = [], []
-        for direction in directions:
-            other = np.cross(direction, rng.normal(size=3))
-            u = other / np.linalg.norm(other)
-            tilt = Rotation.from_rotvec(rng.uniform(-1, 1, 3) * np.radians(tilt_deg))
-            axes_u.append(tilt.apply(u))
-            axes_v.append(tilt.apply(np.cross(direction, u)))
-        return ScanGeometry(sources, detectors, np.array(axes_u), np.array(axes_v), panel)
+        rows = []
+        for _ in range(views):
+            beam = Rotation.random(random_state=rng).as_matrix()
+            tilted = beam @ Rotation.from_rotvec(rng.uniform(-tilt, tilt, 3)).as_matrix()
+            shift = rng.normal(size=3) * 3
+            rows.append((sod * beam[:, 2], shift - odd * beam[:, 2], tilted[:, 0], tilted[:, 1]))
+        return ScanGeometry(*(np.array(column) for column in zip(*rows, strict=True)), panel)
 
     return make

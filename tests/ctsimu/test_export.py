@@ -49,7 +49,7 @@ def assert_same(found, expected):
 def test_openct_matrices_project_as_we_do_and_lead_back(random_geometry):
     rng = np.random.default_rng(3)
     panel = Panel(48, 64, 0.5, 0.7)
-    geometry = random_geometry(rng, 20, panel)
+    geometry = random_geometry(20, panel, rng)
     matrices = to_openct(geometry)
     points = rng.uniform(-50, 50, (7, 3))
     seen = np.einsum("vij,pj->vpi", matrices, np.column_stack([points, np.ones(7)]))

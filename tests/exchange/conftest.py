@@ -19,7 +19,7 @@ def panel():
 def free_views(random_geometry, panel):
     """40 views all around, tilted up to 30 degrees, and six along the axes, rolled by any angle."""
     rng = np.random.default_rng(3)
-    free = random_geometry(rng, 40, panel, tilt_deg=30.0)
+    free = random_geometry(40, panel, rng, tilt=0.5)
     source, detector, u, v = [], [], [], []
     for axis in np.vstack([np.eye(3), -np.eye(3)]):
         across = np.roll(axis, 1)

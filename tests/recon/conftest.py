@@ -1,24 +1,17 @@
+from functools import partial
+
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.scenario import ArcTrajectory, CircleTrajectory
 from twinct.trajectory import commanded_views
 
 
 @pytest.fixture
-def random_geometry():
-    def make(views, panel, rng, sod=100.0, odd=80.0, tilt=0.3):
-        rows = []
-        for _ in range(views):
-            beam = Rotation.random(random_state=rng).as_matrix()
-            tilted = beam @ Rotation.from_rotvec(rng.uniform(-tilt, tilt, 3)).as_matrix()
-            shift = rng.normal(size=3) * 3
-            rows.append((sod * beam[:, 2], shift - odd * beam[:, 2], tilted[:, 0], tilted[:, 1]))
-        return ScanGeometry(*(np.array(column) for column in zip(*rows, strict=True)), panel)
-
-    return make
+def random_geometry(random_geometry):
+    """Nearer to the small grids of these tests."""
+    return partial(random_geometry, sod=100.0, odd=80.0, tilt=0.3)
 
 
 @pytest.fixture

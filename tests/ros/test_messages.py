@@ -82,7 +82,7 @@ def test_image_of_other_encodings_is_refused():
 def test_camera_info_projects_like_the_geometry(random_geometry):
     rng = np.random.default_rng(4)
     panel = Panel(480, 640, 0.5, 0.4)
-    geometry = random_geometry(rng, 5, panel)
+    geometry = random_geometry(5, panel, rng)
     points = rng.uniform(-80, 80, (30, 3))
     for view in geometry:
         info = over_the_wire(messages.camera_message(STAMP, view))

@@ -35,3 +35,31 @@ class Panel:
     def size_mm(self) -> tuple[float, float]:
         """Active width along u and height along v, mm."""
         return self.columns * self.pitch_u, self.rows * self.pitch_v
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """(column, row) of the panel's centre."""
+        return (self.columns - 1) / 2, (self.rows - 1) / 2
+
+    @property
+    def first_pixel_mm(self) -> tuple[float, float]:
+        """Centre of pixel (0, 0) along u and v from the panel's centre, mm."""
+        return -(self.columns - 1) / 2 * self.pitch_u, -(self.rows - 1) / 2 * self.pitch_v
+
+    def divided(self, parts: int) -> Panel:
+        """The same area with each pixel cut into ``parts`` x ``parts``."""
+        return Panel(
+            self.rows * parts, self.columns * parts, self.pitch_u / parts, self.pitch_v / parts
+        )
+
+    def binned(self, rows: int, columns: int) -> Panel:
+        """``rows`` x ``columns`` pixels taken as one, from pixel (0, 0) on.
+
+        The last rows and columns that fill no such pixel are left out.
+
+        Raises:
+            ValueError: no pixel is left.
+        """
+        return Panel(
+            self.rows // rows, self.columns // columns, self.pitch_u * columns, self.pitch_v * rows
+        )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, frozen
 
@@ -16,6 +16,10 @@ MM_PER_M = 1000.0
 @dataclass(frozen=True, eq=False)
 class Pose:
     """A rigid transform, written ``world_from_tool``: it maps tool coordinates to world ones.
+
+    A twist is (v, w) in se(3), as in mink: v in mm, w in rad. One on the right is told in the
+    tool's own axes, ``world_from_tool @ Pose.exp(twist)``; one on the left in the world's,
+    ``Pose.exp(twist) @ world_from_tool``. ``adjoint`` turns the first into the second.
 
     Attributes:
         position: origin of the inner frame in the outer one, (3,), mm.
@@ -55,6 +59,35 @@ class Pose:
         """Build from what MuJoCo and ROS 2 speak: metres, and a quaternion (x, y, z, w)."""
         return cls(np.asarray(position_m, dtype=np.float64) * MM_PER_M, np.asarray(quat))
 
+    @classmethod
+    def exp(cls, twist: ArrayLike) -> Pose:
+        """Where a frame is after it followed a twist (v, w), (6,), mm and rad, for a unit of time.
+
+        Raises:
+            ValueError: not six finite numbers.
+        """
+        v, w = np.split(frozen(twist, (6,), "twist"), 2)
+        motion = RigidTransform.from_exp_coords(np.concatenate([w, v]))
+        return cls(motion.translation, motion.rotation.as_quat())
+
+    def log(self) -> Floats:
+        """The twist (v, w) whose ``exp`` this is, (6,), mm and rad, with w at most pi long."""
+        rotation = Rotation.from_quat(self.quat)
+        motion = RigidTransform.from_components(self.position.copy(), rotation)
+        return np.roll(motion.as_exp_coords(), 3)
+
+    def adjoint(self) -> Floats:
+        """(6, 6): from twists told in the inner frame to the same motions told in the outer one.
+
+        ``world_from_tool @ Pose.exp(t)`` is ``Pose.exp(world_from_tool.adjoint() @ t) @
+        world_from_tool``.
+        """
+        rotation = self.rotation
+        matrix = np.zeros((6, 6))
+        matrix[:3, :3] = matrix[3:, 3:] = rotation
+        matrix[:3, 3:] = np.cross(self.position, rotation.T).T
+        return matrix
+
     def to_metres(self) -> tuple[Floats, Floats]:
         """Position in metres and quaternion (x, y, z, w)."""
         return self.position / MM_PER_M, self.quat
@@ -74,7 +107,7 @@ class Pose:
 
     def __matmul__(self, other: Pose) -> Pose:
         """Compose: ``world_from_tool @ tool_from_source`` is ``world_from_source``."""
-        if not isinstance(other, Pose):
+        if type(other) is not Pose:
             return NotImplemented
         return Pose(
             self.apply(other.position),

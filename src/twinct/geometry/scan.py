@@ -71,6 +71,64 @@ class ScanGeometry:
         """Unit normals u x v of the panel, towards the source, (views, 3)."""
         return np.cross(self.u, self.v)
 
+    @property
+    def sdd(self) -> Floats:
+        """Source-detector distance along the panel's normal, (views,), mm."""
+        return self.depth(self.detector)
+
+    @property
+    def sdd_to_centre(self) -> Floats:
+        """Distance from the source to the panel's centre, (views,), mm; ``sdd`` or more."""
+        return np.linalg.norm(self.source - self.detector, axis=1)
+
+    def depth(self, points: ArrayLike) -> Floats:
+        """How far a point, or one a view, lies in front of the source along the panel's normal.
+
+        Args:
+            points: (3,) or (views, 3), mm.
+
+        Returns:
+            (views,), mm; negative behind the plane through the source parallel to the panel.
+        """
+        return np.einsum("vk,vk->v", self.source - np.asarray(points), self.normal)
+
+    @property
+    def piercing_points(self) -> Floats:
+        """(column, row) at which the perpendicular from the source meets the panel, (views, 2)."""
+        to_panel = self.detector - self.source
+        (column, row), panel = self.panel.middle, self.panel
+        across = np.einsum("vk,vk->v", to_panel, self.u) / panel.pitch_u
+        up = np.einsum("vk,vk->v", to_panel, self.v) / panel.pitch_v
+        return np.stack([column - across, row - up], axis=1)
+
+    def matrices(self, origin: ArrayLike = (0, 0, 0), step: ArrayLike = (1, 1, 1)) -> Floats:
+        """The projection matrix of each view, (views, 3, 4).
+
+        It maps (i, j, k, 1) to (column w, row w, w), where w is the ``depth`` in mm of the point
+        ``origin`` + ``step`` (i, j, k): coordinates in mm unless those two say otherwise.
+
+        Args:
+            origin: place of (0, 0, 0), (3,), mm.
+            step: along x, y and z for a step of one, (3,), mm.
+        """
+        origin, step = np.asarray(origin, np.float64), np.asarray(step, np.float64)
+        ahead, reach = -self.normal, self.sdd[:, None]
+
+        def along(axis: Floats, pitch: float, start: Floats) -> Floats:
+            return reach / pitch * axis + start[:, None] * ahead
+
+        columns, rows = self.piercing_points.T
+        linear = np.stack(
+            [
+                along(self.u, self.panel.pitch_u, columns),
+                along(self.v, self.panel.pitch_v, rows),
+                ahead,
+            ],
+            axis=1,
+        )
+        constant = np.einsum("vij,vj->vi", linear, origin - self.source)
+        return np.concatenate([linear * step, constant[:, :, None]], axis=2)
+
     def source_poses(self) -> list[Pose]:
         """``world_from_source`` of each view: z towards the panel centre, x the nearest to u."""
         return [
@@ -141,20 +199,19 @@ class ScanGeometry:
         rays = np.atleast_2d(np.asarray(points, dtype=np.float64))[None] - self.source[:, None]
         to_panel = self.detector - self.source
         depth = np.einsum("vpk,vk->vp", rays, self.normal)
-        reach = np.einsum("vk,vk->v", to_panel, self.normal)[:, None]
+        reach = -self.sdd[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.where(depth * reach > 0, reach / depth, np.nan)
         offset = scale[..., None] * rays - to_panel[:, None]
         column = np.einsum("vpk,vk->vp", offset, self.u) / self.panel.pitch_u
         row = np.einsum("vpk,vk->vp", offset, self.v) / self.panel.pitch_v
-        centre = np.array([(self.panel.columns - 1) / 2, (self.panel.rows - 1) / 2])
-        return np.stack([column, row], axis=-1) + centre
+        return np.stack([column, row], axis=-1) + self.panel.middle
 
     def pixel_centres(self, view: int) -> Floats:
         """Pixel centres of one view, (rows, columns, 3), mm."""
         panel = self.panel
-        along_u = (np.arange(panel.columns) - (panel.columns - 1) / 2) * panel.pitch_u
-        along_v = (np.arange(panel.rows) - (panel.rows - 1) / 2) * panel.pitch_v
+        along_u = (np.arange(panel.columns) - panel.middle[0]) * panel.pitch_u
+        along_v = (np.arange(panel.rows) - panel.middle[1]) * panel.pitch_v
         return (
             self.detector[view]
             + along_u[None, :, None] * self.u[view]
@@ -186,12 +243,22 @@ class ScanGeometry:
             "detector": self.detector,
             "row": self.u,
             "column": self.v,
-            "origin": (
-                -(panel.columns - 1) / 2 * panel.pitch_u,
-                -(panel.rows - 1) / 2 * panel.pitch_v,
-            ),
+            "origin": panel.first_pixel_mm,
             "spacing": (panel.pitch_u, panel.pitch_v),
         }
+
+    def binned(self, rows: int, columns: int) -> ScanGeometry:
+        """The same views with pixels taken together, as in ``Panel.binned``."""
+        panel, binned = self.panel, self.panel.binned(rows, columns)
+        left_u = (panel.columns - binned.columns * columns) * panel.pitch_u
+        left_v = (panel.rows - binned.rows * rows) * panel.pitch_v
+        return ScanGeometry(
+            self.source,
+            self.detector - left_u / 2 * self.u - left_v / 2 * self.v,
+            self.u,
+            self.v,
+            binned,
+        )
 
     def __repr__(self) -> str:
         """Evaluates to an equal geometry."""
