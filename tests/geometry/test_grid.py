@@ -18,6 +18,7 @@ def test_grid_affine_and_axes_agree() -> None:
         grid.affine @ [4, 1, 2, 1], [*grid.world_from_grid.apply(local), 1], atol=ROUNDING
     )
     np.testing.assert_array_equal(grid.size_mm, [5, 8, 9])
+    np.testing.assert_array_equal(grid.first_voxel_mm, [axis[0] for axis in (x, y, z)])
 
 
 def test_repr_evaluates_to_an_equal_grid() -> None:

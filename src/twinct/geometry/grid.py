@@ -58,6 +58,11 @@ class VolumeGrid:
         """Edges of the whole grid along (x, y, z), mm."""
         return np.array(self.shape_xyz) * self.voxel
 
+    @property
+    def first_voxel_mm(self) -> Floats:
+        """Centre of voxel (0, 0, 0) in the grid's own frame, (x, y, z), mm."""
+        return -(np.array(self.shape_xyz) - 1) / 2 * self.voxel
+
     def axes(self) -> tuple[Floats, Floats, Floats]:
         """Voxel centres along x, y and z of the grid's own frame, mm."""
         x, y, z = (
@@ -71,7 +76,7 @@ class VolumeGrid:
         """(4, 4): voxel index (i, j, k) along (x, y, z) to world mm, as in NIfTI."""
         local = np.eye(4)
         local[:3, :3] = np.diag(self.voxel)
-        local[:3, 3] = -(np.array(self.shape_xyz) - 1) / 2 * self.voxel
+        local[:3, 3] = self.first_voxel_mm
         return self.world_from_grid.matrix @ local
 
     def __eq__(self, other: object) -> bool:

@@ -98,9 +98,7 @@ def fdk(
     assert circle is not None
     fan = _fan(A.geometry, circle)
     require_memory("fdk", A)
-    n = A.geometry.normal
-    sdd = np.einsum("vk,vk->v", A.geometry.source - A.geometry.detector, n)
-    sod = np.einsum("vk,vk->v", A.geometry.source - circle.centre, n)
+    sdd, sod = A.geometry.sdd, A.geometry.depth(circle.centre)
     response = _response(A.geometry.panel.columns, window)
     across, up = _coordinates(A.geometry, circle)
     x = np.zeros(A.domain_shape, np.float32)
@@ -134,10 +132,9 @@ def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats
 
 def _fan(geometry: ScanGeometry, circle: Circle) -> Floats:
     """Fan angle of each column, (views, columns), rad, right-handed about the axis."""
-    sdd = np.einsum("vk,vk->v", geometry.source - geometry.detector, geometry.normal)
     ahead = np.cross(circle.axis, geometry.source - circle.centre)
     sign = -np.sign(np.einsum("vk,vk->v", geometry.u, ahead))
-    return np.arctan(sign[:, None] * _coordinates(geometry, circle)[0] / sdd[:, None])
+    return np.arctan(sign[:, None] * _coordinates(geometry, circle)[0] / geometry.sdd[:, None])
 
 
 def circular(geometry: ScanGeometry) -> Circle:

@@ -126,10 +126,10 @@ def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
     bound(facing, TILT_DEG, "deg", "the angle between normal and radius of panel {}")
     turn = np.degrees(np.arccos(np.clip(np.abs(geometry.v @ circle.axis), 0, 1)))
     bound(turn, TILT_DEG, "deg", "the angle between the axis and v of panel {}")
-    sdd = np.einsum("vk,vk->v", geometry.source - geometry.detector, n)
+    sdd = geometry.sdd
     away = f"the deviation from the mean distance of {sdd.mean():.1f} mm of panel {{}}"
     bound(sdd - sdd.mean(), OFF_CIRCLE * float(sdd.mean()), "mm", away)
-    column = geometry.project(circle.centre)[:, 0, 0] - (geometry.panel.columns - 1) / 2
+    column = geometry.project(circle.centre)[:, 0, 0] - geometry.panel.middle[0]
     displaced = "the distance of the centre's projection from the middle column of view {}"
     bound(column, OFF_CENTRE * geometry.panel.columns, "px", displaced)
     gaps = np.degrees(np.diff(circle.angles))

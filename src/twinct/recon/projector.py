@@ -52,7 +52,7 @@ class Projector:
         self.range_shape = (len(geometry), *geometry.panel.shape)
         local = grid.world_from_grid.inverse() @ geometry
         self._rays = _index_rays(local, grid)
-        self._pixels = _pixel_matrices(local, grid)
+        self._pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
         _check_depth(self._pixels, grid)
 
     def __call__(self, x: ArrayLike) -> Volume:
@@ -114,30 +114,6 @@ def _index_rays(local: ScanGeometry, grid: VolumeGrid) -> NDArray[np.float64]:
         [local.source / voxel + centre, corner / voxel + centre, across / voxel, up / voxel, edges],
         axis=1,
     )
-
-
-def _pixel_matrices(local: ScanGeometry, grid: VolumeGrid) -> NDArray[np.float64]:
-    """(views, 3, 4): voxel index (i, j, k, 1) to (column, row, 1) times the depth in mm."""
-    panel = local.panel
-    to_panel = local.detector - local.source
-    reach = -np.einsum("ij,ij->i", to_panel, local.normal)
-    depth = -local.normal
-
-    def pixels(axis: NDArray[np.float64], pitch: float, count: int) -> NDArray[np.float64]:
-        start = (count - 1) / 2 - np.einsum("ij,ij->i", to_panel, axis) / pitch
-        return reach[:, None] / pitch * axis + start[:, None] * depth
-
-    linear = np.stack(
-        [
-            pixels(local.u, panel.pitch_u, panel.columns),
-            pixels(local.v, panel.pitch_v, panel.rows),
-            depth,
-        ],
-        axis=1,
-    )
-    origin = -(np.array(grid.shape_xyz) - 1) / 2 * grid.voxel
-    constant = np.einsum("vij,vj->vi", linear, origin - local.source)
-    return np.concatenate([linear * grid.voxel, constant[:, :, None]], axis=2)
 
 
 def _check_depth(pixels: NDArray[np.float64], grid: VolumeGrid) -> None:

@@ -102,11 +102,10 @@ def rtk_sart(
     report = Reporter(callback, len(views))
     local = grid.world_from_grid.inverse() @ geometry
     image_type = itk.Image[itk.F, 3]
-    volume_origin = -(np.array(grid.shape_xyz) - 1) / 2 * grid.voxel
     for iteration in range(iterations):
         for update, view in enumerate(views):
             numbers = local[view].to_rtk()
-            volume = _image(itk, x, volume_origin, grid.voxel)
+            volume = _image(itk, x, grid.first_voxel_mm, grid.voxel)
             stack = np.ascontiguousarray(p[view : view + 1], dtype=np.float32)
             projection = _image(itk, stack, (*numbers["origin"], 0.0), (*numbers["spacing"], 1.0))
             sart = RTK.SARTConeBeamReconstructionFilter[image_type, image_type].New()

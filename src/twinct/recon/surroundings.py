@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
 from twinct.errors import InputError
-from twinct.geometry import Panel, ScanGeometry, VolumeGrid
+from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.memory import advice, refuse_if_short
 from twinct.recon.projector import Projector, Volume
@@ -78,7 +78,7 @@ def without_surroundings(
     checks.done()
     coarse = coarse_grid(grid, margin_mm, voxel_mm)
     factors = _binning(geometry, coarse)
-    binned_panel = geometry.panel.rows // factors[0] * (geometry.panel.columns // factors[1])
+    binned_panel = math.prod(geometry.panel.binned(*factors).shape)
     refuse_if_short(
         4 * math.prod(grid.shape)
         + 8 * math.prod(coarse.shape)
@@ -95,7 +95,7 @@ def without_surroundings(
     inner = Projector(geometry, grid)
     binned, binned_mask = _bin(p, pixels, factors)
     volume = sart(
-        Projector(_binned_geometry(geometry, factors), coarse),
+        Projector(geometry.binned(*factors), coarse),
         binned,
         iterations=iterations,
         relaxation=relaxation,
@@ -124,28 +124,11 @@ def coarse_grid(grid: VolumeGrid, margin_mm: float, voxel_mm: float) -> VolumeGr
 def _binning(geometry: ScanGeometry, coarse: VolumeGrid) -> tuple[int, int]:
     """Pixels along v and u that are averaged: at the middle of the grid at most a coarse voxel."""
     panel = geometry.panel
-    to_panel = np.einsum("vk,vk->v", geometry.source - geometry.detector, geometry.normal)
-    middle = coarse.world_from_grid.position
-    to_middle = np.einsum("vk,vk->v", geometry.source - middle, geometry.normal)
-    shadow = float((coarse.voxel.min() * to_panel / np.maximum(to_middle, 1e-9)).min())
+    to_middle = geometry.depth(coarse.world_from_grid.position)
+    shadow = float((coarse.voxel.min() * geometry.sdd / np.maximum(to_middle, 1e-9)).min())
     return (
         int(np.clip(shadow / panel.pitch_v, 1, panel.rows)),
         int(np.clip(shadow / panel.pitch_u, 1, panel.columns)),
-    )
-
-
-def _binned_geometry(geometry: ScanGeometry, factors: tuple[int, int]) -> ScanGeometry:
-    """Larger pixels; the last rows and columns that fill no pixel are left out."""
-    panel = geometry.panel
-    rows, columns = panel.rows // factors[0], panel.columns // factors[1]
-    left_u = (panel.columns - columns * factors[1]) * panel.pitch_u
-    left_v = (panel.rows - rows * factors[0]) * panel.pitch_v
-    return ScanGeometry(
-        geometry.source,
-        geometry.detector - left_u / 2 * geometry.u - left_v / 2 * geometry.v,
-        geometry.u,
-        geometry.v,
-        Panel(rows, columns, panel.pitch_u * factors[1], panel.pitch_v * factors[0]),
     )
 
 
