@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from twinct.geometry import Panel
@@ -25,3 +26,5 @@ def test_binning_leaves_out_what_fills_no_pixel() -> None:
 def test_middle_and_first_pixel() -> None:
     assert PANEL.middle == (8.0, 5.5)
     assert PANEL.first_pixel_mm == (-16.0, -16.5)
+    np.testing.assert_array_equal(PANEL.mm_from_pixel @ [3, 2, 1], [-16 + 3 * 2, -16.5 + 2 * 3, 1])
+    np.testing.assert_array_equal(PANEL.mm_from_pixel @ [*PANEL.middle, 1], [0, 0, 1])

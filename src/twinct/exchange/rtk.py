@@ -36,7 +36,7 @@ def rtk_parameters(geometry: ScanGeometry) -> dict[str, Floats]:
     return {
         "GantryAngle": angles[:, 2],
         "SourceToIsocenterDistance": source[:, 2],
-        "SourceToDetectorDistance": source[:, 2] - detector[:, 2],
+        "SourceToDetectorDistance": geometry.sdd,
         "SourceOffsetX": source[:, 0],
         "SourceOffsetY": source[:, 1],
         "ProjectionOffsetX": detector[:, 0],
@@ -48,15 +48,8 @@ def rtk_parameters(geometry: ScanGeometry) -> dict[str, Floats]:
 
 def rtk_matrices(geometry: ScanGeometry) -> NDArray[np.float64]:
     """(views, 3, 4): point in mm to (x w, y w, w), x and y in mm on the panel from its centre."""
-    rows = np.stack([geometry.u, geometry.v, geometry.normal], axis=1)
-    back = -np.einsum("ijk,ik->ij", rows, geometry.source)
-    seen = np.concatenate([rows, back[..., None]], axis=2)
-    to_panel = np.einsum("ijk,ik->ij", rows, geometry.source - geometry.detector)
-    lens = np.zeros((len(geometry), 3, 3))
-    lens[:, 0, 0] = lens[:, 1, 1] = -to_panel[:, 2]
-    lens[:, :2, 2] = to_panel[:, :2]
-    lens[:, 2, 2] = 1
-    return lens @ seen
+    # RTK's w grows towards the source.
+    return -(geometry.panel.mm_from_pixel @ geometry.matrices())
 
 
 def rtk_geometry_xml(geometry: ScanGeometry) -> str:

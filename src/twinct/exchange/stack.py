@@ -35,7 +35,7 @@ def write_mha(path: Path, images: Iterable[Image], views: int, panel: Panel) -> 
 
     The format is ITK's: a text header whose last line is ``ElementDataFile``, then the raw values.
     """
-    origin = -(panel.columns - 1) / 2 * panel.pitch_u, -(panel.rows - 1) / 2 * panel.pitch_v
+    origin = panel.first_pixel_mm
     header = {
         "ObjectType": "Image",
         "NDims": "3",

@@ -65,7 +65,7 @@ def tigre_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[
     return {
         "angles": np.stack([azimuth, -elevation, nothing], axis=1),
         "DSO": distance,
-        "DSD": -along(n, to_panel),
+        "DSD": geometry.sdd,
         "offOrigin": (distance[:, None] * n - geometry.source)[:, ::-1].copy(),
         "offDetector": np.stack([along(up, to_panel), along(across, to_panel)], axis=1),
         "rotDetector": np.stack([yaw, nothing, nothing], axis=1),

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from twinct.geometry.arrays import Floats
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -45,6 +49,12 @@ class Panel:
     def first_pixel_mm(self) -> tuple[float, float]:
         """Centre of pixel (0, 0) along u and v from the panel's centre, mm."""
         return -(self.columns - 1) / 2 * self.pitch_u, -(self.rows - 1) / 2 * self.pitch_v
+
+    @property
+    def mm_from_pixel(self) -> Floats:
+        """(3, 3): (column, row, 1) to (along u, along v, 1) from the panel's centre, mm."""
+        u, v = self.first_pixel_mm
+        return np.array([[self.pitch_u, 0.0, u], [0.0, self.pitch_v, v], [0.0, 0.0, 1.0]])
 
     def divided(self, parts: int) -> Panel:
         """The same area with each pixel cut into ``parts`` x ``parts``."""
