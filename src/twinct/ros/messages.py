@@ -321,11 +321,9 @@ def camera_message(stamp: Stamp, geometry: ScanGeometry) -> CameraInfo:
         geometry: of this one view.
     """
     panel = geometry.panel
-    to_source = geometry.source[0] - geometry.detector[0]
-    distance = float(to_source @ geometry.normal[0])
-    fx, fy = distance / panel.pitch_u, -distance / panel.pitch_v
-    cx = (panel.columns - 1) / 2 + float(to_source @ geometry.u[0]) / panel.pitch_u
-    cy = (panel.rows - 1) / 2 + float(to_source @ geometry.v[0]) / panel.pitch_v
+    sdd = float(geometry.sdd[0])
+    fx, fy = sdd / panel.pitch_u, -sdd / panel.pitch_v
+    cx, cy = geometry.piercing_points[0].tolist()
     message = CameraInfo(header=_header(stamp, IMAGE_FRAME), height=panel.rows, width=panel.columns)
     message.distortion_model = "plumb_bob"
     message.d = [0.0] * 5
