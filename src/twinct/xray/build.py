@@ -173,8 +173,7 @@ def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_
 
 def physical_panel(detector: scenario.Detector) -> Panel:
     """The lattice before binning."""
-    panel, n = detector.panel, detector.binning
-    return Panel(panel.rows * n, panel.columns * n, panel.pitch_u / n, panel.pitch_v / n)
+    return detector.panel.divided(detector.binning)
 
 
 @contextmanager

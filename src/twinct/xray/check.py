@@ -90,7 +90,7 @@ def _spot_problems(source: scenario.Source, views: ScanGeometry) -> list[str]:
         key, width = "sigma_mm", 4 * np.max(section.sigma_mm)
     else:
         key, width = "size_mm", np.max(section.size_mm)
-    distance = np.linalg.norm(views.source - views.detector, axis=1).min()
+    distance = views.sdd_to_centre.min()
     limit = _WIDEST_SPOT * float(distance)
     if width <= limit:
         return []

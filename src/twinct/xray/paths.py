@@ -96,9 +96,8 @@ class PathRenderer:
         self._placements = [Placement([(b.label, b.mesh)]) for b in bodies]
         self._corners = [_corners(body.mesh) for body in bodies]
         self.panel, self.samples = panel, samples
-        rows, columns = panel.rows * samples, panel.columns * samples
-        self._fine = Panel(rows, columns, panel.pitch_u / samples, panel.pitch_v / samples)
-        tile = Panel(_even(rows), _even(columns), self._fine.pitch_u, self._fine.pitch_v)
+        fine = self._fine = panel.divided(samples)
+        tile = Panel(_even(fine.rows), _even(fine.columns), fine.pitch_u, fine.pitch_v)
         self._tile = np.empty(tile.shape, dtype=np.float32)
         meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
         uploads = [(np.asarray(m.vertices), np.asarray(m.faces), PATH_MU) for m in meshes]
