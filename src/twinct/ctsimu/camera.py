@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -186,12 +187,6 @@ def _shifted(frame: Frame, start: Floats, shift: Floats) -> ScanGeometry:
 
 def _ray_lengths(view: ScanGeometry, samples: int) -> NDArray[np.float32]:
     """From the source to each sample, mm."""
-    panel = view.panel
-    fine = Panel(
-        panel.rows * samples,
-        panel.columns * samples,
-        panel.pitch_u / samples,
-        panel.pitch_v / samples,
-    )
-    places = ScanGeometry(view.source, view.detector, view.u, view.v, fine).pixel_centres(0)
+    fine = replace(view, panel=view.panel.divided(samples))
+    places = fine.pixel_centres(0)
     return np.linalg.norm(places - view.source[0], axis=-1).astype(np.float32)

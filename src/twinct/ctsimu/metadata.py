@@ -29,7 +29,8 @@ def write_metadata(
     from twinct.version import __version__
 
     about = scenario.data.get("file") or {}
-    panel, (across, down) = frame.panel, frame.binning
+    across, down = frame.binning
+    panel = frame.panel.binned(down, across)
     data = {
         "file": {
             "name": scenario.name,
@@ -52,12 +53,12 @@ def write_metadata(
                 "byteorder": "little",
                 "headersize": {"file": 0, "image": 0},
                 "dimensions": {
-                    "x": {"value": panel.columns // across, "unit": "px"},
-                    "y": {"value": panel.rows // down, "unit": "px"},
+                    "x": {"value": panel.columns, "unit": "px"},
+                    "y": {"value": panel.rows, "unit": "px"},
                 },
                 "pixelsize": {
-                    "x": {"value": panel.pitch_u * across, "unit": "mm"},
-                    "y": {"value": panel.pitch_v * down, "unit": "mm"},
+                    "x": {"value": panel.pitch_u, "unit": "mm"},
+                    "y": {"value": panel.pitch_v, "unit": "mm"},
                 },
                 "dark_field": _field(scenario.name, "dark", scenario.dark),
                 "flat_field": _field(scenario.name, "flat", scenario.flat),
