@@ -166,6 +166,7 @@ class _Sums:
 
 
 Box = tuple[slice, slice, slice]
+Image = NDArray[np.floating]
 
 
 def _ratio(numerator: float, denominator: int) -> float:
@@ -174,7 +175,7 @@ def _ratio(numerator: float, denominator: int) -> float:
 
 def _bounding_box(mask: NDArray[np.bool_]) -> Box | None:
     """Smallest box that holds all that is True, or None."""
-    bounds = []
+    bounds: list[slice] = []
     for others in ((1, 2), (0, 2), (0, 1)):
         hits = np.flatnonzero(np.any(mask, axis=others))
         if not hits.size:
@@ -189,7 +190,7 @@ def _slabs(planes: slice) -> Iterator[slice]:
 
 
 def _near_bone(
-    truth: NDArray, box: Box, threshold: float, distance_mm: float, grid: VolumeGrid
+    truth: Image, box: Box, threshold: float, distance_mm: float, grid: VolumeGrid
 ) -> NDArray[np.bool_]:
     """Voxels of a box at most a distance, centre to centre, from a voxel with truth >= threshold.
 
@@ -220,7 +221,7 @@ def _near_bone(
 
 
 def _ssim_sum(
-    volume: NDArray, truth: NDArray, roi: NDArray, box: Box, planes: slice, data_range: float
+    volume: Image, truth: Image, roi: NDArray[np.bool_], box: Box, planes: slice, data_range: float
 ) -> tuple[float, int]:
     """Sum of SSIM over the windows in the region centred on the planes, and their number."""
     half = SSIM_WINDOW // 2

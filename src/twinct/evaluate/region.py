@@ -76,8 +76,9 @@ def _half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Floa
     """
     panel, n = geometry.panel, geometry.normal
     to_panel = geometry.detector - geometry.source
-    reach = np.einsum("vk,vk->v", to_panel, n)[:, None]
-    normals, offsets = [], []
+    reach = -geometry.sdd[:, None]
+    normals: list[Floats] = []
+    offsets: list[Floats] = []
 
     def admit(g: Floats, slack_mm: Floats | float = 0.0) -> None:
         g = g / np.linalg.norm(g, axis=1, keepdims=True)

@@ -42,7 +42,8 @@ def sight(geometry: ScanGeometry, points: ArrayLike, grid: VolumeGrid) -> Sight:
         grid: the voxels of the reconstruction.
     """
     corners = np.atleast_2d(np.asarray(points, dtype=np.float64))
-    blind, behind = [], []
+    blind: list[int] = []
+    behind: list[int] = []
     for view in range(len(geometry)):
         one = geometry[view]
         before = (corners - one.detector[0]) @ one.normal[0] > 0
