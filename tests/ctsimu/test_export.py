@@ -119,6 +119,7 @@ UNSAID = {
     "detector.noise": "{kind: quantum}",
     "detector.readout": "{}",
     "detector.bad_pixels": "{kind: random, share: 0.01}",
+    "detector.lag": "0.2",
     "detector.scatter": "{kind: kernel}",
 }
 
@@ -142,7 +143,7 @@ def test_every_key_of_source_and_detector_is_said_refused_or_sampling():
         "source": {"energy_kev", "spectrum", "current_ma", "exposure_ms", "focal_spot"},
         "detector": {
             "columns", "rows", "pixel_pitch_mm", "response", "binning", "point_spread", "noise",
-            "lag", "correction",
+            "correction",
         },
     }  # fmt: skip
     sampling, without_effect = {"pixel_samples"}, {"photons_per_mm2_mas"}

@@ -30,6 +30,10 @@ FREE = np.s_[:, :30]
 PHOTONS = 4.0e5
 """Per mm^2 at 1 m and mAs: 25 in a pixel at 10 mAs and 600 mm would be 2.5e7."""
 
+LAG_SHARE, LAG_CORRELATION = 0.06, 0.09
+"""Of 3600 pixels, of which a dozen share their noise behind a point spread: 5 deviations of
+1 / sqrt(3600 * 2) and 1 / sqrt(3600) would be 6 and 8 %."""
+
 
 def skull_of_two(mesh=None):
     mesh = sphere((0, 20, 0), 25, 5) if mesh is None else mesh
@@ -105,6 +109,63 @@ def test_a_given_snr_is_the_snr_of_the_free_beam(binning):
     )
     free = (found.raw / found.flat)[50:70, :30]
     assert free.mean() / free.std() == pytest.approx(100, rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ("noise", "spread"),
+    [
+        (QuantumNoise(kind="quantum"), None),
+        (QuantumNoise(kind="quantum"), GaussianSpread(kind="gaussian", sigma_mm=1.5)),
+        (SnrNoise(kind="snr", snr=60), None),
+    ],
+)
+def test_lag_carries_the_noise_of_the_view_before_on(noise, spread):
+    """Of (1 - l) s_k + l s_(k-1): deviation sqrt((1 - l)^2 + l^2), correlation l (1 - l) of it."""
+    lag = 0.3
+    source = Source(photons_per_mm2_mas=PHOTONS, current_ma=2.0, exposure_ms=5.0)
+    here = VIEW, Pose.identity()
+
+    def noises(**more):
+        """Of views 3 and 4, each as a share of the free beam."""
+        detector = Detector(**PANEL, noise=noise, point_spread=spread, **more)
+        with Imager(source, detector, skull_of_two(), reference=VIEW) as imager:
+            frames = [imager.frame([here], view, here) for view in (3, 4)]
+        return [(frame.raw / frame.flat)[FREE] - 1 for frame in frames]
+
+    alone, then = noises(lag=lag)
+    single, _ = noises()
+    share = (1 - lag) ** 2 + lag**2
+    assert alone.std() / single.std() == pytest.approx(np.sqrt(share), rel=LAG_SHARE)
+    found = np.mean(alone * then) / (alone.std() * then.std())
+    assert found == pytest.approx(lag * (1 - lag) / share, abs=LAG_CORRELATION)
+
+
+def test_readout_noise_does_not_lag():
+    here = VIEW, Pose.identity()
+    detector = Detector(**PANEL, lag=0.3, readout=Readout(electronic_noise=50, bits=None))
+    with Imager(Source(), detector, skull_of_two(), reference=VIEW) as imager:
+        one, other = (imager.frame([here], view, here) for view in (3, 4))
+    first, second = ((frame.raw - frame.flat)[FREE] for frame in (one, other))
+    assert first.std() == pytest.approx(50, rel=LAG_SHARE)
+    assert abs(np.mean(first * second)) < LAG_CORRELATION * 50**2
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_lag_takes_noise_from_a_mean_of_flat_frames(frames):
+    """The first of them shares its noise with one before, the last keeps some of its own back."""
+    lag = 0.3
+
+    def flat(lag, frames):
+        sections = {
+            "noise": SnrNoise(kind="snr", snr=100),
+            "correction": Correction(flat_frames=frames),
+        }
+        return frame({**sections, "lag": lag}).flat
+
+    share = (frames - 1 + (1 - lag) ** 2 + lag**2) / frames
+    without = flat(0, 0)
+    ratio = (flat(lag, frames) - without).std() / (flat(0, frames) - without).std()
+    assert ratio == pytest.approx(np.sqrt(share), rel=1e-3)  # of one pattern
 
 
 def test_noise_is_keyed_by_seed_and_view():

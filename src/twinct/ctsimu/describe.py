@@ -123,6 +123,8 @@ def _unsaid(scenario: Scenario) -> list[str]:
         "detector.noise": isinstance(detector.noise, sections.QuantumNoise),
         "detector.readout": detector.readout is not None,
         "detector.bad_pixels": detector.bad_pixels is not None,
+        # There it goes on from image to image, here from one into the next alone.
+        "detector.lag": detector.lag > 0,
         "detector.scatter": detector.scatter is not None,
     }
     return [key for key, wrong in table.items() if wrong]
@@ -172,8 +174,6 @@ def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, l
     if isinstance(detector.noise, sections.SnrNoise):
         # Of a physical pixel: the mean of n x n of them has n times its SNR.
         found["noise"] = {"snr_at_imax": quantity(detector.noise.snr / detector.binning)}
-    if detector.lag:
-        found["image_lag"] = quantity(detector.lag)
     return found, materials
 
 

@@ -55,9 +55,10 @@ class Chain:
     """Source and detector of one scenario.
 
     In the order of the physics: the expected signal of each physical pixel (the mean over what the
-    exposure's renders give), scatter, lag, the quantum noise of what the pixel absorbs, the point
-    spread of the detector (which blurs that noise too), electronic noise, binning, gain, offset,
-    saturation and bit depth, bad pixels. Flat and dark images take the same way.
+    exposure's renders give), scatter, the quantum noise of what the pixel absorbs, the point spread
+    of the detector (which blurs that noise too), lag (which carries both on), electronic noise,
+    binning, gain, offset, saturation and bit depth, bad pixels. Flat and dark images take the same
+    way.
 
     Attributes:
         panel: the physical pixels, before binning.
@@ -157,7 +158,12 @@ class Chain:
             out[2] += (out[0] - before) * optical
 
     def frame(
-        self, expected: Image, view: ScanGeometry, index: int, object_mm: float = 0.0
+        self,
+        expected: Image,
+        view: ScanGeometry,
+        index: int,
+        object_mm: float = 0.0,
+        before: tuple[Image, float] | None = None,
     ) -> Frame:
         """The machine's images of one view.
 
@@ -166,35 +172,46 @@ class Chain:
             view: where source and panel were, on the physical pixels.
             index: of the view; keys the noise.
             object_mm: from the middle of the object to the panel, for scatter.
+            before: ``expected`` and ``object_mm`` of the view before, whose signal lags.
         """
-        rng = view_rng(self._seed, "detector noise", index)
-        if self._kernel is not None:
-            pitch = self.panel.pitch_u, self.panel.pitch_v
-            scatter = self._kernel.spread(expected[2], *pitch, object_mm)
-            of_one = np.float32(self.free[1] / self.free[0])
-            expected = np.stack([expected[0] + scatter, expected[1] + of_one * scatter])
-        raw = self._digitise(expected, rng)
+        rng = self._rng(index)
+        signal = self._signal_of(expected, object_mm, rng)
+        if before is not None:
+            lag = np.float32(self._detector.lag)
+            # With the noise that it had: drawn again by its own key.
+            last = self._signal_of(*before, self._rng(index - 1))
+            signal = (1 - lag) * signal + lag * last
+        if self._electronic:
+            signal = normal_noise(signal, self._electronic / self._readout.gain, rng)
+        raw = self._readout.read(_binned(signal, self._detector.binning))
         flat, dark = self._flat(view), self._dark_image()
         transmission = correct(raw, flat, dark, self._floor())
         bad = self._bad
         raw = np.where(bad, np.float32(0), raw) if bad.any() else raw
         return Frame(raw, flat, dark, mend_bad_pixels(transmission, bad))
 
-    def _digitise(self, expected: Image, rng: np.random.Generator) -> Image:
-        detector = self._detector
+    def _rng(self, index: int) -> np.random.Generator:
+        # Modulo: what is imaged alone, as view 0, may still have one before it.
+        return view_rng(self._seed, "detector noise", index % 2**64)
+
+    def _signal_of(self, expected: Image, object_mm: float, rng: np.random.Generator) -> Image:
+        """What one exposure leaves in the physical pixels: scatter, noise of quanta, spread."""
+        detector, pitch = self._detector, (self.panel.pitch_u, self.panel.pitch_v)
+        if self._kernel is not None:
+            scatter = self._kernel.spread(expected[2], *pitch, object_mm)
+            of_one = np.float32(self.free[1] / self.free[0])
+            expected = np.stack([expected[0] + scatter, expected[1] + of_one * scatter])
         signal = expected[0]
         if isinstance(detector.noise, scenario.QuantumNoise):
             signal = quantum_noise(signal, expected[1], rng)
         if self._spread is not None:
-            signal = self._spread.apply(signal, self.panel.pitch_u, self.panel.pitch_v)
+            signal = self._spread.apply(signal, *pitch)
         if isinstance(detector.noise, scenario.SnrNoise):
             free = np.float32(self.free[0])
             sigma = np.sqrt(np.maximum(signal, np.float32(0)) * free)
             sigma *= np.float32(detector.binning / detector.noise.snr)
             signal = normal_noise(signal, sigma, rng)
-        if self._electronic:
-            signal = normal_noise(signal, self._electronic / self._readout.gain, rng)
-        return self._readout.read(_binned(signal, detector.binning))
+        return signal
 
     def _flat(self, view: ScanGeometry) -> Image:
         """The flat image: normal noise, as of many photons, with one pattern for the whole scan."""
@@ -226,6 +243,9 @@ class Chain:
             elif isinstance(detector.noise, scenario.SnrNoise):
                 share = detector.binning / detector.noise.snr
                 variance = signal * np.float32(self.free[0] * share**2)
+            # Lag moves noise on from frame to frame: less of it is left in few of them.
+            lag = detector.lag
+            variance = variance * np.float32(1 - 2 * lag * (1 - lag) / frames)
             variance = variance + np.float32((self._electronic / self._readout.gain) ** 2)
             signal = signal + np.sqrt(variance / np.float32(frames)) * self._flat_pattern
         averaged = frames == 1

@@ -160,12 +160,11 @@ class Imager:
         if self._chain is None:
             self._chain = self._new_chain(self._reference or middle)
         chain = self._chain
+        last = None
+        if self._detector.lag and before is not None:
+            last = self._expected(chain, [before]), self._object_mm(*before)
         expected = self._expected(chain, path)
-        lag = np.float32(self._detector.lag)
-        if lag and before is not None:
-            expected *= 1 - lag
-            expected += lag * self._expected(chain, [before])
-        return chain.frame(expected, chain.physical(middle), view, self._object_mm(*path[0]))
+        return chain.frame(expected, chain.physical(middle), view, self._object_mm(*path[0]), last)
 
     def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
         """From the middle of the specimen to the panel, along its normal."""
