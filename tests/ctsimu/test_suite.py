@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.ctsimu.suite import qualify, samples
+from twinct.ctsimu import suite
+from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify, samples
 from twinct.ctsimu.suite.cases import WEDGE_PANEL_MM, WEDGE_PITCH_MM, cases
+from twinct.ctsimu.suite.verdicts import verdicts
 from twinct.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import material
@@ -84,3 +86,46 @@ def test_toolbox_judges_the_free_beam(tmp_path):
     verdict = qualify(tmp_path, ["2D-FB-2"])[0]
     assert verdict.passed and verdict.test == "2D-FB-2"
     assert (tmp_path / "qualification.json").is_file()
+
+
+def test_the_tests_left_out_are_named_with_the_reason(tmp_path):
+    with pytest.raises(InputError, match="2D-SW-4 is not taken: .*scatter"):
+        qualify(tmp_path, ["2D-SW-4"])
+    assert set(TESTS) | set(NOT_TAKEN) == {
+        *("2D-FB-1", "2D-FB-2", "2D-HS-1", "2D-DW-1", "2D-WE-1", "2D-WE-2"),
+        *("2D-SW-1", "2D-SW-2", "2D-SW-3", "2D-SW-4"),
+    }
+
+
+def test_iron_at_one_energy_is_no_pass(tmp_path):
+    """Its steps were taken from the reference: it would pass whatever we render."""
+    names = [f"{d}_{beam}" for d in ("D1", "D2") for beam in ("Al_50", "Fe_100", "Fe_200")]
+    row = "\t".join(["1"] * len(names))
+    (tmp_path / "2D-SW-1_all_GV_ratios_to_Det1.txt").write_text(
+        "step\t" + "\t".join(names) + f"\n1\t{row}\n2\t{row}\n"
+    )
+    reference = np.column_stack([[1, 2], *[np.full(2, x) for _ in names for x in (1, 0.1, 0.1)]])
+    np.savetxt(tmp_path / "2D-SW-1_all_MCprimary_reference_ratios.txt", reference)
+    found = {v.what.split(":")[0]: v for v in verdicts("2D-SW-1", tmp_path)}
+    assert {name: v.passed for name, v in found.items()} == {
+        "D2_Al_50": True, "D2_Fe_100": None, "D2_Fe_200": None,
+    }  # fmt: skip
+    assert "taken from this reference" in found["D2_Fe_100"].asked
+
+
+def test_the_toolbox_runs_as_it_is_but_for_the_edge_it_shears(tmp_path, monkeypatch):
+    vector = pytest.importorskip("ctsimu.primitives", reason="needs the extra ctsimu").Vector
+    angles = {}
+
+    def toolbox(test, *images, **more):
+        turned = vector(1, 0, 0)
+        turned.rotate_2D_xy(np.radians(3.0))
+        angles[test] = np.degrees(np.arctan2(turned.y(), turned.x()))
+
+    monkeypatch.setattr(suite, "_toolbox", lambda: toolbox)
+    monkeypatch.setattr(suite, "verdicts", lambda *_: [])
+    for test in ("2D-WE-2", "2D-WE-1", "2D-DW-1"):
+        (tmp_path / test).mkdir()
+        suite._judged(test, tmp_path / test)
+    assert angles["2D-WE-2"] == pytest.approx(3.0, abs=1e-9)
+    assert angles["2D-WE-1"] == angles["2D-DW-1"] == pytest.approx(2.996, abs=1e-3)

@@ -110,11 +110,11 @@ def qualify(
 
     Args:
         out: Folder for samples, images and results; figures go to qualification.json.
-        tests: Names such as 2D-FB-1; all of them where none is given.
+        tests: Names such as 2D-FB-1; where none is given all that are taken, eight of ten.
     """
     from rich.table import Table
 
-    from twinct.ctsimu.suite import TESTS, qualify
+    from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify
     from twinct.files.writing import check_folder
 
     check_folder(out)
@@ -131,6 +131,8 @@ def qualify(
             verdict.test, verdict.what, verdict.asked, verdict.measured, marks[verdict.passed]
         )
     console.print(table)
+    for name, why in NOT_TAKEN.items():
+        console.print(f"{name} is not taken: {why}", highlight=False)
     if any(verdict.passed is False for verdict in found):
         raise SystemExit(1)
 

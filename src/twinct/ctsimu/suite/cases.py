@@ -32,6 +32,10 @@ OPAQUE = "opaque"
 OPAQUE_G_CM3 = 1e7
 """Of tungsten so dense that 0.01 mm of it lets nothing through."""
 
+COVERAGE_SAMPLES = 20
+"""Along a pixel's edge in 2D-WE-2, which counts the pixels that the edge cuts, however little of
+them: the default, 3, finds about two thirds, which does not pass."""
+
 WEDGE_PANEL_MM, WEDGE_PITCH_MM = 1000.0, 0.2
 
 
@@ -209,7 +213,7 @@ def _coverage() -> list[Case]:
     return [
         Case(
             "2D-WE-2", "", 1001, 1001, 0.008, 1000.0, 50.0,
-            monochromatic=True, parts=[_edge()], samples=20,
+            monochromatic=True, parts=[_edge()], samples=COVERAGE_SAMPLES,
         )
     ]  # fmt: skip
 
@@ -298,4 +302,10 @@ _CASES: dict[str, Callable[[], list[Case]]] = {
 }
 
 TESTS = tuple(_CASES)
-"""Names of the tests."""
+"""Names of the tests that are taken."""
+
+NOT_TAKEN = {
+    "2D-HS-1": "the foil of ten holes that it images is not public, and its sizes are not stated",
+    "2D-SW-4": "it judges scattered radiation, which files of the format are refused for here",
+}
+"""The other 2D tests of the suite, and why they are left out."""

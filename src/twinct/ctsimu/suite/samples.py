@@ -25,7 +25,8 @@ WEDGE_STEPS_MM = (41.0, 35.89, 30.79, 25.68, 20.58, 15.47, 10.36, 5.26, 0.15)
 """Thickness of each step; step 1 is the lowest."""
 IRON_STEPS_MM = tuple(np.linspace(10.0, 0.02, 9).round(4).tolist())
 """Of the iron wedge. Nobody states them: the Monte Carlo references for one energy (2D-SW-1,
-100 keV) are those of equal steps from 10 to 0.02 mm, each to within 0.005 mm."""
+100 keV) are those of equal steps from 10 to 0.02 mm, each to within 0.005 mm. So that case cannot
+fail, and says nothing of our images."""
 WEDGE_LEFT_PX, WEDGE_RIGHT_PX, WEDGE_JOINT_PX = 90.0, 900.0, 500.0
 WEDGE_RADIUS_MM = 400.0
 """Inner radius of the shells around the focal spot."""
