@@ -4,8 +4,7 @@ CTSimU knows a stage that turns; ours stands still in the world, and source, det
 move by drifts: of their centres, and of three rotations about the world's axes through them. What
 is believed is the part known to the reconstruction; what was executed beyond that is not.
 
-OpenCT holds one projection matrix a view, of the believed geometry. Ours maps world mm to mm on the
-panel, from its centre, u to the right and v down; row 0 of the images is their top.
+The OpenCT file is that of ``twinct.exchange``: the believed geometry, in the frame of the grid.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from twinct.ctsimu.describe import describe, refuse_unsaid, render_options
@@ -30,8 +28,9 @@ from twinct.ctsimu.writing import (
     vector,
 )
 from twinct.errors import ScanExistsError
+from twinct.exchange.openct import openct_json
 from twinct.files.writing import storage_errors, write_json
-from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.geometry import Floats, Pose
 from twinct.scan import Scan
 from twinct.specimen import BuiltSpecimen
 
@@ -84,51 +83,6 @@ def export_scan(
             write_tiff(images / f"{name}_{view:04d}.tif", np.ascontiguousarray(image[::-1]))
         write_json(files.trajectory, _trajectory(scan, name))
     return files
-
-
-def to_openct(geometry: ScanGeometry) -> Floats:
-    """One matrix a view, (views, 3, 4): (u, v, 1) ~ P (x, y, z, 1), mm, v down the image.
-
-    With n the unit vector from the source to the panel's plane, d their distance, and (a, b) the
-    foot of the source on the panel: P = [d u + a n; d v + b n; n] [I | -S], scaled so that the last
-    element is 1.
-    """
-    down, n = -geometry.v, -geometry.normal
-    to_panel = geometry.detector - geometry.source
-    d = np.einsum("vk,vk->v", to_panel, n)[:, None]
-    a = -np.einsum("vk,vk->v", to_panel, geometry.u)[:, None]
-    b = -np.einsum("vk,vk->v", to_panel, down)[:, None]
-    left = np.stack([d * geometry.u + a * n, d * down + b * n, n], axis=1)
-    right = -np.einsum("vij,vj->vi", left, geometry.source)
-    matrices = np.concatenate([left, right[:, :, None]], axis=2)
-    return matrices / matrices[:, 2:, 3:]
-
-
-def from_openct(matrices: ArrayLike, panel: Panel) -> ScanGeometry:
-    """The geometry of such matrices.
-
-    Args:
-        matrices: (views, 3, 4).
-        panel: the pixel lattice.
-    """
-    sources, centres, axes_u, axes_v = [], [], [], []
-    for matrix in np.asarray(matrices, dtype=np.float64):
-        source = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
-        rows = matrix[:, :3] / np.linalg.norm(matrix[2, :3])
-        # The scale may be negative: u, v (down) and n are right-handed.
-        rows *= np.sign(np.linalg.det(rows))
-        n = rows[2]
-        a, b = rows[0] @ n, rows[1] @ n
-        u, down = rows[0] - a * n, rows[1] - b * n
-        d = (np.linalg.norm(u) + np.linalg.norm(down)) / 2
-        u, down = u / np.linalg.norm(u), down / np.linalg.norm(down)
-        sources.append(source)
-        centres.append(source + d * n - a * u - b * down)
-        axes_u.append(u)
-        axes_v.append(-down)
-    return ScanGeometry(
-        np.array(sources), np.array(centres), np.array(axes_u), np.array(axes_v), panel
-    )
 
 
 def _scenario(scan: Scan, specimen: BuiltSpecimen, folder: Path, name: str, ideal: bool) -> Json:
@@ -251,48 +205,13 @@ def _drift(values: Floats, unit: str, known: bool) -> Json | None:
 
 
 def _trajectory(scan: Scan, name: str) -> Json:
-    panel = scan.scenario.detector.panel
-    geometry = scan.believed.geometry(panel)
     grid = scan.scenario.reconstruction.grid.volume_grid
-    middle = geometry.source[0], geometry.detector[0]
-    return {
-        "version": {"major": 1, "minor": 0},
-        "OpenCTJSON": {
-            "versionMajor": 1,
-            "versionMinor": 0,
-            "revisionNumber": 0,
-            "variant": "FreeTrajectoryCBCTScan",
-        },
-        "hints": None,
-        "units": {"length": "Millimeter", "angle": "Degree"},
-        "volumeName": f"{name}.img",
-        "projections": {
-            "numProjections": len(geometry),
-            "intensityDomain": True,
-            "images": {
-                "dataType": "Float32",
-                "fileType": "TIFF",
-                "skipBytes": 0,
-                "endianness": "Little",
-                "directory": "projections",
-                "files": [f"{name}_{view:04d}.tif" for view in range(len(geometry))],
-            },
-            "detectorCoordinateFrame": "OriginAtDetectorCenter.VerticalAxisRunningDownwards",
-            "detectorCoordinateDimension": "Length",
-            "matrices": to_openct(geometry).tolist(),
-        },
-        "geometry": {
-            "detectorPixel": [panel.columns, panel.rows],
-            "detectorSize": list(panel.size_mm),
-            "distanceSourceObject": float(np.linalg.norm(middle[0])),
-            "distanceObjectDetector": float(np.linalg.norm(middle[1])),
-            "mirrorDetectorAxis": "",
-            "skipAngle": 0,
-            "totalAngle": None,
-            "objectBoundingBox": {
-                "centerXYZ": grid.world_from_grid.position.tolist(),
-                "sizeXYZ": grid.size_mm.tolist(),
-            },
-        },
-        "corrections": None,
-    }
+    geometry = scan.believed.geometry(scan.scenario.detector.panel)
+    return openct_json(
+        grid.world_from_grid.inverse() @ geometry,
+        grid,
+        f"{name}.img",
+        files=[f"{name}_{view:04d}.tif" for view in range(len(scan))],
+        file_type="TIFF",
+        transmission=True,
+    )

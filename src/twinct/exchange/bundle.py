@@ -18,7 +18,7 @@ from twinct.errors import ScanExistsError
 from twinct.exchange.astra import astra_arrays
 from twinct.exchange.cil import cil_arrays
 from twinct.exchange.leap import leap_arrays
-from twinct.exchange.openct import openct_files, openct_json
+from twinct.exchange.openct import openct_json
 from twinct.exchange.rtk import rtk_geometry_xml
 from twinct.exchange.stack import Image, write_mha, write_npy, write_raw
 from twinct.exchange.tigre import tigre_arrays
@@ -120,15 +120,18 @@ def _contents(toolkit: Toolkit, bundle: Bundle) -> dict[str, Callable[[Path], ob
             "projections.mha": partial(write_mha, images=bundle.images, views=views, panel=panel),
         }
     if toolkit == "openct":
+        names = [f"{view:04d}.raw" for view in range(views)]
         words = openct_json(
             local,
             bundle.grid,
             bundle.origin.get("scan", ""),
+            files=names,
+            file_type="RAW",
             transmission=bundle.values == "transmission",
         )
         return {
             "openct.json": lambda path: path.write_text(json.dumps(words, indent=1) + "\n"),
-            "projections": partial(write_raw, images=bundle.images, names=openct_files(views)),
+            "projections": partial(write_raw, images=bundle.images, names=names),
         }
     arrays = _ARRAYS[toolkit](local, bundle.grid)
     return {

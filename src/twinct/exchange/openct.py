@@ -7,7 +7,8 @@ toolbox's volume is turned by 180 degrees about z against the world; ours is not
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +17,30 @@ from twinct.exchange.rtk import rtk_matrices
 from twinct.geometry import ScanGeometry, VolumeGrid
 
 _DOWN = np.diag([1.0, -1.0, 1.0])
+_IN_PLANE = 1e-12
+"""Sine of an angle that is rounding."""
 
 
 def openct_matrices(geometry: ScanGeometry) -> NDArray[np.float64]:
     """(views, 3, 4): point in mm to (right w, down w, w), mm on the panel from its centre.
 
-    Scaled to 1 in the lower right, as the toolbox does, unless that is 0.
+    Scaled to 1 in the lower right, as the toolbox does, unless the origin lies in the plane through
+    the source that is parallel to the panel: there that element is 0.
     """
     matrices = _DOWN @ rtk_matrices(geometry)
     corner = matrices[:, 2, 3]
-    return matrices / np.where(corner == 0, 1.0, corner)[:, None, None]
-
-
-def openct_files(views: int) -> list[str]:
-    """Names of the images, one for each view."""
-    return [f"{view:04d}.raw" for view in range(views)]
+    beside = np.abs(corner) <= _IN_PLANE * np.linalg.norm(geometry.source, axis=1)
+    return matrices / np.where(beside, 1.0, corner)[:, None, None]
 
 
 def openct_json(
-    geometry: ScanGeometry, grid: VolumeGrid, name: str, *, transmission: bool
+    geometry: ScanGeometry,
+    grid: VolumeGrid,
+    name: str,
+    *,
+    files: Sequence[str],
+    file_type: Literal["RAW", "TIFF"],
+    transmission: bool,
 ) -> dict[str, Any]:
     """The description of a scan whose images lie in ``projections``, first row on top.
 
@@ -42,6 +48,8 @@ def openct_json(
         geometry: the views, in the grid's own frame.
         grid: the voxels; the format takes the box around them, not their number.
         name: of the volume.
+        files: names of the images, one for each view, float32.
+        file_type: of these files.
         transmission: pixels hold I/I0, not line integrals.
     """
     panel = geometry.panel
@@ -63,11 +71,11 @@ def openct_json(
             "intensityDomain": transmission,
             "images": {
                 "dataType": "Float32",
-                "fileType": "RAW",
+                "fileType": file_type,
                 "skipBytes": 0,
                 "endianness": "Little",
                 "directory": "projections",
-                "files": openct_files(len(geometry)),
+                "files": list(files),
             },
             "detectorCoordinateFrame": "OriginAtDetectorCenter.VerticalAxisRunningDownwards",
             "detectorCoordinateDimension": "Length",
