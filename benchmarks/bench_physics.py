@@ -74,7 +74,7 @@ def main() -> None:
         built = BuiltSpecimen((BuiltPart("shell", bone, mesh),), Pose.identity())
         with Imager(Source(), Detector(**PANEL), built) as imager:
             mono = fastest(partial(imager.render, view, Pose.identity()))
-        with Imager(Source(spectrum=TUBE), Detector(**PANEL), built, reference=view) as imager:
+        with Imager(Source(spectrum=TUBE), Detector(**PANEL), built, commanded=view) as imager:
             poly = fastest(partial(imager.render, view, Pose.identity()))
         print(
             f"{name}: one energy {1e3 * mono:.1f} ms, 60 energies {1e3 * poly:.1f} ms, "

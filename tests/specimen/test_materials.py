@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import pytest
 
 from twinct.errors import SpecimenError
 from twinct.scenario import Composition
 from twinct.specimen import Material, material, material_names
+from twinct.specimen.materials import BUILT_IN, METALS
 
 NIST_REL = 0.004
 """NIST's tables (XCOM) and xraylib's fits of the same cross-sections differ by a few per mille."""
@@ -56,6 +58,17 @@ def test_formula_and_fractions_agree_with_the_named_material():
     water = material("Water, Liquid").mu_per_mm(80)
     assert by_formula.mu_per_mm(80) == pytest.approx(water, rel=3e-4)
     assert by_shares.mu_per_mm(80) == pytest.approx(water, rel=1e-9)
+
+
+@pytest.mark.parametrize(("name", "symbol"), [("copper", "Cu"), ("Lead", "Pb"), ("gold", "Au")])
+def test_a_metal_goes_by_its_name_as_by_its_symbol(name, symbol):
+    assert material(name).mass_fractions == {symbol: 1.0}
+    assert material(name).density_g_cm3 == material(symbol).density_g_cm3
+
+
+def test_every_name_is_on_the_page():
+    page = (Path(__file__).parents[2] / "docs" / "physics.md").read_text(encoding="utf-8")
+    assert [name for name in (*BUILT_IN, *METALS) if f"`{name}`" not in page] == []
 
 
 def test_density_scales_attenuation():

@@ -5,7 +5,7 @@ import pytest
 from xray_scenes import box, front_view, sphere
 
 from twinct.errors import InputError, ScenarioError
-from twinct.geometry import Pose
+from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import (
     Correction,
     Detector,
@@ -43,7 +43,7 @@ def skull_of_two(mesh=None):
 def image(detector=None, source=None, view=0, specimen=None, **options):
     detector = Detector(**PANEL, **(detector or {}))
     with Imager(
-        Source(**(source or {})), detector, specimen or skull_of_two(), reference=VIEW, **options
+        Source(**(source or {})), detector, specimen or skull_of_two(), commanded=VIEW, **options
     ) as imager:
         return imager.render(VIEW, Pose.identity(), view)
 
@@ -53,7 +53,7 @@ def frame(detector, source=None, view=0, **options):
         Source(**(source or {})),
         Detector(**PANEL, **detector),
         skull_of_two(),
-        reference=VIEW,
+        commanded=VIEW,
         **options,
     ) as imager:
         return imager.frame([(VIEW, Pose.identity())], view)
@@ -128,7 +128,7 @@ def test_lag_carries_the_noise_of_the_view_before_on(noise, spread):
     def noises(**more):
         """Of views 3 and 4, each as a share of the free beam."""
         detector = Detector(**PANEL, noise=noise, point_spread=spread, **more)
-        with Imager(source, detector, skull_of_two(), reference=VIEW) as imager:
+        with Imager(source, detector, skull_of_two(), commanded=VIEW) as imager:
             frames = [imager.frame([here], view, here) for view in (3, 4)]
         return [(frame.raw / frame.flat)[FREE] - 1 for frame in frames]
 
@@ -143,7 +143,7 @@ def test_lag_carries_the_noise_of_the_view_before_on(noise, spread):
 def test_readout_noise_does_not_lag():
     here = VIEW, Pose.identity()
     detector = Detector(**PANEL, lag=0.3, readout=Readout(electronic_noise=50, bits=None))
-    with Imager(Source(), detector, skull_of_two(), reference=VIEW) as imager:
+    with Imager(Source(), detector, skull_of_two(), commanded=VIEW) as imager:
         one, other = (imager.frame([here], view, here) for view in (3, 4))
     first, second = ((frame.raw - frame.flat)[FREE] for frame in (one, other))
     assert first.std() == pytest.approx(50, rel=LAG_SHARE)
@@ -203,13 +203,48 @@ def test_flat_noise_is_the_same_in_every_view_and_falls_with_the_frames():
     assert (one / smooth)[50:70].std() == pytest.approx(0.01 / 2, rel=0.05)
 
 
+def moved(view, distance_mm):
+    """The same view with its source nearer to the panel."""
+    source = view.source - [[distance_mm, 0, 0]]
+    return ScanGeometry(source, view.detector, view.u, view.v, view.panel)
+
+
+def one_after_the_other(*views):
+    names = ("source", "detector", "u", "v")
+    arrays = (np.vstack([getattr(view, name) for view in views]) for name in names)
+    return ScanGeometry(*arrays, VIEW.panel)
+
+
+@pytest.mark.parametrize("binning", [1, 2])
+def test_a_flat_image_is_scaled_to_where_a_view_was_commanded_to_be(binning):
+    """What the arms miss by stays in the image: no machine has a flat image of every view."""
+    to = moved(VIEW, 40)
+    both = one_after_the_other(VIEW, to)
+    detector = Detector(**PANEL, readout=Readout(bits=None), binning=binning)
+    assert detector.correction.flat_geometry == "commanded"
+    with Imager(Source(), detector, skull_of_two(), commanded=both) as imager:
+        reached = imager.render(to, Pose.identity(), 1)
+        missed = imager.render(moved(to, 3), Pose.identity(), 1)
+        beyond = imager.render(moved(to, 3), Pose.identity(), 2)
+    assert reached[FREE] == pytest.approx(1, abs=1e-5)
+    # 1 / r^2 and the cosine, at the corner of that part: half a per cent of 1 %.
+    assert missed[60, 2:10].mean() == pytest.approx((560 / 557) ** 2, rel=1e-3)
+    assert beyond[FREE] == pytest.approx(1, abs=1e-5)
+
+
+def test_the_noise_of_the_one_flat_image_is_in_every_view():
+    noise = {"noise": SnrNoise(kind="snr", snr=100), "correction": Correction(flat_frames=1)}
+    both = one_after_the_other(VIEW, moved(VIEW, 40))
+    with Imager(Source(), Detector(**PANEL, **noise), skull_of_two(), commanded=both) as imager:
+        first, scaled = (imager.frame([(VIEW, Pose.identity())], view).flat for view in (0, 1))
+    # Neighbours of the scaled image differ by 1 % of noise, of the scale by 1e-4.
+    assert np.abs(np.diff(scaled / first)).max() < 3e-4
+
+
 def test_what_the_first_flat_does_not_know_stays_in_the_image():
     fixed = {"correction": Correction(flat_geometry="first"), "readout": Readout(bits=None)}
-    nearer = front_view(Detector(**PANEL).panel)
-    nearer = type(nearer)(
-        nearer.source - [[10, 0, 0]], nearer.detector, nearer.u, nearer.v, nearer.panel
-    )
-    with Imager(Source(), Detector(**PANEL, **fixed), skull_of_two(), reference=VIEW) as imager:
+    nearer = moved(VIEW, 10)
+    with Imager(Source(), Detector(**PANEL, **fixed), skull_of_two(), commanded=VIEW) as imager:
         shifted = imager.render(nearer, Pose.identity())
     assert shifted[60, 2:10].mean() == pytest.approx((600 / 590) ** 2, rel=0.01)
     assert image(fixed)[FREE] == pytest.approx(1, abs=1e-5)

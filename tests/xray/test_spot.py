@@ -63,7 +63,7 @@ def test_a_gaussian_spot_blurs_an_edge_by_its_size_times_the_magnification(axis)
 
 
 @pytest.mark.parametrize("samples", [1, 2])
-@pytest.mark.parametrize("flat_geometry", ["view", "first"])
+@pytest.mark.parametrize("flat_geometry", ["commanded", "first", "view"])
 def test_the_free_beam_of_a_spot_off_its_centre_is_one(tmp_path, flat_geometry, samples):
     """The flat image is taken with the same spot; without, this beam is off by 0.7 %."""
     picture = np.zeros((8, 8))
@@ -81,7 +81,7 @@ def test_the_free_beam_of_a_spot_off_its_centre_is_one(tmp_path, flat_geometry, 
     view = ScanGeometry([[300, 0, 0]], [[-300, 0, 0]], [[0, 1, 0]], [[0, 0, 1]], detector.panel)
     far = BuiltPart("ball", material("bone"), box((0, 70, 0), (5, 5, 5)))
     specimen = BuiltSpecimen((far,), Pose.identity())
-    with Imager(Source(focal_spot=spot), detector, specimen, reference=view) as imager:
+    with Imager(Source(focal_spot=spot), detector, specimen, commanded=view) as imager:
         frame = imager.frame([(view, Pose.identity())])
     free = np.s_[:, :25]
     np.testing.assert_allclose(frame.transmission[free], 1, atol=2e-6)

@@ -97,7 +97,7 @@ def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Descri
         seen |= more
     acquisition = {
         "dark_field": _fields(correction.dark_frames, without_noise=0),
-        # One, of frame 0: what ``flat_geometry: first`` says. For a flat of each view, divide.
+        # One, of frame 0: what ``flat_geometry: first`` says but for what the arms missed by there.
         "flat_field": _fields(correction.flat_frames, without_noise=1),
         "pixel_binning": {axis: detector.binning for axis in "uv"},
     }

@@ -105,7 +105,7 @@ class Workshop:
             scenario.source,
             scenario.detector,
             self.specimen,
-            reference=self.commanded[0],
+            commanded=self.commanded,
             seed=scenario.seed,
         )
 

@@ -193,10 +193,12 @@ class Correction(Section):
     dark_frames: int = Field(
         default=0, ge=0, description="Dark frames averaged; 0 for a dark image without noise."
     )
-    flat_geometry: Literal["view", "first"] = Field(
-        default="view",
-        description="view: as if a flat image had been taken where each view was; first: one set "
-        "at the first commanded view, so that distance and tilt of later views stay in the image.",
+    flat_geometry: Literal["commanded", "first", "view"] = Field(
+        default="commanded",
+        description="All but view take one flat image, at the first commanded view. commanded: "
+        "scaled by distance and tilt to where each view was commanded to be, so that what the arms "
+        "miss by stays in the image; first: as it is; view: as if one had been taken where each "
+        "view was executed, which no machine can do.",
     )
 
 

@@ -117,9 +117,10 @@ def material(description: str | Composition, origin: str = "material") -> Materi
     for name, built_in in BUILT_IN.items():
         if _key(name) == key:
             return built_in
-    if wanted in _ELEMENTS:
-        number = xraylib.SymbolToAtomicNumber(wanted)
-        return Material(wanted, xraylib.ElementDensity(number), {wanted: 1.0})
+    symbol = METALS.get(key, wanted)
+    if symbol in _ELEMENTS:
+        number = xraylib.SymbolToAtomicNumber(symbol)
+        return Material(wanted, xraylib.ElementDensity(number), {symbol: 1.0})
     for name in xraylib.GetCompoundDataNISTList():
         if _key(name) == key:
             data = xraylib.GetCompoundDataNISTByName(name)
@@ -130,8 +131,8 @@ def material(description: str | Composition, origin: str = "material") -> Materi
 
 
 def material_names() -> tuple[str, ...]:
-    """Names that ``material`` knows: the built-in ones, then the compounds of NIST."""
-    return (*BUILT_IN, *xraylib.GetCompoundDataNISTList())
+    """Names that ``material`` knows: built-in ones, metals, then the compounds of NIST."""
+    return (*BUILT_IN, *METALS, *xraylib.GetCompoundDataNISTList())
 
 
 def _composed(composition: Composition) -> Material:
@@ -222,6 +223,14 @@ _TABLE: dict[str, tuple[float, dict[str, float]]] = {
     "peek": (1.32, {"H": 0.0419, "C": 0.7916, "O": 0.1665}),
 }
 _SYNONYMS = {"tooth": "enamel", "dentin": "dentine", "aluminum": "aluminium"}
+
+METALS: Mapping[str, str] = MappingProxyType(
+    {"copper": "Cu", "iron": "Fe", "nickel": "Ni", "zinc": "Zn", "tin": "Sn", "lead": "Pb"}
+    | {"magnesium": "Mg", "chromium": "Cr", "cobalt": "Co", "molybdenum": "Mo", "rhodium": "Rh"}
+    | {"silver": "Ag", "gold": "Au", "platinum": "Pt", "tungsten": "W", "tantalum": "Ta"}
+    | {"beryllium": "Be", "zirconium": "Zr", "niobium": "Nb"}
+)
+"""Elements by their names, at the density that xraylib has for them."""
 
 BUILT_IN: Mapping[str, Material] = MappingProxyType(
     {name: Material(name, *row) for name, row in _TABLE.items()}

@@ -65,7 +65,7 @@ class Chain:
         spot: points of the focal spot in the source frame's x and y, (points, 2), mm.
         samples: along each edge of a physical pixel.
         free: expected signal and its variance of a physical pixel in the free beam at the middle
-            of the reference view's panel, (2,).
+            of the first commanded view's panel, (2,).
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Chain:
         source: scenario.Source,
         detector: scenario.Detector,
         materials: Sequence[Material],
-        reference: ScanGeometry,
+        commanded: ScanGeometry,
         seed: int = 0,
     ) -> None:
         """Build what the sections name.
@@ -82,7 +82,7 @@ class Chain:
             source: spectrum, photon number.
             detector: everything behind the specimen.
             materials: of the path lengths, in their order.
-            reference: one view; sets the gain, and where flat images are taken once.
+            commanded: views; the first sets the gain, and where flat images are taken once.
             seed: every random draw is keyed by it.
 
         Raises:
@@ -97,8 +97,8 @@ class Chain:
         self._signal = Signal(spectrum, materials, build_response(detector))
         mas = source.mas if spectrum.absolute else 1.0
         self._scale = np.float32(mas * self.panel.pitch_u * self.panel.pitch_v)
-        self._reference = self.physical(reference)
-        at_middle = np.mean([_at_middle(seen) for seen in self.from_spot(reference)])
+        self._commanded = self.physical(commanded)
+        at_middle = np.mean([_at_middle(seen) for seen in self.from_spot(commanded[0])])
         self.free: Floats = self._signal.free * float(self._scale) * float(at_middle)
         self._kernel: ScatterKernel | None = None
         if detector.scatter is not None:
@@ -110,7 +110,8 @@ class Chain:
         self._readout, self._electronic = self._amplifier(detector.readout)
         self._flat_pattern: Image | None = None
         self._dark: Image | None = None
-        self._fixed_flat: Image | None = None
+        self._first_flat: Image | None = None
+        self._first_beam: Image | None = None
 
     def _amplifier(self, section: scenario.Readout | None) -> tuple[Readout, float]:
         """The readout, and the electronic noise of a physical pixel in grey values."""
@@ -184,7 +185,7 @@ class Chain:
         if self._electronic:
             signal = normal_noise(signal, self._electronic / self._readout.gain, rng)
         raw = self._readout.read(_binned(signal, self._detector.binning))
-        flat, dark = self._flat(view), self._dark_image()
+        flat, dark = self._flat(view, index), self._dark_image()
         transmission = correct(raw, flat, dark, self._floor())
         bad = self._bad
         raw = np.where(bad, np.float32(0), raw) if bad.any() else raw
@@ -213,16 +214,23 @@ class Chain:
             signal = normal_noise(signal, sigma, rng)
         return signal
 
-    def _flat(self, view: ScanGeometry) -> Image:
+    def _flat(self, view: ScanGeometry, index: int) -> Image:
         """The flat image: normal noise, as of many photons, with one pattern for the whole scan."""
-        if self._detector.correction.flat_geometry == "first":
-            if self._fixed_flat is None:
-                self._fixed_flat = self._flat_at(self._reference)
-            return self._fixed_flat
-        return self._flat_at(view)
+        way, commanded = self._detector.correction.flat_geometry, self._commanded
+        if way == "view":
+            return self._flat_at(self._free_beam(view))
+        if self._first_flat is None or self._first_beam is None:
+            self._first_beam = self._free_beam(commanded[0])
+            self._first_flat = self._flat_at(self._first_beam)
+        if way == "first" or index == 0:
+            return self._first_flat
+        here = commanded[index] if index < len(commanded) else view
+        scale = _binned(self._free_beam(here) / self._first_beam, self._detector.binning)
+        dark = self._dark_image()
+        return dark + (self._first_flat - dark) * scale
 
-    def _flat_at(self, view: ScanGeometry) -> Image:
-        detector, frames = self._detector, self._detector.correction.flat_frames
+    def _free_beam(self, view: ScanGeometry) -> Image:
+        """Fall-off at each physical pixel."""
         # From every point of the spot, as the views: what a spot off its centre does must cancel.
         first, *others = self.from_spot(view)
         beam = _binned(fall_off(first, self.samples), self.samples)
@@ -230,6 +238,10 @@ class Chain:
             beam += _binned(fall_off(seen, self.samples), self.samples)
         if others:
             beam /= np.float32(len(self.spot))
+        return beam
+
+    def _flat_at(self, beam: Image) -> Image:
+        detector, frames = self._detector, self._detector.correction.flat_frames
         factor = self._signal.free.astype(np.float32) * self._scale
         signal = beam * factor[0]
         if self._spread is not None:

@@ -28,7 +28,7 @@ Placed = tuple[ScanGeometry, Pose]
 
 
 _NEAREST_MM = 150.0
-"""Distance from source to specimen where no reference view tells it."""
+"""Distance from source to specimen where no commanded view tells it."""
 
 
 def prepare_engine() -> None:
@@ -57,7 +57,7 @@ class Imager:
         detector: Detector,
         specimen: BuiltSpecimen,
         *,
-        reference: ScanGeometry | None = None,
+        commanded: ScanGeometry | None = None,
         seed: int = 0,
     ) -> None:
         """Upload the specimen.
@@ -66,8 +66,9 @@ class Imager:
             source: the photons.
             detector: gives the panel that every view must have, and what it makes of photons.
             specimen: parts that do not overlap, closed meshes in mm, in the specimen's frame.
-            reference: one view that sets the detector's gain, such as the scan's first commanded
-                one; the first view rendered where None.
+            commanded: the views of the scan. The first sets the detector's gain and has the flat
+                image, which each scales; the first view rendered where None. A view beyond them
+                counts as commanded where it is.
             seed: keys the noise, with the index of the view.
 
         Raises:
@@ -79,11 +80,11 @@ class Imager:
         """
         self.panel = detector.panel
         self._source, self._detector, self._seed = source, detector, seed
-        self._reference = reference
+        self._commanded = commanded
         self._paths: PathRenderer | None = None
         self._chain: Chain | None = None
         self._open = False
-        edge = longest_edge(_nearest_mm(specimen, reference))
+        edge = longest_edge(_nearest_mm(specimen, commanded))
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
             bodies = _bodies(specimen, source.energy_kev, edge)
             self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
@@ -92,8 +93,8 @@ class Imager:
             corners = np.array([part.mesh.bounds for part in specimen.parts])
             self._centre = (corners[:, 0].min(axis=0) + corners[:, 1].max(axis=0)) / 2
             self._materials = tuple(dict.fromkeys(part.material for part in specimen.parts))
-            if reference is not None:  # now, so that what is wrong with a file is said at once
-                self._chain = self._new_chain(reference)
+            if commanded is not None:  # now, so that what is wrong with a file is said at once
+                self._chain = self._new_chain(commanded)
             self._paths = PathRenderer(
                 [Body(part.mesh, part.material, part.name) for part in specimen.parts],
                 physical_panel(detector),
@@ -114,7 +115,7 @@ class Imager:
 
         Returns:
             Transmission I/I0 as the flat and dark images give it, (rows, columns); 1 in the free
-            beam, but for noise.
+            beam, but for noise and for what the view is off the place of its flat image.
 
         Raises:
             ValueError: not one view, or another panel.
@@ -129,7 +130,7 @@ class Imager:
         """Take one view while things move: the mean over the instants of the path.
 
         Args:
-            path: instants of equal duration, at least one; flat images are taken at the middle one.
+            path: instants of equal duration, at least one; the middle one is where the view was.
             view: index of the view, which keys its noise.
             before: where the last view was taken, whose signal lags; none in the first view.
 
@@ -158,7 +159,7 @@ class Imager:
             raise ValueError("an ideal source and detector give a transmission and nothing else")
         middle = path[len(path) // 2][0]
         if self._chain is None:
-            self._chain = self._new_chain(self._reference or middle)
+            self._chain = self._new_chain(self._commanded or middle)
         chain = self._chain
         last = None
         if self._detector.lag and before is not None:
@@ -181,8 +182,8 @@ class Imager:
                 chain.add(self._paths.render(seen, world_from_object), seen, expected, share)
         return expected
 
-    def _new_chain(self, reference: ScanGeometry) -> Chain:
-        return Chain(self._source, self._detector, self._materials, reference, self._seed)
+    def _new_chain(self, commanded: ScanGeometry) -> Chain:
+        return Chain(self._source, self._detector, self._materials, commanded, self._seed)
 
     def _ideal(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
         view = world_from_object.inverse() @ geometry
@@ -219,14 +220,14 @@ class Imager:
                 self.close()
 
 
-def _nearest_mm(specimen: BuiltSpecimen, reference: ScanGeometry | None) -> float:
+def _nearest_mm(specimen: BuiltSpecimen, commanded: ScanGeometry | None) -> float:
     """From the source to the nearest of the specimen, about; never 0."""
-    if reference is None or not specimen.parts:
+    if commanded is None or not specimen.parts:
         return _NEAREST_MM
     corners = np.array([part.mesh.bounds for part in specimen.parts])
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     centre = specimen.world_from_specimen.apply((low + high) / 2)
-    distance = float(np.linalg.norm(reference.source[0] - centre))
+    distance = float(np.linalg.norm(commanded.source[0] - centre))
     return max(distance - float(np.linalg.norm(high - low)) / 2, distance / 10)
 
 
