@@ -42,7 +42,7 @@ def test_a_package_that_fails_on_import_is_bad_input_before_any_work(
     (tmp_path / module / "__init__.py").write_text("raise OSError('libspdlog.so.1.12 is gone')")
     paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
     out = tmp_path / "out"
-    command = ["run", str(DEMO), "--out", str(out), "--set", "reconstruction.engine=rtk"]
+    command = ["run", str(DEMO), "--out", str(out), "--set", "reconstruction.algorithm=rtk_sart"]
     done = subprocess.run(
         [sys.executable, "-m", "twinct", *command],
         capture_output=True,

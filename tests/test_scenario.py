@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import pickle
 from pathlib import Path
 
 import pytest
+import yaml
 
 from twinct.errors import ScenarioError
 from twinct.scenario import load_scenario, parse_scenario, scenario_schema
@@ -187,8 +190,6 @@ def test_digest_follows_what_a_scan_depends_on(tmp_path: Path) -> None:
 
 
 def test_resolved_scenario_reads_back() -> None:
-    import json
-
     scenario = load_scenario(DEMO)
     assert parse_scenario(json.loads(scenario.resolved())) == scenario
 
@@ -200,20 +201,128 @@ def test_schema_allows_extends_and_refuses_unknown_keys() -> None:
     assert schema["$defs"]["Detector"]["properties"]["columns"]["description"]
 
 
-def test_reconstruction_keys_that_exclude_each_other() -> None:
-    assert "algorithm sart only, not sirt" in problems(
-        "reconstruction.engine=rtk", "reconstruction.algorithm=sirt"
+def test_subsets_are_at_most_the_views() -> None:
+    text = problems("reconstruction.algorithm=os_sart", "reconstruction.subsets=101")
+    assert "subsets (101) must be at most trajectory.views (100)" in text
+
+
+def test_an_algorithm_in_words_is_its_keys_and_the_corrections() -> None:
+    def words(*keys: str) -> str:
+        overrides = [TUBE, *(f"reconstruction.{key}" for key in keys)]
+        return load_scenario(DEMO, overrides).reconstruction.in_words
+
+    assert words() == "sart, 10 iterations, relaxation 0.3, order golden"
+    assert words("algorithm=fista_tv", "subsets=4") == (
+        "fista_tv, 10 iterations, regularisation 0.0001, subsets 4, weighting uniform, "
+        "tv steps 10, nonnegative"
     )
-    assert "not possible with cgls" in problems(
-        "reconstruction.algorithm=cgls", "reconstruction.nonnegative=true"
+    assert words("algorithm=fdk", "beam_hardening={kind: one_material}") == (
+        "fdk, window ramp, beam hardening of one material"
     )
-    assert "subsets (101) must be at most trajectory.views (100)" in problems(
-        "reconstruction.subsets=101"
+
+
+def test_a_key_of_another_algorithm_is_refused_where_its_own_was_chosen(tmp_path: Path) -> None:
+    both = ["reconstruction.relaxation=0.5", "reconstruction.algorithm=cgls"]
+    for overrides in (both, both[::-1]):
+        text = problems(*overrides)
+        assert text.startswith(f"--set {both[0]}: reconstruction.relaxation: cgls has no such key")
+        assert "sart, os_sart, sirt, rtk_sart have it" in text
+        assert len(text.splitlines()) == 1
+    assert "sart has no such key, but fdk has it" in problems("reconstruction.window=hann")
+    file, later = tmp_path / "fdk.yaml", tmp_path / "later.yaml"
+    file.write_text(f"extends: {DEMO}\nreconstruction:\n  algorithm: fdk\n  iterations: 3\n")
+    assert problems(path=file).startswith(f"{file}:4: reconstruction.iterations: fdk has no such")
+    file.write_text(f"extends: {DEMO}\nreconstruction: {{algorithm: fdk}}\n")
+    later.write_text("extends: fdk.yaml\nreconstruction:\n  order: random\n")
+    assert problems(path=later).startswith(f"{later}:3: reconstruction.order: fdk has no such key")
+    # Neither is the file that chose the same algorithm excused.
+    file.write_text(f"extends: {DEMO}\nreconstruction: {{algorithm: sart, window: hann}}\n")
+    later.write_text("extends: fdk.yaml\nreconstruction:\n  algorithm: sart\n")
+    assert problems(path=later).startswith(f"{file}:2: reconstruction.window: sart has no such key")
+
+
+def test_another_algorithm_leaves_inherited_keys_it_lacks_and_keeps_the_rest(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    base, file = tmp_path / "base.yaml", tmp_path / "mine.yaml"
+    base.write_text(
+        f"extends: {DEMO}\nreconstruction:\n  iterations: 7\n  relaxation: 0.5\n"
+        "  geometry: executed\n  surroundings: {margin_mm: 9, voxel_mm: 4}\n"
     )
-    assert "algorithm" in problems("reconstruction.algorithm=ossart")
-    words = load_scenario(DEMO, ["reconstruction.algorithm=fista_tv"]).reconstruction.in_words
-    assert words.startswith("fista_tv, 10 iterations, regularisation 0.0001, weighting uniform")
-    assert "non-negative" in words
+    file.write_text("extends: base.yaml\nreconstruction: {algorithm: fista_tv, subsets: 4}\n")
+    by_file = load_scenario(file).reconstruction
+    place = f"{base}:4: reconstruction.relaxation is of sart and left out: fista_tv has no such key"
+    assert [record.getMessage() for record in caplog.records] == [place]
+    by_override = load_scenario(base, ["reconstruction.algorithm=fista_tv"]).reconstruction
+    for section in (by_file, by_override):
+        assert section.algorithm == "fista_tv"
+        # A number of iterations that somebody chose stays, as all keys that both have.
+        assert section.model_dump()["iterations"] == 7
+        assert section.geometry == "executed"
+        assert section.grid.volume_grid.shape == (128, 128, 128)
+        assert section.surroundings is not None and section.surroundings.margin_mm == 9
+    assert load_scenario(base, ["reconstruction.algorithm=sart"]).reconstruction == (
+        load_scenario(base).reconstruction
+    )
+
+
+def test_the_engine_is_an_algorithm_now() -> None:
+    text = problems("reconstruction.engine=rtk")
+    assert text == (
+        "--set reconstruction.engine=rtk: reconstruction.engine: there is no such key any more: "
+        "use algorithm: rtk_sart"
+    )
+    assert "any more: leave it out" in problems("reconstruction.engine=twinct")
+    text = problems("reconstruction.algorithm=ossart")
+    assert text.startswith(
+        "--set reconstruction.algorithm=ossart: reconstruction.algorithm: algorithm 'ossart' is "
+        "not one of 'sart', 'os_sart'"
+    )
+    assert text.endswith("; did you mean 'os_sart'?")
+
+
+FLAT = {
+    "algorithm": "sart", "engine": "twinct", "iterations": 4, "relaxation": 0.4,
+    "order": "random", "subsets": None, "regularisation": 1e-4, "weighting": "uniform",
+    "tv_steps": 10, "window": "ramp", "nonnegative": None, "surroundings": None,
+    "beam_hardening": None, "geometry": "believed",
+    "grid": {
+        "voxels": 32, "voxel_mm": 5.0, "centre_mm": [0, 0, 0], "rotation_deg": [0, 0, 0]
+    },
+}  # fmt: skip
+"""What version 0.1 wrote of a reconstruction into its results: every key, with its default."""
+
+
+@pytest.mark.parametrize(
+    ("changes", "today"),
+    [
+        ({}, {"algorithm": "sart", "iterations": 4, "relaxation": 0.4, "order": "random"}),
+        ({"engine": "rtk", "nonnegative": True}, {"algorithm": "rtk_sart", "nonnegative": True}),
+        ({"algorithm": "fista_tv"}, {"algorithm": "fista_tv", "nonnegative": True}),
+        ({"algorithm": "fdk", "window": "hann"}, {"algorithm": "fdk", "window": "hann"}),
+    ],
+)
+def test_a_scenario_of_version_0_1_is_read(tmp_path: Path, changes, today) -> None:
+    data = json.loads(load_scenario(DEMO).resolved()) | {"reconstruction": FLAT | changes}
+    file = tmp_path / "scenario.yaml"
+    file.write_text(yaml.safe_dump(data))
+    for scenario in (parse_scenario(data), load_scenario(file)):
+        section = scenario.reconstruction.model_dump()
+        assert {key: section[key] for key in today} == today
+        assert section["grid"]["voxels"] == 32
+    assert "engine" in data["reconstruction"]  # what was given stays as it was
+
+
+def test_a_scenario_can_be_sent_to_another_process() -> None:
+    scenario = load_scenario(DEMO, ["reconstruction.algorithm=fista_tv"])
+    assert pickle.loads(pickle.dumps(scenario)) == scenario
+
+
+def test_plain_data_can_be_overridden() -> None:
+    data = json.loads(load_scenario(DEMO).resolved())
+    assert load_scenario(data, ["trajectory.views=3"]).trajectory.views == 3
+    with pytest.raises(ScenarioError, match="trajectory.views: must be a whole number"):
+        load_scenario(data, ["trajectory.views=x"])
 
 
 TUBE = "source.spectrum={kind: tube, kvp: 90}"
@@ -292,6 +401,7 @@ def test_conflicts_of_several_sections_are_all_told() -> None:
     text = problems(
         "detector.noise={kind: quantum}",
         "reconstruction.beam_hardening={kind: one_material}",
+        "reconstruction.algorithm=os_sart",
         "reconstruction.subsets=500",
     )
     assert [line.split(": ", 1)[0] for line in text.splitlines()] == [

@@ -10,7 +10,8 @@ from typing import Any, Literal
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from twinct.scenario import Scenario
+from twinct.scenario import Reconstruction, Scenario
+from twinct.scenario.reconstruction import SECTIONS, own_keys
 
 PAGE = Path(__file__).parents[1] / "docs" / "scenario.md"
 
@@ -26,7 +27,9 @@ trajectory: {views: 100}
 ```
 
 `extends` merges mappings key by key and replaces everything else; a section of another `kind`
-starts afresh. `--set KEY=VALUE` on the command line overrides a key:
+starts afresh. Another `algorithm` keeps all keys that it has too, the number of iterations among
+them, and leaves out the others, which is logged; set where the algorithm is chosen, or later, they
+are refused. `--set KEY=VALUE` on the command line overrides a key:
 `--set specimen.parts.0.material=water`. Unknown keys are refused. Lengths are mm, angles degrees,
 and each key says so in its name. A `path` is relative to the file that names it.
 
@@ -103,12 +106,15 @@ def _write(
     rows = [f"## {title}\n", f"{(model.__doc__ or '').strip()}\n"]
     rows += ["| key | value | unit | default | meaning | source |", "|---|---|---|---|---|---|"]
     inner: list[tuple[type[BaseModel], str]] = []
-    for name, info in model.model_fields.items():
+    own = own_keys(model) if model in SECTIONS.values() else model.model_fields
+    for name in own:
+        info = model.model_fields[name]
         models = _models(info.annotation)
+        inner += [(Reconstruction, name)] * (name == "reconstruction")
         inner += [(m, f"{_title(title)}{name}{_kind(m)}") for m in models]
         facts: Any = info.json_schema_extra or {}
         rows.append(
-            f"| `{name}` | {_type(info.annotation, info.metadata)} | {_unit(name, facts)} "
+            f"| `{name}` | {_value(name, info)} | {_unit(name, facts)} "
             f"| {_default(info)} | {_meaning(name, info)} | {facts.get('x-source', '')} |"
         )
     for picture, caption in PICTURES.get(title, {}).items():
@@ -116,6 +122,12 @@ def _write(
     sections.append("\n".join(rows) + "\n")
     for other, name in inner:
         _write(other, name, sections, seen)
+
+
+def _value(name: str, info: Any) -> str:
+    if info is Reconstruction.model_fields.get(name) and name == "algorithm":
+        return " or ".join(f"`{name}`" for name in SECTIONS)
+    return _type(info.annotation, info.metadata)
 
 
 def _unit(name: str, facts: dict[str, Any]) -> str:
@@ -134,8 +146,10 @@ def _title(title: str) -> str:
 
 
 def _kind(model: type[BaseModel]) -> str:
-    info = model.model_fields.get("kind")
-    return f" (kind: {typing.get_args(info.annotation)[0]})" if info else ""
+    for tag in ("kind", "algorithm"):
+        if info := model.model_fields.get(tag):
+            return f" ({tag}: {typing.get_args(info.annotation)[0]})"
+    return ""
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:

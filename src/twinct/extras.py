@@ -23,7 +23,7 @@ _FOUND: dict[str, tuple[str, ...]] = {"xray": ("gvxrPython3",)}
 _CALLED = {"gvxrPython3": "gvxr", "itk": "itk-rtk"}
 """What pip calls a module, where the names differ."""
 
-_WAY_OUT = {"ros": "use --link local", "rtk": "use reconstruction.engine: twinct"}
+_WAY_OUT = {"ros": "use --link local", "rtk": "use reconstruction.algorithm: sart"}
 
 
 def require(*extras: str) -> None:

@@ -236,7 +236,7 @@ def test_what_cannot_be_done_is_refused_before_work(scenario: Scenario, workshop
     views = workshop.commanded
     require_feasible(scenario, views)
     with pytest.raises(InputError, match="fdk needs a circular scan"):
-        require_feasible(changed("reconstruction.algorithm=fdk"), views)
+        require_feasible(changed("reconstruction={algorithm: fdk}"), views)
     with pytest.raises(InputError, match="behind the source"):
         require_feasible(changed("reconstruction.grid.voxel_mm=30"), views)
     large = changed(
@@ -259,8 +259,7 @@ def test_fdk_reconstructs_what_the_arms_scanned_on_an_arc() -> None:
         [
             *TINY,
             "trajectory={kind: arc, views: 40, longitude_range_deg: 212}",
-            "reconstruction.algorithm=fdk",
-            "reconstruction.window=hann",
+            "reconstruction={algorithm: fdk, window: hann, grid: {voxels: 32, voxel_mm: 5}}",
         ],
     )
     workshop = Workshop(scenario)

@@ -1,7 +1,10 @@
-"""The algorithms of this package, by name."""
+"""All algorithms by name: those of this package, and those of others."""
 
 from __future__ import annotations
 
+from functools import cache
+
+from twinct.extensions import Offers, offers
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.cgls import CGLS
 from twinct.recon.fdk import FDK
@@ -14,3 +17,9 @@ from twinct.recon.sirt import SIRT
 BUILT_IN: dict[str, Algorithm] = {
     algorithm.name: algorithm for algorithm in (SART, OS_SART, SIRT, CGLS, FDK, FISTA_TV, RTK_SART)
 }
+
+
+@cache
+def algorithms() -> Offers[Algorithm]:
+    """Those that a scenario can name; looked up once in each process."""
+    return offers("twinct.algorithms", Algorithm, BUILT_IN)

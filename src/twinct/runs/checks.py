@@ -116,4 +116,4 @@ def require_extras(scenario: Scenario) -> None:
     Raises:
         InputError: naming the extra that brings it.
     """
-    require("robots", "xray", *(["rtk"] if scenario.reconstruction.engine == "rtk" else []))
+    require("robots", "xray", *(["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []))

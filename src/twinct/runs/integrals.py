@@ -50,7 +50,7 @@ def hardening_corrected(
         projector,
         Hardening(*known, [base], energy).correct(integrals),
         iterations=section.first_iterations,
-        relaxation=scenario.reconstruction.relaxation,
+        relaxation=getattr(scenario.reconstruction, "relaxation", 0.3),
     )
     low, high = base.mu_per_mm(energy), dense.mu_per_mm(energy)
     # From a quarter to three quarters of the step between them: noise counts as neither.

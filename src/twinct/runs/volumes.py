@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,22 +19,20 @@ from twinct.draws import view_rng
 from twinct.files.writing import complete, storage_errors
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.progress import SILENT, Progress
+from twinct.recon import Projector
+from twinct.recon.algorithm import Problem
+from twinct.recon.algorithms import algorithms
 from twinct.runs.integrals import hardening_corrected
 from twinct.scan import Scan
 from twinct.scenario import Reconstruction, Scenario
 
 if TYPE_CHECKING:
-    from twinct.recon import Callback, Step
+    from twinct.recon import Step
 
 log = logging.getLogger(__name__)
 
 DARKEST = 1e-7
 """Transmission taken for anything darker, so that a line integral stays finite (16.1)."""
-
-RESUMABLE = ("sart", "os_sart", "sirt")
-"""Algorithms that go on from a volume as if nothing had happened. Of the others, ``cgls`` and
-``fista_tv`` have directions and momentum beside the volume, and ``fdk`` no iterations: interrupted,
-they start again."""
 
 
 def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -61,10 +59,10 @@ def reconstruct(
         geometry: ``commanded``, ``executed`` or ``believed``; the scenario's first where None.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
         checkpoints: folder in which each iteration is kept, and from which a later call goes on;
-            see ``RESUMABLE``.
+            not for algorithms that cannot (``Algorithm.resumes``): they start again.
         watch: called after each iteration, also those of the call before, with its number from 1
             and the root mean square of p - A x, taken during it before each update; not for ``fdk``
-            and the engine ``rtk``, which have none.
+            and ``rtk_sart``, which have none.
         progress: told of each update.
 
     Returns:
@@ -81,85 +79,31 @@ def reconstruct(
     integrals = hardening_corrected(scan.scenario, line_integrals(scan.transmission), poses)
     if section.surroundings is not None:
         integrals = _without_surroundings(integrals, poses, section, mask, progress)
-    folder = checkpoints if section.algorithm in RESUMABLE and section.engine == "twinct" else None
+    algorithm = algorithms()[section.algorithm]
+    folder = checkpoints if algorithm.resumes else None
     kept = _Checkpoints(folder, f"{which}-{reconstruction_digest(scan.scenario)[:16]}")
     done, volume, residuals = kept.newest(grid)
     if watch is not None:
         for number, residual in enumerate(residuals, start=1):
             watch(number, residual)
-    if volume is not None and done >= section.iterations:
+    passes = getattr(section, "iterations", 1)
+    if volume is not None and done >= passes:
         return volume
-    updates = _updates(section, len(scan))
-    passes = 1 if section.algorithm == "fdk" else section.iterations
+    updates = algorithm.updates(section, len(scan))
     name = f"{section.algorithm}, {which} geometry"
     with progress.stage(name, passes * updates, done * updates) as tick:
         follow = _Follower(tick, kept, watch, done, residuals)
-        return _solve(scan, integrals, poses, grid, mask, volume, section.iterations - done, follow)
-
-
-def _solve(
-    scan: Scan,
-    integrals: NDArray[np.float32],
-    poses: ScanGeometry,
-    grid: VolumeGrid,
-    mask: ArrayLike | None,
-    x0: NDArray[np.float32] | None,
-    iterations: int,
-    callback: Callback,
-) -> NDArray[np.float32]:
-    from twinct import recon
-
-    section = scan.scenario.reconstruction
-    seed = view_rng(scan.scenario.seed, "order of views", 0)
-    common: dict[str, Any] = {"iterations": iterations, "x0": x0, "callback": callback}
-    positive = {"nonnegative": section.keeps_nonnegative}
-    relaxed = {"relaxation": section.relaxation} | positive
-    ordered = {"order": section.order, "rng": seed}
-    if section.engine == "rtk":
-        return recon.rtk_sart(integrals, poses, grid, **relaxed, **ordered, **common)
-    A = recon.Projector(poses, grid)
-    common["mask"] = mask
-    match section.algorithm:
-        case "sart":
-            return recon.sart(A, integrals, **relaxed, **ordered, **common)
-        case "os_sart":
-            return recon.os_sart(
-                A, integrals, subsets=_subsets(section, len(A)), **relaxed, **common
-            )
-        case "sirt":
-            return recon.sirt(A, integrals, **relaxed, **common)
-        case "cgls":
-            return recon.cgls(A, integrals, **common)
-        case "fdk":
-            window = section.window
-            return recon.fdk(A, integrals, window=window, mask=mask, callback=callback, **positive)
-        case "fista_tv":
-            return recon.fista_tv(
-                A,
-                integrals,
-                regularisation=section.regularisation,
-                subsets=_subsets(section, len(A)),
-                tv_steps=section.tv_steps,
-                weights=scan.transmission if section.weighting == "counts" else None,
-                **positive,
-                **common,
-            )
-
-
-def _subsets(section: Reconstruction, views: int) -> int:
-    return max(views // 10, 1) if section.subsets is None else section.subsets
-
-
-def _updates(section: Reconstruction, views: int) -> int:
-    """Updates in each pass."""
-    from twinct.recon.fdk import BLOCK
-
-    return {
-        "sart": views,
-        "os_sart": _subsets(section, views),
-        "fista_tv": _subsets(section, views),
-        "fdk": -(-views // BLOCK),
-    }.get(section.algorithm, 1)
+        problem = Problem(
+            Projector(poses, grid),
+            integrals,
+            scan.transmission,
+            mask=None if mask is None else np.asarray(mask),
+            x0=volume,
+            rng=view_rng(scan.scenario.seed, "order of views", 0),
+            callback=follow,
+        )
+        left = {"iterations": passes - done} if done else {}
+        return algorithm.solve(problem, section.model_copy(update=left))
 
 
 def _without_surroundings(
@@ -197,7 +141,7 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     Raises:
         InputError: no circular scan for fdk; or too little memory, with what is needed and there.
     """
-    from twinct.recon import Projector, memory
+    from twinct.recon import memory
     from twinct.recon.fdk import circular
 
     section = scenario.reconstruction
@@ -205,18 +149,20 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     Projector(commanded, grid)
     if section.algorithm == "fdk":
         circular(commanded)
-    algorithm = "rtk" if section.engine == "rtk" else section.algorithm
+    algorithm = algorithms()[section.algorithm]
     voxels, pixels = math.prod(grid.shape), len(commanded) * panel.rows * panel.columns
     # Beside what the algorithm takes: transmission and line integrals; the truth and its region,
     # and the first of several volumes.
-    needed = memory.peak_bytes(algorithm, voxels, pixels) + 8 * pixels + 5 * voxels
+    needed = int(4 * (algorithm.volumes * voxels + algorithm.projections * pixels))
+    needed += memory.SPARE_BYTES + 8 * pixels + 5 * voxels
     needed += 4 * voxels if len(section.geometries) > 1 else 0
     needed += 4 * pixels if section.surroundings else 0
     memory.refuse_if_short(
         needed,
-        f"{algorithm} with a grid of {grid.shape} voxels and {len(commanded)} views of "
+        f"{algorithm.name} with a grid of {grid.shape} voxels and {len(commanded)} views of "
         f"{panel.shape} pixels",
-        memory.advice(algorithm),
+        "use fewer or larger voxels, or fewer views or pixels"
+        + (", or sart, which needs 1 volume" if algorithm.volumes > 1 else ""),
     )
 
 

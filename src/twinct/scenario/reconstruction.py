@@ -1,23 +1,23 @@
-"""The section that says how a volume is made."""
+"""The section that says how a volume is made: what all algorithms share, and the keys of one."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
 from twinct.geometry import Pose, VolumeGrid
+from twinct.recon.algorithm import Algorithm
+from twinct.recon.algorithms import algorithms
 from twinct.scenario.beam_hardening import BeamHardening
-from twinct.settings import (
-    Conflict,
-    ConflictError,
-    Lengths,
-    NonNegative,
-    Positive,
-    Section,
-    Vector,
-    facts,
-)
+from twinct.settings import Lengths, Positive, Section, Vector, facts
+
+log = logging.getLogger(__name__)
+
+
+DEFAULT_ALGORITHM = "sart"
 
 
 class Grid(Section):
@@ -72,61 +72,12 @@ class Surroundings(Section):
 
 
 class Reconstruction(Section):
-    """From projections to a volume. A key that the algorithm does not use has no effect."""
+    """From projections to a volume: the keys that all algorithms share; each adds its own."""
 
-    algorithm: Literal["sart", "os_sart", "sirt", "cgls", "fdk", "fista_tv"] = Field(
-        default="sart",
+    algorithm: str = Field(
+        default=DEFAULT_ALGORITHM,
         description="docs/reconstruction.md says which for what.",
         json_schema_extra=facts(source="the paper"),
-    )
-    engine: Literal["twinct", "rtk"] = Field(
-        default="twinct",
-        description="rtk is the independent cross-check of sart; it needs the extra rtk.",
-    )
-    iterations: int = Field(
-        default=10,
-        ge=1,
-        le=10_000,
-        description="Passes over all views; not for fdk.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    relaxation: float = Field(
-        default=0.3,
-        gt=0,
-        lt=2,
-        description="For sart, os_sart and sirt.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    order: Literal["golden", "sequential", "random", "weighted_distance"] = Field(
-        default="golden",
-        description="Order of the views, for sart.",
-        json_schema_extra=facts(source="weighted_distance: Mueller, Yagel and Cornhill 1997"),
-    )
-    subsets: int | None = Field(
-        default=None,
-        ge=1,
-        description="Groups of views, for os_sart and fista_tv; one for each 10 views by default.",
-    )
-    regularisation: NonNegative = Field(
-        default=1e-4,
-        description="Strength of the total variation, for fista_tv: a pure number that means the "
-        "same for any number of views, pixels or voxels.",
-    )
-    weighting: Literal["uniform", "counts"] = Field(
-        default="uniform",
-        description="Weight of each pixel, for fista_tv; counts: its transmission, for Poisson "
-        "noise.",
-    )
-    tv_steps: int = Field(
-        default=10, ge=1, le=1000, description="Steps of the denoising in each update of fista_tv."
-    )
-    window: Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"] = Field(
-        default="ramp", description="Window of the ramp filter of fdk, from sharp to smooth."
-    )
-    nonnegative: bool | None = Field(
-        default=None,
-        description="Whether no voxel falls below 0; by default so for fista_tv only. Not for "
-        "cgls.",
     )
     surroundings: Surroundings | None = Field(
         default=None, description="Take out what lies around the grid first."
@@ -148,52 +99,90 @@ class Reconstruction(Section):
             raise ValueError("geometry must name at least one geometry, each once")
         return self
 
-    @model_validator(mode="after")
-    def _possible(self) -> Reconstruction:
-        if self.engine == "rtk" and self.algorithm != "sart":
-            message = f"engine rtk has the algorithm sart only, not {self.algorithm}"
-            raise ConflictError(Conflict(message, ("engine", "algorithm")))
-        if self.algorithm == "cgls" and self.nonnegative:
-            message = "nonnegative is not possible with cgls: use sirt or fista_tv"
-            raise ConflictError(Conflict(message, ("nonnegative", "algorithm")))
-        return self
-
     @property
     def geometries(self) -> tuple[GeometryName, ...]:
         """Always a tuple."""
         return self.geometry if isinstance(self.geometry, tuple) else (self.geometry,)
 
     @property
-    def keeps_nonnegative(self) -> bool:
-        """Whether no voxel may fall below 0."""
-        return self.algorithm == "fista_tv" if self.nonnegative is None else self.nonnegative
-
-    @property
     def in_words(self) -> str:
-        """Algorithm and the parameters it uses, in one line."""
-        name = self.algorithm if self.engine == "twinct" else f"{self.algorithm} ({self.engine})"
-        used = {
-            "sart": ("iterations", "relaxation", "order"),
-            "os_sart": ("iterations", "relaxation", "subsets"),
-            "sirt": ("iterations", "relaxation"),
-            "cgls": ("iterations",),
-            "fdk": ("window",),
-            "fista_tv": ("iterations", "regularisation", "subsets", "weighting"),
-        }[self.algorithm]
-        values = {key: getattr(self, key) for key in used}
-        words = [
-            f"{value} iterations"
-            if key == "iterations"
-            else f"{key} {value:g}"
-            if isinstance(value, float)
-            else f"{key} {value}"
-            for key, value in values.items()
-            if value is not None
-        ]
-        if self.keeps_nonnegative:
-            words.append("non-negative")
+        """Algorithm, the keys of its own and the corrections, in one line."""
+        words = [self.algorithm]
+        words += [_in_words(key, getattr(self, key)) for key in own_keys(type(self))]
         if self.beam_hardening:
             words.append(f"beam hardening of {self.beam_hardening.kind.replace('_', ' ')}")
         if self.surroundings:
             words.append(f"surroundings of {self.surroundings.margin_mm:g} mm taken out")
-        return ", ".join([name, *words])
+        return ", ".join(filter(None, words))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """By name: where this is read again, its class is made anew."""
+        return _restored, (self.model_dump(),)
+
+
+def _in_words(key: str, value: Any) -> str:
+    if value is None or value is False:
+        return ""
+    if key == "iterations":
+        return f"{value} iterations"
+    name = key.replace("_", " ")
+    if value is True:
+        return name
+    if isinstance(value, Path):
+        return f"{name} {value.name}"
+    return f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+
+
+def own_keys(section: type[Section]) -> list[str]:
+    """Keys that a section has because of its algorithm."""
+    return [key for key in section.model_fields if key not in Reconstruction.model_fields]
+
+
+def _with_settings(algorithm: Algorithm) -> type[Reconstruction]:
+    settings = algorithm.settings
+    common = set(settings.model_fields) & set(Reconstruction.model_fields) - {"algorithm"}
+    if common:
+        raise ValueError(f"{', '.join(sorted(common))}: a key of every algorithm")
+    name: Any = settings.model_fields["algorithm"].annotation
+    section: Any = create_model(
+        f"{settings.__name__}Reconstruction",
+        __base__=(Reconstruction, settings),
+        __doc__=settings.__doc__,
+        algorithm=(name, Field(default=algorithm.name, description="Which algorithm it is.")),
+    )
+    return section
+
+
+def _sections() -> tuple[dict[str, type[Reconstruction]], dict[str, str]]:
+    """The section of each algorithm, and what is wrong with those that cannot be chosen."""
+    sections, broken = dict[str, type[Reconstruction]](), dict(algorithms().broken)
+    for name, algorithm in algorithms().items():
+        try:
+            sections[name] = _with_settings(algorithm)
+        except Exception as error:  # its settings come from anywhere
+            broken[name] = f"the settings of {name!r} cannot be used: {error}"
+            log.warning(broken[name])
+    return sections, broken
+
+
+SECTIONS, BROKEN_ALGORITHMS = _sections()
+
+
+def _named(value: Any) -> str:
+    """The algorithm that a section or its plain data names."""
+    if isinstance(value, dict):
+        return str(value.get("algorithm", DEFAULT_ALGORITHM))
+    return str(getattr(value, "algorithm", DEFAULT_ALGORITHM))
+
+
+def _restored(data: dict[str, Any]) -> Reconstruction:
+    return SECTIONS[_named(data)].model_validate(data)
+
+
+if TYPE_CHECKING:
+    AnyReconstruction = Reconstruction
+else:
+    AnyReconstruction = Annotated[
+        Union[tuple(Annotated[section, Tag(name)] for name, section in SECTIONS.items())],  # noqa: UP007
+        Discriminator(_named),
+    ]

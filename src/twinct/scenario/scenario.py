@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from twinct.scenario.cell import Cell
 from twinct.scenario.detector import Detector
 from twinct.scenario.motion import Motion
-from twinct.scenario.reconstruction import Reconstruction
+from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
 from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import CtVolume, MeshFile, Specimen
 from twinct.scenario.trajectory import FileTrajectory, Trajectory
@@ -36,8 +36,9 @@ class Scenario(Section):
     uncertainty: Uncertainty = Field(
         default=Uncertainty(), description="What the reported poses are off by."
     )
-    reconstruction: Reconstruction = Field(
-        default=Reconstruction(), description="How the volume is made."
+    reconstruction: AnyReconstruction = Field(
+        default=SECTIONS[DEFAULT_ALGORITHM].model_validate({}),
+        description="How the volume is made.",
     )
 
     @model_validator(mode="after")
@@ -60,7 +61,7 @@ class Scenario(Section):
 
     def _subsets(self) -> Conflict | None:
         views = getattr(self.trajectory, "views", None)
-        subsets = self.reconstruction.subsets
+        subsets = getattr(self.reconstruction, "subsets", None)
         if views is None or subsets is None or subsets <= views:
             return None
         return Conflict(

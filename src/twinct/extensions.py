@@ -1,0 +1,78 @@
+"""What other distributions add: found by their entry points, alike in every process."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import Protocol, TypeVar
+
+log = logging.getLogger(__name__)
+
+
+class Named(Protocol):
+    """What says by which name a scenario calls it."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        ...
+
+
+T = TypeVar("T", bound=Named)
+
+
+class Offers(dict[str, T]):
+    """What there is to choose from, by name, the built-in ones first.
+
+    Attributes:
+        broken: names that cannot be chosen, each with its distribution and what is wrong.
+    """
+
+    def __init__(self, built_in: Mapping[str, T]) -> None:
+        """Start with what this package has."""
+        super().__init__(built_in)
+        self.broken: dict[str, str] = {}
+
+
+def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
+    """What this package and all other distributions offer.
+
+    What cannot be loaded, is something else, or has a name that is taken is logged and left out:
+    it must not stop those who do not use it.
+
+    Args:
+        group: of entry points; each one's name is the name of what it leads to.
+        kind: what they must lead to.
+        built_in: of this package, by name; nobody else may take these names.
+    """
+    found = Offers(built_in)
+    points = entry_points(group=group)
+    for point in points:
+        try:
+            rivals = {_owner(other) for other in points.select(name=point.name)}
+            if point.name in built_in:
+                raise ValueError("twinct itself has one of that name")
+            if len(rivals) > 1:
+                raise ValueError(f"several offer one of that name: {', '.join(sorted(rivals))}")
+            found[point.name] = _checked(point.load(), kind, point.name)
+        except Exception as error:  # a foreign module may fail in whatever way it likes
+            reason = f"{type(error).__name__}: {error}"
+            reason = f"{point.name!r} of {_owner(point)} cannot be used: {reason}"
+            log.warning("%s: %s", group, reason)
+            if point.name not in built_in:
+                found.broken[point.name] = reason
+    return found
+
+
+def _checked(loaded: object, kind: type[T], name: str) -> T:
+    if not isinstance(loaded, kind):
+        raise TypeError(f"it leads to {type(loaded).__name__}, not to {kind.__name__}")
+    if loaded.name != name:
+        raise ValueError(f"it calls itself {loaded.name!r}")
+    return loaded
+
+
+def _owner(point: EntryPoint) -> str:
+    dist = point.dist
+    return f"{dist.name} {dist.version}" if dist else point.value

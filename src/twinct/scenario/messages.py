@@ -1,0 +1,194 @@
+"""What is wrong with a scenario: one clear sentence for each problem."""
+
+from __future__ import annotations
+
+import difflib
+import typing
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, ValidationError
+
+from twinct.scenario.reading import Draft, Key, key_of
+from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
+from twinct.scenario.scenario import Scenario
+from twinct.scenario.version_0_1 import advice
+from twinct.settings import Conflict, ConflictError
+
+TAGS = ("kind", "algorithm")
+"""Keys that say which of several sections it is."""
+
+
+def problems(draft: Draft, error: ValidationError) -> list[str]:
+    """One sentence a problem: of a union's branches only those that the value could have meant."""
+    found: dict[Key, list[tuple[bool, str]]] = {}
+    conflicts: list[str] = []
+    for detail in error.errors():
+        key, model, others = _plain_key(detail["loc"], draft.data)
+        cause = detail.get("ctx", {}).get("error")
+        if isinstance(cause, ConflictError):
+            conflicts += (_blamed(draft, key, conflict) for conflict in cause.conflicts)
+            continue
+        if detail["type"] == "union_tag_invalid":
+            key = (*key, *(tag for tag in TAGS if _exists(draft.data, [*key, tag])))
+        wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
+        found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model, others)))
+    sentences = []
+    for key, parts in found.items():
+        deeper = any(len(other) > len(key) and other[: len(key)] == key for other in found)
+        meant = [text for wrong_shape, text in parts if not wrong_shape]
+        if not meant and not deeper:
+            meant = [text for _, text in parts]
+        if meant:
+            sentences.append(place(draft, key) + " or ".join(dict.fromkeys(meant)))
+    return sentences + conflicts
+
+
+def _blamed(draft: Draft, section: Key, conflict: Conflict) -> str:
+    """A conflict at the place of the last of its keys that was set."""
+    origin = draft.last_origin((*section, *key_of(key)) for key in conflict.keys)
+    return _prefix(origin, section) + conflict.message
+
+
+def place(draft: Draft, key: Key) -> str:
+    """How a message about a key begins: who set it, and its name."""
+    return _prefix(draft.origin(key), key)
+
+
+def _prefix(origin: str, key: Key) -> str:
+    return (f"{origin}: " if origin else "") + (".".join(map(str, key)) + ": " if key else "")
+
+
+_PLAIN = {
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "float_type": "must be a number",
+    "finite_number": "must be a finite number",
+    "string_type": "must be text",
+    "bool_type": "must be true or false",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "path_type": "must be the name of a file",
+    "dict_type": "must be a mapping of names to values",
+    "model_type": "must be a section of keys and values",
+    "model_attributes_type": "must be a section of keys and values",
+}
+"""What pydantic's kinds of error mean to a user."""
+
+
+class _Place(NamedTuple):
+    """Where in the models a problem is.
+
+    Attributes:
+        key: without the tags and names of union branches.
+        model: the section there.
+        others: that it could have been instead, by their tags.
+    """
+
+    key: Key
+    model: type[BaseModel] | None
+    others: list[type[BaseModel]]
+
+
+def _sentence(
+    detail: Any, key: Key, model: type[BaseModel] | None, others: list[type[BaseModel]]
+) -> str:
+    kind, given = detail["type"], detail["input"]
+    if kind == "extra_forbidden":
+        if gone := advice(key, given):
+            return gone
+        known = list(model.model_fields) if model else []
+        if having := [str(_tag(other)) for other in others if key[-1] in other.model_fields]:
+            has = "has" if len(having) == 1 else "have"
+            return (
+                f"{model and _tag(model)} has no such key, but {', '.join(having)} {has} it "
+                f"(known: {', '.join(known)})"
+            )
+        near = difflib.get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        if "." in str(key[-1]):
+            hint = "; a file nests its keys, dots are for --set"
+        return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
+    if kind == "missing":
+        return "this key is needed and missing"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        if "tag" not in detail["ctx"]:
+            return "this key needs a 'kind'"
+        given, allowed = detail["ctx"]["tag"], detail["ctx"]["expected_tags"]
+        if given in BROKEN_ALGORITHMS and key[-1] == "algorithm":
+            return BROKEN_ALGORITHMS[given]
+        near = difflib.get_close_matches(given, allowed.replace("'", "").split(", "), n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        return f"{key[-1]} {given!r} is not one of {allowed}{hint}"
+    if kind in ("too_short", "too_long"):
+        limit = detail["ctx"].get("min_length", detail["ctx"].get("max_length"))
+        side = "at least" if kind == "too_short" else "at most"
+        has = len(given) if isinstance(given, list | tuple) else detail["ctx"]["actual_length"]
+        return f"must have {side} {limit} {'entry' if limit == 1 else 'entries'}, but has {has}"
+    if kind in _PLAIN:
+        return f"{_PLAIN[kind]}, but is {'empty' if given is None else repr(given)}"
+    message = detail["msg"].removeprefix("Value error, ")
+    message = message.replace("Input should be", "must be")
+    return message if kind == "value_error" else f"{message}, but is {given!r}"
+
+
+def _plain_key(location: tuple[str | int, ...], data: Any) -> _Place:
+    """Drop from a pydantic location what is no key: tags and names of union branches."""
+    key: list[str | int] = []
+    annotation: Any = Scenario
+    model: type[BaseModel] | None = Scenario
+    others: list[type[BaseModel]] = []
+    for step in location:
+        models = _models(annotation)
+        tag = next((m for m in models if _tag(m) == step), None)
+        if tag is not None and len(models) > 1:
+            annotation, model, others = tag, tag, models
+            continue
+        if isinstance(step, int):
+            key.append(step)
+            annotation = _item(annotation)
+            continue
+        owner = models[0] if models else None
+        if owner is not None and step in owner.model_fields:
+            key.append(step)
+            model, annotation, others = owner, owner.model_fields[step].annotation, []
+            continue
+        if owner is not None and _exists(data, [*key, step]):
+            key.append(step)
+            model = owner
+            continue
+        if step in _names(annotation):
+            annotation = next(m for m in models if m.__name__ == step)
+            model = annotation
+    return _Place(tuple(key), model, others)
+
+
+def _exists(data: Any, key: list[str | int]) -> bool:
+    for step in key:
+        try:
+            data = data[step]
+        except (KeyError, IndexError, TypeError):
+            return False
+    return True
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for arg in typing.get_args(annotation) for m in _models(arg)]
+
+
+def _names(annotation: Any) -> list[str]:
+    return [m.__name__ for m in _models(annotation)]
+
+
+def _item(annotation: Any) -> Any:
+    for arg in typing.get_args(annotation):
+        if arg is not Ellipsis and _models(arg):
+            return arg
+    return None
+
+
+def _tag(model: type[BaseModel]) -> str | None:
+    """What the key ``kind`` or ``algorithm`` says of a section that is one of several."""
+    infos = (model.model_fields[tag] for tag in TAGS if tag in model.model_fields)
+    return next((str(typing.get_args(info.annotation)[0]) for info in infos), None)

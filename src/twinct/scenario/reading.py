@@ -1,0 +1,257 @@
+"""From YAML files and overrides to merged plain data that knows who set which key."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from twinct.errors import ScenarioError
+from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
+from twinct.scenario.version_0_1 import upgraded
+
+Key = tuple[str | int, ...]
+
+DEEPEST = 20
+"""Levels that a scenario may be nested; its own sections need six."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as scientists write it: 1e-3 is a number too, which YAML 1.1 takes for text."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
+
+
+@dataclass
+class Draft:
+    """Merged raw data, and for each key the place that set it, in the order of setting.
+
+    A section counts as set by the last file or override that set one of its keys: what is wrong
+    with a section as a whole became so there.
+    """
+
+    data: dict[str, Any] = field(default_factory=dict)
+    origins: dict[Key, str] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+    """One sentence for each key that went with the algorithm it belonged to."""
+
+    def origin(self, key: Key) -> str:
+        """The place that set a key, or the nearest key around it."""
+        while key and key not in self.origins:
+            key = key[:-1]
+        return self.origins.get(key, "")
+
+    def record(self, places: Mapping[Key, str]) -> None:
+        """Note who set what, after all that was set before."""
+        for key, place in places.items():
+            self.origins.pop(key, None)
+            self.origins[key] = place
+
+    def forget(self, key: Key) -> None:
+        """Drop who set a key and all below it."""
+        self.origins = {k: v for k, v in self.origins.items() if k[: len(key)] != key}
+
+    def last_origin(self, keys: Iterable[Key]) -> str:
+        """The place that set the last of some keys; of the section around them if it set none."""
+        keys = list(keys)
+        order = {key: rank for rank, key in enumerate(self.origins)}
+        return self.origin(max(keys, key=lambda key: order.get(key, -1)))
+
+
+def drafted(source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()) -> Draft:
+    """All that a scenario sets: its file and those it extends, or plain data, then overrides.
+
+    Raises:
+        ScenarioError: what cannot be read, or an override that leads nowhere.
+    """
+    if isinstance(source, Mapping):
+        draft = Draft(upgraded(_absolute_paths(dict(source))))
+    else:
+        draft = _read(Path(source), ())
+    for override in overrides:
+        _apply_override(draft, override)
+    return draft
+
+
+def key_of(dotted: str) -> Key:
+    """A dotted key, step by step."""
+    return tuple(int(step) if step.isdigit() else step for step in dotted.split("."))
+
+
+def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
+    path = path.expanduser()
+    if path.resolve() in chain:
+        raise ScenarioError(f"{path}: extends itself: " + " -> ".join(p.name for p in chain))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise ScenarioError(f"{path}: cannot read the scenario: {reason}") from None
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not valid YAML"
+        raise ScenarioError(f"{path}{line}: not valid YAML: {problem}") from None
+    except RecursionError:
+        raise ScenarioError(_too_deep(path)) from None
+    if node is None:
+        raise ScenarioError(f"{path}: the scenario is empty")
+    if not isinstance(node, yaml.MappingNode):
+        raise ScenarioError(f"{path}: a scenario is a mapping of keys to values")
+    own = Draft()
+    own.data = upgraded(_construct(loader, node, (), path, own.origins))
+    parent = own.data.pop("extends", None)
+    if parent is None:
+        return own
+    if not isinstance(parent, str):
+        raise ScenarioError(f"{own.origin(('extends',))}: extends: {parent!r} is not a file name")
+    base_path = path.parent / parent
+    if not base_path.is_file():
+        raise ScenarioError(f"{own.origin(('extends',))}: extends: no file at {base_path}")
+    base = _read(base_path, (*chain, path.resolve()))
+    _merge(base, own.data, own.origins, ())
+    return base
+
+
+def _construct(
+    loader: yaml.SafeLoader, node: yaml.Node, key: Key, path: Path, origins: dict[Key, str]
+) -> Any:
+    """Plain data of a node; notes the line of each key and makes each ``path`` absolute."""
+    origins[key] = place = f"{path}:{node.start_mark.line + 1}"
+    if len(key) > DEEPEST:
+        raise ScenarioError(_too_deep(place))
+    if isinstance(node, yaml.MappingNode):
+        data: dict[Any, Any] = {}
+        for key_node, value_node in node.value:
+            name = loader.construct_object(key_node, deep=True)
+            if name in data:
+                line = key_node.start_mark.line + 1
+                raise ScenarioError(f"{path}:{line}: the key {name!r} stands twice")
+            data[name] = _construct(loader, value_node, (*key, name), path, origins)
+            if name == "path" and isinstance(data[name], str):
+                data[name] = str((path.parent / Path(data[name]).expanduser()).resolve())
+        return data
+    if isinstance(node, yaml.SequenceNode):
+        return [
+            _construct(loader, item, (*key, i), path, origins) for i, item in enumerate(node.value)
+        ]
+    return loader.construct_object(node, deep=True)
+
+
+def _too_deep(place: object) -> str:
+    return f"{place}: nested too deep: a scenario has at most {DEEPEST} levels"
+
+
+def _merge(base: Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key) -> None:
+    """Lay data over the draft: mappings merge, all else replaces, a new ``kind`` starts afresh."""
+    here: Any = base.data
+    for step in key:
+        here = here[step]
+    for name, value in data.items():
+        inner = (*key, name)
+        old = here.get(name)
+        if isinstance(old, dict) and isinstance(value, dict):
+            kind = old.get("kind")
+            if value.get("kind", kind) == kind:
+                _change_algorithm(base, inner, value.get("algorithm"))
+                _merge(base, value, origins, inner)
+                base.record({inner: origins[inner]})
+                continue
+        here[name] = value
+        base.forget(inner)
+        base.record({k: v for k, v in origins.items() if k[: len(inner)] == inner})
+
+
+def _apply_override(draft: Draft, override: str) -> None:
+    key_text, equals, value_text = override.partition("=")
+    place = f"--set {override}"
+    steps = key_text.strip().split(".")
+    if not equals or not all(step.strip() for step in steps):
+        raise ScenarioError(f"{place}: expected KEY=VALUE, such as detector.columns=320")
+    try:
+        value = yaml.load(value_text, _Loader)  # noqa: S506 - a SafeLoader
+    except yaml.YAMLError:
+        raise ScenarioError(f"{place}: {value_text!r} is not a YAML value") from None
+    except RecursionError:
+        raise ScenarioError(_too_deep(f"--set {key_text}")) from None
+    value = _absolute_paths({steps[-1]: value})[steps[-1]]
+    key = key_of(key_text.strip())
+    here: Any = draft.data
+    for depth, step in enumerate(steps):
+        last = depth == len(steps) - 1
+        if isinstance(here, list):
+            if not step.isdigit() or int(step) >= len(here):
+                raise ScenarioError(
+                    f"{place}: {'.'.join(steps[:depth])} is a list of {len(here)}: "
+                    f"{step!r} is not one of its indices"
+                )
+            index: Any = int(step)
+        elif isinstance(here, dict):
+            index = step
+        else:
+            raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
+        if last:
+            if isinstance(here, dict) and step == "kind" and here.get("kind", value) != value:
+                _start_afresh(draft, here, key[:-1])
+            if step == "algorithm":
+                _change_algorithm(draft, key[:-1], value)
+            here[index] = value
+        elif isinstance(here, dict):
+            here = here.setdefault(index, {})
+        else:
+            here = here[index]
+    draft.forget(key)
+    draft.record({key[:depth]: place for depth in range(1, len(key) + 1)})
+
+
+def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
+    """Empty a section that gets another kind, but for what other overrides have set."""
+    for name in list(section):
+        if not draft.origin((*key, name)).startswith("--set "):
+            del section[name]
+            draft.forget((*key, name))
+
+
+def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
+    """Leave out what the algorithm of before had and the new one has not, overrides apart."""
+    section = draft.data.get("reconstruction")
+    if key != ("reconstruction",) or not isinstance(section, dict):
+        return
+    if not isinstance(algorithm, str) or algorithm not in SECTIONS:
+        return
+    before = section.get("algorithm", DEFAULT_ALGORITHM)
+    kept = SECTIONS[algorithm].model_fields
+    others = {name for other in SECTIONS.values() for name in own_keys(other)}
+    for name in [name for name in section if name in others and name not in kept]:
+        origin = draft.origin((*key, name))
+        if before != algorithm and not origin.startswith("--set "):
+            draft.left_out.append(
+                f"{origin}: reconstruction.{name} is of {before} and left out: {algorithm} has no "
+                "such key"
+            )
+            del section[name]
+            draft.forget((*key, name))
+
+
+def _absolute_paths(data: Any) -> Any:
+    """Make each ``path`` of an override absolute: it is relative to where the command runs."""
+    if isinstance(data, dict):
+        return {
+            key: str(Path(value).expanduser().resolve())
+            if key == "path" and isinstance(value, str)
+            else _absolute_paths(value)
+            for key, value in data.items()
+        }
+    return [_absolute_paths(item) for item in data] if isinstance(data, list | tuple) else data
