@@ -34,6 +34,7 @@ def test_every_missing_extra_is_one_problem(monkeypatch) -> None:
     assert [p.partition(" ")[0] for p in caught.value.problems] == ["mink", "itk-rtk"]
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("module", ["rclpy", "mink", "itk"])
 def test_a_package_that_fails_on_import_is_bad_input_before_any_work(
     tmp_path: Path, module: str

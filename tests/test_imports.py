@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 BLOCKED = (
     *("mujoco", "mink", "ruckig", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk"),
     "ctsimu",
@@ -32,6 +34,7 @@ MODULES = (
 )
 
 
+@pytest.mark.process
 def test_modules_import_without_the_extras() -> None:
     code = f"import sys\nfor name in {BLOCKED!r}:\n    sys.modules[name] = None\n" + "\n".join(
         f"import {module}" for module in MODULES

@@ -53,6 +53,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.process
 def test_a_run_keeps_the_contract(finished: Path) -> None:
     metrics = json.loads((finished / "metrics.json").read_text())
     assert metrics["views"] == metrics["reached"] == 10
@@ -81,6 +82,7 @@ def test_a_run_keeps_the_contract(finished: Path) -> None:
     assert not (finished / "seconds.json").exists()
 
 
+@pytest.mark.process
 def test_a_finished_run_is_neither_touched_nor_done_again(finished: Path) -> None:
     before = contents(finished)
     result = command("run", DEMO, "--out", str(finished), "--link", "local", *TINY)
@@ -94,6 +96,7 @@ def test_a_finished_run_is_neither_touched_nor_done_again(finished: Path) -> Non
     assert {k: v for k, v in contents(finished).items() if k in before} == before
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("moment", ["first view", "some views", "reconstruction"])
 def test_resume_after_a_kill_ends_with_the_same_bytes(
     finished: Path, tmp_path: Path, moment: str
@@ -121,6 +124,7 @@ def test_resume_after_a_kill_ends_with_the_same_bytes(
     assert (out / "volume.nii").read_bytes() == (finished / "volume.nii").read_bytes()
 
 
+@pytest.mark.process
 def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     out = tmp_path / "out"
     views = [*TINY, "--set", "trajectory.views=300"]
@@ -141,6 +145,7 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     assert json.loads((out / "seconds.json").read_text())["motion"] > 0
 
 
+@pytest.mark.process
 def test_report_rewrites_what_a_run_found(finished: Path) -> None:
     before = json.loads((finished / "metrics.json").read_text())
     report = (finished / "report.html").read_text()
@@ -267,6 +272,7 @@ def test_ros_without_rclpy_names_extra_and_way_out(capfd, monkeypatch, tmp_path:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.process
 def test_a_specimen_that_no_view_sees_is_refused_before_planning(
     capfd, tmp_path: Path, monkeypatch
 ) -> None:
@@ -306,6 +312,7 @@ def no_work(monkeypatch) -> None:
         monkeypatch.setattr(Workshop, name, property(work))
 
 
+@pytest.mark.process
 def test_output_that_cannot_be_written_is_named_before_any_work(
     capfd, tmp_path: Path, no_work
 ) -> None:
@@ -334,6 +341,7 @@ def test_a_domain_that_is_none_is_refused_before_any_work(
     assert "ROS_DOMAIN_ID=" in stderr and domain in stderr and "from 0 to 232" in stderr
 
 
+@pytest.mark.process
 def test_drawing_without_a_display_is_refused_before_any_work(
     capfd, monkeypatch, tmp_path: Path, no_work
 ) -> None:
@@ -352,6 +360,7 @@ def test_a_picture_that_cannot_be_drawn_is_refused_before_any_work(capfd, no_wor
     assert "--height 100000: a picture has 1 to 2400" in stderr
 
 
+@pytest.mark.process
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
 def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
     """A scan on a disk that another program fills: what is on it stays good and is gone on with."""

@@ -162,6 +162,7 @@ def test_output_that_does_not_fit_or_may_not_be_written_is_named(
     assert not (run_folder / "export-cil").exists()
 
 
+@pytest.mark.process
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
 def test_a_full_disk_leaves_nothing(run_folder: Path, tmp_path: Path, capfd, monkeypatch) -> None:
     disk = tmp_path / "disk"

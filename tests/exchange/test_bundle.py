@@ -54,6 +54,7 @@ def test_load_py_reads_the_arrays_with_numpy_alone(toolkit, bundle, tmp_path) ->
     assert per_view and all(np.isfinite(array).all() for array in words.values())
 
 
+@pytest.mark.process
 def test_load_py_runs_as_a_user_runs_it(bundle, tmp_path) -> None:
     pytest.importorskip("astra", reason="needs astra-toolbox")
     write_bundle(tmp_path / "export", "astra", bundle)

@@ -52,6 +52,7 @@ def test_peak_is_as_stated(name, large, circle):
     assert peak > share - 0.6 * unit, "stated more than is taken"
 
 
+@pytest.mark.process
 def test_job_that_cannot_fit_is_refused_with_the_figures():
     code = """
 import resource, numpy as np

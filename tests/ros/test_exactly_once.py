@@ -26,7 +26,7 @@ from twinct.ros.processes import NodeProcess
 from twinct.ros.robots_node import Turns, own_targets
 from twinct.views import Target
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 
 def errors(diagnostics):

@@ -15,7 +15,7 @@ from twinct.ros import RosRig
 from twinct.ros.environment import Domain, sweep_shared_memory
 from twinct.ros.robots_node import own_targets
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 END_S = 20.0
 """A couple of seconds, and some for a machine that others use too."""

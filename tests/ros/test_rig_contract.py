@@ -13,7 +13,7 @@ from twinct.scan import LocalRig, build_imager, build_robots, commanded_targets
 from twinct.scenario import parse_scenario
 from twinct.views import Reached, Target
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 POSES = ("source_m", "object_m", "detector_m", "exposure", "before")
 NUMBERS = (*POSES, "joint_names", "time_s", "clearance_mm")

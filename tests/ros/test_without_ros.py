@@ -22,6 +22,7 @@ except MissingExtraError as error:
 """
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     "use", ["twinct.ros.require_ros()", "twinct.ros.RosRig", "twinct.ros.spin_robots"]
 )
@@ -35,6 +36,7 @@ def test_missing_rclpy_is_named(use):
     ), done.stderr
 
 
+@pytest.mark.process
 def test_a_sourced_system_ros_is_left_aside(tmp_path):
     prefix = tmp_path / "opt" / "ros" / "jazzy"
     packages = prefix / "lib" / "python3.12" / "site-packages"

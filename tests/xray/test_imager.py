@@ -74,6 +74,7 @@ def test_the_next_imager_finds_nothing_of_the_last_one():
     assert image.min() == pytest.approx(np.exp(-MU * 40), rel=0.01)
 
 
+@pytest.mark.process
 def test_an_image_does_not_depend_on_what_was_imaged_before():
     """gVXR switches its artefact filter on with the first view on a panel of another size.
 
@@ -195,6 +196,7 @@ def test_specimen_through_the_panel_or_around_the_source_is_refused():
             imager.render(VIEW, Pose.identity())
 
 
+@pytest.mark.process
 def test_silent_from_import_to_exit():
     code = (
         SCENE
@@ -233,6 +235,7 @@ def test_a_missing_system_library_is_named_with_the_remedy(monkeypatch, tmp_path
         engine_module.Engine().acquire([], 80.0, DETECTOR.panel)
 
 
+@pytest.mark.process
 def test_without_opengl_the_remedy_is_named():
     code = (
         SCENE

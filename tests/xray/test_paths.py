@@ -130,6 +130,7 @@ def test_what_cannot_be_rendered_is_refused():
         renderer.render(front_view(panel), Pose.identity())
 
 
+@pytest.mark.process
 def test_a_spectrum_agrees_with_gvxr_in_its_own_polychromatic_mode():
     """In a process of its own, since it drives gVXR itself."""
     code = """
