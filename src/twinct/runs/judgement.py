@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.evaluate import ImageFigures, image_figures, region_of_interest
-from twinct.geometry import Pose
 from twinct.progress import SILENT, Progress
 from twinct.runs.integrals import effective_energy
 from twinct.scan import Scan, Workshop
@@ -34,17 +33,14 @@ def truth_of(scan: Scan, workshop: Workshop, progress: Progress = SILENT) -> Tru
     scenario = scan.scenario
     grid = scenario.reconstruction.grid.volume_grid
     energy = effective_energy(scenario)
+    # The specimen stands still: any view's pose would do, but for rounding.
+    stands = scan.executed_object[len(scan) // 2]
     with progress.stage("truth", 2) as step:
-        volume = workshop.specimen.truth(grid, energy, mean_pose(scan.executed_object))
+        volume = workshop.specimen.truth(grid, energy, stands)
         step()
         region = region_of_interest(scan.executed.geometry(scenario.detector.panel), grid)
         step()
     return Truth(volume, region, workshop.specimen.reference_mu(energy))
-
-
-def mean_pose(poses: tuple[Pose, ...]) -> Pose:
-    """The pose halfway: the specimen stands still, so any view's would do but for rounding."""
-    return poses[len(poses) // 2]
 
 
 def judge(scan: Scan, volume: NDArray[np.float32], truth: Truth) -> ImageFigures:
