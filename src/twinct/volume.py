@@ -1,50 +1,146 @@
-"""Volumes on disk: NIfTI, world axes as RAS, so that 3D Slicer opens them upright and in place."""
+"""Volumes: voxels with their grid, shown in notebooks, and on disk as NIfTI.
+
+World axes are written as RAS, so that 3D Slicer opens a volume upright and in place.
+"""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
-import nibabel
 import numpy as np
-from nibabel.filebasedimages import ImageFileError
-from nibabel.wrapstruct import WrapStructError
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
 from twinct.files.writing import complete
-from twinct.geometry import VolumeGrid
+from twinct.geometry import Floats, Pose, VolumeGrid
 
 
-def write_volume(path: Path, volume: NDArray[np.float32], grid: VolumeGrid, note: str = "") -> None:
-    """Write a volume; the file appears under its name only when it is complete.
+@dataclass(frozen=True, eq=False, repr=False)
+class Volume:
+    """Voxels and where they are; numpy takes it for its array.
 
-    Args:
-        path: file to write, ``.nii``.
-        volume: (z, y, x).
-        grid: where its voxels are.
-        note: at most 79 characters for the header's description.
+    Attributes:
+        array: (z, y, x), float32, read-only.
+        grid: the lattice of the voxels.
+        extras: what else an algorithm found out, by name.
     """
-    image = nibabel.Nifti1Image(volume.T, grid.affine, dtype=volume.dtype)  # type: ignore[no-untyped-call]
-    image.header.set_xyzt_units("mm")
-    image.header["descrip"] = note.encode()[:79]
-    image.set_qform(grid.affine, code="scanner")
-    image.set_sform(grid.affine, code="scanner")
-    with complete(path) as draft:
-        nibabel.save(image, draft)
+
+    array: NDArray[np.float32]
+    grid: VolumeGrid
+    extras: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        """Lock the array.
+
+        Raises:
+            InputError: an array of another shape than the grid.
+        """
+        array = np.ascontiguousarray(self.array, dtype=np.float32).view()
+        if array.shape != self.grid.shape:
+            raise InputError(
+                f"the volume has shape {array.shape}: its grid needs {self.grid.shape} (z, y, x)"
+            )
+        array.flags.writeable = False
+        object.__setattr__(self, "array", array)
+        object.__setattr__(self, "extras", MappingProxyType(dict(self.extras)))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """The array, for numpy's functions."""
+        return np.array(self.array, dtype=dtype, copy=copy)
+
+    def __repr__(self) -> str:
+        """One line: voxels, their edges and their values."""
+        voxels = " x ".join(map(str, self.grid.shape_xyz))
+        edges = " x ".join(f"{edge:g}" for edge in self.grid.voxel)
+        values = f"{self.array.min():.4g} to {self.array.max():.4g}"
+        extras = f", extras {', '.join(self.extras)}" if self.extras else ""
+        return f"Volume({voxels} voxels of {edges} mm, {values}{extras})"
+
+    def _repr_png_(self) -> bytes:
+        """The three sections through the grid's middle, for a notebook."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(10.4, 3.4), layout="constrained")
+        x, y, z = self.grid.axes()
+        nz, ny, nx = (n // 2 for n in self.grid.shape)
+        greys = ScalarMappable(
+            Normalize(*np.percentile(self.array[::2, ::2, ::2], (0.1, 99.9))), "gray"
+        )
+        for axes, section, (across, along), (up, upwards), (name, at) in zip(
+            figure.subplots(1, 3),
+            (self.array[nz], self.array[:, ny], self.array[:, :, nx]),
+            (("x", x), ("x", x), ("y", y)),
+            (("y", y), ("z", z), ("z", z)),
+            (("z", z[nz]), ("y", y[ny]), ("x", x[nx])),
+            strict=True,
+        ):
+            extent = (*_borders(along), *_borders(upwards))
+            axes.imshow(section, cmap="gray", norm=greys.norm, origin="lower", extent=extent)
+            axes.set(title=f"{name} = {at:.4g} mm", xlabel=f"{across} / mm", ylabel=f"{up} / mm")
+        figure.colorbar(greys, ax=figure.axes, shrink=0.8)
+        picture = io.BytesIO()
+        FigureCanvasAgg(figure).print_png(picture)
+        return picture.getvalue()
+
+    def write(self, path: Path, note: str = "") -> None:
+        """Write a NIfTI file, which appears under its name only when it is complete.
+
+        Args:
+            path: file to write, ``.nii``.
+            note: at most 79 characters for the header's description.
+        """
+        import nibabel
+
+        affine = self.grid.affine
+        image: Any = nibabel.Nifti1Image(self.array.T, affine, dtype=self.array.dtype)  # type: ignore[no-untyped-call]
+        image.header.set_xyzt_units("mm")
+        image.header["descrip"] = note.encode()[:79]
+        image.set_qform(affine, code="scanner")
+        image.set_sform(affine, code="scanner")
+        with complete(path) as draft:
+            nibabel.save(image, draft)
+
+    @classmethod
+    def read(cls, path: Path) -> Volume:
+        """Read what ``write`` wrote; the header holds the grid to float32.
+
+        Returns:
+            The volume, with the ``note`` of its header among the extras.
+
+        Raises:
+            InputError: no readable NIfTI file, or one without a grid of voxels.
+        """
+        import nibabel
+        from nibabel.filebasedimages import ImageFileError
+        from nibabel.wrapstruct import WrapStructError
+
+        try:
+            image: Any = nibabel.Nifti1Image.from_filename(path)
+            note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")
+            array = np.asarray(image.dataobj, dtype=np.float32).T
+            grid = _grid_of(array.shape, np.asarray(image.affine, dtype=np.float64))
+        except (OSError, ValueError, ImageFileError, WrapStructError) as error:
+            raise InputError(f"{path}: not a readable NIfTI volume: {error}") from None
+        return cls(array, grid, {"note": note})
 
 
-def read_volume(path: Path) -> tuple[NDArray[np.float32], str]:
-    """Read a volume written by ``write_volume``.
+def _borders(centres: Floats) -> tuple[float, float]:
+    half = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) / 2 or 0.5
+    return float(centres[0] - half), float(centres[-1] + half)
 
-    Returns:
-        The volume (z, y, x) and the note in its header.
 
-    Raises:
-        InputError: no readable NIfTI file.
-    """
-    try:
-        image = nibabel.Nifti1Image.from_filename(path)
-        note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")
-        return np.asarray(image.dataobj, dtype=np.float32).T, note
-    except (OSError, ImageFileError, WrapStructError) as error:
-        raise InputError(f"{path}: not a readable NIfTI volume: {error}") from None
+def _grid_of(shape: tuple[int, ...], affine: Floats) -> VolumeGrid:
+    """The grid whose ``affine`` this is; raises ValueError where there is none."""
+    linear, edges = affine[:3, :3], np.linalg.norm(affine[:3, :3], axis=0)
+    if len(shape) != 3 or np.linalg.det(linear) <= 0:
+        raise ValueError(f"{len(shape)} axes with the matrix {linear.tolist()}")
+    middle = affine @ [*((np.array(shape[::-1]) - 1) / 2), 1.0]
+    return VolumeGrid(shape, edges, Pose.from_matrix(middle[:3], linear / edges))

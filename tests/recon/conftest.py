@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Panel, Pose, VolumeGrid
+from twinct.recon.engine import ENGINE_VARIABLE
 from twinct.scenario import ArcTrajectory, CircleTrajectory
 from twinct.trajectory import commanded_views
+
+
+@pytest.fixture(params=["vector", "plain"])
+def engine(request, monkeypatch):
+    """Either engine behind all projectors of a test."""
+    monkeypatch.setenv(ENGINE_VARIABLE, request.param)
+    return request.param
 
 
 @pytest.fixture

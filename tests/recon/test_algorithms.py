@@ -19,6 +19,7 @@ RUNS = {
     "fdk": fdk,
 }
 RESUMABLE = ("sart", "os_sart", "sirt")
+pytestmark = pytest.mark.usefixtures("engine")
 algorithms = pytest.mark.parametrize("name", RUNS)
 
 HARM = 0.25
@@ -46,9 +47,9 @@ def test_masked_pixels_have_no_influence_whatever_they_hold(name, scan):
     lost = np.where(mask, p, np.nan)
     lost[:, 20, 5] = np.inf
     volume = RUNS[name](A, lost, mask=mask)
-    assert np.isfinite(volume).all()
+    assert np.isfinite(volume.array).all()
     np.testing.assert_array_equal(volume, RUNS[name](A, dead, mask=np.tile(mask, (len(A), 1, 1))))
-    clean, hurt = RUNS[name](A, p), RUNS[name](A, dead)
+    clean, hurt = RUNS[name](A, p).array, RUNS[name](A, dead).array
     assert np.linalg.norm(volume - clean) < HARM * np.linalg.norm(hurt - clean)
 
 
@@ -100,8 +101,8 @@ def test_nonnegative(name, scan):
     A, p = scan
     rng = np.random.default_rng(0)
     noisy = p + rng.normal(0, 2, p.shape).astype(np.float32)
-    assert RUNS[name](A, noisy, nonnegative=True).min() >= 0
-    assert RUNS[name](A, noisy, nonnegative=False).min() < 0
+    assert RUNS[name](A, noisy, nonnegative=True).array.min() >= 0
+    assert RUNS[name](A, noisy, nonnegative=False).array.min() < 0
 
 
 @algorithms

@@ -11,7 +11,7 @@ import pytest
 
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, cgls, fdk, fista_tv, os_sart, sart, sirt
-from twinct.recon.memory import PEAKS
+from twinct.recon.algorithms import BUILT_IN
 
 RUNS = {
     "sart": partial(sart, iterations=2, relaxation=0.5),
@@ -45,8 +45,8 @@ def test_peak_is_as_stated(name, large, circle):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    volumes, projections = PEAKS[name]
-    share = 4 * (volumes * np.prod(grid.shape) + projections * p.size)
+    needs = BUILT_IN[name]
+    share = 4 * (needs.volumes * np.prod(grid.shape) + needs.projections * p.size)
     unit = 4 * np.prod(grid.shape) if large == "volume" else p.nbytes
     assert peak < share + SLACK * unit + SCRATCH * numba.get_num_threads()
     assert peak > share - 0.6 * unit, "stated more than is taken"

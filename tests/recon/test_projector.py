@@ -6,6 +6,8 @@ from twinct.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 ADJOINT = 1e-5
 """Float32 weights and sums; measured up to 1e-8."""
 AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1.0]])

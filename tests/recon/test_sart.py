@@ -7,6 +7,8 @@ from twinct.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, sart, spread_order
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 FLOAT32 = 2e-4
 """Float32 against a float64 formulation, relative to the largest voxel, after 8 updates."""
 
@@ -21,7 +23,7 @@ def test_equals_the_update_rule_written_densely(
         A = Projector(random_geometry(4, panel, rng), grid)
         p = A(rng.random(A.domain_shape, dtype=np.float32))
         order = [2, 0, 3, 1]
-        ours = sart(A, p, iterations=2, relaxation=0.7, order=order)
+        ours = sart(A, p, iterations=2, relaxation=0.7, order=order).array
         dense = dense_matrix(A)
         lengths = A.chords().astype(float)
         x = np.zeros(dense.shape[-1])
@@ -51,7 +53,7 @@ def test_unmatched_back_projection_changes_little(random_geometry, turned_grid):
         ratio = np.where(counts, (p[view] - one(x)) / np.where(counts, length, 1), 0)
         weight = one.T(counts)
         x += 0.3 * np.where(weight > 1e-3, one.T(ratio) / np.maximum(weight, 1e-3), 0)
-    ours = sart(A, p, iterations=3, relaxation=0.3, order=order)
+    ours = sart(A, p, iterations=3, relaxation=0.3, order=order).array
     assert np.sqrt(np.mean((ours - x) ** 2)) < 0.05
 
 
@@ -76,7 +78,7 @@ def test_residual_falls_and_blobs_come_back_in_place(random_geometry, turned_gri
         if step.update == step.updates - 1:
             seen.append(np.linalg.norm(A(step.volume) - p))
 
-    x = sart(A, p, iterations=6, relaxation=0.5, nonnegative=True, callback=watch)
+    x = sart(A, p, iterations=6, relaxation=0.5, nonnegative=True, callback=watch).array
     assert all(later < earlier for earlier, later in pairwise(seen))
     assert x.min() >= 0
     assert np.corrcoef(x.ravel(), truth.ravel())[0, 1] > 0.95

@@ -114,7 +114,7 @@ def test_belief_changes_the_volume_and_never_the_images(scenario: Scenario, scan
 
 
 def test_volume_has_the_ball_in_its_place(scenario: Scenario, scan: Scan) -> None:
-    volume = reconstruct(scan)
+    volume = reconstruct(scan).array
     x, y, z = scenario.reconstruction.grid.volume_grid.axes()
     weight = np.where(volume > 0.3 * volume.max(), volume, 0)
     centre = (
@@ -226,7 +226,7 @@ def test_surroundings_and_mask_are_passed_on(scan: Scan) -> None:
     mask = np.ones(scan.transmission.shape[1:], np.bool_)
     mask[:, 30] = False
     broken = replace(around, transmission=np.where(mask, scan.transmission, np.nan))
-    assert np.isfinite(reconstruct(broken, mask=mask)).all()
+    assert np.isfinite(reconstruct(broken, mask=mask).array).all()
 
 
 def test_what_cannot_be_done_is_refused_before_work(scenario: Scenario, workshop: Workshop) -> None:
@@ -320,7 +320,8 @@ def test_hardened_line_integrals_are_brought_to_one_energy(kind):
     geometry = workshop.commanded
     with workshop.imager() as imager:
         images = np.stack([imager.render(view, Pose.identity()) for view in geometry])
-    found = hardening_corrected(scenario, line_integrals(images), geometry)
+    A = Projector(geometry, scenario.reconstruction.grid.volume_grid)
+    found = hardening_corrected(scenario, line_integrals(images), A)
     ideal = parse_scenario(
         scenario.model_dump(mode="json", exclude={"source", "reconstruction"})
         | {"source": {"energy_kev": effective_energy(scenario)}}

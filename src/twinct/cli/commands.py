@@ -189,7 +189,7 @@ def specimen(
     from twinct.runs.integrals import effective_energy
     from twinct.scan import Workshop
     from twinct.specimen.preview import preview_specimen
-    from twinct.volume import write_volume
+    from twinct.volume import Volume
 
     loaded = load_scenario(scenario, set_)
     check_folder(out)
@@ -210,7 +210,7 @@ def specimen(
                 f"{part.mesh.volume / 1000:.1f}",
             )
         preview_specimen(built, out / "specimen.png", title=loaded.name)
-        write_volume(out / "truth.nii", built.truth(grid, energy), grid, "twinct truth, 1/mm")
+        Volume(built.truth(grid, energy), grid).write(out / "truth.nii", "twinct truth, 1/mm")
     Console().print(table)
 
 

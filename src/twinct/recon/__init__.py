@@ -1,5 +1,6 @@
 """Reconstruction: projector, algorithms, and RTK's SART to compare with."""
 
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.cgls import cgls
 from twinct.recon.fdk import fdk
 from twinct.recon.fista_tv import fista_tv
@@ -15,8 +16,11 @@ from twinct.recon.steps import Callback, Step
 from twinct.recon.surroundings import without_surroundings
 
 __all__ = [
+    "Algorithm",
+    "AlgorithmSettings",
     "Callback",
     "Circle",
+    "Problem",
     "Projector",
     "Step",
     "available_bytes",

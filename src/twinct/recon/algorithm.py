@@ -7,15 +7,17 @@ entry points of the group ``twinct.algorithms``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.geometry import ScanGeometry
 from twinct.recon.projector import Projector
 from twinct.recon.steps import Callback
 from twinct.settings import Section
+from twinct.volume import Volume
 
 
 class AlgorithmSettings(Section):
@@ -50,25 +52,41 @@ class Problem:
     callback: Callback | None = None
 
 
+def _one_update(settings: AlgorithmSettings, views: int) -> int:
+    """All views at once."""
+    return 1
+
+
+def _anything(geometry: ScanGeometry) -> None:
+    """Any views will do."""
+
+
+SettingsT = TypeVar("SettingsT", bound=AlgorithmSettings)
+
+
 @dataclass(frozen=True, eq=False)
-class Algorithm:
+class Algorithm(Generic[SettingsT]):
     """An algorithm as the scenario can name it.
 
     Attributes:
-        settings: its keys.
-        solve: reconstructs.
+        settings: its keys; ``iterations`` is the number of passes, one where there is no such key.
+        solve: reconstructs a problem with these settings.
         volumes: at the peak, float32, beside ``x0``.
         projections: at the peak, float32, beside those given.
-        resumes: n iterations and then m from their result are n + m.
-        updates: in each iteration, of these settings and so many views; for the progress.
+        resumes: n iterations and then m from their result, as ``x0``, are n + m, to the last bit.
+        masks: leaves pixels out; with a mask it is refused otherwise.
+        updates: in each pass, of these settings and so many views; for the progress.
+        check: raises InputError for views that it cannot work with, before any work.
     """
 
-    settings: type[AlgorithmSettings]
-    solve: Callable[[Problem, Any], Any]
+    settings: type[SettingsT]
+    solve: Callable[[Problem, SettingsT], Volume]
     volumes: float
     projections: float = 0.0
     resumes: bool = False
-    updates: Callable[[Any, int], int] = field(default=lambda _settings, _views: 1)
+    masks: bool = True
+    updates: Callable[[SettingsT, int], int] = _one_update
+    check: Callable[[ScanGeometry], object] = _anything
 
     @property
     def name(self) -> str:
@@ -76,4 +94,4 @@ class Algorithm:
         return str(self.settings.model_fields["algorithm"].default)
 
 
-Registry = Mapping[str, Algorithm]
+Registry = Mapping[str, Algorithm[Any]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 from twinct.extensions import Offers, offers
 from twinct.recon.algorithm import Algorithm
@@ -14,7 +15,7 @@ from twinct.recon.rtk import RTK_SART
 from twinct.recon.sart import SART
 from twinct.recon.sirt import SIRT
 
-BUILT_IN: dict[str, Algorithm] = {
+BUILT_IN: dict[str, Algorithm[Any]] = {
     algorithm.name: algorithm for algorithm in (SART, OS_SART, SIRT, CGLS, FDK, FISTA_TV, RTK_SART)
 }
 

@@ -6,27 +6,22 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, counting_rays, masked_image, start_volume
+from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
-from twinct.recon.projector import Projector, Volume
-from twinct.recon.steps import Callback, Reporter, sum_of_squares
-from twinct.settings import facts
+from twinct.recon.projector import Projector
+from twinct.recon.settings import Iterations
+from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.volume import Volume
 
 
 class Cgls(AlgorithmSettings):
     """Conjugate gradients for the least-squares problem."""
 
     algorithm: Literal["cgls"] = "cgls"
-    iterations: int = Field(
-        default=10,
-        ge=1,
-        le=10_000,
-        description="Passes over all views.",
-        json_schema_extra=facts(source="the paper"),
-    )
+    iterations: Iterations = 10
 
 
 def cgls(
@@ -61,7 +56,7 @@ def cgls(
         callback: called after each step; see ``Step``. True stops.
 
     Returns:
-        The volume (z, y, x), float32. Fewer steps are taken where the gradient vanishes before.
+        The volume. Fewer steps are taken where the gradient vanishes before.
 
     Raises:
         InputError: an argument is out of range, has another shape, or is not finite; or the memory
@@ -73,7 +68,7 @@ def cgls(
     iterations = checks.count("iterations", iterations)
     x0 = checks.start(x0, A.domain_shape)
     checks.done()
-    require_memory("cgls", A)
+    require_memory(CGLS, A)
     x = start_volume(A, x0, nonnegative=False)
     counts, rest = counting_rays(A, pixels)
     rays = int(counts.sum())
@@ -86,28 +81,28 @@ def cgls(
     direction = gradient.copy()
     slope = sum_of_squares(gradient)
     del gradient
-    report = Reporter(callback)
+    listener = Listener(callback)
     for iteration in range(iterations):
         if slope == 0.0:
             break
-        square = sum_of_squares(rest) if report.wanted else 0.0
+        square = sum_of_squares(rest) if listener.wanted else 0.0
         step_image = A(direction)
         step_image *= counts
         length = np.float32(slope / sum_of_squares(step_image))
         _add(x, length, direction)
         _add(rest, -length, step_image)
         del step_image
-        if report(iteration, 0, square, rays, x) or iteration + 1 == iterations:
+        if listener(iteration, 0, square, rays, x) or iteration + 1 == iterations:
             break
         gradient = A.T(rest)
         before, slope = slope, sum_of_squares(gradient)
         direction *= np.float32(slope / before)
         direction += gradient
         del gradient
-    return x
+    return Volume(x, A.grid)
 
 
-def _add(to: Volume, factor: np.float32, values: Volume) -> None:
+def _add(to: Singles, factor: np.float32, values: Singles) -> None:
     """Add factor * values, without a third array of their size."""
     for part, other in zip(to, values, strict=True):
         part += factor * other

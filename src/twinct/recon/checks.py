@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError
-from twinct.recon.projector import Projector, Volume
+from twinct.recon.engine import Singles
+from twinct.recon.projector import Projector
 
 Mask = NDArray[np.bool_]
 
@@ -126,7 +127,7 @@ class Checks:
         return x
 
 
-def start_volume(A: Projector, x0: ArrayLike | None, nonnegative: bool) -> Volume:
+def start_volume(A: Projector, x0: ArrayLike | None, nonnegative: bool) -> Singles:
     """A copy of ``x0``, or zero."""
     if x0 is None:
         return np.zeros(A.domain_shape, np.float32)
@@ -134,12 +135,18 @@ def start_volume(A: Projector, x0: ArrayLike | None, nonnegative: bool) -> Volum
     return np.maximum(x, 0.0, out=x) if nonnegative else x
 
 
-def mask_of(mask: Mask, view: int) -> Mask:
+@overload
+def mask_of(mask: Mask, view: int) -> Mask: ...
+@overload
+def mask_of(mask: None, view: int) -> None: ...
+@overload
+def mask_of(mask: Mask | None, view: int) -> Mask | None: ...
+def mask_of(mask: Mask | None, view: int) -> Mask | None:
     """The mask of one view, (rows, columns)."""
-    return mask if mask.ndim == 2 else mask[view]
+    return mask if mask is None or mask.ndim == 2 else mask[view]
 
 
-def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Volume:
+def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Singles:
     """Line integrals of one view, float32, 0 where a pixel does not count."""
     image = np.ascontiguousarray(p[view], dtype=np.float32)
     if mask is None:
@@ -149,11 +156,11 @@ def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Volume:
 
 def remainder(
     A: Projector,
-    x: Volume,
+    x: Singles,
     p: NDArray[Any],
     views: Iterable[int],
     mask: Mask | None,
-) -> Volume:
+) -> Singles:
     """The line integrals of some views less A x, the operator of these views."""
     rest = A(x)
     for view, image in zip(views, rest, strict=True):
@@ -161,7 +168,7 @@ def remainder(
     return rest
 
 
-def counting_rays(A: Projector, mask: Mask | None) -> tuple[Mask, Volume]:
+def counting_rays(A: Projector, mask: Mask | None) -> tuple[Mask, Singles]:
     """Which rays count, and their length inside the grid, mm.
 
     Rays shorter than the smallest voxel edge count as missing the grid.

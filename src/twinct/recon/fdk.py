@@ -12,13 +12,15 @@ from pydantic import Field
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, ScanGeometry
-from twinct.recon._voxel_driven import back_project
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
+from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.orbit import Circle, fit_circle
-from twinct.recon.projector import Projector, Volume
-from twinct.recon.steps import Callback, Reporter
+from twinct.recon.projector import Projector
+from twinct.recon.settings import Nonnegative
+from twinct.recon.steps import Callback, Listener
+from twinct.volume import Volume
 
 Window = Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"]
 
@@ -33,7 +35,7 @@ class Fdk(AlgorithmSettings):
     window: Window = Field(
         default="ramp", description="Window of the ramp filter, from sharp to smooth."
     )
-    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
+    nonnegative: Nonnegative = False
 
 
 def fdk(
@@ -75,7 +77,7 @@ def fdk(
             volumes. True stops.
 
     Returns:
-        The volume (z, y, x), float32.
+        The volume; among the extras the ``circle`` that was found.
 
     Raises:
         InputError: no circle, too short an arc; an argument of another shape, or not finite; or the
@@ -97,15 +99,16 @@ def fdk(
     checks.done()
     assert circle is not None
     fan = _fan(A.geometry, circle)
-    require_memory("fdk", A)
+    require_memory(FDK, A)
     sdd, sod = A.geometry.sdd, A.geometry.depth(circle.centre)
     response = _response(A.geometry.panel.columns, window)
     across, up = _coordinates(A.geometry, circle)
     x = np.zeros(A.domain_shape, np.float32)
     blocks = range(0, len(A), BLOCK)
-    report = Reporter(callback, len(blocks))
+    listener = Listener(callback, len(blocks))
     for block, first in enumerate(blocks):
         views = range(first, min(first + BLOCK, len(A)))
+        part = A[views.start : views.stop]
         images = np.empty((len(views), *A.range_shape[1:]), np.float32)
         for view, image in zip(views, images, strict=True):
             u, v = across[view], up[view]
@@ -116,10 +119,12 @@ def fdk(
             image[:] = _complete(masked_image(p, view, pixels), pixels, view)
             image *= weight.astype(np.float32)
             image[:] = _filtered(image, response)
-        back_project(images, A._pixels[views], sod[views] ** 2, x)
-        if report(0, block, math.nan, 1, x):
+        part.back_project(images, sod[views] ** 2, x)
+        if listener(0, block, math.nan, 1, x):
             break
-    return np.maximum(x, 0.0, out=x) if nonnegative else x
+    if nonnegative:
+        np.maximum(x, 0.0, out=x)
+    return Volume(x, A.grid, {"circle": circle})
 
 
 def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats]:
@@ -169,7 +174,7 @@ def _redundancy(circle: Circle, view: int, fan: Floats) -> Floats | float:
     return np.sin(math.pi / 4 * np.minimum(rising, falling)) ** 2
 
 
-def _response(columns: int, window: str) -> Volume:
+def _response(columns: int, window: str) -> Singles:
     """Ramp filter of pixels of width 1 at the frequencies of a padded row.
 
     The transform of the band-limited kernel (Ramachandran, Lakshminarayanan 1971) rather than |f|
@@ -199,7 +204,7 @@ def _padded(columns: int) -> int:
     return length
 
 
-def _filtered(image: Volume, response: Volume) -> Volume:
+def _filtered(image: Singles, response: Singles) -> Singles:
     """Rows led to zero at both ends, filtered, and cut again."""
     columns = image.shape[1]
     reach = columns // 2
@@ -212,7 +217,7 @@ def _filtered(image: Volume, response: Volume) -> Volume:
     return rows[:, reach : reach + columns]
 
 
-def _complete(image: Volume, mask: Mask | None, view: int) -> Volume:
+def _complete(image: Singles, mask: Mask | None, view: int) -> Singles:
     """Masked pixels interpolated along their row; whole rows from the rows beside them."""
     if mask is None:
         return image
@@ -239,4 +244,8 @@ def _solve(problem: Problem, settings: Fdk) -> Volume:
     )
 
 
-FDK = Algorithm(Fdk, _solve, volumes=1, updates=lambda _, views: -(-views // BLOCK))
+def _blocks(settings: Fdk, views: int) -> int:
+    return -(-views // BLOCK)
+
+
+FDK = Algorithm(Fdk, _solve, volumes=1, updates=_blocks, check=circular)

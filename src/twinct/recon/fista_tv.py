@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from twinct.recon._tv import ascend, primal
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
-from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
+from twinct.recon.checks import Checks, Mask, counting_rays, remainder, start_volume
+from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number, subsets_of
-from twinct.recon.projector import Projector, Volume
-from twinct.recon.steps import Callback, Reporter, sum_of_squares
-from twinct.settings import NonNegative, facts
-
-VIEWS_PER_SUBSET = 10
-"""Of the default. Of 100 views, subsets of 5 converge twice as fast; of 3, not any more."""
+from twinct.recon.projector import Projector
+from twinct.recon.settings import Iterations, Nonnegative, Subsets
+from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.settings import NonNegative
+from twinct.volume import Volume
 
 LEAST_WEIGHT = 0.05
 """Smallest curvature taken for a voxel, share of the mean: larger ones make smaller, safe steps."""
@@ -32,21 +31,13 @@ class FistaTv(AlgorithmSettings):
     """FISTA with total variation: few views, or few photons."""
 
     algorithm: Literal["fista_tv"] = "fista_tv"
-    iterations: int = Field(
-        default=10,
-        ge=1,
-        le=10_000,
-        description="Passes over all views.",
-        json_schema_extra=facts(source="the paper"),
-    )
+    iterations: Iterations = 10
     regularisation: NonNegative = Field(
         default=1e-4,
         description="Strength of the total variation: a pure number that means the same for any "
         "number of views, pixels or voxels.",
     )
-    subsets: int | None = Field(
-        default=None, ge=1, description="Groups of views; one for each 10 views by default."
-    )
+    subsets: Subsets = None
     weighting: Literal["uniform", "counts"] = Field(
         default="uniform",
         description="Weight of each pixel; counts: its transmission, for Poisson noise.",
@@ -54,7 +45,7 @@ class FistaTv(AlgorithmSettings):
     tv_steps: int = Field(
         default=10, ge=1, le=1000, description="Steps of the denoising in each update."
     )
-    nonnegative: bool = Field(default=True, description="Whether no voxel falls below 0.")
+    nonnegative: Nonnegative = True
 
 
 def fista_tv(
@@ -108,7 +99,7 @@ def fista_tv(
         callback: called after each update; see ``Step``. True stops.
 
     Returns:
-        The volume (z, y, x), float32.
+        The volume.
 
     Raises:
         InputError: an argument is out of range, has another shape, or is not finite; or the memory
@@ -119,13 +110,12 @@ def fista_tv(
     p = checks.projections(line_integrals, pixels)
     iterations = checks.count("iterations", iterations)
     radius = checks.not_negative("regularisation", regularisation)
-    default = max(len(A) // VIEWS_PER_SUBSET, 1)
-    subsets = checks.count("subsets", default if subsets is None else subsets, at_most=len(A))
+    subsets = checks.count("subsets", subset_number(subsets, len(A)), at_most=len(A))
     tv_steps = checks.count("tv_steps", tv_steps)
     given = checks.weights(weights, pixels)
     x0 = checks.start(x0, A.domain_shape)
     checks.done()
-    require_memory("fista_tv", A)
+    require_memory(FISTA_TV, A)
     parts = [(A[views], views) for views in subsets_of(len(A), subsets)]
     trust = _trust(A, given, pixels)
     curvature = _curvature(parts, trust)
@@ -138,13 +128,13 @@ def fista_tv(
     before, z = x.copy(), x.copy()
     dual = np.zeros((3, *x.shape), np.float32)
     momentum = 1.0
-    report = Reporter(callback, subsets)
+    listener = Listener(callback, subsets)
     for iteration in range(iterations):
         for update, (part, views) in enumerate(parts):
             rest = remainder(part, z, p, views, pixels)
             square, rays = 0.0, 0
             for here, view in enumerate(views):
-                if report.wanted:
+                if listener.wanted:
                     counts = trust[view] > 0
                     square += sum_of_squares(rest[here][None, counts])
                     rays += int(counts.sum())
@@ -157,21 +147,21 @@ def fista_tv(
             del step
             x, before = before, x
             for _ in range(tv_steps):
-                primal(z, curvature, dual, inverse, floor, x)
-                ascend(x, curvature, inverse, radius, DUAL_STEP, dual)
-            primal(z, curvature, dual, inverse, floor, x)
+                A.kernels.primal(z, curvature, dual, inverse, floor, x)
+                A.kernels.ascend(x, curvature, inverse, radius, DUAL_STEP, dual)
+            A.kernels.primal(z, curvature, dual, inverse, floor, x)
             momentum, last = (1 + math.sqrt(1 + 4 * momentum**2)) / 2, momentum
             share = np.float32((last - 1) / momentum)
             for plane, new, old in zip(z, x, before, strict=True):
                 np.subtract(new, old, out=plane)
                 plane *= share
                 plane += new
-            if report(iteration, update, square, rays, x):
-                return x
-    return x
+            if listener(iteration, update, square, rays, x):
+                return Volume(x, A.grid)
+    return Volume(x, A.grid)
 
 
-def _trust(A: Projector, weights: np.ndarray | None, pixels: np.ndarray | None) -> Volume:
+def _trust(A: Projector, weights: NDArray[Any] | None, pixels: Mask | None) -> Singles:
     """W of the rays that count, 0 of the others."""
     counts, trust = counting_rays(A, pixels)
     for view, image in enumerate(trust):
@@ -179,7 +169,7 @@ def _trust(A: Projector, weights: np.ndarray | None, pixels: np.ndarray | None) 
     return trust
 
 
-def _curvature(parts: list[tuple[Projector, list[int]]], trust: Volume) -> Volume:
+def _curvature(parts: list[tuple[Projector, list[int]]], trust: Singles) -> Singles:
     """Row sums of A^T W A, the largest over the subsets times their number."""
     largest = np.zeros(parts[0][0].domain_shape, np.float32)
     ones = np.ones_like(largest)
@@ -198,7 +188,7 @@ def _solve(problem: Problem, settings: FistaTv) -> Volume:
         problem.line_integrals,
         iterations=settings.iterations,
         regularisation=settings.regularisation,
-        subsets=subset_number(settings.subsets, len(problem.projector)),
+        subsets=settings.subsets,
         tv_steps=settings.tv_steps,
         weights=problem.transmission if settings.weighting == "counts" else None,
         nonnegative=settings.nonnegative,
@@ -208,10 +198,14 @@ def _solve(problem: Problem, settings: FistaTv) -> Volume:
     )
 
 
+def _updates(settings: FistaTv, views: int) -> int:
+    return subset_number(settings.subsets, views)
+
+
 FISTA_TV = Algorithm(
     FistaTv,
     _solve,
     volumes=8,
     projections=2,
-    updates=lambda settings, views: subset_number(settings.subsets, views),
+    updates=_updates,
 )

@@ -6,20 +6,11 @@ import math
 import resource
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from twinct.errors import MemoryShortageError
+from twinct.recon.algorithm import Algorithm
 from twinct.recon.projector import Projector
-
-PEAKS: dict[str, tuple[float, float]] = {
-    "sart": (1, 0),
-    "os_sart": (3, 0),
-    "sirt": (3, 2.25),
-    "cgls": (3, 2.25),
-    "fdk": (1, 0),
-    "fista_tv": (8, 2),
-    "rtk": (4, 0),
-}
-"""(volumes, projections) at the peak, float32, beside the projections and the x0 that are given."""
 
 SPARE_BYTES = 96 * 2**20
 """Images, threads, compiled code."""
@@ -29,16 +20,16 @@ _STATUS = Path("/proc/self/status")
 _CGROUPS = Path("/sys/fs/cgroup")
 
 
-def peak_bytes(algorithm: str, voxels: int, pixels: int) -> int:
+def peak_bytes(algorithm: Algorithm[Any], voxels: int, pixels: int) -> int:
     """Bytes that an algorithm takes beside what it is given.
 
     Args:
-        algorithm: a key of ``PEAKS``.
+        algorithm: it says how many volumes and projections.
         voxels: of the grid.
         pixels: of all views together.
     """
-    volumes, projections = PEAKS[algorithm]
-    return int(4 * (volumes * voxels + projections * pixels)) + SPARE_BYTES
+    own = algorithm.volumes * voxels + algorithm.projections * pixels
+    return int(4 * own) + SPARE_BYTES
 
 
 def available_bytes() -> tuple[float, str]:
@@ -98,27 +89,27 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
         )
 
 
-def require_memory(algorithm: str, A: Projector) -> None:
+def require_memory(algorithm: Algorithm[Any], A: Projector) -> None:
     """Refuse to start what cannot fit, beside what is in memory already.
 
     Raises:
         MemoryShortageError: with what is needed, what is there, and what to change.
     """
     voxels, pixels = math.prod(A.domain_shape), math.prod(A.range_shape)
-    volumes, projections = PEAKS[algorithm]
-    parts = f"{volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
-    if projections:
-        parts += f" and {projections:g} x {pixels * 4 / 2**30:.2f} GiB of pixels"
+    parts = f"{algorithm.volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
+    if algorithm.projections:
+        parts += f" and {algorithm.projections:g} x {pixels * 4 / 2**30:.2f} GiB of pixels"
     refuse_if_short(
         peak_bytes(algorithm, voxels, pixels),
-        f"{algorithm} with a grid of {A.domain_shape} voxels and {A.range_shape} pixels ({parts})",
+        f"{algorithm.name} with a grid of {A.domain_shape} voxels and {A.range_shape} pixels "
+        f"({parts})",
         advice(algorithm),
     )
 
 
-def advice(algorithm: str) -> str:
+def advice(algorithm: Algorithm[Any] | None = None) -> str:
     """What to change where memory is short."""
     text = "use fewer or larger voxels, or fewer views or pixels"
-    if PEAKS[algorithm] > PEAKS["sart"]:
-        text += f", or sart, which needs {PEAKS['sart'][0]:g} volume"
+    if algorithm is not None and (algorithm.volumes > 1 or algorithm.projections):
+        text += ", or sart, which needs 1 volume"
     return text

@@ -6,42 +6,25 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 
-from twinct.recon._forward import forward
-from twinct.recon._rays import chords
-from twinct.recon._spread import residual, spread
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number, subsets_of
-from twinct.recon.projector import Projector, Volume
-from twinct.recon.steps import Callback, Reporter, sum_of_squares
-from twinct.settings import facts
+from twinct.recon.projector import Projector
+from twinct.recon.settings import Iterations, Nonnegative, Relaxation, Subsets
+from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.volume import Volume
 
 
 class OsSart(AlgorithmSettings):
     """SART with ordered subsets of views."""
 
     algorithm: Literal["os_sart"] = "os_sart"
-    iterations: int = Field(
-        default=10,
-        ge=1,
-        le=10_000,
-        description="Passes over all views.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    relaxation: float = Field(
-        default=0.3,
-        gt=0,
-        lt=2,
-        description="Share of the residual that an update takes up.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    subsets: int | None = Field(
-        default=None, ge=1, description="Groups of views; one for each 10 views by default."
-    )
-    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
+    iterations: Iterations = 10
+    relaxation: Relaxation = 0.3
+    subsets: Subsets = None
+    nonnegative: Nonnegative = False
 
 
 def os_sart(
@@ -84,7 +67,7 @@ def os_sart(
         callback: called after each update; see ``Step``. True stops.
 
     Returns:
-        The volume (z, y, x), float32.
+        The volume.
 
     Raises:
         InputError: an argument is out of range, has another shape, or is not finite; or the memory
@@ -98,54 +81,32 @@ def os_sart(
     subsets = checks.count("subsets", subsets, at_most=len(A))
     x0 = checks.start(x0, A.domain_shape)
     checks.done()
-    require_memory("os_sart", A)
+    require_memory(OS_SART, A)
     x = start_volume(A, x0, nonnegative)
     change, seen = np.empty_like(x), np.empty_like(x)
-    lowest = np.finfo(np.float32).min
-    shortest, one = np.float32(A.grid.voxel.min()), np.float32(1.0)
-    report = Reporter(callback, subsets)
-    _, rows, columns = A.range_shape
-    estimate = np.empty((rows, columns), np.float32)
-    length = np.empty_like(estimate)
-    image = np.empty((rows + 2, columns + 2), np.float32)
-    counting = np.empty_like(image)
-    missing = np.empty((rows + 3, columns + 3), np.int32)
+    listener = Listener(callback, subsets)
     for iteration in range(iterations):
         for update, views in enumerate(subsets_of(len(A), subsets)):
             change[:] = 0.0
             seen[:] = 0.0
             square, rays = 0.0, 0
             for view in views:
-                forward(x, A._rays[view], estimate)
-                chords(A._rays[view], A.domain_shape, length)
-                if pixels is not None:
-                    length[~mask_of(pixels, view)] = 0.0
-                measured = masked_image(p, view, pixels)
-                residual(
-                    measured,
-                    estimate,
-                    length,
-                    np.float32(relaxation),
-                    shortest,
-                    image,
-                    counting,
-                    missing,
+                measured, mask = masked_image(p, view, pixels), mask_of(pixels, view)
+                estimate, counts = A.update(
+                    x, view, measured, relaxation=relaxation, mask=mask, change=change, seen=seen
                 )
-                spread(change, A._pixels[view], image, counting, missing, lowest)
-                # What the counting pixels hold is 1: so is the sum where a view sees the voxel.
-                spread(seen, A._pixels[view], counting, counting, missing, lowest)
-                if report.wanted:
-                    counts = length >= shortest
-                    square += sum_of_squares((measured - estimate)[None, counts])
-                    rays += int(counts.sum())
-            np.maximum(seen, one, out=seen)
+                if listener.wanted:
+                    rest = (measured - estimate)[None, counts > 0]
+                    square += sum_of_squares(rest)
+                    rays += rest.size
+            np.maximum(seen, np.float32(1.0), out=seen)
             np.divide(change, seen, out=change)
             np.add(x, change, out=x)
             if nonnegative:
                 np.maximum(x, 0.0, out=x)
-            if report(iteration, update, square, rays, x):
-                return x
-    return x
+            if listener(iteration, update, square, rays, x):
+                return Volume(x, A.grid)
+    return Volume(x, A.grid)
 
 
 def _solve(problem: Problem, settings: OsSart) -> Volume:
@@ -162,10 +123,14 @@ def _solve(problem: Problem, settings: OsSart) -> Volume:
     )
 
 
+def _updates(settings: OsSart, views: int) -> int:
+    return subset_number(settings.subsets, views)
+
+
 OS_SART = Algorithm(
     OsSart,
     _solve,
     volumes=3,
     resumes=True,
-    updates=lambda settings, views: subset_number(settings.subsets, views),
+    updates=_updates,
 )

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError
-from twinct.geometry import ScanGeometry, VolumeGrid
-from twinct.recon._adjoint import adjoint
-from twinct.recon._forward import forward
-from twinct.recon._rays import chords
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.recon.engine import Ratio, Singles, kernels
 
-Volume = NDArray[np.float32]
+LOWEST = float(np.finfo(np.float32).min)
+"""No floor."""
 
 
 class Projector:
@@ -29,23 +28,22 @@ class Projector:
         grid: the voxels, anywhere in the world.
         domain_shape: (nz, ny, nx).
         range_shape: (views, rows, columns).
+        engine: its name, where one was asked for.
+        kernels: what the engine does.
     """
 
-    def __init__(self, geometry: ScanGeometry, grid: VolumeGrid) -> None:
+    def __init__(self, geometry: ScanGeometry, grid: VolumeGrid, engine: str | None = None) -> None:
         """Express the views in voxel indices of the grid.
 
+        Args:
+            geometry: the views.
+            grid: the voxels.
+            engine: ``vector`` or ``plain``; see ``engine``.
+
         Raises:
-            InputError: a grid of less than two voxels along an axis, or one that reaches the plane
-                through the source of a view parallel to its panel, or lies behind it.
+            InputError: the grid cannot be projected, see ``check_grid``; or an unknown engine.
         """
-        if min(grid.shape) < 2:
-            raise InputError(
-                f"the grid has {grid.shape} voxels along (z, y, x): at least 2 along each needed"
-            )
-        if np.prod(grid.shape, dtype=np.int64) >= 2**31:
-            raise InputError(
-                f"the grid has {grid.shape} voxels: less than 2**31 needed (32-bit indices)"
-            )
+        check_grid(geometry, grid)
         self.geometry = geometry
         self.grid = grid
         self.domain_shape = grid.shape
@@ -53,54 +51,203 @@ class Projector:
         local = grid.world_from_grid.inverse() @ geometry
         self._rays = _index_rays(local, grid)
         self._pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
-        _check_depth(self._pixels, grid)
+        self._room: tuple[Singles, Singles, Ratio] | None = None
+        self.engine = engine
+        self.kernels = kernels(engine)
 
-    def __call__(self, x: ArrayLike) -> Volume:
-        """Line integrals (views, rows, columns), mm times the unit of ``x`` (z, y, x)."""
-        x = _as_float32(x, self.domain_shape, "the volume")
-        y = np.empty(self.range_shape, np.float32)
-        for view, image in zip(self._rays, y, strict=True):
-            forward(x, view, image)
+    def __call__(self, x: ArrayLike, out: Singles | None = None) -> Singles:
+        """Line integrals (views, rows, columns), mm times the unit of ``x`` (z, y, x).
+
+        Args:
+            x: the volume.
+            out: receives them, float32 in C order; a new array if not given.
+        """
+        x = _readable(x, self.domain_shape, "the volume")
+        y = _writable(out, self.range_shape)
+        for rays, image in zip(self._rays, y, strict=True):
+            self.kernels.forward(x, rays, image)
         return y
 
-    def T(self, y: ArrayLike) -> Volume:  # noqa: N802 - the transpose, by its usual name
-        """The exact adjoint: <A(x), y> = <x, A.T(y)>, (z, y, x)."""
-        y = _as_float32(y, self.range_shape, "the projections")
-        x = np.zeros(self.domain_shape, np.float32)
-        for view, image in zip(self._rays, y, strict=True):
-            adjoint(image, view, x, get_num_threads())
+    def T(self, y: ArrayLike, out: Singles | None = None) -> Singles:  # noqa: N802 - its usual name
+        """The exact adjoint: <A(x), y> = <x, A.T(y)>, (z, y, x).
+
+        Args:
+            y: projections, (views, rows, columns).
+            out: receives the volume, float32 in C order; a new array if not given.
+        """
+        y = _readable(y, self.range_shape, "the projections")
+        x = _writable(out, self.domain_shape)
+        x[:] = 0.0
+        for rays, image in zip(self._rays, y, strict=True):
+            self.kernels.adjoint(image, rays, x)
         return x
 
     def __getitem__(self, views: Any) -> Projector:
         """The operator of a slice, a list of indices, a mask, or one view."""
         if isinstance(views, (int, np.integer)):
             views = [int(views)]
-        part = object.__new__(Projector)
+        part = copy(self)
         part.geometry = self.geometry[views]
-        part.grid = self.grid
-        part.domain_shape = self.domain_shape
         part.range_shape = (len(part.geometry), *self.range_shape[1:])
         part._rays = self._rays[views]
         part._pixels = self._pixels[views]
+        part._room = None
         return part
+
+    def on(self, grid: VolumeGrid, geometry: ScanGeometry | None = None) -> Projector:
+        """The operator of another grid, and other views if given, by the same engine."""
+        return Projector(geometry or self.geometry, grid, self.engine)
 
     def __len__(self) -> int:
         """Number of views."""
         return self.range_shape[0]
 
-    def chords(self) -> Volume:
+    def __repr__(self) -> str:
+        """One line: views, pixels and voxels."""
+        views, rows, columns = self.range_shape
+        voxels = " x ".join(map(str, self.grid.shape_xyz))
+        return f"Projector({views} views, {columns} x {rows} px, {voxels} voxels)"
+
+    def chords(self) -> Singles:
         """Length of each ray inside the grid, (views, rows, columns), mm; 0 where it misses."""
         lengths = np.empty(self.range_shape, np.float32)
-        for view, image in zip(self._rays, lengths, strict=True):
-            chords(view, self.domain_shape, image)
+        for rays, image in zip(self._rays, lengths, strict=True):
+            self.kernels.chords(rays, self.domain_shape, image)
         return lengths
 
+    def update(
+        self,
+        x: Singles,
+        view: int,
+        measured: Singles,
+        *,
+        relaxation: float,
+        mask: NDArray[np.bool_] | None = None,
+        floor: float = LOWEST,
+        change: Singles | None = None,
+        seen: Singles | None = None,
+    ) -> tuple[Singles, Singles]:
+        """SART's update from one view, voxel-driven.
 
-def _as_float32(values: ArrayLike, shape: tuple[int, ...], name: str) -> Volume:
+            x <- max(x + relaxation * B[(p - A x) / L] / B[1], floor)
+
+        A x are the view's line integrals and L each ray's length inside the grid; rays shorter than
+        the smallest voxel edge do not count. B is not the adjoint of A but what the image holds
+        where a voxel's centre projects, bilinear between pixel centres, border pixels held over
+        their outer half. Voxels that project beside the panel are left alone.
+
+        It works in arrays that the projector keeps: not for two threads at once.
+
+        Args:
+            x: volume (z, y, x), float32 in C order.
+            view: its number.
+            measured: p, (rows, columns), float32; finite, also where the mask is False.
+            relaxation: factor.
+            mask: True where a pixel counts, (rows, columns).
+            floor: voxels that the view sees do not fall below it.
+            change: volume that the change is added to; ``x`` itself if not given.
+            seen: volume that 1 is added to where the view sees a voxel.
+
+        Returns:
+            A x, and 1 where a ray counts, else 0, (rows, columns) each; until the next call.
+        """
+        rows, columns = self.range_shape[1:]
+        if self._room is None:
+            image = np.empty((rows, columns), np.float32)
+            self._room = image, np.empty_like(image), Ratio.room(rows, columns)
+        estimate, length, ratio = self._room
+        self.kernels.forward(x, self._rays[view], estimate)
+        self.kernels.chords(self._rays[view], self.domain_shape, length)
+        if mask is not None:
+            length[~mask] = 0.0
+        shortest = np.float32(self.grid.voxel.min())
+        self.kernels.ratio(measured, estimate, length, np.float32(relaxation), shortest, *ratio)
+        to, pixels = (x if change is None else change), self._pixels[view]
+        self.kernels.update(to, pixels, *ratio, np.float32(floor))
+        if seen is not None:
+            # What the counting pixels hold is 1: so is their mean where a view sees the voxel.
+            counts = ratio._replace(image=ratio.counts)
+            self.kernels.update(seen, pixels, *counts, np.float32(LOWEST))
+        return estimate, ratio.counts[1:-1, 1:-1]
+
+    def back_project(self, images: Singles, scales: Floats, out: Singles) -> None:
+        """Add scale / depth^2 times what each view's image holds where a voxel projects.
+
+        Voxel-driven as in ``update``, but beside the panel there is nothing. A voxel takes the
+        views in their order.
+
+        Args:
+            images: (views, rows, columns), float32 in C order.
+            scales: (views,), mm^2; the depth is the distance from the source along the panel's
+                normal, mm.
+            out: volume (z, y, x), float32 in C order, changed in place.
+        """
+        self.kernels.back_project(images, self._pixels, scales, out)
+
+
+def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:
+    """Look at what a projector needs, without one.
+
+    Raises:
+        InputError: a grid of less than two voxels along an axis, or one that reaches the plane
+            through the source of a view parallel to its panel, or lies behind it.
+    """
+    if min(grid.shape) < 2:
+        raise InputError(
+            f"the grid has {grid.shape} voxels along (z, y, x): at least 2 along each needed"
+        )
+    if np.prod(grid.shape, dtype=np.int64) >= 2**31:
+        raise InputError(
+            f"the grid has {grid.shape} voxels: less than 2**31 needed (32-bit indices)"
+        )
+    local = grid.world_from_grid.inverse() @ geometry
+    pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
+    ends = np.array([(-0.5, n - 0.5) for n in grid.shape_xyz])
+    depth = pixels[:, 2, 3] + np.minimum(
+        pixels[:, 2, :3] * ends[:, 0], pixels[:, 2, :3] * ends[:, 1]
+    ).sum(axis=1)
+    if (depth <= 0).any():
+        view = int(depth.argmin())
+        raise InputError(
+            f"the grid reaches {-depth[view]:.1f} mm behind the source of view {view} "
+            "(seen along the panel's normal): it must lie in front of the source in every view"
+        )
+
+
+def _readable(values: ArrayLike, shape: tuple[int, ...], name: str) -> Singles:
+    """Float32 in C order, writable for the kernels' sake."""
     array = np.ascontiguousarray(values, dtype=np.float32)
     if array.shape != shape:
         raise InputError(f"{name} has shape {array.shape}: {shape} needed")
-    return array
+    return array if array.flags.writeable else np.asarray(_Unlocked(array))
+
+
+class _Unlocked:
+    """The same memory: kernels are compiled for arrays that may be written."""
+
+    def __init__(self, array: Singles) -> None:
+        self.array = array
+
+    @property
+    def __array_interface__(self) -> dict[str, Any]:
+        given = self.array.__array_interface__
+        return given | {"data": (given["data"][0], False)}
+
+
+def _writable(out: Singles | None, shape: tuple[int, ...]) -> Singles:
+    if out is None:
+        return np.empty(shape, np.float32)
+    flags = out.flags
+    if (
+        out.shape != shape
+        or out.dtype != np.float32
+        or not (flags.c_contiguous and flags.writeable)
+    ):
+        raise InputError(
+            f"out is {out.dtype} of shape {out.shape}: writable float32 of shape {shape} in C "
+            "order needed"
+        )
+    return out
 
 
 def _index_rays(local: ScanGeometry, grid: VolumeGrid) -> NDArray[np.float64]:
@@ -114,16 +261,3 @@ def _index_rays(local: ScanGeometry, grid: VolumeGrid) -> NDArray[np.float64]:
         [local.source / voxel + centre, corner / voxel + centre, across / voxel, up / voxel, edges],
         axis=1,
     )
-
-
-def _check_depth(pixels: NDArray[np.float64], grid: VolumeGrid) -> None:
-    ends = np.array([(-0.5, n - 0.5) for n in grid.shape_xyz])
-    depth = pixels[:, 2, 3] + np.minimum(
-        pixels[:, 2, :3] * ends[:, 0], pixels[:, 2, :3] * ends[:, 1]
-    ).sum(axis=1)
-    if (depth <= 0).any():
-        view = int(depth.argmin())
-        raise InputError(
-            f"the grid reaches {-depth[view]:.1f} mm behind the source of view {view} "
-            "(seen along the panel's normal): it must lie in front of the source in every view"
-        )

@@ -10,42 +10,25 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
 from twinct.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks
-from twinct.recon.order import Order, OrderName, Rng, view_order
-from twinct.recon.projector import Volume
-from twinct.recon.steps import Callback, Reporter
-from twinct.settings import facts
+from twinct.recon.order import Order, Rng, view_order
+from twinct.recon.settings import Iterations, Nonnegative, Ordering, Relaxation
+from twinct.recon.steps import Callback, Listener
+from twinct.volume import Volume
 
 
 class RtkSart(AlgorithmSettings):
     """SART by RTK, the independent cross-check; it needs the extra rtk."""
 
     algorithm: Literal["rtk_sart"] = "rtk_sart"
-    iterations: int = Field(
-        default=10,
-        ge=1,
-        le=10_000,
-        description="Passes over all views.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    relaxation: float = Field(
-        default=0.3,
-        gt=0,
-        lt=2,
-        description="Share of the residual that an update takes up.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    order: OrderName = Field(
-        default="golden",
-        description="Order of the views.",
-        json_schema_extra=facts(source="weighted_distance: Mueller, Yagel and Cornhill 1997"),
-    )
-    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
+    iterations: Iterations = 10
+    relaxation: Relaxation = 0.3
+    order: Ordering = "golden"
+    nonnegative: Nonnegative = False
 
 
 def rtk_sart(
@@ -79,7 +62,7 @@ def rtk_sart(
         callback: called after each update, with NaN for the residual; True stops.
 
     Returns:
-        The volume (z, y, x), float32.
+        The volume.
 
     Raises:
         MissingExtraError: itk-rtk is not installed.
@@ -99,7 +82,7 @@ def rtk_sart(
         raise MissingExtraError("itk-rtk", "rtk") from error
 
     x = np.zeros(grid.shape, np.float32) if x0 is None else np.array(x0, np.float32, order="C")
-    report = Reporter(callback, len(views))
+    listener = Listener(callback, len(views))
     local = grid.world_from_grid.inverse() @ geometry
     image_type = itk.Image[itk.F, 3]
     for iteration in range(iterations):
@@ -119,9 +102,9 @@ def rtk_sart(
             sart.SetDisableDisplacedDetectorFilter(True)
             sart.Update()
             x = itk.array_from_image(sart.GetOutput())
-            if report(iteration, update, math.nan, 1, x):
-                return np.array(x, dtype=np.float32)
-    return np.ascontiguousarray(x, dtype=np.float32)
+            if listener(iteration, update, math.nan, 1, x):
+                return Volume(np.array(x), grid)
+    return Volume(x, grid)
 
 
 def _image(itk: Any, array: NDArray[np.float32], origin: Any, spacing: Any) -> Any:
@@ -155,4 +138,8 @@ def _solve(problem: Problem, settings: RtkSart) -> Volume:
     )
 
 
-RTK_SART = Algorithm(RtkSart, _solve, volumes=4, updates=lambda _, views: views)
+def _updates(settings: RtkSart, views: int) -> int:
+    return views
+
+
+RTK_SART = Algorithm(RtkSart, _solve, volumes=4, masks=False, updates=_updates)

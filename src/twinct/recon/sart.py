@@ -4,46 +4,26 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 
-from twinct.recon._forward import forward
-from twinct.recon._rays import chords
-from twinct.recon._spread import residual, spread
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
-from twinct.recon.order import Order, OrderName, Rng, view_order
-from twinct.recon.projector import Projector, Volume
-from twinct.recon.steps import Callback, Reporter, sum_of_squares
-from twinct.settings import facts
+from twinct.recon.order import Order, Rng, view_order
+from twinct.recon.projector import LOWEST, Projector
+from twinct.recon.settings import Iterations, Nonnegative, Ordering, Relaxation
+from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.volume import Volume
 
 
 class Sart(AlgorithmSettings):
     """SART, one view per update."""
 
     algorithm: Literal["sart"] = "sart"
-    iterations: int = Field(
-        default=10,
-        ge=1,
-        le=10_000,
-        description="Passes over all views.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    relaxation: float = Field(
-        default=0.3,
-        gt=0,
-        lt=2,
-        description="Share of the residual that an update takes up.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    order: OrderName = Field(
-        default="golden",
-        description="Order of the views.",
-        json_schema_extra=facts(source="weighted_distance: Mueller, Yagel and Cornhill 1997"),
-    )
-    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
+    iterations: Iterations = 10
+    relaxation: Relaxation = 0.3
+    order: Ordering = "golden"
+    nonnegative: Nonnegative = False
 
 
 def sart(
@@ -89,7 +69,7 @@ def sart(
         callback: called after each update; see ``Step``. True stops.
 
     Returns:
-        The volume (z, y, x), float32.
+        The volume.
 
     Raises:
         InputError: an argument is out of range, has another shape, or is not finite; or the memory
@@ -103,41 +83,21 @@ def sart(
     x0 = checks.start(x0, A.domain_shape)
     views = view_order(checks, A.geometry, order, rng)
     checks.done()
-    require_memory("sart", A)
+    require_memory(SART, A)
     x = start_volume(A, x0, nonnegative)
-    floor = np.float32(0.0) if nonnegative else np.finfo(np.float32).min
-    shortest = np.float32(A.grid.voxel.min())
-    report = Reporter(callback, len(views))
-    _, rows, columns = A.range_shape
-    estimate = np.empty((rows, columns), np.float32)
-    length = np.empty_like(estimate)
-    image = np.empty((rows + 2, columns + 2), np.float32)
-    counting = np.empty_like(image)
-    missing = np.empty((rows + 3, columns + 3), np.int32)
+    floor = 0.0 if nonnegative else LOWEST
+    listener = Listener(callback, len(views))
     for iteration in range(iterations):
         for update, view in enumerate(views):
-            forward(x, A._rays[view], estimate)
-            chords(A._rays[view], A.domain_shape, length)
-            if pixels is not None:
-                length[~mask_of(pixels, view)] = 0.0
-            measured = masked_image(p, view, pixels)
-            residual(
-                measured,
-                estimate,
-                length,
-                np.float32(relaxation),
-                shortest,
-                image,
-                counting,
-                missing,
+            measured, mask = masked_image(p, view, pixels), mask_of(pixels, view)
+            estimate, counts = A.update(
+                x, view, measured, relaxation=relaxation, mask=mask, floor=floor
             )
-            spread(x, A._pixels[view], image, counting, missing, floor)
-            if report.wanted:
-                counts = length >= shortest
-                square = sum_of_squares((measured - estimate)[None, counts])
-                if report(iteration, update, square, int(counts.sum()), x):
-                    return x
-    return x
+            if listener.wanted:
+                rest = (measured - estimate)[None, counts > 0]
+                if listener(iteration, update, sum_of_squares(rest), rest.size, x):
+                    return Volume(x, A.grid)
+    return Volume(x, A.grid)
 
 
 def _solve(problem: Problem, settings: Sart) -> Volume:
@@ -155,4 +115,8 @@ def _solve(problem: Problem, settings: Sart) -> Volume:
     )
 
 
-SART = Algorithm(Sart, _solve, volumes=1, resumes=True, updates=lambda _, views: views)
+def _updates(settings: Sart, views: int) -> int:
+    return views
+
+
+SART = Algorithm(Sart, _solve, volumes=1, resumes=True, updates=_updates)

@@ -6,35 +6,23 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
 from twinct.recon.memory import require_memory
-from twinct.recon.projector import Projector, Volume
-from twinct.recon.steps import Callback, Reporter, sum_of_squares
-from twinct.settings import facts
+from twinct.recon.projector import Projector
+from twinct.recon.settings import Iterations, Nonnegative, Relaxation
+from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.volume import Volume
 
 
 class Sirt(AlgorithmSettings):
     """SIRT, all views per update."""
 
     algorithm: Literal["sirt"] = "sirt"
-    iterations: int = Field(
-        default=10,
-        ge=1,
-        le=10_000,
-        description="Passes over all views.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    relaxation: float = Field(
-        default=0.3,
-        gt=0,
-        lt=2,
-        description="Share of the residual that an update takes up.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    nonnegative: bool = Field(default=False, description="Whether no voxel falls below 0.")
+    iterations: Iterations = 10
+    relaxation: Relaxation = 0.3
+    nonnegative: Nonnegative = False
 
 
 def sirt(
@@ -71,7 +59,7 @@ def sirt(
         callback: called after each iteration; see ``Step``. True stops.
 
     Returns:
-        The volume (z, y, x), float32.
+        The volume.
 
     Raises:
         InputError: an argument is out of range, has another shape, or is not finite; or the memory
@@ -84,7 +72,7 @@ def sirt(
     relaxation = checks.relaxation(relaxation)
     x0 = checks.start(x0, A.domain_shape)
     checks.done()
-    require_memory("sirt", A)
+    require_memory(SIRT, A)
     x = start_volume(A, x0, nonnegative)
     counts, rows = counting_rays(A, pixels)
     np.divide(1.0, rows, out=rows, where=counts)
@@ -96,12 +84,12 @@ def sirt(
     np.divide(relaxation, columns, out=columns, where=touched)
     columns[~touched] = 0.0
     del touched
-    report = Reporter(callback)
+    listener = Listener(callback)
     for iteration in range(iterations):
         rest = remainder(A, x, p, range(len(A)), pixels)
-        if report.wanted:
+        if listener.wanted:
             rest[rows == 0] = 0.0
-        square = sum_of_squares(rest) if report.wanted else 0.0
+        square = sum_of_squares(rest) if listener.wanted else 0.0
         rest *= rows
         change = A.T(rest)
         change *= columns
@@ -109,9 +97,9 @@ def sirt(
         del change, rest
         if nonnegative:
             np.maximum(x, 0.0, out=x)
-        if report(iteration, 0, square, rays, x):
+        if listener(iteration, 0, square, rays, x):
             break
-    return x
+    return Volume(x, A.grid)
 
 
 def _solve(problem: Problem, settings: Sirt) -> Volume:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twinct.recon.projector import Volume
+from twinct.recon.engine import Singles
 
 
 class Step(NamedTuple):
@@ -28,15 +29,15 @@ class Step(NamedTuple):
     updates: int
     residual: float
     rays: int
-    volume: Volume
+    volume: Singles
 
 
 Callback = Callable[[Step], bool | None]
 """Called after each update; True ends the reconstruction with the volume as it is."""
 
 
-class Reporter:
-    """Calls a callback with what it needs."""
+class Listener:
+    """Calls a callback, if there is one, with what it needs."""
 
     def __init__(self, callback: Callback | None, updates: int = 1) -> None:
         """Keep the callback; ``updates`` is the number of updates in each iteration."""
@@ -48,7 +49,7 @@ class Reporter:
         """Whether anybody listens: residuals need not be worked out otherwise."""
         return self.callback is not None
 
-    def __call__(self, iteration: int, update: int, square: float, rays: int, x: Volume) -> bool:
+    def __call__(self, iteration: int, update: int, square: float, rays: int, x: Singles) -> bool:
         """Tell of an update with the sum of squared residuals; whether to stop."""
         if self.callback is None:
             return False
@@ -59,6 +60,6 @@ class Reporter:
         return bool(self.callback(step))
 
 
-def sum_of_squares(values: np.ndarray) -> float:
+def sum_of_squares(values: NDArray[Any]) -> float:
     """In float64, one part along the first axis at a time; without BLAS and its threads."""
     return float(sum(np.square(part, dtype=np.float64).sum() for part in values))

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
 from twinct.errors import InputError
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
+from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
-from twinct.recon.projector import Projector, Volume
+from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
 
 
 def without_surroundings(
+    A: Projector,
     line_integrals: ArrayLike,
-    geometry: ScanGeometry,
-    grid: VolumeGrid,
     *,
     margin_mm: float,
     voxel_mm: float,
@@ -29,7 +30,7 @@ def without_surroundings(
     nonnegative: bool = True,
     mask: ArrayLike | None = None,
     callback: Callback | None = None,
-) -> Volume:
+) -> Singles:
     """Line integrals less what lies around the grid, for any algorithm.
 
     A specimen that reaches out of the grid adds to the line integrals what no voxel can take; the
@@ -51,9 +52,8 @@ def without_surroundings(
     voxels of four times the edge or more).
 
     Args:
+        A: the projector, with the believed geometry and the grid that will be reconstructed.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        geometry: the believed geometry.
-        grid: the grid that will be reconstructed.
         margin_mm: by how much the coarse grid is larger, on each side.
         voxel_mm: coarse voxel edge; changed a little so that a whole number of them spans the grid.
         iterations: of the coarse ``sart``.
@@ -69,7 +69,8 @@ def without_surroundings(
         InputError: an argument is out of range, has another shape, or is not finite; the coarse
             grid reaches behind a source; or the memory does not suffice.
     """
-    checks = Checks((len(geometry), *geometry.panel.shape))
+    geometry, grid = A.geometry, A.grid
+    checks = Checks(A.range_shape)
     pixels = checks.mask(mask)
     p = checks.projections(line_integrals, pixels)
     for name, value in (("margin_mm", margin_mm), ("voxel_mm", voxel_mm)):
@@ -78,24 +79,20 @@ def without_surroundings(
     checks.done()
     coarse = coarse_grid(grid, margin_mm, voxel_mm)
     factors = _binning(geometry, coarse)
-    binned_panel = math.prod(geometry.panel.binned(*factors).shape)
     refuse_if_short(
-        4 * math.prod(grid.shape)
-        + 8 * math.prod(coarse.shape)
-        + 4 * (p.size + len(p) * binned_panel),
+        surroundings_bytes(geometry, grid, margin_mm=margin_mm, voxel_mm=voxel_mm),
         f"taking out the surroundings on {coarse.shape} voxels",
-        advice("sart"),
+        advice(),
     )
     try:
-        outer = Projector(geometry, coarse)
+        outer = A.on(coarse)
     except InputError as error:
         raise InputError(
             f"with margin_mm {margin_mm:g}, {problem}" for problem in error.problems
         ) from None
-    inner = Projector(geometry, grid)
     binned, binned_mask = _bin(p, pixels, factors)
     volume = sart(
-        Projector(geometry.binned(*factors), coarse),
+        A.on(coarse, geometry.binned(*factors)),
         binned,
         iterations=iterations,
         relaxation=relaxation,
@@ -104,13 +101,24 @@ def without_surroundings(
         callback=callback,
     )
     del binned
-    inside = _interpolated(volume, coarse, grid)
+    inside = _interpolated(volume.array, coarse, grid)
     rest = np.empty(p.shape, np.float32)
     for view, image in enumerate(rest):
         image[:] = masked_image(p, view, pixels)
-        outside = outer[view](volume)[0] - inner[view](inside)[0]
+        outside = outer[view](volume.array)[0] - A[view](inside)[0]
         image -= outside if pixels is None else np.where(mask_of(pixels, view), outside, 0)
     return rest
+
+
+def surroundings_bytes(
+    geometry: ScanGeometry, grid: VolumeGrid, *, margin_mm: float, voxel_mm: float
+) -> int:
+    """Bytes that ``without_surroundings`` takes beside the line integrals that it is given."""
+    coarse = coarse_grid(grid, margin_mm, voxel_mm)
+    across, up = _binning(geometry, coarse)
+    binned = geometry.panel.rows // across * (geometry.panel.columns // up)
+    pixels = len(geometry) * (math.prod(geometry.panel.shape) + binned)
+    return 4 * (math.prod(grid.shape) + 2 * math.prod(coarse.shape) + pixels)
 
 
 def coarse_grid(grid: VolumeGrid, margin_mm: float, voxel_mm: float) -> VolumeGrid:
@@ -133,8 +141,8 @@ def _binning(geometry: ScanGeometry, coarse: VolumeGrid) -> tuple[int, int]:
 
 
 def _bin(
-    p: np.ndarray, pixels: Mask | None, factors: tuple[int, int]
-) -> tuple[Volume, Mask | None]:
+    p: NDArray[Any], pixels: Mask | None, factors: tuple[int, int]
+) -> tuple[Singles, Mask | None]:
     """Mean of the pixels that count; a binned pixel counts if half of its pixels do."""
     views, rows, columns = p.shape
     shape = rows // factors[0], columns // factors[1]
@@ -151,13 +159,15 @@ def _bin(
     return binned, mask
 
 
-def _blocks(image: np.ndarray, shape: tuple[int, int], factors: tuple[int, int]) -> np.ndarray:
+def _blocks(
+    image: NDArray[Any], shape: tuple[int, int], factors: tuple[int, int]
+) -> NDArray[np.float64]:
     cut = image[: shape[0] * factors[0], : shape[1] * factors[1]]
     blocks = cut.reshape(shape[0], factors[0], shape[1], factors[1])
     return blocks.mean(axis=(1, 3), dtype=np.float64)
 
 
-def _interpolated(volume: Volume, coarse: VolumeGrid, grid: VolumeGrid) -> Volume:
+def _interpolated(volume: Singles, coarse: VolumeGrid, grid: VolumeGrid) -> Singles:
     """The coarse volume at the voxels of the grid, trilinear, one plane at a time."""
     z, y, x = (
         own / edge + (n - 1) / 2

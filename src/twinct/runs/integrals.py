@@ -8,25 +8,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
-from twinct.geometry import ScanGeometry
+from twinct.recon.checks import masked_image
+from twinct.recon.memory import SPARE_BYTES
+from twinct.recon.projector import Projector
+from twinct.recon.sart import sart
 from twinct.scan import Workshop
 from twinct.scenario import BeamHardening, Scenario
 
 if TYPE_CHECKING:
     from twinct.specimen.materials import Material
+    from twinct.xray.hardening import Hardening
+
+RELAXATION = 0.3
+"""Of the first volume, where the algorithm itself has none."""
 
 _KEY = "reconstruction.beam_hardening"
 
 
 def hardening_corrected(
-    scenario: Scenario, integrals: NDArray[np.float32], geometry: ScanGeometry
+    scenario: Scenario,
+    integrals: NDArray[np.float32],
+    A: Projector,
+    mask: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
     """Line integrals at one energy, where the scenario asks for it.
 
     Args:
         scenario: source, detector, materials.
         integrals: polychromatic ones, (views, rows, columns).
-        geometry: from which the volume that two materials need is reconstructed.
+        A: with which the volume that two materials need is reconstructed.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
     """
     section = scenario.reconstruction.beam_hardening
     if section is None:
@@ -40,24 +51,46 @@ def hardening_corrected(
     materials = _materials(section)
     if section.kind == "one_material":
         substances = materials or [Workshop(scenario).specimen.reference_part.material]
-        return Hardening(*known, substances, energy).correct(integrals)
-
-    from twinct.recon import Projector, sart
+        return _each(Hardening(*known, substances, energy), integrals)
 
     base, dense = materials
-    projector = Projector(geometry, scenario.reconstruction.grid.volume_grid)
     volume = sart(
-        projector,
-        Hardening(*known, [base], energy).correct(integrals),
+        A,
+        _each(Hardening(*known, [base], energy), integrals),
         iterations=section.first_iterations,
-        relaxation=getattr(scenario.reconstruction, "relaxation", 0.3),
-    )
+        relaxation=getattr(scenario.reconstruction, "relaxation", RELAXATION),
+        mask=mask,
+    ).array
     low, high = base.mu_per_mm(energy), dense.mu_per_mm(energy)
-    # From a quarter to three quarters of the step between them: noise counts as neither.
-    share = np.clip(2 * (volume - low) / (high - low) - 0.5, 0, 1).astype(np.float32)
-    paths = projector(share)
+    share = np.empty_like(volume)
+    for plane, values in zip(share, volume, strict=True):
+        # From a quarter to three quarters of the step between them: noise counts as neither.
+        plane[:] = np.clip(2 * (values - low) / (high - low) - 0.5, 0, 1)
+    paths = A(share)
     hardening = Hardening(*known, [base, dense], energy, float(paths.max()))
-    return np.stack([hardening.correct(*view) for view in zip(integrals, paths, strict=True)])
+    for view, path in enumerate(paths):
+        path[:] = hardening.correct(masked_image(integrals, view, mask), path)
+    return paths
+
+
+def _each(hardening: Hardening, integrals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Correct one view at a time: the table is looked up in float64."""
+    corrected = np.empty_like(integrals)
+    for image, given in zip(corrected, integrals, strict=True):
+        image[:] = hardening.correct(given)
+    return corrected
+
+
+def hardening_bytes(section: BeamHardening, voxels: int, pixels: int) -> int:
+    """Bytes that ``hardening_corrected`` takes beside the line integrals that it is given.
+
+    Args:
+        section: for how many materials.
+        voxels: of the grid.
+        pixels: of all views together.
+    """
+    volumes = 0 if section.kind == "one_material" else 2
+    return 4 * (pixels + volumes * voxels) + SPARE_BYTES
 
 
 def check_hardening(scenario: Scenario) -> None:

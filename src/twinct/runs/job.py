@@ -32,7 +32,7 @@ from twinct.runs.volumes import reconstruct, reconstruction_digest, require_feas
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space
 from twinct.scenario import Scenario, load_scenario
 from twinct.threads import limit_threads
-from twinct.volume import read_volume, write_volume
+from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
 
@@ -55,9 +55,9 @@ class Run:
         return replace(ScanStore(self.paths.scan).read(), scenario=self.scenario)
 
     @cached_property
-    def volume(self) -> NDArray[np.float32]:
-        """The reconstruction, (z, y, x), 1/mm."""
-        return read_volume(self.paths.volume)[0]
+    def volume(self) -> Volume:
+        """The reconstruction, 1/mm."""
+        return Volume.read(self.paths.volume)
 
     @cached_property
     def figures(self) -> dict[str, Any]:
@@ -143,19 +143,18 @@ def report_again(path: str | Path, progress: Progress = SILENT) -> Run:
     with storage_errors(folder.path), sole_owner(folder.lock):
         before = read_metrics(folder.metrics)
         scenario = load_scenario(folder.scenario)
-        volume, note = read_volume(folder.volume)
-        if note != _note_of(scenario):
+        run = Run(scenario, folder)
+        if run.volume.extras["note"] != _note_of(scenario):
             raise InputError(
                 f"{folder.volume} was made with other settings than {folder.scenario.name} holds: "
                 f"finish the run with 'twinct run {folder.scenario} --out {path} --resume'"
             )
-        run = Run(scenario, folder)
         workshop = Workshop(scenario)
         truth = truth_of(run.scan, workshop, progress)
-        figures = {scenario.reconstruction.geometries[0]: judge(run.scan, volume, truth)}
+        figures = {scenario.reconstruction.geometries[0]: judge(run.scan, run.volume, truth)}
         for which, values in before.get("image_by_geometry", {}).items():
             figures.setdefault(which, ImageFigures(**values))
-        results = Results(volume, truth, figures, before.get("residuals", {}))
+        results = Results(run.volume, truth, figures, before.get("residuals", {}))
         timing = Timing(before["seconds"], before["real_time_factor"])
         write_results(folder, workshop, run.scan, results, timing)
     return run
@@ -217,7 +216,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, progress
         truth = truth_of(scan, workshop, progress)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}
-    kept: NDArray[np.float32] | None = None
+    kept: Volume | None = None
     for which in scenario.reconstruction.geometries:
         course = residuals.setdefault(which, [])
         with seconds.stage("reconstruction", keep=True):
@@ -231,8 +230,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, progress
         if kept is None:
             kept = volume
             with seconds.stage("storing"):
-                grid = scenario.reconstruction.grid.volume_grid
-                write_volume(folder.volume, volume, grid, _note_of(scenario))
+                volume.write(folder.volume, _note_of(scenario))
         figures[which] = _judged(which, scan, volume, truth, seconds, progress)
         del volume
     assert kept is not None
@@ -244,7 +242,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, progress
 def _judged(
     which: str,
     scan: Scan,
-    volume: NDArray[np.float32],
+    volume: Volume,
     truth: Truth,
     seconds: Seconds,
     progress: Progress,

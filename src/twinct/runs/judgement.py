@@ -11,6 +11,7 @@ from twinct.evaluate import ImageFigures, image_figures, region_of_interest
 from twinct.progress import SILENT, Progress
 from twinct.runs.integrals import effective_energy
 from twinct.scan import Scan, Workshop
+from twinct.volume import Volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +44,10 @@ def truth_of(scan: Scan, workshop: Workshop, progress: Progress = SILENT) -> Tru
     return Truth(volume, region, workshop.specimen.reference_mu(energy))
 
 
-def judge(scan: Scan, volume: NDArray[np.float32], truth: Truth) -> ImageFigures:
+def judge(scan: Scan, volume: Volume, truth: Truth) -> ImageFigures:
     """The image figures of a reconstruction."""
     return image_figures(
-        volume,
+        volume.array,
         truth.volume,
         truth.region,
         truth.mu_reference,

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twinct.evaluate import ImageFigures, pose_errors
 from twinct.files.writing import write_json
@@ -24,6 +23,7 @@ from twinct.runs.judgement import Truth
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruction_digest
 from twinct.scan import Scan, Workshop
+from twinct.volume import Volume
 
 _SHOWN_VIEWS = 4
 """Projections shown in the report."""
@@ -34,13 +34,13 @@ class Results:
     """What a run found out, beside its scan.
 
     Attributes:
-        volume: the reconstruction that is kept, (z, y, x), 1/mm.
+        volume: the reconstruction that is kept, 1/mm.
         truth: what it is judged against.
         figures: of each geometry that was reconstructed from.
         residuals: of each iteration, by geometry.
     """
 
-    volume: NDArray[np.float32]
+    volume: Volume
     truth: Truth
     figures: Mapping[str, ImageFigures]
     residuals: Mapping[str, list[float]]
@@ -98,7 +98,7 @@ def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData
         clearance_mm=scan.clearance_mm,
         projections=[(int(view), scan.transmission[view]) for view in shown],
         slices=cross_sections(
-            results.volume,
+            results.volume.array,
             truth.volume,
             truth.region,
             scenario.reconstruction.grid.volume_grid,

@@ -10,24 +10,25 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.draws import view_rng
+from twinct.errors import InputError
 from twinct.files.writing import complete, storage_errors
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.progress import SILENT, Progress
-from twinct.recon import Projector
 from twinct.recon.algorithm import Problem
 from twinct.recon.algorithms import algorithms
-from twinct.runs.integrals import hardening_corrected
+from twinct.recon.memory import advice, peak_bytes, refuse_if_short
+from twinct.recon.projector import Projector, check_grid
+from twinct.recon.steps import Step
+from twinct.recon.surroundings import surroundings_bytes, without_surroundings
+from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.scan import Scan
-from twinct.scenario import Reconstruction, Scenario
-
-if TYPE_CHECKING:
-    from twinct.recon import Step
+from twinct.scenario import Scenario, Surroundings
+from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
 
@@ -51,77 +52,78 @@ def reconstruct(
     checkpoints: Path | None = None,
     watch: Callable[[int, float], None] | None = None,
     progress: Progress = SILENT,
-) -> NDArray[np.float32]:
+) -> Volume:
     """Reconstruct a scan as its scenario says.
 
     Args:
         scan: projections and poses.
         geometry: ``commanded``, ``executed`` or ``believed``; the scenario's first where None.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
-        checkpoints: folder in which each iteration is kept, and from which a later call goes on;
-            not for algorithms that cannot (``Algorithm.resumes``): they start again.
+        checkpoints: folder in which each iteration is kept, and from which a later call with the
+            same projections, poses, mask and settings goes on; not of an algorithm that cannot.
         watch: called after each iteration, also those of the call before, with its number from 1
-            and the root mean square of p - A x, taken during it before each update; not for ``fdk``
-            and ``rtk_sart``, which have none.
+            and the root mean square of p - A x, taken during it before each update; not for
+            algorithms that have none.
         progress: told of each update.
 
     Returns:
-        Attenuation, (z, y, x), 1/mm.
+        Attenuation, 1/mm.
 
     Raises:
-        MissingExtraError: the engine is not installed.
-        InputError: the algorithm cannot do this scan, or the memory does not suffice.
+        MissingExtraError: the algorithm is not installed.
+        InputError: the algorithm cannot do this scan or this mask, or the memory does not suffice.
     """
-    section = scan.scenario.reconstruction
-    which = geometry or section.geometries[0]
-    poses = scan.poses(which).geometry(scan.scenario.detector.panel)
-    grid = section.grid.volume_grid
-    integrals = hardening_corrected(scan.scenario, line_integrals(scan.transmission), poses)
-    if section.surroundings is not None:
-        integrals = _without_surroundings(integrals, poses, section, mask, progress)
+    scenario = scan.scenario
+    section = scenario.reconstruction
     algorithm = algorithms()[section.algorithm]
-    folder = checkpoints if algorithm.resumes else None
-    kept = _Checkpoints(folder, f"{which}-{reconstruction_digest(scan.scenario)[:16]}")
-    done, volume, residuals = kept.newest(grid)
+    which = geometry or section.geometries[0]
+    pixels = None if mask is None else np.asarray(mask)
+    if pixels is not None and not algorithm.masks:
+        raise InputError(f"{algorithm.name} knows no mask: leave it out, or take another algorithm")
+    poses = scan.poses(which).geometry(scenario.detector.panel)
+    grid = section.grid.volume_grid
+    kept = _Checkpoints(None, "")
+    if checkpoints is not None and algorithm.resumes:
+        kept = _Checkpoints(checkpoints, f"{which}-{_digest(scan, poses, pixels)[:16]}")
+    done, x0, residuals = kept.newest(grid)
     if watch is not None:
         for number, residual in enumerate(residuals, start=1):
             watch(number, residual)
-    passes = getattr(section, "iterations", 1)
-    if volume is not None and done >= passes:
-        return volume
+    iterations: int = getattr(section, "iterations", 1)
+    if x0 is not None and done >= iterations:
+        return Volume(x0, grid)
+    A = Projector(poses, grid)
+    integrals = hardening_corrected(scenario, line_integrals(scan.transmission), A, pixels)
+    if section.surroundings is not None:
+        integrals = _without_surroundings(A, integrals, section.surroundings, pixels, progress)
+    if done:
+        section = section.model_copy(update={"iterations": iterations - done})
     updates = algorithm.updates(section, len(scan))
-    name = f"{section.algorithm}, {which} geometry"
-    with progress.stage(name, passes * updates, done * updates) as tick:
-        follow = _Follower(tick, kept, watch, done, residuals)
+    name = f"{algorithm.name}, {which} geometry"
+    with progress.stage(name, iterations * updates, done * updates) as tick:
         problem = Problem(
-            Projector(poses, grid),
-            integrals,
-            scan.transmission,
-            mask=None if mask is None else np.asarray(mask),
-            x0=volume,
-            rng=view_rng(scan.scenario.seed, "order of views", 0),
-            callback=follow,
+            projector=A,
+            line_integrals=integrals,
+            transmission=scan.transmission,
+            mask=pixels,
+            x0=x0,
+            rng=view_rng(scenario.seed, "order of views", 0),
+            callback=_Follower(tick, kept, watch, done, residuals),
         )
-        left = {"iterations": passes - done} if done else {}
-        return algorithm.solve(problem, section.model_copy(update=left))
+        return algorithm.solve(problem, section)
 
 
 def _without_surroundings(
+    A: Projector,
     integrals: NDArray[np.float32],
-    poses: ScanGeometry,
-    section: Reconstruction,
-    mask: ArrayLike | None,
+    around: Surroundings,
+    mask: NDArray[np.bool_] | None,
     progress: Progress,
 ) -> NDArray[np.float32]:
-    from twinct.recon import without_surroundings
-
-    around = section.surroundings
-    assert around is not None
-    with progress.stage("surroundings", around.iterations * len(poses)) as tick:
+    with progress.stage("surroundings", around.iterations * len(A)) as tick:
         return without_surroundings(
+            A,
             integrals,
-            poses,
-            section.grid.volume_grid,
             margin_mm=around.margin_mm,
             voxel_mm=around.voxel_mm,
             iterations=around.iterations,
@@ -129,6 +131,29 @@ def _without_surroundings(
             mask=mask,
             callback=lambda _: tick(),
         )
+
+
+def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
+    """Bytes that each stage of a reconstruction takes at its peak, and what a run holds beside it.
+
+    Args:
+        scenario: what will be reconstructed, and how.
+        views: the views of the scan.
+    """
+    section = scenario.reconstruction
+    algorithm = algorithms()[section.algorithm]
+    grid = section.grid.volume_grid
+    voxels, pixels = math.prod(grid.shape), len(views) * math.prod(views.panel.shape)
+    # Transmission and line integrals; the truth and its region, and the first of several volumes.
+    held = 8 * pixels + 5 * voxels + (4 * voxels if len(section.geometries) > 1 else 0)
+    stages: dict[str, int] = {}
+    if section.beam_hardening is not None:
+        stages["beam hardening"] = held + hardening_bytes(section.beam_hardening, voxels, pixels)
+    if around := section.surroundings:
+        own = surroundings_bytes(views, grid, margin_mm=around.margin_mm, voxel_mm=around.voxel_mm)
+        stages["surroundings"] = held + own
+    stages[algorithm.name] = held + peak_bytes(algorithm, voxels, pixels)
+    return stages
 
 
 def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
@@ -139,30 +164,20 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
         commanded: the views that the trajectory asks for.
 
     Raises:
-        InputError: no circular scan for fdk; or too little memory, with what is needed and there.
+        InputError: a grid behind a source, or no circular scan for fdk; or too little memory, with
+            what is needed and there.
     """
-    from twinct.recon import memory
-    from twinct.recon.fdk import circular
-
-    section = scenario.reconstruction
-    grid, panel = section.grid.volume_grid, scenario.detector.panel
-    Projector(commanded, grid)
-    if section.algorithm == "fdk":
-        circular(commanded)
-    algorithm = algorithms()[section.algorithm]
-    voxels, pixels = math.prod(grid.shape), len(commanded) * panel.rows * panel.columns
-    # Beside what the algorithm takes: transmission and line integrals; the truth and its region,
-    # and the first of several volumes.
-    needed = int(4 * (algorithm.volumes * voxels + algorithm.projections * pixels))
-    needed += memory.SPARE_BYTES + 8 * pixels + 5 * voxels
-    needed += 4 * voxels if len(section.geometries) > 1 else 0
-    needed += 4 * pixels if section.surroundings else 0
-    memory.refuse_if_short(
-        needed,
-        f"{algorithm.name} with a grid of {grid.shape} voxels and {len(commanded)} views of "
-        f"{panel.shape} pixels",
-        "use fewer or larger voxels, or fewer views or pixels"
-        + (", or sart, which needs 1 volume" if algorithm.volumes > 1 else ""),
+    algorithm = algorithms()[scenario.reconstruction.algorithm]
+    grid = scenario.reconstruction.grid.volume_grid
+    check_grid(commanded, grid)
+    algorithm.check(commanded)
+    stages = memory_needed(scenario, commanded)
+    most = max(stages, key=lambda stage: stages[stage])
+    refuse_if_short(
+        stages[most],
+        f"{most} with a grid of {grid.shape} voxels and {len(commanded)} views of "
+        f"{commanded.panel.shape} pixels",
+        advice(algorithm),
     )
 
 
@@ -170,6 +185,16 @@ def reconstruction_digest(scenario: Scenario) -> str:
     """SHA-256 of what the volumes depend on: the scan, and how it is reconstructed."""
     text = scenario.digest() + scenario.reconstruction.model_dump_json()
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _digest(scan: Scan, poses: ScanGeometry, mask: NDArray[np.bool_] | None) -> str:
+    """SHA-256 of all that a checkpoint comes from, the projections themselves included."""
+    digest = hashlib.sha256(reconstruction_digest(scan.scenario).encode())
+    arrays = (poses.source, poses.detector, poses.u, poses.v, scan.transmission)
+    for array in arrays if mask is None else (*arrays, mask):
+        digest.update(repr((array.shape, array.dtype.str)).encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
 
 
 @dataclass

@@ -4,25 +4,14 @@ The forward model is Joseph's: a ray is sampled once per plane of voxel centres 
 crosses fastest, bilinearly within the plane, and held constant over the outer half voxel. The axis
 is chosen per ray. All kernels compute in voxel indices (x, y, z) and take one view as numbers (see
 ``projector``): the source, the first pixel and the steps from pixel to pixel.
-
-Why the kernels are fast: eight samples at a time are read and blended by vector code (``_march``,
-``_sample``); tiles of rays go through the volume slab by slab, in copies of just the voxels they
-cross (``_brick``). No kernel's result depends on the number of threads.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from numba import njit, prange
 
-from twinct.recon._fresh import drop_stale
-
-OPTIONS = {"cache": True, "fastmath": True, "nogil": True, "error_model": "numpy"}
-"""Of every kernel."""
-
-drop_stale(Path(__file__).parent)
+from twinct.recon._vector.options import IMAGE, OPTIONS, RAYS, kernel
 
 
 @njit(inline="always", **OPTIONS)
@@ -86,16 +75,7 @@ def ray_of(view, row, column, nx, ny, nz):
     return axis, b_middle, b_slope, c_middle, c_slope, first, last, step, inside
 
 
-@njit(inline="always", **OPTIONS)
-def cell(middle, slope, m, last_cell):
-    """Index of the lower neighbour and the weight of the upper one, held at the border."""
-    at = middle + m * slope
-    at = min(max(at, np.float32(0.0)), last_cell + np.float32(1.0))
-    low = min(np.float32(np.int32(at)), last_cell)
-    return np.int32(low), at - low
-
-
-@njit(parallel=True, **OPTIONS)
+@kernel(f"({RAYS}, UniTuple(i8, 3), {IMAGE})")
 def chords(view, shape, out):
     """Length of each ray inside the grid, mm, into ``out`` (rows, columns)."""
     nz, ny, nx = shape

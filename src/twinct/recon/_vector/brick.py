@@ -5,7 +5,7 @@ grids, and so fall onto the same few places of a cache; across x, no two of them
 So the voxels that a tile of rays crosses in a slab of planes are copied once, plane by plane, with
 the first of the two other axes along a line.
 
-A box is six numbers: first plane, planes, first c, cs, first b, bs; see ``_groups.cells_of``.
+A box is six numbers: first plane, planes, first c, cs, first b, bs; see ``groups.cells_of``.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
 
-from twinct.recon._rays import OPTIONS
-from twinct.recon._vectors import I64, LANES, array_data, intrinsic, transposed, vector_at
+from twinct.recon._vector.options import OPTIONS
+from twinct.recon._vector.vectors import I64, LANES, array_data, intrinsic, transposed, vector_at
 
 ROOM = 65536
 """Voxels that a brick can hold: a quarter of a MB, so that it stays in the L2 cache."""
@@ -125,7 +125,7 @@ def fits(box):
 
 @njit(inline="always", **OPTIONS)
 def in_brick(box, axis, shape):
-    """The lattice (see ``_march``) of a brick."""
+    """The lattice (see ``march``) of a brick."""
     start, _, c0, nc, b0, nb = box
     middle = np.float32(0.5 * (shape[2 - axis] - 1))
     stride = nc * nb
@@ -135,7 +135,7 @@ def in_brick(box, axis, shape):
 
 @njit(inline="always", **OPTIONS)
 def in_volume(axis, shape):
-    """The lattice (see ``_march``) of the volume itself."""
+    """The lattice (see ``march``) of the volume itself."""
     nz, ny, nx = shape
     middle, zero = np.float32(0.5 * (shape[2 - axis] - 1)), np.float32(0.0)
     if axis == 0:

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from numba import njit, prange
 
-from twinct.recon._brick import fits, in_brick, in_volume, put, take
-from twinct.recon._groups import TILE_COLUMNS, TILE_ROWS, box_of, load, planes_of, room, spans
-from twinct.recon._march import BLOCK, VALUE, add_along, add_guarded, add_pairs_along
-from twinct.recon._rays import OPTIONS
-from twinct.recon._vectors import LANES
+from twinct.recon._vector.brick import fits, in_brick, in_volume, put, take
+from twinct.recon._vector.groups import (
+    TILE_COLUMNS,
+    TILE_ROWS,
+    box_of,
+    load,
+    planes_of,
+    room,
+    spans,
+)
+from twinct.recon._vector.march import BLOCK, VALUE, add_along, add_guarded, add_pairs_along
+from twinct.recon._vector.options import CUBE, IMAGE, OPTIONS, RAYS, kernel
+from twinct.recon._vector.vectors import LANES
 
 PLANES = 16
 """Planes of a slab: a cache line of voxels along x."""
@@ -40,7 +48,7 @@ def _add_slab(x, lattice, start, end, rays, ranges, groups):
         add_guarded(x, rays, block, hi + 1, last, lattice)
 
 
-@njit(parallel=True, **OPTIONS)
+@kernel(f"({IMAGE}, {RAYS}, {CUBE}, i8)")
 def adjoint(y, view, out, parts):
     """Add the exact transpose of ``forward`` applied to ``y`` (rows, columns) to ``out`` (z, y, x).
 

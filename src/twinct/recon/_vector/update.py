@@ -1,48 +1,16 @@
-"""Kernels of SART's update: the weighted residual, and its voxel-driven back projection."""
+"""Kernel of SART's update: voxel-driven back projection of what a view's rays ask for."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit, prange
 
-from twinct.recon._rays import OPTIONS
-from twinct.recon._sample import sample_line
-from twinct.recon._vectors import LANES
+from twinct.recon._vector.options import CUBE, IMAGE, MATRIX, OPTIONS, kernel
+from twinct.recon._vector.sample import sample_line
+from twinct.recon._vector.vectors import LANES
 
 CHUNK = 128
 """Voxels of a line that are worked on together."""
-
-
-@njit(**OPTIONS)
-def residual(measured, estimate, length, relaxation, shortest, image, mask, missing):
-    """Relaxation * (measured - estimate) / length of the rays that count, framed by its border.
-
-    Args:
-        measured: p_i, (rows, columns).
-        estimate: A_i x, (rows, columns).
-        length: L_i, (rows, columns), mm.
-        relaxation: factor.
-        shortest: rays with a shorter length do not count, mm.
-        image: (rows + 2, columns + 2), overwritten; 0 where a ray does not count.
-        mask: same shape, overwritten: 1 where a ray counts, else 0.
-        missing: (rows + 3, columns + 3), overwritten as ``spread`` needs it.
-    """
-    rows, columns = measured.shape
-    missing[0] = 0
-    for row in range(rows + 2):
-        r = min(max(row - 1, 0), rows - 1)
-        so_far = 0
-        missing[row + 1, 0] = 0
-        for column in range(columns + 2):
-            c = min(max(column - 1, 0), columns - 1)
-            if length[r, c] >= shortest:
-                image[row, column] = relaxation * (measured[r, c] - estimate[r, c]) / length[r, c]
-                mask[row, column] = 1.0
-            else:
-                image[row, column] = 0.0
-                mask[row, column] = 0.0
-                so_far += 1
-            missing[row + 1, column + 1] = missing[row, column + 1] + so_far
 
 
 @njit(inline="always", **OPTIONS)
@@ -109,18 +77,9 @@ def _update_line(
             line[start + p] = max(line[start + p] + values[p], floor)
 
 
-@njit(parallel=True, **OPTIONS)
-def spread(x, matrix, image, mask, missing, floor):
-    """Add to each voxel of ``x`` (z, y, x) what ``image`` holds where the voxel projects, bilinear.
-
-    Args:
-        x: volume (z, y, x), changed in place.
-        matrix: (3, 4) float64: voxel index (i, j, k, 1) to (column, row, 1) times depth, depth > 0.
-        image: (rows + 2, columns + 2), the outermost pixels repeated once.
-        mask: same shape, 1 where a pixel counts; image is 0 elsewhere.
-        missing: (rows + 3, columns + 3): [r, c] counts the pixels with mask 0 above and left of it.
-        floor: voxels in the shadow do not fall below it.
-    """
+@kernel(f"({CUBE}, {MATRIX}, {IMAGE}, {IMAGE}, i4[:, ::1], f4)")
+def update(x, matrix, image, mask, missing, floor):
+    """See ``engine``."""
     nz, ny, nx = x.shape
     rows, columns = image.shape[0] - 2, image.shape[1] - 2
     a1, e1, d1 = matrix[0, 0], matrix[1, 0], matrix[2, 0]

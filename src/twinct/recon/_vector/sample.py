@@ -7,7 +7,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from twinct.recon._vectors import (
+from twinct.recon._vector.vectors import (
     F32,
     I32,
     I64,

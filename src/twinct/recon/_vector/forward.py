@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from numba import njit, prange
 
-from twinct.recon._brick import fits, in_brick, in_volume, take
-from twinct.recon._groups import TILE_COLUMNS, TILE_ROWS, box_of, load, planes_of, room, spans
-from twinct.recon._march import BLOCK, VALUE, read_along, read_guarded, read_pairs_along
-from twinct.recon._rays import OPTIONS
-from twinct.recon._vectors import LANES
+from twinct.recon._vector.brick import fits, in_brick, in_volume, take
+from twinct.recon._vector.groups import (
+    TILE_COLUMNS,
+    TILE_ROWS,
+    box_of,
+    load,
+    planes_of,
+    room,
+    spans,
+)
+from twinct.recon._vector.march import BLOCK, VALUE, read_along, read_guarded, read_pairs_along
+from twinct.recon._vector.options import CUBE, IMAGE, OPTIONS, RAYS, kernel
+from twinct.recon._vector.vectors import LANES
 
 PLANES = 16
 """Planes of a slab, through which all rays of a tile go before any goes on."""
@@ -30,7 +38,7 @@ def _sum_slab(x, lattice, start, end, rays, ranges, groups):
         read_guarded(x, rays, block, hi + 1, last, lattice)
 
 
-@njit(parallel=True, **OPTIONS)
+@kernel(f"({CUBE}, {RAYS}, {IMAGE})")
 def forward(x, view, out):
     """Line integrals of ``x`` (z, y, x) along each ray of one view into ``out`` (rows, columns)."""
     rows, columns = out.shape

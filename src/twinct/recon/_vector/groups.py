@@ -1,14 +1,24 @@
-"""Rays sorted by the axis they cross fastest, in groups of eight, as ``_march`` takes them."""
+"""Rays sorted by the axis they cross fastest, in groups of eight, as ``march`` takes them."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from twinct.recon._brick import ROOM
-from twinct.recon._march import B_MIDDLE, B_SLOPE, BLOCK, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE
-from twinct.recon._rays import OPTIONS, ray_of
-from twinct.recon._vectors import LANES
+from twinct.recon._vector.brick import ROOM
+from twinct.recon._vector.march import (
+    B_MIDDLE,
+    B_SLOPE,
+    BLOCK,
+    C_MIDDLE,
+    C_SLOPE,
+    FIRST,
+    LAST,
+    VALUE,
+)
+from twinct.recon._vector.options import OPTIONS
+from twinct.recon._vector.rays import ray_of
+from twinct.recon._vector.vectors import LANES
 
 TILE_ROWS = 16
 TILE_COLUMNS = 64
@@ -130,7 +140,7 @@ def load(view, shape, rows, columns, apart, room):
 
 @njit(**OPTIONS)
 def box_of(rays, ranges, groups, axis, shape, start, end):
-    """The box of voxels (see ``_brick``) that the groups read in the planes from start to end.
+    """The box of voxels (see ``brick``) that the groups read in the planes from start to end.
 
     It has no planes where they read none.
     """

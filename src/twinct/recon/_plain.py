@@ -1,0 +1,291 @@
+"""The plain engine: every kernel as its formula says it, in float64, one sample at a time.
+
+The reference for the vector engine, and the engine where that one does not compile. What it does is
+said in ``engine``; the forward model is Joseph's, see ``projector``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
+"""For all kernels. No fast mathematics: sums keep their order."""
+
+OTHERS = ((1, 2), (0, 2), (0, 1))
+"""The two axes beside each of x, y, z."""
+
+
+@njit(**OPTIONS)
+def _ray(rays, row, column):
+    """Source and way to a pixel, in voxel indices (x, y, z); its fastest axis; mm a plane."""
+    source = rays[0, 0], rays[0, 1], rays[0, 2]
+    pixel = rays[1] + row * rays[3] + column * rays[2]
+    way = pixel[0] - source[0], pixel[1] - source[1], pixel[2] - source[2]
+    axis = 0
+    for other in (1, 2):
+        if abs(way[other]) > abs(way[axis]):
+            axis = other
+    mm = np.sqrt(
+        (way[0] * rays[4, 0]) ** 2 + (way[1] * rays[4, 1]) ** 2 + (way[2] * rays[4, 2]) ** 2
+    )
+    return source, way, axis, mm / abs(way[axis])
+
+
+@njit(**OPTIONS)
+def _cell(source, way, axis, plane, other, size):
+    """Along another axis, where a ray crosses a plane: the lower voxel and the upper one's weight.
+
+    The outermost voxels are held over their outer half; beyond it the voxel is -1.
+    """
+    at = source[other] + (plane - source[axis]) / way[axis] * way[other]
+    if not -0.5 <= at <= size - 0.5:
+        return -1, 0.0
+    at = min(max(at, 0.0), size - 1.0)
+    low = min(int(at), size - 2)
+    return low, at - low
+
+
+@njit(parallel=True, **OPTIONS)
+def forward(x, rays, out):
+    """Line integrals: bilinear samples in each plane that a ray crosses, times mm per plane."""
+    nz, ny, nx = x.shape
+    sizes, strides, voxels = (nx, ny, nz), (1, nx, nx * ny), x.reshape(-1)
+    for row in prange(out.shape[0]):
+        for column in range(out.shape[1]):
+            source, way, axis, mm = _ray(rays, row, column)
+            b, c = OTHERS[axis]
+            total = 0.0
+            for plane in range(sizes[axis]):
+                i, f = _cell(source, way, axis, plane, b, sizes[b])
+                k, g = _cell(source, way, axis, plane, c, sizes[c])
+                if i < 0 or k < 0:
+                    continue
+                at = plane * strides[axis] + i * strides[b] + k * strides[c]
+                low = (1 - f) * voxels[at] + f * voxels[at + strides[b]]
+                at += strides[c]
+                high = (1 - f) * voxels[at] + f * voxels[at + strides[b]]
+                total += (1 - g) * low + g * high
+            out[row, column] = mm * total
+
+
+@njit(**OPTIONS)
+def adjoint(y, rays, out):
+    """The same samples with the same weights, the other way."""
+    nz, ny, nx = out.shape
+    sizes, strides, voxels = (nx, ny, nz), (1, nx, nx * ny), out.reshape(-1)
+    for row in range(y.shape[0]):
+        for column in range(y.shape[1]):
+            source, way, axis, mm = _ray(rays, row, column)
+            b, c = OTHERS[axis]
+            value = mm * y[row, column]
+            for plane in range(sizes[axis]):
+                i, f = _cell(source, way, axis, plane, b, sizes[b])
+                k, g = _cell(source, way, axis, plane, c, sizes[c])
+                if i < 0 or k < 0:
+                    continue
+                at = plane * strides[axis] + i * strides[b] + k * strides[c]
+                voxels[at] += (1 - g) * (1 - f) * value
+                voxels[at + strides[b]] += (1 - g) * f * value
+                at += strides[c]
+                voxels[at] += g * (1 - f) * value
+                voxels[at + strides[b]] += g * f * value
+
+
+@njit(parallel=True, **OPTIONS)
+def chords(rays, shape, out):
+    """Length of each ray inside the grid: where it is between all six faces."""
+    sizes = shape[2], shape[1], shape[0]
+    for row in prange(out.shape[0]):
+        for column in range(out.shape[1]):
+            source, way, axis, mm = _ray(rays, row, column)
+            near, far = -np.inf, np.inf
+            for other in range(3):
+                to_faces = -0.5 - source[other], sizes[other] - 0.5 - source[other]
+                if way[other] != 0.0:
+                    one, two = to_faces[0] / way[other], to_faces[1] / way[other]
+                    near, far = max(near, min(one, two)), min(far, max(one, two))
+                elif to_faces[0] > 0.0 or to_faces[1] < 0.0:
+                    far = -np.inf
+            out[row, column] = mm * abs(way[axis]) * max(far - near, 0.0)
+
+
+@njit(**OPTIONS)
+def ratio(measured, estimate, length, relaxation, shortest, image, counts, missing):
+    """Relaxation * (measured - estimate) / length of the rays that count, with a border.
+
+    Args:
+        measured: p_i, (rows, columns).
+        estimate: A_i x, (rows, columns).
+        length: L_i, (rows, columns), mm.
+        relaxation: factor.
+        shortest: rays with a shorter length do not count, mm.
+        image: (rows + 2, columns + 2), overwritten; 0 where a ray does not count.
+        counts: same shape, overwritten: 1 where a ray counts, else 0.
+        missing: (rows + 3, columns + 3), overwritten: [r, c] is the number of pixels above and left
+            of it that do not count.
+    """
+    rows, columns = measured.shape
+    missing[0] = 0
+    for row in range(rows + 2):
+        r = min(max(row - 1, 0), rows - 1)
+        so_far = 0
+        missing[row + 1, 0] = 0
+        for column in range(columns + 2):
+            c = min(max(column - 1, 0), columns - 1)
+            if length[r, c] >= shortest:
+                image[row, column] = relaxation * (measured[r, c] - estimate[r, c]) / length[r, c]
+                counts[row, column] = 1.0
+            else:
+                image[row, column] = 0.0
+                counts[row, column] = 0.0
+                so_far += 1
+            missing[row + 1, column + 1] = missing[row, column + 1] + so_far
+
+
+@njit(**OPTIONS)
+def _bilinear(image, row, column):
+    r, c = int(row), int(column)
+    g, f = row - r, column - c
+    low = (1 - f) * image[r, c] + f * image[r, c + 1]
+    return (1 - g) * low + g * ((1 - f) * image[r + 1, c] + f * image[r + 1, c + 1])
+
+
+@njit(parallel=True, **OPTIONS)
+def update(x, matrix, image, counts, missing, floor):
+    """See ``engine``; ``missing`` is for engines that look which weights they need."""
+    nz, ny, nx = x.shape
+    rows, columns = image.shape[0] - 2, image.shape[1] - 2
+    for k in prange(nz):
+        for j in range(ny):
+            for i in range(nx):
+                m = matrix
+                depth = m[2, 0] * i + m[2, 1] * j + m[2, 2] * k + m[2, 3]
+                column = (m[0, 0] * i + m[0, 1] * j + m[0, 2] * k + m[0, 3]) / depth
+                row = (m[1, 0] * i + m[1, 1] * j + m[1, 2] * k + m[1, 3]) / depth
+                if -0.5 <= column <= columns - 0.5 and -0.5 <= row <= rows - 0.5:
+                    # With the border, columns and rows count from one.
+                    change = _bilinear(image, row + 1, column + 1)
+                    weight = _bilinear(counts, row + 1, column + 1)
+                    mean = change / weight if weight > 1e-3 else 0.0
+                    x[k, j, i] = max(x[k, j, i] + mean, floor)
+
+
+@njit(parallel=True, **OPTIONS)
+def back_project(images, matrices, scales, out):
+    """Add scale / depth^2 times what each image holds where a voxel projects to ``out`` (z, y, x).
+
+    Bilinear between pixel centres; border pixels are held over their outer half, beside the panel
+    there is nothing. A voxel takes the views in their order: threads do not change the last bit.
+
+    Args:
+        images: (views, rows, columns).
+        matrices: (views, 3, 4) float64: voxel index (i, j, k, 1) to (column, row, 1) times depth.
+        scales: (views,), mm^2.
+        out: changed in place.
+    """
+    nz, ny, nx = out.shape
+    views, rows, columns = images.shape
+    half, zero = np.float32(0.5), np.float32(0.0)
+    last_column, last_row = np.float32(columns - 1), np.float32(rows - 1)
+    for k in prange(nz):
+        for j in range(ny):
+            line = out[k, j]
+            for view in range(views):
+                m = matrices[view]
+                image = images[view]
+                a = np.float32(m[0, 1] * j + m[0, 2] * k + m[0, 3])
+                e = np.float32(m[1, 1] * j + m[1, 2] * k + m[1, 3])
+                d = np.float32(m[2, 1] * j + m[2, 2] * k + m[2, 3])
+                a1, e1, d1 = np.float32(m[0, 0]), np.float32(m[1, 0]), np.float32(m[2, 0])
+                scale = np.float32(scales[view])
+                for i in range(nx):
+                    t = np.float32(i)
+                    near = np.float32(1.0) / (d + t * d1)
+                    column = (a + t * a1) * near
+                    row = (e + t * e1) * near
+                    if (
+                        column < -half
+                        or row < -half
+                        or column > last_column + half
+                        or row > last_row + half
+                    ):
+                        continue
+                    column = min(max(column, zero), last_column)
+                    row = min(max(row, zero), last_row)
+                    c, r = np.int32(column), np.int32(row)
+                    c1, r1 = min(c + 1, columns - 1), min(r + 1, rows - 1)
+                    f, g = column - np.float32(c), row - np.float32(r)
+                    low = image[r, c] + f * (image[r, c1] - image[r, c])
+                    high = image[r1, c] + f * (image[r1, c1] - image[r1, c])
+                    line[i] += scale * near * near * (low + g * (high - low))
+
+
+@njit(parallel=True, **OPTIONS)
+def primal(z, q, dual, inverse, floor, out):
+    """Write max(z - (gradient^T dual) / q, floor) to ``out``.
+
+    Args:
+        z: (z, y, x).
+        q: weights, same shape, positive.
+        dual: (3, z, y, x): components along x, y, z; 0 where the difference leaves the grid.
+        inverse: 1 / voxel edge along x, y, z, 1/mm.
+        floor: lowest value.
+        out: same shape as ``z``, overwritten.
+    """
+    nz, ny, nx = z.shape
+    wx, wy, wz = np.float32(inverse[0]), np.float32(inverse[1]), np.float32(inverse[2])
+    for k in prange(nz):
+        back_k = max(k - 1, 0)
+        below = wz if k > 0 else np.float32(0.0)
+        for j in range(ny):
+            back_j = max(j - 1, 0)
+            before = wy if j > 0 else np.float32(0.0)
+            px, py, pz = dual[0, k, j], dual[1, k, j], dual[2, k, j]
+            py_before, pz_before = dual[1, k, back_j], dual[2, back_k, j]
+            row, values, weights = out[k, j], z[k, j], q[k, j]
+            first = -wx * px[0] + before * py_before[0] - wy * py[0]
+            first += below * pz_before[0] - wz * pz[0]
+            row[0] = max(values[0] - first / weights[0], floor)
+            for i in range(1, nx):
+                turned = wx * (px[i - 1] - px[i]) + before * py_before[i] - wy * py[i]
+                turned += below * pz_before[i] - wz * pz[i]
+                row[i] = max(values[i] - turned / weights[i], floor)
+
+
+@njit(parallel=True, **OPTIONS)
+def ascend(x, q, inverse, radius, step, dual):
+    """One projected gradient step of the dual: along the gradient of x, into the ball of a radius.
+
+    Args:
+        x: (z, y, x), what ``primal`` gave.
+        q: weights, same shape.
+        inverse: 1 / voxel edge along x, y, z, 1/mm.
+        radius: of the ball, for each voxel's vector.
+        step: factor on the inverse of the dual Hessian's largest row sum, below 2.
+        dual: (3, z, y, x), changed in place.
+    """
+    nz, ny, nx = x.shape
+    wx, wy, wz = np.float32(inverse[0]), np.float32(inverse[1]), np.float32(inverse[2])
+    zero, one = np.float32(0.0), np.float32(1.0)
+    scale = np.float32(step) / (np.float32(4.0) * max(wx, wy, wz) * (wx + wy + wz))
+    square = np.float32(radius) * np.float32(radius)
+    for k in prange(nz):
+        next_k = min(k + 1, nz - 1)
+        up = wz if k + 1 < nz else zero
+        for j in range(ny):
+            next_j = min(j + 1, ny - 1)
+            ahead = wy if j + 1 < ny else zero
+            row, row_j, row_k = x[k, j], x[k, next_j], x[next_k, j]
+            q_row, q_j, q_k = q[k, j], q[k, next_j], q[next_k, j]
+            px, py, pz = dual[0, k, j], dual[1, k, j], dual[2, k, j]
+            for i in range(nx):
+                n = min(i + 1, nx - 1)
+                side = wx if i + 1 < nx else zero
+                s = scale * min(min(q_row[i], q_row[n]), min(q_j[i], q_k[i]))
+                a = px[i] + s * side * (row[n] - row[i])
+                b = py[i] + s * ahead * (row_j[i] - row[i])
+                c = pz[i] + s * up * (row_k[i] - row[i])
+                length = a * a + b * b + c * c
+                shrink = np.float32(radius) / np.sqrt(length) if length > square else one
+                px[i], py[i], pz[i] = a * shrink, b * shrink, c * shrink

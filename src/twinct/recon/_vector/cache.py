@@ -1,0 +1,104 @@
+"""Compiled kernels on disk, one folder for all that they are made of.
+
+numba looks at the file of a kernel alone, not at those that it is made of, and what it compiled
+itself in a process differs in the last bits from what it finds on disk later: there, LLVM has
+optimised inner loops once more, and fast mathematics reorders sums. So kernels are compiled in a
+process of their own, into a folder named after their sources and the compiler, and always come from
+there. What others left on disk is neither read nor removed.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import hashlib
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+from numba.core import config as numba_config
+
+log = logging.getLogger(__name__)
+
+config: Any = numba_config  # its names are made when it is imported
+
+_HERE = Path(__file__).parent
+_COMPILING = "TWINCT_COMPILING"
+"""Set for the process that compiles: its folder."""
+
+
+@contextlib.contextmanager
+def kernels_from_disk() -> Iterator[None]:
+    """Kernels that are imported in this block are read from their folder, compiled if need be.
+
+    Raises:
+        RuntimeError: they do not compile; with the compiler's last line.
+    """
+    before = config.CACHE_DIR
+    config.CACHE_DIR = os.environ.get(_COMPILING) or str(_folder())
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+def _folder() -> Path:
+    """Where the kernels are; afterwards they are there."""
+    name = f"kernels-{_digest()}"
+    places = [Path(config.CACHE_DIR)] if config.CACHE_DIR else [_HERE / "__pycache__", _own_cache()]
+    for place in places:
+        if (place / name).is_dir():
+            return place / name
+    for place in places:
+        with contextlib.suppress(OSError):
+            place.mkdir(parents=True, exist_ok=True)
+            return _compiled(Path(tempfile.mkdtemp(prefix=".kernels-", dir=place)), place / name)
+    log.info("no folder to keep compiled kernels in: %s", ", ".join(map(str, places)))
+    passing = Path(tempfile.mkdtemp(prefix="twinct-"))
+    atexit.register(shutil.rmtree, passing, ignore_errors=True)
+    return _compiled(Path(tempfile.mkdtemp(dir=passing)), passing / name)
+
+
+def _own_cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twinct"
+
+
+def _digest() -> str:
+    """Of all that compiled kernels depend on."""
+    sources = sorted([*_HERE.glob("*.py"), _HERE.parent / "_plain.py"])
+    parts = [source.read_bytes() for source in sources]
+    # numba tells sources apart by their place too.
+    machine = (str(_HERE), sys.version, numba.__version__, llvmlite.__version__, config.OPT)
+    processor = (get_host_cpu_name(), get_host_cpu_features().flatten())
+    chosen = (config.CPU_NAME, config.CPU_FEATURES)
+    parts += [repr(part).encode() for part in (machine, processor, chosen)]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
+
+
+def _compiled(draft: Path, folder: Path) -> Path:
+    """Compile into a draft and give it its name."""
+    log.info("compiling the kernels of reconstruction, once, into %s", folder)
+    try:
+        result = subprocess.run(
+            [sys.executable, "-c", "import twinct.recon._vector"],
+            env=os.environ | {_COMPILING: str(draft), "PYTHONPATH": os.pathsep.join(sys.path)},
+            capture_output=True,
+            text=True,
+        )
+        if result.returncode:
+            lines = result.stderr.strip().splitlines() or ["no reason given"]
+            raise RuntimeError(lines[-1])
+        with contextlib.suppress(OSError):  # another process was faster, with the same kernels
+            draft.rename(folder)
+        return folder
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)

@@ -1,0 +1,41 @@
+"""Keys that several algorithms have, each with its meaning and its limits."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from twinct.recon.order import OrderName
+from twinct.settings import facts
+
+Iterations = Annotated[
+    int,
+    Field(
+        ge=1,
+        le=10_000,
+        description="Passes over all views.",
+        json_schema_extra=facts(source="the paper"),
+    ),
+]
+Relaxation = Annotated[
+    float,
+    Field(
+        gt=0,
+        lt=2,
+        description="Share of the residual that an update takes up.",
+        json_schema_extra=facts(source="the paper"),
+    ),
+]
+Ordering = Annotated[
+    OrderName,
+    Field(
+        description="Order of the views.",
+        json_schema_extra=facts(source="weighted_distance: Mueller, Yagel and Cornhill 1997"),
+    ),
+]
+Subsets = Annotated[
+    int | None,
+    Field(ge=1, description="Groups of views; one for each 10 views by default."),
+]
+Nonnegative = Annotated[bool, Field(description="Whether no voxel falls below 0.")]
