@@ -176,19 +176,6 @@ def test_paths_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
     assert shape.path == tmp_path / "sub" / "part.stl"
 
 
-def test_digest_follows_what_a_scan_depends_on(tmp_path: Path) -> None:
-    scenario = load_scenario(DEMO)
-    same = load_scenario(DEMO, ["name=x", "reconstruction.iterations=3"])
-    assert same.digest() == scenario.digest()
-    assert load_scenario(DEMO, ["seed=5"]).digest() != scenario.digest()
-    file = tmp_path / "a.stl"
-    override = f"specimen.parts.0.shape={{kind: mesh, path: {file}}}"
-    file.write_text("1")
-    first = load_scenario(DEMO, [override]).digest()
-    file.write_text("2")
-    assert load_scenario(DEMO, [override]).digest() != first
-
-
 def test_resolved_scenario_reads_back() -> None:
     scenario = load_scenario(DEMO)
     assert parse_scenario(json.loads(scenario.resolved())) == scenario

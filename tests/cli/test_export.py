@@ -125,7 +125,7 @@ def test_files_of_the_scenario_may_be_gone(tmp_path: Path, commanded: PosePairs)
     (tmp_path / "part.stl").unlink()
     assert run_command(["export", str(tmp_path), "--to", "openct"]) == 0
     facts = json.loads((tmp_path / "export-openct" / "export.json").read_text())
-    assert facts["scan digest"] == store.digest
+    assert facts["scan digest"] == store.digests["images"]
 
 
 def test_what_is_no_scan_is_named(

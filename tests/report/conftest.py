@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from twinct.evaluate import image_figures, pose_errors
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.report import ReportData, build_metrics, cross_sections
-from twinct.scenario import parse_scenario
+from twinct.scenario import parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
 from twinct.views import PosePairs
 
@@ -72,7 +72,7 @@ def make_report(views=24, panel=(80, 60), voxels=48, description="A run that nev
         image={"believed": figures, "executed": figures},
         seconds={"plan": 3.1, "motion": 6.5, "xray": 80.2, "reconstruction": 960, "total": 1083.0},
         simulated_seconds=210.0,
-        scenario_digest=scenario.digest(),
+        scenario_digest=stage_digests(scenario)["images"],
         residuals={"believed": [0.3, 0.1, 0.06], "executed": [0.3, 0.1, 0.05]},
     )
     u, v = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-0.75, 0.75, rows))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zarr
 
-from twinct.errors import ScanExistsError, StorageError
+from twinct.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
 from twinct.scan import ScanStore, View, check_space
 from twinct.scan import store as store_module
@@ -149,3 +150,45 @@ def test_too_little_space_is_said_before_the_start(tmp_path, scenario, monkeypat
     monkeypatch.setattr(store_module.shutil, "disk_usage", lambda _: type("U", (), {"free": 10})())
     with pytest.raises(StorageError, match=r"need up to 0\.\d+ GiB, only 0\.00 GiB"):
         check_space(tmp_path, scenario, VIEWS)
+
+
+def rewritten(path: Path, **attributes: object) -> None:
+    """Change what the store says of itself."""
+    file = path / "zarr.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    content["attributes"] |= attributes
+    file.write_text(json.dumps(content), encoding="utf-8")
+
+
+def test_a_store_of_an_unknown_format_is_refused_by_name(tmp_path, scenario, commanded) -> None:
+    path = tmp_path / "s.zarr"
+    fill(path, scenario, commanded, range(VIEWS))
+    rewritten(path, format=3)
+    with pytest.raises(InputError, match=r"s\.zarr: a scan store of format 3; .* reads 1 and 2"):
+        ScanStore(path)
+
+
+def test_a_store_of_version_0_1_is_read_and_resumed(tmp_path, scenario, commanded) -> None:
+    path = tmp_path / "s.zarr"
+    fill(path, scenario, commanded, range(2))
+    old = json.loads(scenario.resolved())
+    section = old["reconstruction"]
+    unused = {"subsets": None, "regularisation": 1e-4, "weighting": "uniform", "tv_steps": 10}
+    section |= {"engine": "twinct", "window": "ramp", "nonnegative": None} | unused
+    rewritten(path, format=1, digest="of then", digests=None, scenario=json.dumps(old))
+    assert ScanStore(path).scenario == scenario
+    store = ScanStore.resume(path, scenario)
+    assert store.acquired == 2
+    with pytest.raises(ScanExistsError, match="another scenario"):
+        ScanStore.resume(path, scenario.model_copy(update={"seed": 77}))
+
+
+def test_other_believed_poses_of_the_same_images_are_told_apart(
+    tmp_path, scenario, commanded
+) -> None:
+    path = tmp_path / "s.zarr"
+    fill(path, scenario, commanded, range(2))
+    renamed = scenario.model_copy(update={"name": "other"})
+    assert ScanStore.resume(path, renamed).acquired == 2
+    with pytest.raises(ScanExistsError, match=r"another scenario \(digest of its believed \w{12}"):
+        ScanStore.resume(path, scenario.model_copy(update={"seed": 77}))

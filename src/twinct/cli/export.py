@@ -66,7 +66,7 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
             values,
             {
                 "scan": scenario.name,
-                "scan digest": store.digest,
+                "scan digest": store.digests["images"],
                 "geometry": which,
                 "views": f"{views} of {store.views}",
             },

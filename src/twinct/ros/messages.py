@@ -22,7 +22,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 from twinct.geometry import ScanGeometry
-from twinct.scenario import Scenario
+from twinct.scenario import Scenario, stage_digests
 from twinct.views import Instant, Reached, SevenNumbers, Target
 
 WORLD_FRAME = "world"
@@ -83,7 +83,7 @@ class Epoch:
     @classmethod
     def of(cls, scenario: Scenario) -> Epoch:
         """The epoch of a scenario's scan."""
-        digest = scenario.digest()
+        digest = stage_digests(scenario)["images"]
         sec, nanosec = (int(digest[i : i + 15], 16) % _NANO for i in (0, 15))
         return cls(Stamp(_NANO + sec, nanosec))
 

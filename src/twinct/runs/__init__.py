@@ -8,7 +8,6 @@ from twinct.runs.judgement import Truth, judge, truth_of
 from twinct.runs.volumes import (
     line_integrals,
     reconstruct,
-    reconstruction_digest,
     require_feasible,
 )
 
@@ -25,7 +24,6 @@ __all__ = [
     "local_rig",
     "machine_frames",
     "reconstruct",
-    "reconstruction_digest",
     "report_again",
     "require_extras",
     "require_feasible",

@@ -8,7 +8,7 @@ from twinct.extras import require
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
 from twinct.scan import Workshop
-from twinct.scenario import Scenario
+from twinct.scenario import Scenario, stage_digests
 
 
 def check_sight(workshop: Workshop) -> list[str]:
@@ -106,7 +106,7 @@ def findings(workshop: Workshop) -> dict[str, str]:
         "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
         f"{' x '.join(f'{edge:g}' for edge in grid.voxel)} mm",
         "reconstruction": scenario.reconstruction.in_words,
-        "digest": scenario.digest(),
+        "digest": stage_digests(scenario)["images"],
     }
 
 

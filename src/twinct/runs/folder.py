@@ -11,8 +11,7 @@ import yaml
 
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import check_folder, draft_of
-from twinct.runs.volumes import reconstruction_digest
-from twinct.scenario import Scenario
+from twinct.scenario import Scenario, stage_digests
 
 
 @dataclass(frozen=True)
@@ -75,9 +74,8 @@ class Folder:
         """Whether everything of this very scenario is there."""
         if not all(p.exists() for p in (self.scan, self.volume, self.metrics, self.report)):
             return False
-        return read_metrics(self.metrics).get("reconstruction_digest") == reconstruction_digest(
-            scenario
-        )
+        digest = stage_digests(scenario)["volume"]
+        return read_metrics(self.metrics).get("reconstruction_digest") == digest
 
     def refuse_others(self) -> None:
         """Raise where something else than a run of before is in the way."""

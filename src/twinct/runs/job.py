@@ -28,9 +28,9 @@ from twinct.runs.judgement import Truth, judge, truth_of
 from twinct.runs.links import Link, RigFactory, rig_factory
 from twinct.runs.reporting import Results, write_results
 from twinct.runs.seconds import Seconds, Timing
-from twinct.runs.volumes import reconstruct, reconstruction_digest, require_feasible
+from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space
-from twinct.scenario import Scenario, load_scenario
+from twinct.scenario import Scenario, load_scenario, stage_digests
 from twinct.threads import limit_threads
 from twinct.volume import Volume
 
@@ -179,7 +179,7 @@ def _note(workshop: Workshop, folder: Folder, link: Link, warnings: list[str]) -
     """Write down what is run."""
     scenario = workshop.scenario
     write_text(folder.scenario, as_yaml(scenario))
-    log.info("twinct run %s, %s link, scenario digest %s", scenario.name, link, scenario.digest())
+    log.info("twinct run %s, %s link, digests %s", scenario.name, link, stage_digests(scenario))
     for name, words in physics_in_words(scenario, *workshop.commanded_poses[0]).items():
         log.info("%s: %s", name.lower(), words)
     for warning in warnings:
@@ -255,7 +255,7 @@ def _judged(
 
 def _note_of(scenario: Scenario) -> str:
     """What ties a volume to the settings that made it."""
-    return f"twinct {reconstruction_digest(scenario)[:32]}"
+    return f"twinct {stage_digests(scenario)['volume'][:32]}"
 
 
 @contextmanager

@@ -21,8 +21,8 @@ from twinct.report import (
 from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.judgement import Truth
 from twinct.runs.seconds import Seconds, Timing
-from twinct.runs.volumes import reconstruction_digest
 from twinct.scan import Scan, Workshop
+from twinct.scenario import stage_digests
 from twinct.volume import Volume
 
 _SHOWN_VIEWS = 4
@@ -67,6 +67,7 @@ def write_results(
     else:
         data = _report_data(scan, workshop, results)
         pictures = draw_pictures(data)
+    digests = stage_digests(scenario)
     metrics = build_metrics(
         views=len(workshop.targets),
         reached=len(scan),
@@ -76,8 +77,8 @@ def write_results(
         seconds=timing.stages,
         simulated_seconds=float(scan.simulated_s[-1]),
         real_time_factor=timing.real_time_factor,
-        scenario_digest=scenario.digest(),
-        reconstruction_digest=reconstruction_digest(scenario),
+        scenario_digest=digests["images"],
+        reconstruction_digest=digests["volume"],
         residuals=results.residuals,
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)

@@ -27,7 +27,7 @@ from twinct.recon.steps import Step
 from twinct.recon.surroundings import surroundings_bytes, without_surroundings
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.scan import Scan
-from twinct.scenario import Scenario, Surroundings
+from twinct.scenario import Scenario, Surroundings, stage_digests
 from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
@@ -181,15 +181,9 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     )
 
 
-def reconstruction_digest(scenario: Scenario) -> str:
-    """SHA-256 of what the volumes depend on: the scan, and how it is reconstructed."""
-    text = scenario.digest() + scenario.reconstruction.model_dump_json()
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def _digest(scan: Scan, poses: ScanGeometry, mask: NDArray[np.bool_] | None) -> str:
     """SHA-256 of all that a checkpoint comes from, the projections themselves included."""
-    digest = hashlib.sha256(reconstruction_digest(scan.scenario).encode())
+    digest = hashlib.sha256(stage_digests(scan.scenario)["volume"].encode())
     arrays = (poses.source, poses.detector, poses.u, poses.v, scan.transmission)
     for array in arrays if mask is None else (*arrays, mask):
         digest.update(repr((array.shape, array.dtype.str)).encode())

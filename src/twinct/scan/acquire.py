@@ -64,7 +64,7 @@ def acquire(
             image,
             executed,
             reached.object,
-            believed_poses(*executed, scenario.uncertainty, scenario.seed, index),
+            believed_poses(*executed, scenario.uncertainty, scenario.believed_seed, index),
             reached.position,
             reached.state,
             reached.time_s,

@@ -9,21 +9,22 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from twinct.errors import ScanExistsError
+from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.scan.data import Scan, View
-from twinct.scenario import Scenario, parse_scenario
+from twinct.scenario import Scenario, parse_scenario, stage_digests
 from twinct.views import PosePairs
 
-FORMAT = 1
+FORMAT = 2
+READABLE = (1, FORMAT)
 ACQUIRED = 1
 EXPOSURE = "executed/exposure"
 """Present where an exposure has several instants."""
@@ -47,9 +48,19 @@ class ScanStore:
     """One scan on disk."""
 
     def __init__(self, path: Path) -> None:
-        """Open an existing store; ``create`` and ``resume`` make one that can be written."""
+        """Open an existing store; ``create`` and ``resume`` make one that can be written.
+
+        Raises:
+            InputError: its format is not known.
+        """
         self.path = path
         self._group = zarr.open_group(str(path), mode="r+")
+        self._format = self._group.attrs.get("format")
+        if self._format not in READABLE:
+            raise InputError(
+                f"{path}: a scan store of format {self._format!r}; this twinct reads "
+                f"{' and '.join(map(str, READABLE))}: a newer one may read it"
+            )
         self._arrays: dict[str, zarr.Array[Any]] = {}
 
     @classmethod
@@ -96,11 +107,16 @@ class ScanStore:
         Raises:
             ScanExistsError: it is another one's.
         """
-        own, other = self.digest, scenario.digest()
-        if own != other:
+        own, other = self.digests, _kept_digests(scenario)
+        differ = [
+            f"{name} {own.get(name, 'none')[:12]}, this one has {digest[:12]}"
+            for name, digest in other.items()
+            if own.get(name) != digest
+        ]
+        if differ:
             raise ScanExistsError(
-                f"{self.path} holds the scan of another scenario (digest {own[:12]}, this one has "
-                f"{other[:12]}): choose another --out"
+                f"{self.path} holds the scan of another scenario (digest of its {'; '.join(differ)}"
+                "): choose another --out"
             )
 
     @property
@@ -121,9 +137,15 @@ class ScanStore:
         return parse_scenario(json.loads(str(self._group.attrs["scenario"])))
 
     @property
-    def digest(self) -> str:
-        """Digest of that scenario, files included as they were then."""
-        return str(self._group.attrs.get("digest"))
+    def digests(self) -> dict[str, str]:
+        """Digests of images and believed poses: of their scenario, and its files as they were.
+
+        Format 1 had others: they are made from the scenario that the store holds, and of its files
+        as they are now, so that a file changed since the scan is not noticed.
+        """
+        if self._format == 1:
+            return _kept_digests(self.scenario)
+        return cast("dict[str, str]", self._group.attrs["digests"])
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -228,6 +250,11 @@ class ScanStore:
                 file.unlink()
 
 
+def _kept_digests(scenario: Scenario) -> dict[str, str]:
+    digests = stage_digests(scenario)
+    return {"images": digests["images"], "believed": digests["believed"]}
+
+
 def _chunk(index: int, dimensions: int) -> str:
     """Name of a view's chunk. Without a folder of its own it takes a quarter of the time."""
     return ".".join(["c", str(index), *["0"] * dimensions])
@@ -270,7 +297,7 @@ def _write_frame(
     group.attrs.update(
         {
             "format": FORMAT,
-            "digest": scenario.digest(),
+            "digests": _kept_digests(scenario),
             "scenario": scenario.resolved(),
             "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
             "joint_names": list(joint_names),

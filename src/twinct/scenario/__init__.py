@@ -23,6 +23,7 @@ from twinct.scenario.detector import (
     ScintillatorResponse,
     SnrNoise,
 )
+from twinct.scenario.digests import stage_digests
 from twinct.scenario.loading import load_scenario, named_places, parse_scenario, scenario_schema
 from twinct.scenario.motion import InverseKinematics, Motion
 from twinct.scenario.reconstruction import Grid, Reconstruction, Surroundings
@@ -125,4 +126,5 @@ __all__ = [
     "named_places",
     "parse_scenario",
     "scenario_schema",
+    "stage_digests",
 ]

@@ -1,9 +1,9 @@
-"""The scenario itself: all sections, what they ask of each other, and its digest."""
+"""The scenario itself: all sections, what they ask of each other, and its files."""
 
 from __future__ import annotations
 
-import hashlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 from pydantic import Field, model_validator
@@ -13,8 +13,8 @@ from twinct.scenario.detector import Detector
 from twinct.scenario.motion import Motion
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
 from twinct.scenario.source import Source, TubeSpectrum
-from twinct.scenario.specimen import CtVolume, MeshFile, Specimen
-from twinct.scenario.trajectory import FileTrajectory, Trajectory
+from twinct.scenario.specimen import Specimen
+from twinct.scenario.trajectory import Trajectory
 from twinct.scenario.uncertainty import Uncertainty
 from twinct.settings import Conflict, ConflictError, Section
 
@@ -82,52 +82,23 @@ class Scenario(Section):
         """The whole scenario, defaults included, as canonical JSON."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
-    def digest(self) -> str:
-        """SHA-256 of what the scan depends on; a file counts by its content, not by its place.
-
-        Name, description and reconstruction are left out: they may change without a new scan.
-        """
-        data = self.model_dump(mode="json", exclude={"name", "description", "reconstruction"})
-        text = json.dumps(_with_contents(data), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+    @property
+    def believed_seed(self) -> int:
+        """Seed of what the believed poses are off by."""
+        return self.seed if self.uncertainty.seed is None else self.uncertainty.seed
 
     def files(self) -> dict[str, Path]:
-        """Files and folders the scenario names, by key."""
-        files = {}
-        if isinstance(self.trajectory, FileTrajectory):
-            files["trajectory.path"] = self.trajectory.path
-        for i, part in enumerate(self.specimen.parts):
-            if isinstance(part.shape, MeshFile | CtVolume):
-                files[f"specimen.parts.{i}.shape.path"] = part.shape.path
-        chain = {
-            "source.spectrum": self.source.spectrum,
-            "source.focal_spot": self.source.focal_spot,
-            "detector.response": self.detector.response,
-            "detector.point_spread": self.detector.point_spread,
-            "detector.bad_pixels": self.detector.bad_pixels,
-        }
-        for key, section in chain.items():
-            path = getattr(section, "path", None)
-            if path is not None:
-                files[f"{key}.path"] = path
-        return files
+        """Files and folders the scenario names, by key: every key ``path``, in any section."""
+        return dict(_files(self, ""))
 
 
-def _with_contents(data: object) -> object:
-    if isinstance(data, dict):
-        return {
-            key: _content_digest(Path(value)) if key == "path" else _with_contents(value)
-            for key, value in data.items()
-        }
-    if isinstance(data, list):
-        return [_with_contents(value) for value in data]
-    return data
-
-
-def _content_digest(path: Path) -> str:
-    digest = hashlib.sha256()
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    for file in files:
-        with file.open("rb") as stream:
-            digest.update(hashlib.file_digest(stream, "sha256").digest())
-    return digest.hexdigest()
+def _files(section: Section, key: str) -> Iterator[tuple[str, Path]]:
+    for name in type(section).model_fields:
+        value = getattr(section, name)
+        items = enumerate(value) if isinstance(value, tuple) else [("", value)]
+        for index, item in items:
+            place = ".".join(str(step) for step in (key, name, index) if step != "")
+            if isinstance(item, Section):
+                yield from _files(item, place)
+            elif name == "path" and item is not None:
+                yield place, Path(item)

@@ -35,3 +35,10 @@ class Uncertainty(Section):
         description="Of the panel's position.",
         json_schema_extra=facts(source="the paper"),
     )
+    seed: int | None = Field(
+        default=None,
+        ge=0,
+        lt=2**63,
+        description="Of this noise alone; the scenario's where null. Other seeds here are other "
+        "believed poses of the same images.",
+    )

@@ -1,0 +1,51 @@
+"""Acquisition through any rig: what the believed poses depend on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinct.scan import View, acquire
+from twinct.scenario import parse_scenario
+from twinct.views import Reached, Target
+
+
+class Still:
+    """A rig whose arms are where they were told, and whose images are black."""
+
+    def move(self, view: int, target: Target) -> Reached:
+        nothing = np.zeros(1)
+        return Reached(
+            target.source_m,
+            (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+            target.detector_m,
+            ("source_a",),
+            *(nothing, nothing, nothing, nothing),
+            time_s=view,
+            clearance_mm=1.0,
+        )
+
+    def expose(self, view: int) -> np.ndarray:
+        return np.zeros((2, 2), np.float32)
+
+    def close(self) -> None:
+        pass
+
+
+def believed(seed: int, of_noise: int | None) -> list[tuple[float, ...]]:
+    scenario = parse_scenario(
+        {
+            "seed": seed,
+            "trajectory": {"kind": "circle", "views": 2},
+            "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 9}}]},
+            "uncertainty": {"seed": of_noise},
+        }
+    )
+    target = Target((0.3, 0, 0, 0, 0, 0, 1), (-0.3, 0, 0, 0, 0, 0, 1))
+    views: list[View] = []
+    acquire(Still(), scenario, [target] * 2, lambda _, view, __: views.append(view))
+    return [tuple(pose.position) for view in views for pose in view.believed]
+
+
+def test_the_noise_of_the_poses_may_have_a_seed_of_its_own() -> None:
+    assert believed(1, None) == believed(2, 1) == believed(1, 1)
+    assert believed(1, None) != believed(1, 2)
