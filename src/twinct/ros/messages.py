@@ -83,8 +83,8 @@ class Epoch:
     @classmethod
     def of(cls, scenario: Scenario) -> Epoch:
         """The epoch of a scenario's scan."""
-        digest = stage_digests(scenario)["images"]
-        sec, nanosec = (int(digest[i : i + 15], 16) % _NANO for i in (0, 15))
+        digests = stage_digests(scenario)
+        sec, nanosec = (int(digests[s][:15], 16) % _NANO for s in ("images", "believed"))
         return cls(Stamp(_NANO + sec, nanosec))
 
     @classmethod
