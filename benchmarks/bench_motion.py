@@ -18,8 +18,8 @@ import trimesh
 from twinct.cell import build_cell
 from twinct.geometry import Pose
 from twinct.motion import RobotSimulation, plan_motion
-from twinct.scenario import Cell, Detector, Motion, SinusoidTrajectory
-from twinct.trajectory import commanded_views
+from twinct.scenario import Cell, Detector, Motion
+from twinct.trajectory import SinusoidTrajectory, commanded_views
 from twinct.views import PosePairs, Target
 
 HEAD_SEMI_AXES_MM = (72.0, 90.0, 110.0)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from twinct import scenario as sections
 from twinct.errors import TrajectoryError
 from twinct.geometry import Panel
+from twinct.scenario import AnyTrajectory
 from twinct.trajectory import commanded_views, write_views
 
 PANEL = Panel(480, 640, 0.5, 0.5)
 
 
 def views(**keys):
-    return commanded_views(TypeAdapter(sections.Trajectory).validate_python(keys), PANEL)
+    return commanded_views(TypeAdapter(AnyTrajectory).validate_python(keys), PANEL)
 
 
 def paper():

@@ -6,8 +6,7 @@ import numpy as np
 
 from twinct.evaluate import sight
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
-from twinct.scenario import CircleTrajectory
-from twinct.trajectory import commanded_views
+from twinct.trajectory import CircleTrajectory, commanded_views
 
 GRID = VolumeGrid((100, 100, 100), 1.0)
 CUBE = np.array(np.meshgrid(*[[-10.0, 10.0]] * 3)).reshape(3, -1).T

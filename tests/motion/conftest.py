@@ -6,8 +6,8 @@ import trimesh
 from twinct.cell import CellModel, build_cell
 from twinct.geometry import Pose
 from twinct.motion import MotionPlan, plan_motion
-from twinct.scenario import Cell, Detector, Motion, SinusoidTrajectory
-from twinct.trajectory import commanded_views
+from twinct.scenario import Cell, Detector, Motion
+from twinct.trajectory import SinusoidTrajectory, commanded_views
 from twinct.views import PosePairs, Target
 
 VIEWS = 24

@@ -11,8 +11,8 @@ from twinct.cell import CellModel, build_cell
 from twinct.errors import TrajectoryError
 from twinct.geometry import Pose
 from twinct.motion import Kinematics, MotionPlan, plan_motion
-from twinct.scenario import ArcTrajectory, Cell, Detector, InverseKinematics, Motion
-from twinct.trajectory import commanded_views
+from twinct.scenario import Cell, Detector, InverseKinematics, Motion
+from twinct.trajectory import ArcTrajectory, commanded_views
 from twinct.views import PosePairs, Target
 
 LARGEST_STEP_RAD = 0.1

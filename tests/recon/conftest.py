@@ -5,8 +5,7 @@ import pytest
 
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon.engine import ENGINE_VARIABLE
-from twinct.scenario import ArcTrajectory, CircleTrajectory
-from twinct.trajectory import commanded_views
+from twinct.trajectory import ArcTrajectory, CircleTrajectory, commanded_views
 
 
 @pytest.fixture(params=["vector", "plain"])

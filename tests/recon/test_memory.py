@@ -59,8 +59,7 @@ import resource, numpy as np
 from twinct.errors import MemoryShortageError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, sirt
-from twinct.scenario import CircleTrajectory
-from twinct.trajectory import commanded_views
+from twinct.trajectory import CircleTrajectory, commanded_views
 geometry = commanded_views(CircleTrajectory(kind="circle", views=4), Panel(8, 8, 20.0, 20.0))
 A = Projector(geometry, VolumeGrid((512, 512, 512), 0.31))
 used = next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("VmSize")) * 1024

@@ -83,9 +83,9 @@ def test_an_image_does_not_depend_on_what_was_imaged_before():
     code = """
     import numpy as np
     from twinct.geometry import Pose
-    from twinct.scenario import Detector, SinusoidTrajectory, Source, Specimen
+    from twinct.scenario import Detector, Source, Specimen
     from twinct.specimen import build_specimen
-    from twinct.trajectory import commanded_views
+    from twinct.trajectory import SinusoidTrajectory, commanded_views
     from twinct.xray import Imager
 
     ball = {"shape": {"kind": "sphere", "radius_mm": 12}, "position_mm": (20, -30, 40)}

@@ -51,24 +51,16 @@ from twinct.scenario.specimen import (
     Specimen,
     Sphere,
 )
-from twinct.scenario.trajectory import (
-    ArcTrajectory,
-    CircleTrajectory,
-    FileTrajectory,
-    HelixTrajectory,
-    SinusoidTrajectory,
-    Trajectory,
-)
+from twinct.scenario.trajectory import AnyTrajectory
 from twinct.scenario.uncertainty import PositionNoise, Uncertainty
 
 __all__ = [
-    "ArcTrajectory",
+    "AnyTrajectory",
     "Arm",
     "BadPixels",
     "BeamHardening",
     "Box",
     "Cell",
-    "CircleTrajectory",
     "Composition",
     "Correction",
     "CountingResponse",
@@ -81,12 +73,10 @@ __all__ = [
     "FileResponse",
     "FileSpectrum",
     "FileSpread",
-    "FileTrajectory",
     "Filter",
     "GaussianSpot",
     "GaussianSpread",
     "Grid",
-    "HelixTrajectory",
     "ImageSpot",
     "IntegratingResponse",
     "InverseKinematics",
@@ -106,7 +96,6 @@ __all__ = [
     "Scenario",
     "ScintillatorResponse",
     "Shape",
-    "SinusoidTrajectory",
     "Skull",
     "SnrNoise",
     "Source",
@@ -118,7 +107,6 @@ __all__ = [
     "SquareSpot",
     "Surroundings",
     "Table",
-    "Trajectory",
     "TubeSpectrum",
     "TwoMaterialHardening",
     "Uncertainty",

@@ -13,9 +13,15 @@ from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
 from twinct.scenario.version_0_1 import advice
 from twinct.settings import Conflict, ConflictError
+from twinct.trajectory.families import families
 
 TAGS = ("kind", "algorithm")
 """Keys that say which of several sections it is."""
+
+_BROKEN: dict[Key, dict[str, str]] = {
+    ("reconstruction", "algorithm"): BROKEN_ALGORITHMS,
+    ("trajectory", "kind"): families().broken,
+}
 
 
 def problems(draft: Draft, error: ValidationError) -> list[str]:
@@ -114,8 +120,8 @@ def _sentence(
         if "tag" not in detail["ctx"]:
             return "this key needs a 'kind'"
         given, allowed = detail["ctx"]["tag"], detail["ctx"]["expected_tags"]
-        if given in BROKEN_ALGORITHMS and key[-1] == "algorithm":
-            return BROKEN_ALGORITHMS[given]
+        if given in (broken := _BROKEN.get(key, {})):
+            return broken[given]
         near = difflib.get_close_matches(given, allowed.replace("'", "").split(", "), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         return f"{key[-1]} {given!r} is not one of {allowed}{hint}"

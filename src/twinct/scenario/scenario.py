@@ -14,7 +14,7 @@ from twinct.scenario.motion import Motion
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
 from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import Specimen
-from twinct.scenario.trajectory import Trajectory
+from twinct.scenario.trajectory import AnyTrajectory
 from twinct.scenario.uncertainty import Uncertainty
 from twinct.settings import Conflict, ConflictError, Section
 
@@ -29,7 +29,7 @@ class Scenario(Section):
     seed: int = Field(default=0, ge=0, lt=2**63, description="Every random draw is keyed by it.")
     source: Source = Field(default=Source(), description="The X-ray source.")
     detector: Detector = Field(default=Detector(), description="The flat panel.")
-    trajectory: Trajectory = Field(description="Where source and panel shall go.")
+    trajectory: AnyTrajectory = Field(description="Where source and panel shall go.")
     specimen: Specimen = Field(description="What is imaged.")
     cell: Cell = Field(default=Cell(), description="The room and the arms.")
     motion: Motion = Field(default=Motion(), description="How the arms move.")

@@ -1,0 +1,33 @@
+"""All families of trajectories by name: those of this package, and those of others."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from twinct.extensions import Offers, offers
+from twinct.geometry import Panel, ScanGeometry
+from twinct.trajectory.arc import ARC
+from twinct.trajectory.circle import CIRCLE
+from twinct.trajectory.family import Family, TrajectorySettings
+from twinct.trajectory.helix import HELIX
+from twinct.trajectory.sinusoid import SINUSOID
+from twinct.trajectory.table import FILE
+
+BUILT_IN: dict[str, Family] = {
+    family.name: family for family in (SINUSOID, CIRCLE, ARC, HELIX, FILE)
+}
+
+
+@cache
+def families() -> Offers[Family]:
+    """Those that a scenario can name; looked up once in each process."""
+    return offers("twinct.trajectories", Family, BUILT_IN)
+
+
+def commanded_views(section: TrajectorySettings, panel: Panel) -> ScanGeometry:
+    """The geometry a trajectory commands.
+
+    Raises:
+        TrajectoryError: a file of views that cannot be read, or a view that is none.
+    """
+    return families()[section.kind].views(section, panel)

@@ -1,0 +1,42 @@
+"""What a family of trajectories is: its settings and its views.
+
+Each family's file ends with its ``Family``; those from outside the package are found by the entry
+points of the group ``twinct.trajectories``.
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from twinct.geometry import Panel, ScanGeometry
+from twinct.settings import Section
+
+
+class TrajectorySettings(Section):
+    """Keys of one family; its own ``kind`` is a Literal of its name.
+
+    A key named ``path`` is an input file: it is made absolute, must exist, and counts by content.
+    """
+
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A family as the scenario can name it.
+
+    Attributes:
+        settings: its keys.
+        views: the geometry that these settings command, for a panel.
+    """
+
+    settings: type[TrajectorySettings]
+    views: Callable[[Any, Panel], ScanGeometry]
+
+    @property
+    def name(self) -> str:
+        """What the key ``kind`` calls it."""
+        return str(typing.get_args(self.settings.model_fields["kind"].annotation)[0])

@@ -1,0 +1,33 @@
+"""A helix."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from twinct.geometry import Panel, ScanGeometry
+from twinct.settings import Finite, Positive
+from twinct.trajectory.family import Family
+from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
+
+
+class HelixTrajectory(OrbitSettings):
+    """A helix about z: source and panel rise together."""
+
+    kind: Literal["helix"]
+    turns: Positive = Field(default=2.0, description="Turns about z.")
+    pitch_mm: Finite = Field(default=50.0, description="Rise for each turn.")
+
+
+def _views(section: HelixTrajectory, panel: Panel) -> ScanGeometry:
+    turn = section.turns * (stops(section.views) - 0.5)
+    angles = np.radians(section.centre_longitude_deg) + 2 * np.pi * turn
+    centres = np.zeros((section.views, 3))
+    centres[:, 2] = section.pitch_mm * turn
+    sources = on_sphere(angles, np.zeros_like(angles), section.sod_mm) + centres
+    return orbit_views(section, panel, sources, centres)
+
+
+HELIX = Family(HelixTrajectory, _views)

@@ -1,0 +1,82 @@
+"""A table of views: every view as it is, from a CSV file."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from twinct.errors import TrajectoryError
+from twinct.geometry import Panel, ScanGeometry
+from twinct.trajectory.family import Family, TrajectorySettings
+from twinct.trajectory.orbit import panel_axes
+
+_COLUMNS = [f"{name}_{axis}" for name in ("source", "detector", "u", "v") for axis in "xyz"]
+
+
+class FileTrajectory(TrajectorySettings):
+    """Views from a CSV file: S and D, or S, D, u, v for each row, mm."""
+
+    kind: Literal["file"]
+    path: Path = Field(description="CSV file.")
+
+
+def write_views(path: Path, geometry: ScanGeometry) -> None:
+    """Write a file of views that ``kind: file`` reads back to the same numbers."""
+    rows = np.hstack([geometry.source, geometry.detector, geometry.u, geometry.v])
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(_COLUMNS)
+        writer.writerows([[repr(float(x)) for x in row] for row in rows])
+
+
+def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
+    """Rows of 6 numbers (S, D) or 12 (S, D, u, v), mm; a first line of names is skipped."""
+    path = section.path
+    problems: list[str] = []
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row]
+    except (OSError, UnicodeDecodeError) as error:
+        raise TrajectoryError(f"{path}: cannot read the views: {error}") from None
+    lines = [(n, row) for n, row in lines if not row[0].lstrip().startswith("#")]
+    for position, (number, row) in enumerate(lines):
+        try:
+            rows.append([float(cell) for cell in row])
+        except ValueError:
+            if position > 0:
+                problems.append(f"{path}:{number}: {','.join(row)!r} holds something not a number")
+            continue
+        if len(row) not in (6, 12):
+            problems.append(
+                f"{path}:{number}: a view is 6 numbers (S, D) or 12 (S, D, u, v), mm; "
+                f"this line has {len(row)}"
+            )
+        elif not np.isfinite(rows[-1]).all():
+            problems.append(f"{path}:{number}: {','.join(row)!r} holds a number that is not finite")
+    if not problems and not rows:
+        problems.append(f"{path}: holds no view")
+    if not problems and len({len(row) for row in rows}) > 1:
+        problems.append(f"{path}: some lines have 6 numbers and some 12; use one form")
+    if problems:
+        raise TrajectoryError(problems)
+    table = np.array(rows)
+    source, detector = table[:, 0:3], table[:, 3:6]
+    try:
+        if table.shape[1] == 12:
+            return ScanGeometry(source, detector, table[:, 6:9], table[:, 9:12], panel)
+        beam = source - detector
+        length = np.linalg.norm(beam, axis=1)
+        if (length == 0).any():
+            raise ValueError(f"source and panel of view {int((length == 0).argmax())} coincide")
+        u, v = panel_axes(beam / length[:, None])
+        return ScanGeometry(source, detector, u, v, panel)
+    except ValueError as error:
+        raise TrajectoryError(f"{path}: {error}") from None
+
+
+FILE = Family(FileTrajectory, _views)

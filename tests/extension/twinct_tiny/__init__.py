@@ -1,0 +1,1 @@
+"""An algorithm and a family of trajectories from outside the package."""

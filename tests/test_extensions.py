@@ -1,0 +1,155 @@
+"""What other distributions offer is found in every process; what is broken stops nobody else."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct.extensions import offers
+
+HERE = Path(__file__).parent
+GROUP = "twinct.tests"
+
+
+@dataclass(frozen=True)
+class Thing:
+    name: str
+
+
+def distribution(folder: Path, name: str, version: str, points: str, code: str = "") -> None:
+    """As an installer leaves it: a module of the same name, and what it offers."""
+    info = folder / f"{name}-{version}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (info / "entry_points.txt").write_text(points)
+    (folder / f"{name}.py").write_text(code)
+
+
+def of(monkeypatch: pytest.MonkeyPatch, folder: Path, *entries: str, name: str = "things") -> None:
+    code = "import kind\nA, B, OTHER, TEXT = kind.Thing('a'), kind.Thing('b'), kind.Thing('c'), 'b'"
+    distribution(folder, name, "1.0", "\n".join([f"[{GROUP}]", *entries]), code)
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setitem(sys.modules, "kind", sys.modules[__name__])
+    monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+def test_a_good_one_is_found_beside_the_built_in_ones(monkeypatch, tmp_path: Path) -> None:
+    of(monkeypatch, tmp_path, "b = things:B")
+    found = offers(GROUP, Thing, {"a": Thing("a")})
+    assert dict(found) == {"a": Thing("a"), "b": Thing("b")}
+    assert not found.broken
+
+
+@pytest.mark.parametrize(
+    ("entry", "reason"),
+    [
+        ("b = things_that_are_not:B", "ModuleNotFoundError: No module named"),
+        ("b = things:NOTHING", "AttributeError"),
+        ("b = things:TEXT", "TypeError: it leads to str, not to Thing"),
+        ("b = things:OTHER", "ValueError: it calls itself 'c'"),
+    ],
+)
+def test_a_broken_one_is_logged_with_its_distribution_and_left_out(
+    monkeypatch, caplog, tmp_path: Path, entry: str, reason: str
+) -> None:
+    of(monkeypatch, tmp_path, entry, "d = things:B", "e = things:A")
+    found = offers(GROUP, Thing, {"a": Thing("a")})
+    assert set(found) == {"a"}
+    assert f"'b' of things 1.0 cannot be used: {reason}" in found.broken["b"]
+    assert found.broken["b"] in caplog.text
+
+
+def test_names_that_are_taken_are_refused(monkeypatch, caplog, tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    of(monkeypatch, tmp_path / "one", "a = things:A", "b = things:B")
+    of(monkeypatch, tmp_path / "two", "b = others:B", name="others")
+    built_in = Thing("a")
+    found = offers(GROUP, Thing, {"a": built_in})
+    assert dict(found) == {"a": built_in} and found["a"] is built_in
+    assert "several offer one of that name: others 1.0, things 1.0" in found.broken["b"]
+    # Whoever names the built-in one gets it.
+    assert "a" not in found.broken
+    assert "'a' of things 1.0 cannot be used: ValueError: twinct itself has" in caplog.text
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny distribution, and one that is broken, in a folder for PYTHONPATH."""
+    source, target = (tmp_path_factory.mktemp(name) for name in ("source", "target"))
+    shutil.copytree(HERE / "extension", source, dirs_exist_ok=True)
+    command = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-build-isolation"]
+    subprocess.run(
+        [*command, "--no-index", "--quiet", "--target", target, source],
+        check=True,
+        env={**os.environ, "PIP_DISABLE_PIP_VERSION_CHECK": "1"},
+    )
+    points = "[twinct.algorithms]\nhopeless = hopeless:IT\nsart = hopeless:IT\n"
+    points += "[twinct.trajectories]\nnowhere = hopeless:IT\n"
+    distribution(target, "hopeless", "0.3", points, "raise OSError('its library is gone')\n")
+    return target
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    np.save(tmp_path / "start.npy", np.full((28, 26, 24), 1e-3, np.float32))
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        f"extends: {HERE}/same_bytes/small.yaml\n"
+        "trajectory: {kind: zigzag, views: 3}\n"
+        "reconstruction: {algorithm: landweber, path: start.npy}\n"
+    )
+    return file
+
+
+def twinct(installed: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    paths = [str(installed), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.run(
+        [sys.executable, "-m", "twinct", *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+    )
+
+
+@pytest.mark.process
+def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) -> None:
+    checked = twinct(installed, "check", scenario)
+    assert checked.returncode == 0, checked.stderr
+    assert "landweber" in checked.stdout and "zigzag" in checked.stdout
+    assert "'hopeless' of hopeless 0.3 cannot be used: OSError: its library is gone" in (
+        checked.stderr
+    )
+    done = twinct(installed, "run", scenario, "--out", scenario.parent / "out", "--link", "local")
+    assert done.returncode == 0, done.stderr
+    schema = json.loads(twinct(installed, "schema").stdout)
+    assert "LandweberReconstruction" in schema["$defs"] and "Zigzag" in schema["$defs"]
+
+
+@pytest.mark.process
+@pytest.mark.ros
+def test_the_nodes_find_it_too(installed: Path, scenario: Path) -> None:
+    done = twinct(installed, "run", scenario, "--out", scenario.parent / "out", "--link", "ros2")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.process
+def test_who_names_a_broken_one_is_told_why(installed: Path, scenario: Path) -> None:
+    changes = ("--set", "reconstruction.algorithm=hopeless", "--set", "trajectory.kind=nowhere")
+    refused = twinct(installed, "check", scenario, *changes)
+    assert refused.returncode == 2
+    for place in ("reconstruction.algorithm=hopeless: ", "trajectory.kind=nowhere: "):
+        [line] = [line for line in refused.stderr.splitlines() if f"--set {place}" in line]
+        assert "of hopeless 0.3 cannot be used: OSError: its library is gone" in line
+    (scenario.parent / "start.npy").unlink()
+    refused = twinct(installed, "check", scenario)
+    assert refused.returncode == 2
+    assert f"{scenario}:3: reconstruction.path: no file at {scenario.parent}" in refused.stderr
