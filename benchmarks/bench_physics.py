@@ -30,7 +30,6 @@ EVERYTHING = {
     "noise": {"kind": "quantum"},
     "readout": {"electronic_noise": 5.0},
     "bad_pixels": {"kind": "random", "share": 1e-3},
-    # SC
     "correction": {"flat_frames": 20, "dark_frames": 20},
 }
 

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from twinct.geometry import Pose, ScanGeometry
 from twinct.runs import reconstruct, simulate
-from twinct.runs.integrals import effective_energy
 from twinct.scan import Workshop
 from twinct.scenario import Scenario, parse_scenario
+from twinct.xray.build import effective_energy_kev
 
 MM_PER_CM = 10.0
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
@@ -152,7 +152,7 @@ def draw_hardening() -> None:
     workshop = Workshop(base)
     scan = simulate(base, workshop=workshop)
     grid = base.reconstruction.grid.volume_grid
-    truth = workshop.specimen.truth(grid, effective_energy(base))
+    truth = workshop.specimen.truth(grid, effective_energy_kev(base.source, base.detector))
     middle = truth.shape[0] * 5 // 8
     slices = {}
     for name, correction in CORRECTIONS.items():

@@ -23,9 +23,10 @@ from twinct.runs import (
     truth_of,
     volumes,
 )
-from twinct.runs.integrals import effective_energy, hardening_corrected
+from twinct.runs.integrals import hardening_corrected
 from twinct.scan import Scan, Workshop
 from twinct.scenario import Scenario, load_scenario, parse_scenario
+from twinct.xray.build import effective_energy_kev
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 BALL_MM = np.array([20.0, -30.0, 40.0])
@@ -324,7 +325,7 @@ def test_hardened_line_integrals_are_brought_to_one_energy(kind):
     found = hardening_corrected(scenario, line_integrals(images), A)
     ideal = parse_scenario(
         scenario.model_dump(mode="json", exclude={"source", "reconstruction"})
-        | {"source": {"energy_kev": effective_energy(scenario)}}
+        | {"source": {"energy_kev": effective_energy_kev(scenario.source, scenario.detector)}}
     )
     with Workshop(ideal).imager() as imager:
         truth = line_integrals(np.stack([imager.render(v, Pose.identity()) for v in geometry]))

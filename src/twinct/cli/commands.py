@@ -186,15 +186,15 @@ def specimen(
         out: Folder for PART.stl, truth.nii and specimen.png.
     """
     from twinct.files.writing import check_folder, storage_errors
-    from twinct.runs.integrals import effective_energy
     from twinct.scan import Workshop
     from twinct.specimen.preview import preview_specimen
     from twinct.volume import Volume
+    from twinct.xray.build import effective_energy_kev
 
     loaded = load_scenario(scenario, set_)
     check_folder(out)
     with named_places(scenario, set_):
-        energy = effective_energy(loaded)
+        energy = effective_energy_kev(loaded.source, loaded.detector)
         built = Workshop(loaded).specimen
     grid = loaded.reconstruction.grid.volume_grid
     table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")

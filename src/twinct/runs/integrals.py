@@ -42,11 +42,11 @@ def hardening_corrected(
     section = scenario.reconstruction.beam_hardening
     if section is None:
         return integrals
-    from twinct.xray.build import build_response, build_spectrum
+    from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
     from twinct.xray.hardening import Hardening
 
     source, detector = scenario.source, scenario.detector
-    energy = effective_energy(scenario)
+    energy = effective_energy_kev(source, detector)
     known = build_spectrum(source), build_response(detector)
     materials = _materials(section)
     if section.kind == "one_material":
@@ -104,7 +104,9 @@ def check_hardening(scenario: Scenario) -> None:
         return
     materials = _materials(section)
     if section.kind == "two_materials":
-        energy = effective_energy(scenario)
+        from twinct.xray.build import effective_energy_kev
+
+        energy = effective_energy_kev(scenario.source, scenario.detector)
         base, dense = (substance.mu_per_mm(energy) for substance in materials)
         if dense <= base:
             raise InputError(
@@ -129,12 +131,3 @@ def _materials(section: BeamHardening) -> list[Material]:
     if problems:
         raise InputError(problems)
     return found
-
-
-def effective_energy(scenario: Scenario) -> float:
-    """Photon energy at which attenuation is stated, keV: the mean one that the detector sees."""
-    if scenario.source.spectrum is None:
-        return scenario.source.energy_kev
-    from twinct.xray.build import effective_energy_kev
-
-    return effective_energy_kev(scenario.source, scenario.detector)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from twinct.evaluate import ImageFigures, image_figures, region_of_interest
 from twinct.progress import SILENT, Progress
-from twinct.runs.integrals import effective_energy
 from twinct.scan import Scan, Workshop
 from twinct.volume import Volume
 
@@ -31,9 +30,11 @@ class Truth:
 
 def truth_of(scan: Scan, workshop: Workshop, progress: Progress = SILENT) -> Truth:
     """The truth of a scan, where the specimen really was, and the region every view sees."""
+    from twinct.xray.build import effective_energy_kev
+
     scenario = scan.scenario
     grid = scenario.reconstruction.grid.volume_grid
-    energy = effective_energy(scenario)
+    energy = effective_energy_kev(scenario.source, scenario.detector)
     # The specimen stands still: any view's pose would do, but for rounding.
     stands = scan.executed_object[len(scan) // 2]
     with progress.stage("truth", 2) as step:

@@ -102,7 +102,7 @@ def build_response(detector: scenario.Detector) -> Response:
 
 
 def effective_energy_kev(source: scenario.Source, detector: scenario.Detector) -> float:
-    """Mean energy of the free beam, each photon weighted with its signal.
+    """Mean energy of the free beam, keV, each photon weighted with its signal.
 
     At this energy a specimen's true attenuation is stated, and beam hardening is corrected to it.
     """

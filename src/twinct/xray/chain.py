@@ -30,7 +30,7 @@ from twinct.xray.spot import moved_source
 
 Image = NDArray[np.float32]
 
-_DARKEST = 1e-7
+_LEAST_TRANSMISSION = 1e-7
 """Smallest transmission of an image without noise and without a bit depth."""
 
 
@@ -181,7 +181,7 @@ class Chain:
             lag = np.float32(self._detector.lag)
             # With the noise that it had: drawn again by its own key.
             last = self._signal_of(*before, self._rng(index - 1))
-            signal = (1 - lag) * signal + lag * last
+            signal = ((1 - lag) * signal + lag * last).astype(np.float32, copy=False)
         if self._electronic:
             signal = normal_noise(signal, self._electronic / self._readout.gain, rng)
         raw = self._readout.read(_binned(signal, self._detector.binning))
@@ -227,7 +227,7 @@ class Chain:
         here = commanded[index] if index < len(commanded) else view
         scale = _binned(self._free_beam(here) / self._first_beam, self._detector.binning)
         dark = self._dark_image()
-        return dark + (self._first_flat - dark) * scale
+        return (dark + (self._first_flat - dark) * scale).astype(np.float32, copy=False)
 
     def _free_beam(self, view: ScanGeometry) -> Image:
         """Fall-off at each physical pixel."""
@@ -296,7 +296,7 @@ class Chain:
         if isinstance(self._detector.noise, scenario.QuantumNoise):
             photon = self.free[1] / self.free[0] / self._detector.binning**2
             return 0.5 * float(photon) * self._readout.gain
-        return _DARKEST
+        return _LEAST_TRANSMISSION
 
 
 def _at_middle(view: ScanGeometry) -> float:

@@ -12,7 +12,7 @@ from twinct.specimen.materials import Material
 from twinct.xray.response import Response
 from twinct.xray.spectrum import Spectrum, attenuation
 
-_DARKEST = 17.0
+_LARGEST_INTEGRAL = 17.0
 """Line integrals above this are not told apart: no detector sees them."""
 _BRIGHT = 0.1
 """How far the table goes below 0, for noise, as a share of its range."""
@@ -55,9 +55,9 @@ class Hardening:
         two = len(materials) == 2
         nodes = _NODES[0] if two else 1
         self._dense = np.linspace(0.0, max(longest_dense_mm, 1e-6), nodes)
-        top = _DARKEST / max(float(mus[0].min()), 1e-9)
+        top = _LARGEST_INTEGRAL / max(float(mus[0].min()), 1e-9)
         base = top * np.linspace(0, 1, 8 * _NODES[1]) ** 2  # dense where paths are short
-        self._integrals = np.linspace(-_BRIGHT * _DARKEST, _DARKEST, _NODES[1])
+        self._integrals = np.linspace(-_BRIGHT * _LARGEST_INTEGRAL, _LARGEST_INTEGRAL, _NODES[1])
         self._table = np.empty((nodes, _NODES[1]))
         for i, dense in enumerate(self._dense):
             exponent = -np.multiply.outer(base, mus[0]) - (dense * mus[1] if two else 0.0)

@@ -26,7 +26,9 @@ Path = -ln(transmission) / PATH_MU. Float32 keeps it to 1e-6 mm of a thin foil, 
 end at 1.7 m. What is left is gVXR's own depth: 1e-4 mm at most at a distance of 600 mm.
 """
 
-_DARKEST = np.float32(np.finfo(np.float32).tiny)
+ANY_KEV = 80.0
+"""Energy to render path lengths at: it takes part in nothing, as ``PATH_MU`` is given."""
+_LEAST_FLOAT = np.float32(np.finfo(np.float32).tiny)
 LARGEST_TILE = 2048
 """Pixels along an edge that gVXR can draw at once with software OpenGL; larger panels are tiled."""
 
@@ -102,7 +104,7 @@ class PathRenderer:
         meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
         uploads = [(np.asarray(m.vertices), np.asarray(m.faces), PATH_MU) for m in meshes]
         self._open = False
-        ENGINE.acquire(uploads, 80.0, tile)
+        ENGINE.acquire(uploads, ANY_KEV, tile)
         self._open = True
 
     def render(
@@ -164,7 +166,7 @@ class PathRenderer:
         right = (column + (tile.shape[1] - fine.columns) / 2) * fine.pitch_u
         centre = view.detector[0] + right * view.u[0] + down * view.v[0]
         ENGINE.expose(view.source[0], centre, view.u[0], view.v[0], tile, body)
-        np.clip(tile, _DARKEST, 1.0, out=tile)
+        np.clip(tile, _LEAST_FLOAT, 1.0, out=tile)
         np.log(tile, out=tile)
         np.multiply(tile, np.float32(-1 / PATH_MU), out=tile)
         part = out[row : row + tile.shape[0], column : column + tile.shape[1]]

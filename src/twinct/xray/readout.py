@@ -44,13 +44,6 @@ class Readout:
         return raw
 
 
-def read_out_bad_pixels(
-    raw: NDArray[np.float32], bad: NDArray[np.bool_], value: float = 0.0
-) -> NDArray[np.float32]:
-    """Bad pixels give a fixed grey value."""
-    return np.where(bad, np.float32(value), raw)
-
-
 def mend_bad_pixels(image: NDArray[np.float32], bad: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Known bad pixels take the mean of the good ones around them; larger holes close inwards."""
     if not bad.any():

@@ -79,7 +79,10 @@ def _coverage(results: Path) -> list[Verdict]:
         ("extra pixels", "at most 1 %", f"{extra:.2f} %", extra <= 1),
     )
     sampled = f", {COVERAGE_SAMPLES} x {COVERAGE_SAMPLES} samples a pixel"
-    return [Verdict("2D-WE-2", what + sampled, *figure) for what, *figure in figures]
+    return [
+        Verdict("2D-WE-2", what + sampled, asked, measured, passed)
+        for what, asked, measured, passed in figures
+    ]
 
 
 def _spots(results: Path) -> list[Verdict]:
