@@ -5,9 +5,12 @@ import pytest
 
 from twinct.geometry import Panel, ScanGeometry, VolumeGrid
 from twinct.recon import Projector, sart
+from twinct.scenario import Detector, Source
 from twinct.specimen.materials import material
+from twinct.xray.build import build_response, build_spectrum
 from twinct.xray.hardening import Hardening
 from twinct.xray.response import Response
+from twinct.xray.signal import Signal
 from twinct.xray.spectrum import Spectrum
 
 ENERGIES = np.linspace(20, 100, 41)
@@ -73,16 +76,19 @@ def solve(integrals, geometry):
     return sart(Projector(geometry, GRID), integrals, iterations=5, relaxation=0.3)[1]
 
 
+FROM_AXIS_MM = 1.25 * np.hypot(*(np.indices(GRID.shape[1:]) - 47.5))
+
+
+def cupping(volume):
+    r = FROM_AXIS_MM
+    edge, centre = volume[(r > 32) & (r < 40)].mean(), volume[r < 12].mean()
+    return (edge - centre) / centre
+
+
 def test_cupping_of_a_cylinder_goes():
     geometry = orbit()
     integrals = polychromatic(0.0, chords(geometry, (0, 0), RADIUS))
-    y, x = np.indices(GRID.shape[1:]) - 47.5
-    r = 1.25 * np.hypot(x, y)
-
-    def cupping(volume):
-        edge, centre = volume[(r > 32) & (r < 40)].mean(), volume[r < 12].mean()
-        return (edge - centre) / centre
-
+    r = FROM_AXIS_MM
     before = solve(integrals, geometry)
     hardening = Hardening(SPECTRUM, RESPONSE, [BONE], REFERENCE_KEV)
     after = solve(hardening.correct(integrals), geometry)
@@ -90,6 +96,45 @@ def test_cupping_of_a_cylinder_goes():
     assert cupping(before) > 0.05
     assert abs(cupping(after)) < 0.005
     assert after[r < 40].mean() == pytest.approx(BONE.mu_per_mm(REFERENCE_KEV), rel=0.01)
+
+
+def physics(kvp=80.0, aluminium_mm=2.5, layer_mm=0.6):
+    """Spectrum and detector as they are, but for what is given."""
+    filters = [{"material": "aluminium", "thickness_mm": aluminium_mm}]
+    tube = {"kind": "tube", "kvp": kvp, "filters": filters, "bins": 40}
+    layer = {"kind": "scintillator", "thickness_mm": layer_mm}
+    return build_spectrum(Source(spectrum=tube)), build_response(Detector(response=layer))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "most"),
+    [
+        ({}, 0.005),
+        ({"kvp": 84.0}, 0.01),
+        ({"aluminium_mm": 3.0}, 0.01),
+        ({"layer_mm": 0.7}, 0.01),
+        ({"kvp": 84.0, "aluminium_mm": 3.0, "layer_mm": 0.7}, 0.02),
+    ],
+    ids=lambda of: " ".join(of) or "known" if isinstance(of, dict) else "",
+)
+def test_cupping_that_a_correction_with_another_spectrum_leaves(wrong, most):
+    """The image has one spectrum, filter and scintillator, the correction believes in others."""
+    geometry = orbit()
+    spectrum, response = physics()
+    signal = Signal(spectrum, [BONE], response)
+    chord = chords(geometry, (0, 0), RADIUS).astype(np.float32)
+    seen = np.stack([signal(view[None], np.ones_like(view))[0] for view in chord])
+    integrals = -np.log(seen / np.float32(signal.free[0]))
+    before = cupping(solve(integrals, geometry))
+    hardening = Hardening(*physics(**wrong), [BONE], REFERENCE_KEV)
+    volume = solve(hardening.correct(integrals), geometry)
+    left = cupping(volume)
+    mean = volume[FROM_AXIS_MM < 40].mean() / BONE.mu_per_mm(REFERENCE_KEV) - 1
+    print(f"{wrong or 'known'}: cupping {before:.4f} to {left:.4f}, mean {mean:+.4f}")  # noqa: T201
+    assert before > 0.05
+    assert abs(left) < most
+    # A wrong spectrum is a wrong scale first, and hardly a cup.
+    assert abs(mean) < (0.1 if wrong else 0.01)
 
 
 def test_the_dark_band_between_two_bones_goes():
