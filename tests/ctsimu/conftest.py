@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import trimesh
 
-from twinct.ctsimu.writing import header, material, placed, quantity
+from twinct.ctsimu.writing import header, material_entry, placed, quantity
 
 
 def base() -> dict[str, Any]:
@@ -65,9 +65,9 @@ def base() -> dict[str, Any]:
             "scattering": False,
         },
         "materials": [
-            material("Al", 2.6989, {"Al": 1.0}),
-            material("Fe", 7.874, {"Fe": 1.0}),
-            material("Vacuum", 0.0, {"": 1.0}),
+            material_entry("Al", 2.6989, {"Al": 1.0}),
+            material_entry("Fe", 7.874, {"Fe": 1.0}),
+            material_entry("Vacuum", 0.0, {"": 1.0}),
         ],
     }
 

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from twinct.ctsimu import Options, load_ctsimu, render
-from twinct.ctsimu.detector import Detector as CtsimuDetector
+from twinct.ctsimu.digitiser import Digitiser
 from twinct.ctsimu.export import export_scan
 from twinct.ctsimu.scene import FieldImages
 from twinct.errors import InputError, ScanExistsError
@@ -169,7 +169,7 @@ def test_flat_and_dark_frames_binning_and_noise_are_written(scan, workshop, tmp_
     assert frame.exposure_s == pytest.approx(0.04)
     assert files.options == "--samples 3"
     # Noise of the binned image, as the renderer makes it.
-    detector = CtsimuDetector(frame.response, frame.panel, 1.0)
+    detector = Digitiser(frame.response, frame.panel, 1.0)
     deviation = detector.deviation(np.full((1, 1), 60000.0))[0, 0]
     assert 60000 / (deviation / 2) == pytest.approx(200)
 
@@ -189,5 +189,5 @@ def test_materials_of_one_name_stay_apart(scan, tmp_path):
     mixed = of(scan, f"specimen.parts=[{parts}]", layer)
     files = export_scan(mixed, Workshop(mixed.scenario).specimen, tmp_path)
     frame = load_ctsimu(files.scenario).frame(0)
-    assert [body.material.density_g_cm3 for body in frame.bodies] == [1.0, 2.0, 4.51, 1.0]
+    assert [sample.material.density_g_cm3 for sample in frame.samples] == [1.0, 2.0, 4.51, 1.0]
     assert frame.response.scintillator.material.density_g_cm3 == 4.51

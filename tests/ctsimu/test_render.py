@@ -10,16 +10,15 @@ import tifffile
 import trimesh
 
 from twinct.ctsimu import Options, load_ctsimu, render
-from twinct.ctsimu.bodies import Solids
 from twinct.ctsimu.camera import Camera
-from twinct.ctsimu.scene import Body
-from twinct.ctsimu.writing import material, quantity, vector
+from twinct.ctsimu.scene import Sample
+from twinct.ctsimu.solids import Solids
+from twinct.ctsimu.writing import material_entry, quantity, vector
 from twinct.errors import ScanExistsError, SpecimenError
 from twinct.geometry import Pose
 from twinct.specimen import material as substance
 from twinct.specimen.surface import refined
-from twinct.xray.paths import Body as SolidBody
-from twinct.xray.paths import PathRenderer
+from twinct.xray.paths import Body, PathRenderer
 
 PATH_MM = 0.01
 """gVXR's path lengths through faces that are refined."""
@@ -169,7 +168,7 @@ def test_bad_pixels_binning_and_correction(data, write, tmp_path):
 
 
 def test_room_full_of_water_attenuates_around_the_sample(data, write):
-    data["materials"].append(material("Water", 1.0, {"H2O": 1.0}))
+    data["materials"].append(material_entry("Water", 1.0, {"H2O": 1.0}))
     free = Camera(1).expose(load_ctsimu(write(data)).frame(0), samples_in=False)
     data["environment"]["material_id"] = "Water"
     scenario = load_ctsimu(write(data))
@@ -188,10 +187,10 @@ def test_where_two_samples_overlap_the_later_one_counts(data, write):
     iron["scaling_factor"] = {axis: quantity(0.5) for axis in "rst"}
     data["samples"].append(iron)
     scenario = load_ctsimu(write(data))
-    solids = Solids().of(scenario.frame(0).bodies, np.zeros(3))
+    solids = Solids().of(scenario.frame(0).samples, np.zeros(3))
     assert [mesh.volume for _, mesh in solids] == pytest.approx([1000 - 125, 125])
     data["samples"].reverse()
-    solids = Solids().of(load_ctsimu(write(data)).frame(0).bodies, np.zeros(3))
+    solids = Solids().of(load_ctsimu(write(data)).frame(0).samples, np.zeros(3))
     assert [body.name for body, _ in solids] == ["cube"]
 
 
@@ -210,7 +209,7 @@ def test_long_faces_along_the_beam_are_refined(data, write):
     scenario = load_ctsimu(write(data))
     frame = scenario.frame(0)
     pose = Pose([100.0, 7.0, 0.0], [0, 0, 0, 1.0])
-    body = Body("bar", frame.bodies[0].file, (1, 1, 1), substance("Al"), pose)
+    body = Sample("bar", frame.samples[0].file, (1, 1, 1), substance("Al"), pose)
     solids = Solids()
     solids._meshes[body.file, body.scale] = bar
     fine = solids.of([body], frame.view.source[0])[0][1]
@@ -224,7 +223,7 @@ def test_long_faces_along_the_beam_are_refined(data, write):
     exact[np.abs(rays[..., 2]) * 150 > 5] = np.nan  # crosses top or bottom: not looked at
     off = {}
     for name, mesh in (("coarse", bar), ("fine", fine)):
-        with PathRenderer([SolidBody(mesh, substance("Al"))], frame.panel) as renderer:
+        with PathRenderer([Body(mesh, substance("Al"))], frame.panel) as renderer:
             off[name] = np.nanmax(np.abs(renderer.render(frame.view, pose)[0] - exact))
     assert off["fine"] < PATH_MM < 1 < off["coarse"]
     assert refined(bar, 200.0) is bar

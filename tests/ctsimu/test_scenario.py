@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from twinct.ctsimu import load_ctsimu
-from twinct.ctsimu.reader import Moment, Section
-from twinct.ctsimu.writing import material, quantity, vector
+from twinct.ctsimu.reader import JsonSection, Moment
+from twinct.ctsimu.writing import material_entry, quantity, vector
 from twinct.errors import ScenarioError
 
 ROUNDING_MM = 1e-9
@@ -84,7 +84,7 @@ def test_geometry_is_that_of_the_toolbox(data, write, seed, believed):
             "source u": (frame.source_axes[0], array(geometry.source.u)),
         }
         sample = theirs.samples[0].coordinate_system
-        body = frame.bodies[0].world_from_body
+        body = frame.samples[0].world_from_sample
         pairs["sample"] = body.position, stage.apply(array(sample.center))
         pairs["sample r"] = body.rotation[:, 0], stage.rotate(array(sample.u))
         for name, (own, other) in pairs.items():
@@ -125,14 +125,14 @@ def test_row_0_is_on_top_whichever_way_w_points(data, write):
     ],
 )
 def test_numbers_by_hand(tmp_path, parameter, unit, frame, expected):
-    section = Section({"x": parameter}, "", Moment(frame, 4), tmp_path, [])
+    section = JsonSection({"x": parameter}, "", Moment(frame, 4), tmp_path, [])
     assert section.number("x", unit) == pytest.approx(expected)
     assert not section.problems
 
 
 def test_text_drifts_hold_until_the_next(tmp_path):
     data = {"file": {"value": "a", "drifts": [{"value": ["b", "c"]}]}}
-    found = [Section(data, "", Moment(i, 4), tmp_path, []).text("file") for i in range(4)]
+    found = [JsonSection(data, "", Moment(i, 4), tmp_path, []).text("file") for i in range(4)]
     assert found == ["b", "b", "b", "c"]
 
 
@@ -322,16 +322,16 @@ def test_no_samples_are_a_free_beam_and_no_density_is_vacuum(data, write):
     data["materials"][0]["density"] = quantity(0.0, "g/cm^3")
     data["environment"]["material_id"] = "Al"
     frame = load_ctsimu(write(data)).frame(0)
-    assert frame.bodies == () and frame.environment is None
+    assert frame.samples == () and frame.environment is None
 
 
 def test_mass_fractions_add_up_within_rounding(data, write):
     shares = {"N2": 0.7552, "O2": 0.2314, "Ar": 0.0128}  # of BAM's example, without its CO2
-    data["materials"][1] = material("Fe", 0.0013, shares)
+    data["materials"][1] = material_entry("Fe", 0.0013, shares)
     data["environment"]["material_id"] = "Fe"
     found = load_ctsimu(write(data)).frame(0).environment
     assert found.mass_fractions["Ar"] == pytest.approx(0.0128 / 0.9994)
-    data["materials"][1] = material("Fe", 0.0013, {**shares, "CO2": 0.02})
+    data["materials"][1] = material_entry("Fe", 0.0013, {**shares, "CO2": 0.02})
     assert "add up to 1.019" in problems_of(write(data))[0]
 
 
@@ -364,9 +364,9 @@ CURVES = {
     ("text", "words"),
     [
         ("1 2\n0 3\n", "the first column must rise"),
-        ("1 2\n2 nan\n", "holds a value that is not finite"),
-        ("1 2\ntwo 3\n", "not two columns of numbers"),
-        ("", "the first column must rise"),
+        ("1 2\n2 nan\n", "the numbers must be finite"),
+        ("1 2\ntwo 3\n", "not 2 columns of numbers"),
+        ("", "holds no numbers"),
     ],
 )
 def test_broken_curve_is_named_with_its_key(data, write, tmp_path, place, text, words):
@@ -376,7 +376,7 @@ def test_broken_curve_is_named_with_its_key(data, write, tmp_path, place, text, 
     change(data, [*place.split("."), CURVES[place]], {"value": "bad.tsv"})
     found = problems_of(write(data))
     assert len(found) == 1 and words in found[0], found
-    assert found[0].startswith(f"{place}.{CURVES[place]}: {tmp_path / 'bad.tsv'}: ")
+    assert found[0].startswith(f"{place}.{CURVES[place]}: {tmp_path / 'bad.tsv'}:")
 
 
 def test_broken_picture_is_named_with_its_key(data, write, tmp_path):

@@ -76,7 +76,7 @@ NO_FORMULA = {"material": {"formula": "Qq", "density_g_cm3": 9}, "thickness_mm":
         ("20 0\n", SPECTRUM, "source.spectrum.path: FILE: .* all bins are empty"),
         ("20 1\n20 2\n", SPECTRUM, "source.spectrum.path: FILE: the energies .* must rise"),
         ("20 1\n2000 2\n", SPECTRUM, "source.spectrum.path: FILE: photons of 20 to 2000 keV"),
-        (None, SPECTRUM | {"path": "."}, "source.spectrum.path: .*: Is a directory"),
+        (None, SPECTRUM | {"path": "."}, "source.spectrum.path: .*: it is a folder"),
         (None, TUBE | {"filters": [UNKNOWN]}, f"{FILTERS}.0.material: unknown material 'unobt"),
         (None, TUBE | {"filters": [HALF]}, f"{FILTERS}.0.material: .* add up to 0.5"),
         (None, TUBE | {"filters": [NO_FORMULA]}, f"{FILTERS}.0.material: formula 'Qq'"),

@@ -6,8 +6,8 @@ from scipy import special
 
 from twinct.errors import InputError
 from twinct.xray.noise import normal_noise, quantum_noise
-from twinct.xray.readout import Readout, correct, mend_bad_pixels
-from twinct.xray.spread import CUT_OFF, PointSpread
+from twinct.xray.readout import Amplifier, correct, mend_bad_pixels
+from twinct.xray.spread import CUT_OFF, PointSpreadFunction
 
 N = 400 * 500
 """Pixels of a uniform image: its variance is known to sqrt(2 / N) = 0.3 %."""
@@ -55,7 +55,7 @@ def test_an_edge_spreads_like_the_error_function(sigma_mm):
     """On the mean over where the edge lies inside a pixel: one edge for itself is aliased."""
     pitch = 0.1
     x = (np.arange(400) - 199.5) * pitch
-    spread = PointSpread.gaussian(sigma_mm)
+    spread = PointSpreadFunction.gaussian(sigma_mm)
 
     def integral(t):
         """Integral of the spread edge up to t."""
@@ -82,7 +82,9 @@ def overshoot(spread, pitch):
 
 def gaussian_table(sigma_mm, end_per_mm):
     frequencies = np.linspace(0, end_per_mm, 401)
-    return PointSpread.tabulated(frequencies, np.exp(-2 * (np.pi * sigma_mm * frequencies) ** 2))
+    return PointSpreadFunction.tabulated(
+        frequencies, np.exp(-2 * (np.pi * sigma_mm * frequencies) ** 2)
+    )
 
 
 @pytest.mark.parametrize(
@@ -90,14 +92,14 @@ def gaussian_table(sigma_mm, end_per_mm):
 )
 def test_an_edge_overshoots_where_the_spread_is_narrower_than_a_pixel(sigma_px, most):
     """What whole pixels cannot show is cut off at their Nyquist frequency, whatever the kind."""
-    found = overshoot(PointSpread.gaussian(0.2 * sigma_px), 0.2)
+    found = overshoot(PointSpreadFunction.gaussian(0.2 * sigma_px), 0.2)
     assert found < most
     if sigma_px <= 0.5:
         assert found > 0.01
     table = gaussian_table(0.2 * sigma_px, 10.0)
     assert overshoot(table, 0.2) == pytest.approx(found, abs=2e-4)
     # Physical pixels of a quarter show it.
-    assert overshoot(PointSpread.gaussian(0.2 * sigma_px), 0.05) < 1e-4
+    assert overshoot(PointSpreadFunction.gaussian(0.2 * sigma_px), 0.05) < 1e-4
 
 
 def test_a_table_may_end_where_it_hardly_matters():
@@ -115,7 +117,7 @@ def test_a_table_may_end_where_it_hardly_matters():
 def test_a_line_spreads_by_its_sigma_along_either_axis():
     line = np.zeros((101, 151), np.float32)
     line[50, 75] = 1
-    spread = PointSpread.gaussian(0.3).apply(line, 0.1, 0.2)
+    spread = PointSpreadFunction.gaussian(0.3).apply(line, 0.1, 0.2)
     assert spread.sum(dtype=float) == pytest.approx(1, rel=1e-5)
     rows, columns = np.indices(line.shape)
     assert np.sqrt((spread * ((columns - 75) * 0.1) ** 2).sum()) == pytest.approx(0.3, rel=1e-3)
@@ -123,7 +125,7 @@ def test_a_line_spreads_by_its_sigma_along_either_axis():
 
 
 def test_an_mtf_scales_a_wave():
-    spread = PointSpread.tabulated(np.array([0.0, 1.0, 5.0]), np.array([1.0, 0.6, 0.0]))
+    spread = PointSpreadFunction.tabulated(np.array([0.0, 1.0, 5.0]), np.array([1.0, 0.6, 0.0]))
     x = np.arange(800) * 0.1
     wave = np.tile(1 + 0.5 * np.cos(2 * np.pi * 1.0 * x), (3, 1)).astype(np.float32)
     out = spread.apply(wave, 0.1, 0.1)[1, 200:600]
@@ -132,9 +134,9 @@ def test_an_mtf_scales_a_wave():
 
 def test_readout_quantises_and_saturates():
     signal = np.array([[0.0, 1.4, 100.0, 1e6, -5.0]], np.float32)
-    np.testing.assert_allclose(Readout(2.0, 10.0).read(signal), [[10, 12.8, 210, 2000010, 0]])
-    assert Readout(2.0, 10.0, bits=12).read(signal).tolist() == [[10, 13, 210, 4095, 0]]
-    assert Readout(2.0, 10.0, bits=12, saturation=200).read(signal).max() == 200
+    np.testing.assert_allclose(Amplifier(2.0, 10.0).read(signal), [[10, 12.8, 210, 2000010, 0]])
+    assert Amplifier(2.0, 10.0, bits=12).read(signal).tolist() == [[10, 13, 210, 4095, 0]]
+    assert Amplifier(2.0, 10.0, bits=12, saturation=200).read(signal).max() == 200
 
 
 def test_correction_gives_transmission_and_a_finite_log_where_no_light_came():

@@ -9,13 +9,13 @@ from twinct.scenario import Detector, Source
 from twinct.specimen.materials import material
 from twinct.xray.build import build_response, build_spectrum
 from twinct.xray.hardening import Hardening
-from twinct.xray.response import Response
+from twinct.xray.response import PhotonResponse
 from twinct.xray.signal import Signal
-from twinct.xray.spectrum import Spectrum
+from twinct.xray.spectrum import PhotonSpectrum
 
 ENERGIES = np.linspace(20, 100, 41)
-SPECTRUM = Spectrum(ENERGIES, (105 - ENERGIES) * np.exp(-((27 / ENERGIES) ** 3)))
-RESPONSE = Response.integrating()
+SPECTRUM = PhotonSpectrum(ENERGIES, (105 - ENERGIES) * np.exp(-((27 / ENERGIES) ** 3)))
+RESPONSE = PhotonResponse.integrating()
 WATER, BONE = material("water"), material("bone")
 REFERENCE_KEV = 60.0
 

@@ -141,13 +141,13 @@ def test_a_spectrum_agrees_with_gvxr_in_its_own_polychromatic_mode():
     from twinct.specimen.materials import material
     from twinct.xray._engine import ENGINE
     from twinct.xray.paths import Body, PathRenderer
-    from twinct.xray.response import Response
+    from twinct.xray.response import PhotonResponse
     from twinct.xray.signal import Signal
-    from twinct.xray.spectrum import Spectrum
+    from twinct.xray.spectrum import PhotonSpectrum
 
     energies = np.linspace(21, 139, 60)
     photons = 1e6 * np.exp(-((energies - 60) / 30) ** 2)
-    spectrum = Spectrum(energies, photons)
+    spectrum = PhotonSpectrum(energies, photons)
     panel = Panel(120, 160, 1.5, 1.5)
     view = front_view(panel)
     meshes = {"bone": sphere((0, -20, 6), 25, 5), "titanium": box((0, 25, 0), (20, 15, 30))}
@@ -155,7 +155,7 @@ def test_a_spectrum_agrees_with_gvxr_in_its_own_polychromatic_mode():
         bodies = [Body(meshes[name], material(name)) for name in names]
         with PathRenderer(bodies, panel) as renderer:
             paths = renderer.render(view, Pose.identity())
-            signal = Signal(spectrum, renderer.materials, Response.integrating())
+            signal = Signal(spectrum, renderer.materials, PhotonResponse.integrating())
             ours = signal(paths, np.ones(panel.shape, np.float32))[0] / signal.free[0]
 
             def own():

@@ -8,15 +8,15 @@ from xray_scenes import random_view
 from twinct.geometry import Panel, ScanGeometry
 from twinct.specimen.materials import material
 from twinct.xray.beam import fall_off
-from twinct.xray.response import Response
+from twinct.xray.response import PhotonResponse
 from twinct.xray.signal import Signal
-from twinct.xray.spectrum import Spectrum
+from twinct.xray.spectrum import PhotonSpectrum
 
 RELATIVE = 5e-6
 """Single precision: an exponent of 20 is known to 1e-6, a place in the table to 1e-3 of a node."""
 
 ENERGIES = np.linspace(20, 120, 60)
-SPECTRUM = Spectrum(ENERGIES, 1e3 * (130 - ENERGIES) * np.exp(-((25 / ENERGIES) ** 3)))
+SPECTRUM = PhotonSpectrum(ENERGIES, 1e3 * (130 - ENERGIES) * np.exp(-((25 / ENERGIES) ** 3)))
 
 
 def truth(paths, materials, response):
@@ -38,9 +38,9 @@ def truth(paths, materials, response):
 def test_signal_is_the_sum_over_the_spectrum(names, longest_mm, kind):
     materials = [material(name) for name in names]
     response = {
-        "counting": Response.counting(),
-        "integrating": Response.integrating(),
-        "scintillator": Response.scintillator(material("Cesium Iodide"), 0.3),
+        "counting": PhotonResponse.counting(),
+        "integrating": PhotonResponse.integrating(),
+        "scintillator": PhotonResponse.scintillator(material("Cesium Iodide"), 0.3),
     }[kind]
     rng = np.random.default_rng(1)
     paths = np.stack([rng.uniform(0, x, (24, 40)) * rng.random((24, 40)) for x in longest_mm])
@@ -58,17 +58,17 @@ def test_a_pixel_is_the_mean_of_its_samples_each_with_its_own_beam(names):
     rng = np.random.default_rng(2)
     paths = rng.uniform(0, 30, (len(names), 30, 45)).astype(np.float32)
     beam = rng.uniform(1, 2, (30, 45)).astype(np.float32)
-    signal = Signal(SPECTRUM, materials, Response.integrating())
+    signal = Signal(SPECTRUM, materials, PhotonResponse.integrating())
     found = np.zeros((2, 10, 15), np.float32)
     signal.add(paths, beam, found, samples=3, share=0.25)
     signal.add(paths, beam, found, samples=3, share=0.75)
-    single = truth(paths, materials, Response.integrating()) * beam
+    single = truth(paths, materials, PhotonResponse.integrating()) * beam
     expected = single.reshape(2, 10, 3, 15, 3).mean(axis=(2, 4))
     np.testing.assert_allclose(found, expected, rtol=RELATIVE)
 
 
 def test_beyond_the_table_the_signal_only_gets_smaller():
-    signal = Signal(SPECTRUM, [material("bone")], Response.counting())
+    signal = Signal(SPECTRUM, [material("bone")], PhotonResponse.counting())
     paths = np.array([[[1e3, 2e3, 1e5]]], np.float32)
     found = signal(paths, np.ones((1, 3), np.float32))[0, 0]
     assert (found >= 0).all()

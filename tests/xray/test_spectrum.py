@@ -6,15 +6,15 @@ from scipy import interpolate
 
 from twinct.errors import InputError
 from twinct.specimen.materials import material
-from twinct.xray.response import Response
-from twinct.xray.spectrum import Spectrum
-from twinct.xray.spread import PointSpread
+from twinct.xray.response import PhotonResponse
+from twinct.xray.spectrum import PhotonSpectrum
+from twinct.xray.spread import PointSpreadFunction
 from twinct.xray.tube import tube_spectrum
 
 
 def test_a_filter_attenuates_each_energy_and_rebinning_keeps_photons_and_energy():
     energies = np.arange(10.0, 121.0)
-    spectrum = Spectrum(energies, np.exp(-((energies - 50) ** 2) / 900))
+    spectrum = PhotonSpectrum(energies, np.exp(-((energies - 50) ** 2) / 900))
     copper = material("Cu")
     behind = spectrum.filtered(copper, 0.3)
     np.testing.assert_allclose(
@@ -56,7 +56,7 @@ def test_a_tube_gives_the_kerma_and_the_half_value_layer_that_spekpy_states():
 def test_files_are_read_and_what_is_wrong_with_them_is_said(tmp_path):
     file = tmp_path / "tube.tsv"
     file.write_text("# keV photons\n0 0\n20,1e5\n30\t3e5\n40 0\n")
-    spectrum = Spectrum.read(file)
+    spectrum = PhotonSpectrum.read(file)
     np.testing.assert_array_equal(spectrum.energies_kev, [20, 30])
     assert not spectrum.absolute
     assert spectrum.scaled(100).photons.tolist() == [25, 75]
@@ -68,15 +68,15 @@ def test_files_are_read_and_what_is_wrong_with_them_is_said(tmp_path):
     ]:
         file.write_text(text)
         with pytest.raises(InputError, match=f"tube.tsv.*{reason}"):
-            Spectrum.read(file)
+            PhotonSpectrum.read(file)
     with pytest.raises(InputError, match="no_such"):
-        PointSpread.read(tmp_path / "no_such")
+        PointSpreadFunction.read(tmp_path / "no_such")
     file.write_text("1 0.9\n2 0.5\n")
     with pytest.raises(InputError, match="frequency 0"):
-        PointSpread.read(file)
+        PointSpreadFunction.read(file)
     file.write_text("10 0.5\n20 1.5\n")
     with pytest.raises(InputError, match="between 0 and 1"):
-        Response.read_efficiency(file)
+        PhotonResponse.read_efficiency(file)
 
 
 def test_a_tube_out_of_spekpys_range_is_refused():
@@ -86,7 +86,7 @@ def test_a_tube_out_of_spekpys_range_is_refused():
 
 def test_a_scintillator_absorbs_what_it_attenuates():
     caesium_iodide = material("Cesium Iodide")
-    mean = Response.scintillator(caesium_iodide, 0.2).mean(np.array([50.0]))
+    mean = PhotonResponse.scintillator(caesium_iodide, 0.2).mean(np.array([50.0]))
     assert mean[0] == pytest.approx(50 * (1 - np.exp(-0.2 * caesium_iodide.mu_per_mm(50))))
-    behind = Response.counting().behind(material("Al"), 1.0)
+    behind = PhotonResponse.counting().behind(material("Al"), 1.0)
     assert behind.mean(np.array([30.0]))[0] == pytest.approx(np.exp(-material("Al").mu_per_mm(30)))

@@ -10,14 +10,14 @@ from twinct.scenario import Detector, GaussianSpot, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.specimen.materials import material
 from twinct.xray import Imager
-from twinct.xray.spot import gaussian_spot, image_spot, square_spot
+from twinct.xray.spot import gaussian_spot, image_spot, square_spot, unit_square
 
 
 @pytest.mark.parametrize("samples", [7, 24, 100])
 def test_points_have_the_variance_of_the_spot(samples):
     for points, variance in (
-        (gaussian_spot(0.3, 0.1, samples), (0.09, 0.01)),
-        (square_spot(0.6, 0.4, samples), (0.03, 0.16 / 12)),
+        (gaussian_spot(0.3, 0.1, unit_square(samples)), (0.09, 0.01)),
+        (square_spot(0.6, 0.4, unit_square(samples)), (0.03, 0.16 / 12)),
     ):
         assert points.shape == (samples, 2)
         np.testing.assert_allclose(points.mean(axis=0), 0, atol=1e-12)
@@ -29,14 +29,14 @@ def test_points_of_an_image_lie_where_it_is_bright():
     picture = np.zeros((20, 30))
     picture[15:18, 3:9] = 2.0
     picture[2, 25] = 12.0
-    points = image_spot(picture, 3.0, 2.0, 400)
+    points = image_spot(picture, 3.0, 2.0, unit_square(400))
     x, y = (points / [3.0, 2.0] + 0.5).T * [[30], [20]]
     left = (x >= 3) & (x < 9) & (y >= 15) & (y < 18)
     right = (x >= 25) & (x < 26) & (y >= 2) & (y < 3)
     assert (left | right).all()
     assert left.mean() == pytest.approx(36 / 48, abs=0.02)
     with pytest.raises(InputError, match="intensity"):
-        image_spot(np.zeros((3, 3)), 1, 1, 4)
+        image_spot(np.zeros((3, 3)), 1, 1, unit_square(4))
 
 
 @pytest.mark.parametrize("axis", [0, 1])

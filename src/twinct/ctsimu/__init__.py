@@ -1,6 +1,7 @@
 """CTSimU: scenarios of BAM's open format, rendered and exported, and the suite that judges us."""
 
-from twinct.ctsimu.render import Options, render
+from twinct.ctsimu.outputs import Options
+from twinct.ctsimu.render import render
 from twinct.ctsimu.scenario import CtsimuScenario, load_ctsimu
 
 __all__ = ["CtsimuScenario", "Options", "load_ctsimu", "render"]

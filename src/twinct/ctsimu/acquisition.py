@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from twinct.ctsimu.drifts import short
 from twinct.ctsimu.ranges import COUNT, FIELDS, PLACE
-from twinct.ctsimu.reader import Section
+from twinct.ctsimu.reader import JsonSection
 from twinct.ctsimu.scene import FieldImages
 
 FORMAT = (1, 2)
@@ -30,7 +30,7 @@ class Plan:
     flat: FieldImages
 
 
-def check_header(section: Section) -> None:
+def check_header(section: JsonSection) -> None:
     """Check kind and version of the file."""
     section.skip("name", "description", "contact", "date_created", "date_changed")
     version = section.section("version")
@@ -46,7 +46,7 @@ def check_header(section: Section) -> None:
         section.problem("file_format_version", f"{number[0]}.{number[1]} is not one of 1.0 to 1.2")
 
 
-def read_plan(section: Section) -> Plan:
+def read_plan(section: JsonSection) -> Plan:
     """Number of images in the section ``acquisition``; 1 where it is wrong."""
     if not section.has("number_of_projections"):
         section.missing("number_of_projections")
@@ -58,13 +58,13 @@ def read_plan(section: Section) -> Plan:
     return Plan(frames, average, dark, flat)
 
 
-def read_binning(section: Section) -> tuple[int, int]:
+def read_binning(section: JsonSection) -> tuple[int, int]:
     """Pixels put together along (u, v), in the section ``acquisition``."""
     binning = section.section("pixel_binning")
     return binning.whole("u", 1, "", COUNT), binning.whole("v", 1, "", COUNT)
 
 
-def read_turn(section: Section) -> float:
+def read_turn(section: JsonSection) -> float:
     """Angle of the stage about its w, degrees, in the section ``acquisition``."""
     start = section.number("start_angle", "deg", PLACE) or 0.0
     stop = section.number("stop_angle", "deg", PLACE) or 0.0
@@ -80,7 +80,7 @@ def read_turn(section: Section) -> float:
     return -angle if direction == "CW" else angle
 
 
-def _fields(section: Section) -> FieldImages:
+def _fields(section: JsonSection) -> FieldImages:
     return FieldImages(
         section.whole("number", 0, "", FIELDS),
         section.whole("frame_average", 1, "", COUNT),

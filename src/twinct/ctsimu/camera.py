@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from trimesh import Trimesh
 
 from twinct.ctsimu import scene
-from twinct.ctsimu.bodies import Solids
 from twinct.ctsimu.sampling import Sampling, sampling
 from twinct.ctsimu.scene import Frame, Layer, Tube
-from twinct.ctsimu.tables import read_table
+from twinct.ctsimu.solids import Solids
 from twinct.errors import InputError
+from twinct.files.tables import read_curve
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.specimen import Material
 from twinct.xray.beam import fall_off
 from twinct.xray.paths import Body, PathRenderer
-from twinct.xray.response import Response
+from twinct.xray.response import PhotonResponse
 from twinct.xray.signal import Signal
-from twinct.xray.spectrum import Spectrum
+from twinct.xray.spectrum import PhotonSpectrum
 from twinct.xray.tube import tube_spectrum
 
 J_PER_KEV = 1.602176634e-16
@@ -45,7 +45,7 @@ class Camera:
         self._solids = Solids()
         self._renderer: PathRenderer | None = None
         self._uploaded: object = None
-        self._plan: tuple[scene.Spot, Sampling] | None = None
+        self._plan: tuple[scene.FocalSpot, Sampling] | None = None
         self._signal: tuple[object, Signal, bool] | None = None
 
     def expose(self, frame: Frame, *, samples_in: bool = True) -> NDArray[np.float64]:
@@ -62,11 +62,11 @@ class Camera:
             TwinctError: a sample reaches through the panel or around the source.
         """
         plan = self._sampling(frame)
-        solids = self._solids.of(frame.bodies, frame.view.source[0]) if samples_in else []
+        solids = self._solids.of(frame.samples, frame.view.source[0]) if samples_in else []
         materials, renderer = self._open(frame.panel, plan.samples, solids)
         room = [frame.environment] if frame.environment is not None else []
         signal, absolute = self._response(frame, (*materials, *room))
-        poses = [body.world_from_body for body, _ in solids]
+        poses = [sample.world_from_sample for sample, _ in solids]
         image = np.zeros((2, *frame.panel.shape), dtype=np.float32)
         for start, shift in zip(plan.spot_mm, plan.shift, strict=True):
             view = _shifted(frame, start, shift)
@@ -109,7 +109,7 @@ class Camera:
         return self._plan[1]
 
     def _open(
-        self, panel: Panel, samples: int, solids: Sequence[tuple[scene.Body, Trimesh]]
+        self, panel: Panel, samples: int, solids: Sequence[tuple[scene.Sample, Trimesh]]
     ) -> tuple[tuple[Material, ...], PathRenderer | None]:
         if not solids:
             return (), None
@@ -129,19 +129,19 @@ class Camera:
         return self._signal[1:]
 
 
-def spectrum_of(tube: Tube) -> Spectrum:
+def spectrum_of(tube: Tube) -> PhotonSpectrum:
     """The spectrum behind all filters, photons per mm^2 at 1 m and mAs where that is known.
 
     Raises:
         InputError: a file that is no spectrum; names it.
     """
     if tube.monochromatic:
-        spectrum = Spectrum.monochromatic(tube.voltage_kv)
+        spectrum = PhotonSpectrum.monochromatic(tube.voltage_kv)
     elif tube.spectrum is not None:
-        energies, photons = read_table(tube.spectrum)
+        energies, photons = read_curve(tube.spectrum)
         keep = energies > 0
         try:
-            spectrum = Spectrum(energies[keep], photons[keep] / MM2_AT_1M_PER_SR)
+            spectrum = PhotonSpectrum(energies[keep], photons[keep] / MM2_AT_1M_PER_SR)
         except InputError as error:
             raise InputError([f"{tube.spectrum}: {p}" for p in error.problems]) from None
     else:
@@ -150,24 +150,24 @@ def spectrum_of(tube: Tube) -> Spectrum:
     return _behind(spectrum, tube.filters)
 
 
-def response_of(detector: scene.Response) -> Response:
+def response_of(detector: scene.PanelResponse) -> PhotonResponse:
     """What the detector collects of a photon, by energy.
 
     Raises:
         InputError: an efficiency file that is none; names it.
     """
-    response = Response.integrating()
+    response = PhotonResponse.integrating()
     if detector.real and detector.efficiency is not None:
-        response = Response.efficiency(*read_table(detector.efficiency))
+        response = PhotonResponse.efficiency(*read_curve(detector.efficiency))
     elif detector.real and detector.scintillator is not None:
         layer = detector.scintillator
-        response = Response.scintillator(layer.material, layer.thickness_mm)
+        response = PhotonResponse.scintillator(layer.material, layer.thickness_mm)
     for layer in detector.front:
         response = response.behind(layer.material, layer.thickness_mm)
     return response
 
 
-def _behind(spectrum: Spectrum, layers: tuple[Layer, ...]) -> Spectrum:
+def _behind(spectrum: PhotonSpectrum, layers: tuple[Layer, ...]) -> PhotonSpectrum:
     for layer in layers:
         spectrum = spectrum.filtered(layer.material, layer.thickness_mm)
     return spectrum

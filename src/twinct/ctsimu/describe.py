@@ -11,11 +11,11 @@ from twinct import scenario as sections
 from twinct.ctsimu.camera import MM2_AT_1M_PER_SR
 from twinct.ctsimu.writing import Json, as_material, quantity
 from twinct.errors import InputError
+from twinct.files.tables import read_columns
 from twinct.geometry import Floats
 from twinct.scenario import Scenario
 from twinct.specimen import Material, material
 from twinct.xray.build import SCINTILLATORS, build_spectrum, physical_panel
-from twinct.xray.spectrum import read_columns
 
 FREE_BEAM = 60000
 
@@ -164,7 +164,7 @@ def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, l
     if isinstance(spread, sections.GaussianSpread):
         panel = physical_panel(detector)
         pixel = panel.pitch_u * panel.pitch_v / 12
-        # The pixel is part of it: see ``Detector.blurred``.
+        # The pixel is part of it: see ``Digitiser.blurred``.
         resolution = float(np.sqrt(2 * (spread.sigma_mm**2 + pixel)))
         found["unsharpness"] = {"basic_spatial_resolution": quantity(resolution, "mm")}
     elif isinstance(spread, sections.FileSpread):

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from twinct.files.reading import reason
+
 
 def drift_values(drift: Mapping[str, Any], folder: Path, *, as_text: bool) -> list[Any]:
     """What a drift says at its moments; empty where it says nothing.
@@ -78,15 +80,6 @@ def as_float(value: float) -> float:
         return float(value)
     except OverflowError:
         return math.inf
-
-
-def reason(error: Exception) -> str:
-    """Why a file cannot be read, in words, without error numbers."""
-    if isinstance(error, IsADirectoryError):
-        return "it is a folder"
-    if isinstance(error, UnicodeDecodeError):
-        return "not UTF-8 text"
-    return getattr(error, "strerror", None) or str(error)
 
 
 def short(value: object) -> str:

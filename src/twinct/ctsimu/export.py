@@ -18,7 +18,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twinct.ctsimu.describe import describe, refuse_unsaid, render_options
-from twinct.ctsimu.images import write_tiff
 from twinct.ctsimu.writing import (
     Json,
     as_material,
@@ -29,6 +28,7 @@ from twinct.ctsimu.writing import (
 )
 from twinct.errors import ScanExistsError
 from twinct.exchange.openct import openct_json
+from twinct.files.images import write_tiff
 from twinct.files.writing import storage_errors, write_json
 from twinct.geometry import Floats, Pose
 from twinct.scan import Scan

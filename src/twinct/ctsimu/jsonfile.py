@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from twinct.ctsimu.drifts import reason
 from twinct.errors import ScenarioError
+from twinct.files.reading import reason
 
 
 class _Repeating(dict[str, Any]):

@@ -6,7 +6,7 @@ import xraylib
 
 from twinct.ctsimu.drifts import short
 from twinct.ctsimu.ranges import DENSITY, SHARE
-from twinct.ctsimu.reader import Section
+from twinct.ctsimu.reader import JsonSection
 from twinct.errors import SpecimenError
 from twinct.specimen import Material
 
@@ -17,7 +17,7 @@ SUM_TOLERANCE = 0.01
 """How far the mass fractions of a material may be from 1 in all: rounded tables still pass."""
 
 
-def read_materials(root: Section) -> Materials:
+def read_materials(root: JsonSection) -> Materials:
     """All materials of the file."""
     found: Materials = {}
     for section in root.sections("materials"):
@@ -31,7 +31,7 @@ def read_materials(root: Section) -> Materials:
     return found
 
 
-def _read(section: Section, name: str) -> Material | None:
+def _read(section: JsonSection, name: str) -> Material | None:
     density = section.needed("density", "g/cm^3", DENSITY)
     parts = [
         (part, part.text("formula"), part.number("mass_fraction", "", SHARE))
@@ -59,7 +59,7 @@ def _read(section: Section, name: str) -> Material | None:
         return None
 
 
-def _add(section: Section, formula: str, weight: float, shares: dict[str, float]) -> bool:
+def _add(section: JsonSection, formula: str, weight: float, shares: dict[str, float]) -> bool:
     """Add the elements of a formula to the shares; whether it could be read."""
     try:
         parsed = xraylib.CompoundParser("".join(formula.split()))

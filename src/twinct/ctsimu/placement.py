@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from twinct.ctsimu.drifts import short
 from twinct.ctsimu.ranges import FARTHEST_MM, PLACE, Range
-from twinct.ctsimu.reader import Section
+from twinct.ctsimu.reader import JsonSection
 from twinct.geometry import Floats, Pose
 
 WORLD, LOCAL, SAMPLE = ("x", "y", "z"), ("u", "v", "w"), ("r", "s", "t")
@@ -26,7 +26,7 @@ ORTHOGONAL = 1e-3
 
 
 @dataclass(frozen=True)
-class Placed:
+class PartPose:
     """A part in its outer frame.
 
     Attributes:
@@ -39,12 +39,12 @@ class Placed:
 
 
 def place(
-    section: Section,
+    section: JsonSection,
     *,
     turn_deg: float = 0.0,
     world_from_stage: Pose | None = None,
     vectors: tuple[str, str] = ("vector_u", "vector_w"),
-) -> Placed:
+) -> PartPose:
     """Place a part at the section's moment.
 
     Args:
@@ -70,10 +70,10 @@ def place(
         axes_now = pose.rotation
         basis = _basis(section, vectors, axes_now[:, 0] + first_drift, axes_now[:, 2] + third_drift)
         pose = Pose.from_matrix(pose.position, basis)
-    return Placed(Pose(pose.position + drift, pose.quat), on_stage)
+    return PartPose(Pose(pose.position + drift, pose.quat), on_stage)
 
 
-def _deviate(pose: Pose, deviation: Section, world_from_stage: Pose | None) -> Pose:
+def _deviate(pose: Pose, deviation: JsonSection, world_from_stage: Pose | None) -> Pose:
     """One translation or rotation; the pose is in the stage where one is given, else the world."""
     kind = deviation.text("type", ("translation", "rotation"))
     if not deviation.has("type"):
@@ -98,7 +98,7 @@ def _deviate(pose: Pose, deviation: Section, world_from_stage: Pose | None) -> P
     return Pose(pivot + turn.apply(pose.position - pivot), quat)
 
 
-def _turned(section: Section, key: str, pose: Pose, world_from_stage: Pose | None) -> Floats:
+def _turned(section: JsonSection, key: str, pose: Pose, world_from_stage: Pose | None) -> Floats:
     """An axis in the frame of the pose."""
     value = section.data.get(key)
     if isinstance(value, str):
@@ -125,7 +125,7 @@ def _seen(
     return pose.rotate(direction)
 
 
-def _pivot(section: Section, pose: Pose, world_from_stage: Pose | None) -> Floats:
+def _pivot(section: JsonSection, pose: Pose, world_from_stage: Pose | None) -> Floats:
     if not section.has("pivot"):
         section.skip("pivot")
         return pose.position
@@ -139,7 +139,7 @@ def _pivot(section: Section, pose: Pose, world_from_stage: Pose | None) -> Float
     return pose.apply(point)
 
 
-def _names(section: Section) -> tuple[str, ...]:
+def _names(section: JsonSection) -> tuple[str, ...]:
     for names in (LOCAL, SAMPLE):
         if names[0] in section.data:
             return names
@@ -147,7 +147,7 @@ def _names(section: Section) -> tuple[str, ...]:
 
 
 def _vector(
-    section: Section, key: str, names: tuple[str, ...], unit: str = ""
+    section: JsonSection, key: str, names: tuple[str, ...], unit: str = ""
 ) -> tuple[Floats, Floats]:
     """A vector without its drifts, and the sum of its drifts; NaN where one is missing."""
     inner = section.section(key, needed=True)
@@ -159,7 +159,7 @@ def _vector(
     return values - drift, drift
 
 
-def _basis(section: Section, keys: tuple[str, str], first: Floats, third: Floats) -> Floats:
+def _basis(section: JsonSection, keys: tuple[str, str], first: Floats, third: Floats) -> Floats:
     lengths = np.linalg.norm(first), np.linalg.norm(third)
     if not np.isfinite(lengths).all():
         return np.eye(3)  # noted already

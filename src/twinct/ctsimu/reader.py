@@ -56,7 +56,7 @@ class Moment:
 
 
 @dataclass
-class Section:
+class JsonSection:
     """A JSON object of the file, read at one moment.
 
     Attributes:
@@ -75,13 +75,13 @@ class Section:
     _read: set[str] = field(default_factory=set)
     _may_be_empty: set[str] = field(default_factory=set)
     _missing: list[str] = field(default_factory=list)
-    _inner: dict[str, Section] = field(default_factory=dict)
+    _inner: dict[str, JsonSection] = field(default_factory=dict)
 
     def has(self, key: str) -> bool:
         """Whether the key is there and says something."""
         return not _says_nothing(self.data.get(key))
 
-    def section(self, key: str, *, needed: bool = False) -> Section:
+    def section(self, key: str, *, needed: bool = False) -> JsonSection:
         """The object below a key; an empty one where it is missing or null.
 
         Args:
@@ -98,7 +98,7 @@ class Section:
             value, quiet = None, True
         return self._below(key, value or {}, quiet=quiet)
 
-    def sections(self, key: str) -> list[Section]:
+    def sections(self, key: str) -> list[JsonSection]:
         """The objects of the array below a key."""
         self._read.add(key)
         value = self.data.get(key)
@@ -239,10 +239,10 @@ class Section:
     def _place_of(self, key: str) -> str:
         return ".".join(part for part in (self.place, key) if part)
 
-    def _below(self, key: str, data: Mapping[str, Any], *, quiet: bool = False) -> Section:
+    def _below(self, key: str, data: Mapping[str, Any], *, quiet: bool = False) -> JsonSection:
         if key not in self._inner:
             problems = [] if quiet else self.problems
-            self._inner[key] = Section(
+            self._inner[key] = JsonSection(
                 data, self._place_of(key), self.moment, self.folder, problems
             )
         return self._inner[key]

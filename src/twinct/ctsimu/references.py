@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from twinct.ctsimu.images import read_image
 from twinct.ctsimu.scene import Frame
-from twinct.ctsimu.tables import read_table
 from twinct.errors import InputError
+from twinct.files.images import read_image
+from twinct.files.tables import read_curve
 
 
 def wrong_references(frame: Frame, seen: set[object]) -> list[str]:
@@ -31,12 +31,13 @@ def wrong_references(frame: Frame, seen: set[object]) -> list[str]:
         ("detector.unsharpness.mtf", response.mtf),
     ):
         if path is not None:
-            reads[key] = path, partial(read_table, path)
+            reads[key] = path, partial(read_curve, path)
     if (spot := frame.spot.image) is not None:
-        reads["source.spot.intensity_map.file"] = spot, partial(read_image, spot)
+        what = "a focal spot"
+        reads["source.spot.intensity_map.file"] = spot, partial(read_image, spot, what)
     if (bad := response.bad_pixels) is not None:
         shape = frame.panel.shape
-        reads["detector.bad_pixel_map.file"] = bad, partial(read_image, bad, shape)
+        reads["detector.bad_pixel_map.file"] = bad, partial(read_image, bad, "bad pixels", shape)
     problems = []
     for key, (file, read) in reads.items():
         if (key, file) not in seen:

@@ -11,7 +11,7 @@ import json
 import re
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -19,60 +19,19 @@ import tifffile
 from numpy.typing import NDArray
 
 from twinct.ctsimu.camera import Camera
-from twinct.ctsimu.detector import Detector, Image, binned
-from twinct.ctsimu.images import write_tiff
-from twinct.ctsimu.metadata import write_metadata
+from twinct.ctsimu.digitiser import Digitiser, Image
+from twinct.ctsimu.outputs import Files, Options, write_metadata
 from twinct.ctsimu.scenario import CtsimuScenario
-from twinct.ctsimu.scene import FieldImages, Frame, RawImage
+from twinct.ctsimu.scene import FieldImages, Frame
 from twinct.ctsimu.writing import make_folder
 from twinct.draws import view_rng
 from twinct.errors import ScanExistsError, ScenarioError
+from twinct.files.images import RawImage, write_tiff
 from twinct.files.writing import storage_errors
+from twinct.xray.readout import binned
 
 LAG_LEFT = 1e-6
 """Share of an earlier projection below which its lag is left out."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What a scenario leaves to the software.
-
-    Attributes:
-        samples: rays along each pixel edge, for a point source.
-        spot_points: points of a focal spot with extent.
-        seed: of the noise.
-    """
-
-    samples: int = 3
-    spot_points: int = 32
-    seed: int = 0
-
-
-@dataclass(frozen=True)
-class Files:
-    """Names of what is written."""
-
-    folder: Path
-    name: str
-
-    @property
-    def metadata(self) -> Path:
-        """What the CTSimU toolbox reads; written last."""
-        return self.folder / f"{self.name}_metadata.json"
-
-    @property
-    def key(self) -> Path:
-        """Which rendering the folder holds."""
-        return self.folder / f"{self.name}_rendering.json"
-
-    def projection(self, index: int) -> Path:
-        """A projection."""
-        return self.folder / f"{self.name}_{index:04d}.tif"
-
-    def field(self, kind: str, index: int, count: int) -> Path:
-        """A dark or flat image."""
-        number = f"_{index:04d}" if count > 1 else ""
-        return self.folder / f"{self.name}_{kind}{number}.tif"
 
 
 def render(
@@ -137,8 +96,8 @@ class _Run:
         brightest = self._detector(self.first).brightest
         write_metadata(self.files, self.scenario, self.options, self.first, brightest)
 
-    def _detector(self, frame: Frame) -> Detector:
-        return Detector(frame.response, frame.panel, self.free_beam_j)
+    def _detector(self, frame: Frame) -> Digitiser:
+        return Digitiser(frame.response, frame.panel, self.free_beam_j)
 
     def _mean(self, frame: Frame, energy_j: Image) -> Image:
         detector = self._detector(frame)
@@ -179,7 +138,7 @@ class _Run:
             rng = view_rng(self.options.seed, f"ctsimu {kind}", index)
             image = mean + detector.noise(rng) * deviation / np.sqrt(average)
         image = image[::-1] if frame.upside_down else image
-        return binned(detector.with_bad_pixels(image), frame.binning)
+        return binned(detector.with_bad_pixels(image), *frame.binning)
 
     def _fields(self, kind: str, mean: Image, images: FieldImages) -> Image | None:
         """Write the dark or flat images; their mean."""
@@ -259,7 +218,7 @@ def _referred(scenario: CtsimuScenario) -> set[Path]:
     for index in range(scenario.frames):
         frame = scenario.frame(index)
         response = frame.response
-        found |= {body.file for body in frame.bodies}
+        found |= {sample.file for sample in frame.samples}
         found |= {frame.tube.spectrum, frame.spot.image, response.bad_pixels}
         found |= {response.efficiency, response.curve, response.noise, response.mtf}
     return {item.path if isinstance(item, RawImage) else item for item in found if item is not None}

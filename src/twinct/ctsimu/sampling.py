@@ -12,17 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 from scipy.stats import qmc
 
-from twinct.ctsimu.images import read_image
-from twinct.ctsimu.scene import Spot
-from twinct.errors import InputError
+from twinct.ctsimu.scene import FocalSpot
+from twinct.files.images import read_image
 from twinct.geometry import Floats
-
-LARGEST_PASS = 2048
-"""Rays along the longer edge of the panel in one pass: the largest texture of software OpenGL."""
-
+from twinct.xray.paths import LARGEST_TILE
+from twinct.xray.spot import gaussian_spot, image_spot
 
 SKIPPED = 20
 """First points of the sequence, which lie on diagonals."""
@@ -43,7 +39,7 @@ class Sampling:
     samples: int
 
 
-def sampling(spot: Spot, samples: int, spot_points: int, pixels: int) -> Sampling:
+def sampling(spot: FocalSpot, samples: int, spot_points: int, pixels: int) -> Sampling:
     """Passes for a focal spot.
 
     Args:
@@ -57,51 +53,22 @@ def sampling(spot: Spot, samples: int, spot_points: int, pixels: int) -> Samplin
         InputError: an image without intensity.
     """
     if spot.is_point:
-        inner = max(n for n in _divisors(samples) if n == 1 or pixels * n <= LARGEST_PASS)
+        inner = max(n for n in _divisors(samples) if n == 1 or pixels * n <= LARGEST_TILE)
         steps = (np.arange(samples // inner) + 0.5) / samples - 0.5 / inner
         shift = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         return Sampling(np.zeros_like(shift), shift, inner)
     cube = _low_discrepancy(spot_points, 4)
-    inner = 2 if 2 * pixels <= LARGEST_PASS else 1
+    inner = 2 if 2 * pixels <= LARGEST_TILE else 1
     if spot.image is not None:
-        points = _from_image(spot, cube[:, :2])
+        weights = read_image(spot.image, "a focal spot")
+        points = image_spot(weights - min(0.0, weights.min()), *spot.size_mm, cube[:, :2])
     else:
-        points = _gaussian(cube[:, :2]) * np.array(spot.sigma_mm)
+        points = gaussian_spot(*spot.sigma_mm, cube[:, :2])
     return Sampling(points, (cube[:, 2:] - 0.5) / inner, inner)
 
 
 def _divisors(number: int) -> list[int]:
     return [n for n in range(1, number + 1) if number % n == 0]
-
-
-def _gaussian(uniform: Floats) -> Floats:
-    """Mean of a normal variable in the equal stratum that each number falls into."""
-    count = len(uniform)
-    edges = np.exp(-(ndtri(np.arange(count + 1) / count) ** 2) / 2) / np.sqrt(2 * np.pi)
-    means = count * (edges[:-1] - edges[1:])
-    return means[np.floor(uniform * count).astype(int)]
-
-
-def _from_image(spot: Spot, uniform: Floats) -> Floats:
-    """Points with the density of an image: first the row, then the column in it."""
-    assert spot.image is not None
-    weights = read_image(spot.image)
-    weights = weights - min(0.0, weights.min())
-    if not weights.sum() > 0:
-        raise InputError(f"{spot.image.path}: a focal spot without intensity")
-    rows, columns = weights.shape
-    points = np.empty((len(uniform), 2))
-    for i, (first, second) in enumerate(uniform):
-        row = _inverse(weights.sum(axis=1), first)
-        column = _inverse(weights[min(int(row), rows - 1)], second)
-        points[i] = column / columns - 0.5, row / rows - 0.5
-    return points * np.array(spot.size_mm)
-
-
-def _inverse(weights: Floats, share: float) -> float:
-    """Place below which a share of the weights lies; bins have width 1."""
-    edges = np.concatenate([[0.0], np.cumsum(weights)])
-    return float(np.interp(share * edges[-1], edges, np.arange(len(edges))))
 
 
 def _low_discrepancy(count: int, dimensions: int) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 
 from twinct.ctsimu.acquisition import read_plan
 from twinct.ctsimu.jsonfile import read_json
-from twinct.ctsimu.reader import Moment, Section
+from twinct.ctsimu.reader import JsonSection, Moment
 from twinct.ctsimu.references import wrong_references
 from twinct.ctsimu.scene import FieldImages, Frame
 from twinct.ctsimu.sections import read_frame
@@ -74,8 +74,8 @@ class CtsimuScenario:
         }
         return ScanGeometry(**arrays, panel=views[0].panel)
 
-    def _root(self, moment: Moment, problems: list[str]) -> Section:
-        return Section(self.data, "", moment, self.path.parent, problems)
+    def _root(self, moment: Moment, problems: list[str]) -> JsonSection:
+        return JsonSection(self.data, "", moment, self.path.parent, problems)
 
 
 def load_ctsimu(path: str | Path) -> CtsimuScenario:
@@ -87,7 +87,7 @@ def load_ctsimu(path: str | Path) -> CtsimuScenario:
     path = Path(path).expanduser()
     data = read_json(path, skipped="simulation")
     # What is wrong with the plan is told with all else that is wrong in frame 0.
-    plan = read_plan(Section(data, "", Moment(0, 1), path.parent, []).section("acquisition"))
+    plan = read_plan(JsonSection(data, "", Moment(0, 1), path.parent, []).section("acquisition"))
     scenario = CtsimuScenario(path, data, plan.frames, plan.average, plan.dark, plan.flat)
     seen: set[object] = set()
     for index in range(plan.frames):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from twinct.files.images import RawImage
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.specimen import Material
 
@@ -23,31 +24,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class RawImage:
-    """An image file: TIFF, or raw numbers with their layout.
-
-    Attributes:
-        path: the file.
-        kind: numpy's name of the number type, byte order included.
-        columns: of a raw file; 0 for TIFF.
-        rows: of a raw file; 0 for TIFF.
-        header: bytes to skip in a raw file.
-    """
-
-    path: Path
-    kind: str
-    columns: int
-    rows: int
-    header: int
-
-    @property
-    def is_tiff(self) -> bool:
-        """By its name."""
-        return self.path.suffix.lower() in (".tif", ".tiff")
-
-
-@dataclass(frozen=True)
-class Spot:
+class FocalSpot:
     """The focal spot, in the plane of the source's u and v.
 
     Attributes:
@@ -58,7 +35,7 @@ class Spot:
 
     size_mm: tuple[float, float]
     sigma_mm: tuple[float, float]
-    image: RawImage | None
+    image: Path | RawImage | None
 
     @property
     def is_point(self) -> bool:
@@ -92,7 +69,7 @@ class Tube:
 
 
 @dataclass(frozen=True)
-class Response:
+class PanelResponse:
     """How the detector turns radiation into grey values.
 
     Attributes:
@@ -129,11 +106,11 @@ class Response:
     resolution_mm: float
     mtf: Path | None
     lag: float
-    bad_pixels: RawImage | None
+    bad_pixels: Path | RawImage | None
 
 
 @dataclass(frozen=True)
-class Body:
+class Sample:
     """A sample in one frame.
 
     Attributes:
@@ -141,14 +118,14 @@ class Body:
         file: its surface.
         scale: mm for each unit of the file, along its x, y and z.
         material: what it is made of; None for vacuum.
-        world_from_body: axes r, s, t and the centre of the mesh's bounding box.
+        world_from_sample: axes r, s, t and the centre of the mesh's bounding box.
     """
 
     name: str
     file: Path
     scale: tuple[float, float, float]
     material: Material | None
-    world_from_body: Pose
+    world_from_sample: Pose
 
 
 @dataclass(frozen=True)
@@ -161,7 +138,7 @@ class Frame:
         source_axes: u and v of the source, (2, 3): the focal spot's plane.
         spot: the focal spot.
         world_from_stage: the sample stage.
-        bodies: the samples; where two overlap the later one counts.
+        samples: where two overlap the later one counts.
         environment: fills the room, or None.
         tube: what leaves the source.
         response: the detector.
@@ -172,12 +149,12 @@ class Frame:
     view: ScanGeometry
     upside_down: bool
     source_axes: Floats
-    spot: Spot
+    spot: FocalSpot
     world_from_stage: Pose
-    bodies: tuple[Body, ...]
+    samples: tuple[Sample, ...]
     environment: Material | None
     tube: Tube
-    response: Response
+    response: PanelResponse
     exposure_s: float
     binning: tuple[int, int]
 

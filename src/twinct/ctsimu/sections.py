@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from twinct.ctsimu.acquisition import check_header, read_binning, read_plan, read_turn
@@ -21,8 +23,9 @@ from twinct.ctsimu.ranges import (
     TAKE_OFF,
     VOLTAGE,
 )
-from twinct.ctsimu.reader import UNITS, Section
-from twinct.ctsimu.scene import Body, Frame, Layer, RawImage, Response, Spot, Tube
+from twinct.ctsimu.reader import UNITS, JsonSection
+from twinct.ctsimu.scene import FocalSpot, Frame, Layer, PanelResponse, Sample, Tube
+from twinct.files.images import RawImage
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import Material
 
@@ -36,7 +39,7 @@ TARGETS = ("reflection", "transmission")
 RAW_KINDS = ("uint8", "int8", "uint16", "int16", "float32", "float64")
 
 
-def read_frame(root: Section) -> Frame | None:
+def read_frame(root: JsonSection) -> Frame | None:
     """All of one frame; None after noting what is wrong."""
     root.skip("simulation")
     check_header(root.section("file", needed=True))
@@ -66,7 +69,7 @@ def read_frame(root: Section) -> Frame | None:
             "a grey value for an energy in J needs a source whose number of photons is known, and "
             "a monochromatic one has none: give imin and imax",
         )
-    bodies = [_body(s, stage, materials) for s in root.sections("samples")]
+    samples = [_sample(s, stage, materials) for s in root.sections("samples")]
     environment = _environment(root.section("environment"), materials)
     source_pose = source.outer_from_part
     u, v_down, w = detector.rotation.T
@@ -90,7 +93,7 @@ def read_frame(root: Section) -> Frame | None:
         source_pose.rotation[:, :2].T.copy(),
         spot,
         stage,
-        tuple(body for body in bodies if body is not None),
+        tuple(sample for sample in samples if sample is not None),
         environment,
         tube,
         response,
@@ -99,7 +102,7 @@ def read_frame(root: Section) -> Frame | None:
     )
 
 
-def _panel(section: Section, binning: tuple[int, int]) -> Panel | None:
+def _panel(section: JsonSection, binning: tuple[int, int]) -> Panel | None:
     for key in ("columns", "rows"):
         if not section.has(key):
             section.missing(key)
@@ -120,7 +123,7 @@ def _panel(section: Section, binning: tuple[int, int]) -> Panel | None:
     return Panel(rows, columns, pitch_u, pitch_v)
 
 
-def _response(section: Section, materials: Materials) -> Response:
+def _response(section: JsonSection, materials: Materials) -> PanelResponse:
     # Without scatter nothing comes back from behind; gain and dead time are documentation.
     section.skip("model", "manufacturer", "dead_time", "gain")
     kind = section.text("type", ("ideal", "real")) or "ideal"
@@ -143,7 +146,7 @@ def _response(section: Section, materials: Materials) -> Response:
     imin, imax = 0.0 if imin is None else imin, 60000.0 if imax is None else imax
     if not imax > imin:
         grey.problem("imax", f"{imax:g} must be above imin, {imin:g}")
-    return Response(
+    return PanelResponse(
         kind == "real",
         scintillator,
         tuple(layers),
@@ -159,11 +162,11 @@ def _response(section: Section, materials: Materials) -> Response:
         blur.number("basic_spatial_resolution", "mm", LENGTH) or 0.0,
         blur.file("mtf"),
         section.number("image_lag", "", LAG) or 0.0,
-        _raw_image(section.section("bad_pixel_map"), (0, 0)),
+        _image(section.section("bad_pixel_map"), (0, 0)),
     )
 
 
-def _tube(section: Section, materials: Materials) -> tuple[Tube, Spot]:
+def _tube(section: JsonSection, materials: Materials) -> tuple[Tube, FocalSpot]:
     section.skip("model", "manufacturer")
     spectrum, target = section.section("spectrum"), section.section("target")
     monochromatic, file = spectrum.flag("monochromatic", False), spectrum.file("file")
@@ -203,7 +206,7 @@ def _tube(section: Section, materials: Materials) -> tuple[Tube, Spot]:
     return tube, _spot(section.section("spot"))
 
 
-def _spot(section: Section) -> Spot:
+def _spot(section: JsonSection) -> FocalSpot:
     size, sigma = section.section("size"), section.section("sigma")
     if size.number("w", "mm") or sigma.number("w", "mm"):
         section.problem("size.w, sigma.w", "a focal spot with depth is not supported")
@@ -211,30 +214,32 @@ def _spot(section: Section) -> Spot:
     if picture.whole("dim_z", 0) > 1:
         picture.problem("dim_z", "a focal spot with depth is not supported")
     shape = picture.whole("dim_x", 0, "", NOT_NEGATIVE), picture.whole("dim_y", 0, "", NOT_NEGATIVE)
-    profile = Spot(
+    profile = FocalSpot(
         (size.number("u", "mm", LENGTH) or 0.0, size.number("v", "mm", LENGTH) or 0.0),
         (sigma.number("u", "mm", LENGTH) or 0.0, sigma.number("v", "mm", LENGTH) or 0.0),
-        _raw_image(picture, shape),
+        _image(picture, shape),
     )
-    if profile.image is not None and not profile.image.is_tiff and min(shape) < 1:
+    if isinstance(profile.image, RawImage) and min(shape) < 1:
         picture.problem("dim_x, dim_y", "a raw file needs both")
     if profile.image is not None and min(profile.size_mm) <= 0:
         section.problem("size", "an intensity_map needs the size of its rectangle")
     return profile
 
 
-def _raw_image(section: Section, shape: tuple[int, int]) -> RawImage | None:
+def _image(section: JsonSection, shape: tuple[int, int]) -> Path | RawImage | None:
     path = section.file("file")
     kind = section.text("type", RAW_KINDS) or "uint16"
     endian = section.text("endian", ("little", "big")) or "little"
     header = section.whole("headersize", 0, "", NOT_NEGATIVE)
     if path is None or kind not in RAW_KINDS:
         return None
+    if path.suffix.lower() in (".tif", ".tiff"):
+        return path
     order = "<" if endian == "little" else ">"
     return RawImage(path, np.dtype(kind).newbyteorder(order).str, shape[0], shape[1], header)
 
 
-def _body(section: Section, stage: Pose, materials: Materials) -> Body | None:
+def _sample(section: JsonSection, stage: Pose, materials: Materials) -> Sample | None:
     name = section.text("name") or section.place
     file, unit = section.file("file"), section.text("unit") or "mm"
     if unit not in UNITS["mm"]:
@@ -250,21 +255,21 @@ def _body(section: Section, stage: Pose, materials: Materials) -> Body | None:
             section.missing("file")
         return None
     mm = UNITS["mm"].get(unit, 1.0)
-    return Body(name, file, (mm * scale[0], mm * scale[1], mm * scale[2]), material, pose)
+    return Sample(name, file, (mm * scale[0], mm * scale[1], mm * scale[2]), material, pose)
 
 
-def _environment(section: Section, materials: Materials) -> Material | None:
+def _environment(section: JsonSection, materials: Materials) -> Material | None:
     section.skip("temperature")  # the density is the material's
     section.may_be_empty("material_id")
     return _of(section, materials) if section.has("material_id") else None
 
 
-def _layers(section: Section, key: str, materials: Materials) -> list[Layer]:
+def _layers(section: JsonSection, key: str, materials: Materials) -> list[Layer]:
     found = [_layer(item, materials) for item in section.sections(key)]
     return [layer for layer in found if layer is not None]
 
 
-def _layer(section: Section, materials: Materials) -> Layer | None:
+def _layer(section: JsonSection, materials: Materials) -> Layer | None:
     thickness = section.number("thickness", "mm", LENGTH)
     if not section.has("material_id") and not thickness:
         section.may_be_empty("material_id")
@@ -275,7 +280,7 @@ def _layer(section: Section, materials: Materials) -> Layer | None:
     return Layer(material, thickness) if material and thickness else None
 
 
-def _of(section: Section, materials: Materials) -> Material | None:
+def _of(section: JsonSection, materials: Materials) -> Material | None:
     name = section.text("material_id")
     if name is None:
         if not section.has("material_id"):

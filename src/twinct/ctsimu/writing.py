@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.ctsimu.acquisition import FORMAT
-from twinct.ctsimu.drifts import reason
 from twinct.errors import StorageError
+from twinct.files.reading import reason
 from twinct.specimen import Material
 
 Json = dict[str, Any]
@@ -40,7 +40,7 @@ def placed(
     }
 
 
-def material(name: str, density_g_cm3: float, shares: Mapping[str, float]) -> Json:
+def material_entry(name: str, density_g_cm3: float, shares: Mapping[str, float]) -> Json:
     """A material by mass fractions of formulas."""
     return {
         "id": name,
@@ -55,7 +55,7 @@ def material(name: str, density_g_cm3: float, shares: Mapping[str, float]) -> Js
 
 def as_material(of: Material) -> Json:
     """One of our materials."""
-    return material(of.name, of.density_g_cm3, of.mass_fractions)
+    return material_entry(of.name, of.density_g_cm3, of.mass_fractions)
 
 
 def header(name: str, description: str) -> Json:

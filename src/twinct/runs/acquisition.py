@@ -20,7 +20,7 @@ from twinct.scenario import Scenario
 from twinct.views import Instant, Reached
 
 if TYPE_CHECKING:
-    from twinct.xray.chain import Frame
+    from twinct.xray.chain import ViewImages
 
 log = logging.getLogger(__name__)
 
@@ -120,7 +120,7 @@ def acquire_to_store(
     return store
 
 
-def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[Frame]:
+def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[ViewImages]:
     """Raw, flat and dark images of views of a scan, rendered again from the executed poses.
 
     A scan stores transmission only; these are the images that it came from, to the last bit.

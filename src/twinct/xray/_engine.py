@@ -56,7 +56,7 @@ _BEAM_MM = 300.0
 """Where source and panel stand, off the origin, for that view."""
 
 
-class Engine:
+class GvxrScene:
     """gVXR in a thread of its own, used by one owner at a time."""
 
     def __init__(self) -> None:
@@ -261,5 +261,5 @@ def _no_display() -> Iterator[None]:
         os.environ.update({name: value for name, value in hidden.items() if value is not None})
 
 
-ENGINE = Engine()
+ENGINE = GvxrScene()
 """The scene of this process."""

@@ -30,13 +30,13 @@ DEPTH_MM = 0.02
 """Error of a path that a triangle's size may make."""
 
 
-def longest_edge(source_to_body_mm: float) -> float:
-    """Longest edge of a triangle that gVXR images to ``DEPTH_MM``, mm.
+def longest_edge(source_to_body_mm: float, depth_mm: float = DEPTH_MM) -> float:
+    """Longest edge of a triangle that gVXR images to a depth, mm.
 
     It interpolates the distance to the source linearly inside a triangle, which is wrong by up to
     edge^2 / (8 distance).
     """
-    return float(np.sqrt(8 * source_to_body_mm * DEPTH_MM))
+    return float(np.sqrt(8 * source_to_body_mm * depth_mm))
 
 
 def split(mesh: Trimesh, longest_edge_mm: float | None) -> Trimesh:
@@ -49,7 +49,7 @@ class Placement:
 
     def __init__(self, parts: Sequence[tuple[str, Trimesh]]) -> None:
         """Take the name and the mesh of each part, mm."""
-        self._parts = [(name, mesh, _corners(np.asarray(mesh.bounds))) for name, mesh in parts]
+        self._parts = [(name, mesh, corners(mesh)) for name, mesh in parts]
 
     def check(self, view: ScanGeometry) -> None:
         """Refuse a view that gVXR would get wrong.
@@ -63,19 +63,20 @@ class Placement:
         Raises:
             TwinctError: a part reaches through the panel, or the source is inside a part.
         """
-        for name, mesh, corners in self._parts:
-            if _behind(view, corners).any() and _reaches_through(view, np.asarray(mesh.vertices)):
+        for name, mesh, box in self._parts:
+            if _behind(view, box).any() and _reaches_through(view, np.asarray(mesh.vertices)):
                 raise TwinctError(
                     f"part '{name}' of the specimen reaches through the panel: "
                     "the image would show what lies behind it"
                 )
-            within = (corners.min(axis=0) < view.source[0]) & (view.source[0] < corners.max(axis=0))
+            within = (box.min(axis=0) < view.source[0]) & (view.source[0] < box.max(axis=0))
             if within.all() and _encloses(np.asarray(mesh.triangles), view.source[0]):
                 raise TwinctError(f"the X-ray source is inside part '{name}' of the specimen")
 
 
-def _corners(bounds: Floats) -> Floats:
-    return np.array(np.meshgrid(*bounds.T)).reshape(3, -1).T
+def corners(mesh: Trimesh) -> Floats:
+    """Of the box around a mesh, (8, 3)."""
+    return np.array(np.meshgrid(*np.asarray(mesh.bounds).T)).reshape(3, -1).T
 
 
 def _behind(view: ScanGeometry, points: Floats) -> np.ndarray:

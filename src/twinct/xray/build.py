@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from twinct import scenario
 from twinct.draws import view_rng
 from twinct.errors import InputError, MissingExtraError
+from twinct.files.images import read_image
 from twinct.geometry import Floats, Panel
 from twinct.specimen.materials import Material, material
-from twinct.xray.response import Response
-from twinct.xray.spectrum import Spectrum, attenuation
-from twinct.xray.spot import gaussian_spot, image_spot, read_image, square_spot
-from twinct.xray.spread import PointSpread
+from twinct.xray.response import PhotonResponse
+from twinct.xray.spectrum import PhotonSpectrum, attenuation
+from twinct.xray.spot import gaussian_spot, image_spot, square_spot, unit_square
+from twinct.xray.spread import PointSpreadFunction
 
 SCINTILLATORS = {
     "CsI": scenario.Composition(formula="CsI", density_g_cm3=4.51),
@@ -28,7 +29,7 @@ _FAINTEST = 1e-9
 """Least share of its photons that a spectrum must keep behind its filters."""
 
 
-def build_spectrum(source: scenario.Source) -> Spectrum:
+def build_spectrum(source: scenario.Source) -> PhotonSpectrum:
     """What the source emits, behind its filters.
 
     Raises:
@@ -39,7 +40,7 @@ def build_spectrum(source: scenario.Source) -> Spectrum:
     photons = source.photons_per_mm2_mas
     section = source.spectrum
     if section is None:
-        return Spectrum.monochromatic(source.energy_kev, photons)
+        return PhotonSpectrum.monochromatic(source.energy_kev, photons)
     if isinstance(section, scenario.TubeSpectrum):
         from twinct.xray.tube import tube_spectrum
 
@@ -47,12 +48,12 @@ def build_spectrum(source: scenario.Source) -> Spectrum:
             spectrum = tube_spectrum(section.kvp, section.anode_angle_deg, target=section.target)
     else:
         with _named("source.spectrum.path"):
-            spectrum = Spectrum.read(section.path)
+            spectrum = PhotonSpectrum.read(section.path)
     spectrum = _filtered(spectrum, section.filters).rebinned(section.bins)
     return spectrum if photons is None else spectrum.scaled(photons)
 
 
-def _filtered(spectrum: Spectrum, filters: Sequence[scenario.Filter]) -> Spectrum:
+def _filtered(spectrum: PhotonSpectrum, filters: Sequence[scenario.Filter]) -> PhotonSpectrum:
     """Behind all plates; refused where less than ``_FAINTEST`` of the photons is left."""
     plates: list[tuple[Material, float]] = []
     problems: list[str] = []
@@ -79,7 +80,7 @@ def _filtered(spectrum: Spectrum, filters: Sequence[scenario.Filter]) -> Spectru
     return spectrum
 
 
-def build_response(detector: scenario.Detector) -> Response:
+def build_response(detector: scenario.Detector) -> PhotonResponse:
     """What the detector makes of a photon.
 
     Raises:
@@ -87,18 +88,18 @@ def build_response(detector: scenario.Detector) -> Response:
     """
     section = detector.response
     if isinstance(section, scenario.CountingResponse):
-        return Response.counting()
+        return PhotonResponse.counting()
     if isinstance(section, scenario.IntegratingResponse):
-        return Response.integrating()
+        return PhotonResponse.integrating()
     if isinstance(section, scenario.FileResponse):
         with _named("detector.response.path"):
-            return Response.read_efficiency(section.path)
+            return PhotonResponse.read_efficiency(section.path)
     substance: Material
     if isinstance(section.material, str):
         substance = material(SCINTILLATORS[section.material])
     else:
         substance = material(section.material, "detector.response.material")
-    return Response.scintillator(substance, section.thickness_mm)
+    return PhotonResponse.scintillator(substance, section.thickness_mm)
 
 
 def effective_energy_kev(source: scenario.Source, detector: scenario.Detector) -> float:
@@ -122,17 +123,18 @@ def build_spot(source: scenario.Source) -> Floats:
     section = source.focal_spot
     if section is None:
         return np.zeros((1, 2))
+    unit = unit_square(section.samples)
     if isinstance(section, scenario.GaussianSpot):
-        return gaussian_spot(*_pair(section.sigma_mm), section.samples)
+        return gaussian_spot(*_pair(section.sigma_mm), unit)
     if isinstance(section, scenario.SquareSpot):
-        return square_spot(*_pair(section.size_mm), section.samples)
+        return square_spot(*_pair(section.size_mm), unit)
     with _named("source.focal_spot.path"):
         image = read_image(section.path, "a focal spot")
         with _named(str(section.path)):
-            return image_spot(image, *_pair(section.size_mm), section.samples)
+            return image_spot(image, *_pair(section.size_mm), unit)
 
 
-def build_spread(detector: scenario.Detector) -> PointSpread | None:
+def build_spread(detector: scenario.Detector) -> PointSpreadFunction | None:
     """The detector's point spread.
 
     Raises:
@@ -142,10 +144,10 @@ def build_spread(detector: scenario.Detector) -> PointSpread | None:
     if section is None:
         return None
     if isinstance(section, scenario.GaussianSpread):
-        return PointSpread.gaussian(section.sigma_mm)
+        return PointSpreadFunction.gaussian(section.sigma_mm)
     panel = physical_panel(detector)
     with _named("detector.point_spread.path"):
-        spread = PointSpread.read(section.path)
+        spread = PointSpreadFunction.read(section.path)
         with _named(str(section.path)):
             spread.check_end(min(panel.pitch_u, panel.pitch_v))
     return spread

@@ -23,7 +23,7 @@ from twinct.xray.build import (
     physical_panel,
 )
 from twinct.xray.noise import normal_noise, quantum_noise
-from twinct.xray.readout import Readout, correct, mend_bad_pixels
+from twinct.xray.readout import Amplifier, binned, correct, mend_bad_pixels
 from twinct.xray.scatter import ScatterKernel, compton_per_mm
 from twinct.xray.signal import Signal
 from twinct.xray.spot import moved_source
@@ -35,7 +35,7 @@ _LEAST_TRANSMISSION = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class ViewImages:
     """One view as the machine has it.
 
     Attributes:
@@ -107,18 +107,18 @@ class Chain:
             self._compton = np.array([compton_per_mm(m, energy) for m in materials], np.float32)
         self._spread = build_spread(detector)
         self._bad = build_bad_pixels(detector, seed)
-        self._readout, self._electronic = self._amplifier(detector.readout)
+        self._amplifier, self._electronic = self._amplifier_of(detector.readout)
         self._flat_pattern: Image | None = None
         self._dark: Image | None = None
         self._first_flat: Image | None = None
         self._first_beam: Image | None = None
 
-    def _amplifier(self, section: scenario.Readout | None) -> tuple[Readout, float]:
+    def _amplifier_of(self, section: scenario.Readout | None) -> tuple[Amplifier, float]:
         """The readout, and the electronic noise of a physical pixel in grey values."""
         free = float(self.free[0])
         if section is None:
-            return Readout(1 / free), 0.0
-        readout = Readout(
+            return Amplifier(1 / free), 0.0
+        readout = Amplifier(
             section.free_beam / free, section.offset, section.bits, section.saturation
         )
         return readout, section.electronic_noise * self._detector.binning
@@ -155,7 +155,7 @@ class Chain:
             paths, beam, out[:2], samples=self.samples, share=share * float(self._scale)
         )
         if before is not None:
-            optical = _binned(np.tensordot(self._compton, paths, axes=1), self.samples)
+            optical = binned(np.tensordot(self._compton, paths, axes=1), self.samples)
             out[2] += (out[0] - before) * optical
 
     def frame(
@@ -165,7 +165,7 @@ class Chain:
         index: int,
         object_mm: float = 0.0,
         before: tuple[Image, float] | None = None,
-    ) -> Frame:
+    ) -> ViewImages:
         """The machine's images of one view.
 
         Args:
@@ -183,13 +183,13 @@ class Chain:
             last = self._signal_of(*before, self._rng(index - 1))
             signal = ((1 - lag) * signal + lag * last).astype(np.float32, copy=False)
         if self._electronic:
-            signal = normal_noise(signal, self._electronic / self._readout.gain, rng)
-        raw = self._readout.read(_binned(signal, self._detector.binning))
+            signal = normal_noise(signal, self._electronic / self._amplifier.gain, rng)
+        raw = self._amplifier.read(binned(signal, self._detector.binning))
         flat, dark = self._flat(view, index), self._dark_image()
         transmission = correct(raw, flat, dark, self._floor())
         bad = self._bad
         raw = np.where(bad, np.float32(0), raw) if bad.any() else raw
-        return Frame(raw, flat, dark, mend_bad_pixels(transmission, bad))
+        return ViewImages(raw, flat, dark, mend_bad_pixels(transmission, bad))
 
     def _rng(self, index: int) -> np.random.Generator:
         # Modulo: what is imaged alone, as view 0, may still have one before it.
@@ -225,7 +225,7 @@ class Chain:
         if way == "first" or index == 0:
             return self._first_flat
         here = commanded[index] if index < len(commanded) else view
-        scale = _binned(self._free_beam(here) / self._first_beam, self._detector.binning)
+        scale = binned(self._free_beam(here) / self._first_beam, self._detector.binning)
         dark = self._dark_image()
         return (dark + (self._first_flat - dark) * scale).astype(np.float32, copy=False)
 
@@ -233,9 +233,9 @@ class Chain:
         """Fall-off at each physical pixel."""
         # From every point of the spot, as the views: what a spot off its centre does must cancel.
         first, *others = self.from_spot(view)
-        beam = _binned(fall_off(first, self.samples), self.samples)
+        beam = binned(fall_off(first, self.samples), self.samples)
         for seen in others:
-            beam += _binned(fall_off(seen, self.samples), self.samples)
+            beam += binned(fall_off(seen, self.samples), self.samples)
         if others:
             beam /= np.float32(len(self.spot))
         return beam
@@ -258,19 +258,19 @@ class Chain:
             # Lag moves noise on from frame to frame: less of it is left in few of them.
             lag = detector.lag
             variance = variance * np.float32(1 - 2 * lag * (1 - lag) / frames)
-            variance = variance + np.float32((self._electronic / self._readout.gain) ** 2)
+            variance = variance + np.float32((self._electronic / self._amplifier.gain) ** 2)
             signal = signal + np.sqrt(variance / np.float32(frames)) * self._flat_pattern
         averaged = frames == 1
-        return self._average(_binned(signal, detector.binning), whole=averaged)
+        return self._average(binned(signal, detector.binning), whole=averaged)
 
     def _dark_image(self) -> Image:
         if self._dark is None:
             signal = np.zeros(self.panel.shape, dtype=np.float32)
             frames = self._detector.correction.dark_frames
             if frames and self._electronic:
-                sigma = self._electronic / self._readout.gain / np.sqrt(frames)
+                sigma = self._electronic / self._amplifier.gain / np.sqrt(frames)
                 signal = np.float32(sigma) * self._pattern("dark noise", blurred=False)
-            self._dark = self._average(_binned(signal, self._detector.binning), whole=frames == 1)
+            self._dark = self._average(binned(signal, self._detector.binning), whole=frames == 1)
         return self._dark
 
     def _pattern(self, purpose: str, *, blurred: bool) -> Image:
@@ -284,9 +284,9 @@ class Chain:
 
     def _average(self, signal: Image, *, whole: bool) -> Image:
         """Grey values of an average of frames: fractions, but for a single frame."""
-        readout = self._readout
+        readout = self._amplifier
         if not whole:
-            readout = Readout(readout.gain, readout.offset, None, min(readout.largest, 3e38))
+            readout = Amplifier(readout.gain, readout.offset, None, min(readout.largest, 3e38))
         return readout.read(signal)
 
     def _floor(self) -> float:
@@ -295,7 +295,7 @@ class Chain:
             return 0.5
         if isinstance(self._detector.noise, scenario.QuantumNoise):
             photon = self.free[1] / self.free[0] / self._detector.binning**2
-            return 0.5 * float(photon) * self._readout.gain
+            return 0.5 * float(photon) * self._amplifier.gain
         return _LEAST_TRANSMISSION
 
 
@@ -304,11 +304,3 @@ def _at_middle(view: ScanGeometry) -> float:
     to_source = view.source[0] - view.detector[0]
     distance = float(np.linalg.norm(to_source))
     return MM_PER_M**2 * float(to_source @ view.normal[0]) / distance**3
-
-
-def _binned(image: Image, n: int) -> Image:
-    """Mean of n x n pixels."""
-    if n == 1:
-        return image
-    rows, columns = image.shape
-    return image.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3), dtype=np.float32)

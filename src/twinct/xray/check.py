@@ -17,8 +17,8 @@ from twinct.xray.build import (
     build_spot,
     build_spread,
 )
-from twinct.xray.response import Response
-from twinct.xray.spectrum import Spectrum
+from twinct.xray.response import PhotonResponse
+from twinct.xray.spectrum import PhotonSpectrum
 
 T = TypeVar("T")
 
@@ -66,7 +66,7 @@ def check_parts(
         raise InputError(problems)
 
 
-def _response_problems(spectrum: Spectrum, response: Response) -> list[str]:
+def _response_problems(spectrum: PhotonSpectrum, response: PhotonResponse) -> list[str]:
     low, high = response.range_kev
     energies = spectrum.energies_kev
     outside = (energies < low) | (energies > high)

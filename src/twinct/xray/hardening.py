@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from twinct.specimen.materials import Material
-from twinct.xray.response import Response
-from twinct.xray.spectrum import Spectrum, attenuation
+from twinct.xray.response import PhotonResponse
+from twinct.xray.spectrum import PhotonSpectrum, attenuation
 
 _LARGEST_INTEGRAL = 17.0
 """Line integrals above this are not told apart: no detector sees them."""
@@ -33,8 +33,8 @@ class Hardening:
 
     def __init__(
         self,
-        spectrum: Spectrum,
-        response: Response,
+        spectrum: PhotonSpectrum,
+        response: PhotonResponse,
         materials: Sequence[Material],
         energy_kev: float,
         longest_dense_mm: float = 0.0,

@@ -16,7 +16,7 @@ from twinct.scenario import Detector, Source
 from twinct.xray._engine import ENGINE, Upload
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
 from twinct.xray.build import physical_panel
-from twinct.xray.chain import Chain, Frame
+from twinct.xray.chain import Chain, ViewImages
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 
 if TYPE_CHECKING:
@@ -153,7 +153,9 @@ class Imager:
             return images[0]
         return np.asarray(np.mean(images, axis=0, dtype=np.float64), dtype=np.float32)
 
-    def frame(self, path: Sequence[Placed], view: int = 0, before: Placed | None = None) -> Frame:
+    def frame(
+        self, path: Sequence[Placed], view: int = 0, before: Placed | None = None
+    ) -> ViewImages:
         """The same, with raw, flat and dark images; not for an ideal detector, which has none."""
         if self._paths is None:
             raise ValueError("an ideal source and detector give a transmission and nothing else")

@@ -14,7 +14,7 @@ from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.specimen.materials import Material
 from twinct.xray._engine import ENGINE
-from twinct.xray._placement import Placement, mesh_fault, split
+from twinct.xray._placement import Placement, corners, mesh_fault, split
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -96,7 +96,7 @@ class PathRenderer:
         self.materials: tuple[Material, ...] = tuple(dict.fromkeys(b.material for b in bodies))
         self._material = [self.materials.index(body.material) for body in bodies]
         self._placements = [Placement([(b.label, b.mesh)]) for b in bodies]
-        self._corners = [_corners(body.mesh) for body in bodies]
+        self._corners = [corners(body.mesh) for body in bodies]
         self.panel, self.samples = panel, samples
         fine = self._fine = panel.divided(samples)
         tile = Panel(_even(fine.rows), _even(fine.columns), fine.pitch_u, fine.pitch_v)
@@ -200,13 +200,9 @@ class PathRenderer:
                 self.close()
 
 
-def _corners(mesh: Trimesh) -> Floats:
-    return np.array(np.meshgrid(*np.asarray(mesh.bounds).T)).reshape(3, -1).T
-
-
-def _misses(view: ScanGeometry, corners: Floats) -> bool:
+def _misses(view: ScanGeometry, box: Floats) -> bool:
     """Whether the shadow of a box surely lies off the panel."""
-    shadow = view.project(corners)[0]
+    shadow = view.project(box)[0]
     if np.isnan(shadow).any():
         return False
     size = np.array([view.panel.columns, view.panel.rows])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,11 @@ from scipy import ndimage
 
 from twinct.errors import InputError
 
+Pixels = TypeVar("Pixels", NDArray[np.float32], NDArray[np.float64])
+
 
 @dataclass(frozen=True)
-class Readout:
+class Amplifier:
     """Amplifier and converter.
 
     Attributes:
@@ -42,6 +45,16 @@ class Readout:
         if np.isfinite(self.largest):
             np.minimum(raw, np.float32(self.largest), out=raw)
         return raw
+
+
+def binned(image: Pixels, across: int, down: int | None = None) -> Pixels:
+    """Mean of blocks of pixels, ``across`` along u and as many, or ``down``, along v."""
+    down = across if down is None else down
+    if across == down == 1:
+        return image
+    rows, columns = image.shape
+    blocks = image.reshape(rows // down, down, columns // across, across)
+    return blocks.mean(axis=(1, 3), dtype=image.dtype)
 
 
 def mend_bad_pixels(image: NDArray[np.float32], bad: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from twinct.errors import InputError
+from twinct.files.tables import read_columns
 from twinct.geometry import Floats
 from twinct.specimen.materials import Material
-from twinct.xray.spectrum import attenuation, read_columns
+from twinct.xray.spectrum import attenuation
 
 
 @dataclass(frozen=True)
-class Response:
+class PhotonResponse:
     """Signal of one photon that meets the detector.
 
     Attributes:
@@ -38,17 +39,17 @@ class Response:
     range_kev: tuple[float, float] = (0.0, math.inf)
 
     @classmethod
-    def counting(cls) -> Response:
+    def counting(cls) -> PhotonResponse:
         """Ideal photon counting: one for each photon."""
         return cls("counting", np.ones_like, np.ones_like, "photons")
 
     @classmethod
-    def integrating(cls) -> Response:
+    def integrating(cls) -> PhotonResponse:
         """Ideal energy integration: all of a photon's energy."""
         return cls("integrating", lambda e: np.asarray(e, dtype=float), np.square, "keV")
 
     @classmethod
-    def scintillator(cls, material: Material, thickness_mm: float) -> Response:
+    def scintillator(cls, material: Material, thickness_mm: float) -> PhotonResponse:
         """A layer that absorbs the photons it attenuates, with all of their energy.
 
         A share 1 - exp(-mu t) of the photons is absorbed. Fluorescence and scattered photons that
@@ -66,7 +67,9 @@ class Response:
         )
 
     @classmethod
-    def efficiency(cls, energies_kev: Floats, shares: Floats, name: str = "efficiency") -> Response:
+    def efficiency(
+        cls, energies_kev: Floats, shares: Floats, name: str = "efficiency"
+    ) -> PhotonResponse:
         """A tabulated share of absorbed photons, each with all of its energy; linear between."""
         return cls(
             name,
@@ -76,7 +79,7 @@ class Response:
         )
 
     @classmethod
-    def read_efficiency(cls, path: Path) -> Response:
+    def read_efficiency(cls, path: Path) -> PhotonResponse:
         """Two columns of text: energy in keV, share of photons absorbed (0 to 1).
 
         Raises:
@@ -96,13 +99,13 @@ class Response:
         made = cls.efficiency(energies, shares, str(path))
         return replace(made, range_kev=(float(energies[0]), float(energies[-1])))
 
-    def behind(self, material: Material, thickness_mm: float) -> Response:
+    def behind(self, material: Material, thickness_mm: float) -> PhotonResponse:
         """The same detector behind a window or filter, crossed at right angles."""
 
         def passed(energies: Floats) -> Floats:
             return np.exp(-attenuation(material, energies) * thickness_mm)
 
-        return Response(
+        return PhotonResponse(
             self.name,
             lambda e: passed(e) * self.mean(e),
             lambda e: passed(e) * self.square(e),

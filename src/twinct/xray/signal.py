@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from twinct.geometry import Floats
 from twinct.specimen.materials import Material
-from twinct.xray._signal import look_up, sum_bins
-from twinct.xray.response import Response
-from twinct.xray.spectrum import Spectrum, attenuation
+from twinct.xray._attenuated import look_up, sum_bins
+from twinct.xray.response import PhotonResponse
+from twinct.xray.spectrum import PhotonSpectrum, attenuation
 
 NODES = 16384
 """Nodes of the table for one material. Linear between them: 2e-6 of a signal at its darkest."""
@@ -33,7 +33,7 @@ class Signal:
     """
 
     def __init__(
-        self, spectrum: Spectrum, materials: Sequence[Material], response: Response
+        self, spectrum: PhotonSpectrum, materials: Sequence[Material], response: PhotonResponse
     ) -> None:
         """Look the attenuation up.
 

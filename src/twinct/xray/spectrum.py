@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.errors import InputError
+from twinct.files.tables import read_columns
 from twinct.geometry import Floats
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ XRAYLIB_KEV = (0.1, 800.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class PhotonSpectrum:
     """Photons of a free beam by energy.
 
     Attributes:
@@ -69,12 +70,12 @@ class Spectrum:
         object.__setattr__(self, "absolute", absolute)
 
     @classmethod
-    def monochromatic(cls, energy_kev: float, photons: float | None = None) -> Spectrum:
+    def monochromatic(cls, energy_kev: float, photons: float | None = None) -> PhotonSpectrum:
         """One energy; photons per mm^2 at 1 m and mAs, where they are known."""
         return cls([energy_kev], [1.0 if photons is None else photons], photons is not None)
 
     @classmethod
-    def read(cls, path: Path, absolute: bool = False) -> Spectrum:
+    def read(cls, path: Path, absolute: bool = False) -> PhotonSpectrum:
         """Two columns of text: energy in keV, photons of that bin; ``#`` starts a comment.
 
         Raises:
@@ -104,16 +105,18 @@ class Spectrum:
         """Mean energy of a photon."""
         return float(self.photons @ self.energies_kev / self.total)
 
-    def filtered(self, material: Material, thickness_mm: float) -> Spectrum:
+    def filtered(self, material: Material, thickness_mm: float) -> PhotonSpectrum:
         """The spectrum behind a plate that is crossed at right angles."""
         mu = attenuation(material, self.energies_kev)
-        return Spectrum(self.energies_kev, self.photons * np.exp(-mu * thickness_mm), self.absolute)
+        return PhotonSpectrum(
+            self.energies_kev, self.photons * np.exp(-mu * thickness_mm), self.absolute
+        )
 
-    def scaled(self, total: float) -> Spectrum:
+    def scaled(self, total: float) -> PhotonSpectrum:
         """The same shape with a known number of photons per mm^2 at 1 m and mAs."""
-        return Spectrum(self.energies_kev, self.photons * (total / self.total), True)
+        return PhotonSpectrum(self.energies_kev, self.photons * (total / self.total), True)
 
-    def rebinned(self, bins: int) -> Spectrum:
+    def rebinned(self, bins: int) -> PhotonSpectrum:
         """At most ``bins`` bins of equal width; photon number and mean energy are kept.
 
         The energy of a new bin is the mean of its photons.
@@ -126,7 +129,7 @@ class Spectrum:
         counts = np.bincount(place, photons, bins)
         sums = np.bincount(place, photons * energies, bins)
         some = counts > 0
-        return Spectrum(sums[some] / counts[some], counts[some], self.absolute)
+        return PhotonSpectrum(sums[some] / counts[some], counts[some], self.absolute)
 
 
 def attenuation(material: Material, energies_kev: Floats) -> Floats:
@@ -136,37 +139,3 @@ def attenuation(material: Material, energies_kev: Floats) -> Floats:
         SpecimenError: xraylib has no data at an energy.
     """
     return np.array([material.mu_per_mm(float(energy)) for energy in energies_kev])
-
-
-def read_columns(path: Path, columns: int) -> Floats:
-    """Columns of finite numbers from a text file, (columns, rows); ``#`` starts a comment.
-
-    Blanks, commas or semicolons stand between them. Another number of columns is refused: nobody
-    can tell which of them is meant.
-
-    Raises:
-        InputError: it cannot be read; names the file.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: not {columns} columns of numbers: {reason}") from None
-    rows: list[list[float]] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        if not words:
-            continue
-        try:
-            row = [float(word) for word in words]
-        except ValueError as error:
-            reason = f"not {columns} columns of numbers: {error}"
-            raise InputError(f"{path}:{number}: {reason}") from None
-        if len(row) != columns:
-            raise InputError(f"{path}:{number}: columns: {len(row)}, not {columns}")
-        if not np.isfinite(row).all():
-            raise InputError(f"{path}:{number}: {line.strip()!r}: the numbers must be finite")
-        rows.append(row)
-    if not rows:
-        raise InputError(f"{path}: the file holds no numbers")
-    return np.array(rows).T

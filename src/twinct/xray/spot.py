@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from scipy import special
 
@@ -15,29 +13,34 @@ _PLASTIC = 1.32471795724474602596
 _STEPS = np.array([1 / _PLASTIC, 1 / _PLASTIC**2])
 
 
-def square_spot(size_x_mm: float, size_y_mm: float, samples: int) -> Floats:
-    """Points of a rectangle of constant intensity, (samples, 2), mm.
+def unit_square(samples: int) -> Floats:
+    """Points spread evenly over the unit square, (samples, 2): a spot's shape is laid over them."""
+    return np.mod(0.5 + np.arange(1, samples + 1)[:, None] * _STEPS, 1.0)
 
-    As in every function here the variances are those of the spot, exactly.
+
+def square_spot(size_x_mm: float, size_y_mm: float, unit: Floats) -> Floats:
+    """Points of a rectangle of constant intensity, (points, 2), mm, from ``unit_square``.
+
+    As with a Gaussian the variances are those of the spot, exactly.
     """
-    points = (_unit_square(samples) - 0.5) * [size_x_mm, size_y_mm]
+    points = (unit - 0.5) * [size_x_mm, size_y_mm]
     return _with_variance(points, np.array([size_x_mm, size_y_mm]) ** 2 / 12)
 
 
-def gaussian_spot(sigma_x_mm: float, sigma_y_mm: float, samples: int) -> Floats:
-    """Points of a Gaussian, (samples, 2), mm."""
+def gaussian_spot(sigma_x_mm: float, sigma_y_mm: float, unit: Floats) -> Floats:
+    """Points of a Gaussian, (points, 2), mm."""
     sigma = np.array([sigma_x_mm, sigma_y_mm])
-    return _with_variance(special.ndtri(_unit_square(samples)) * sigma, sigma**2)
+    return _with_variance(special.ndtri(unit) * sigma, sigma**2)
 
 
-def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, samples: int) -> Floats:
-    """Points of a measured spot, (samples, 2), mm, about the middle of its image.
+def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, unit: Floats) -> Floats:
+    """Points of a measured spot, (points, 2), mm, about the middle of its image.
 
     Args:
         intensity: (rows, columns); columns along x, row 0 at the lowest y.
         size_x_mm: width of the whole image.
         size_y_mm: height of the whole image.
-        samples: number of points.
+        unit: points of the unit square.
 
     Raises:
         InputError: no image, or one with negative or no intensity.
@@ -53,37 +56,14 @@ def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, samples: i
     if not intensity.any():
         raise InputError(f"{what} needs intensity, this one is 0 everywhere")
     rows, columns = intensity.shape
-    unit = _unit_square(samples)
     by_column = np.concatenate([[0], np.cumsum(intensity.sum(axis=0))])
     x = np.interp(unit[:, 0] * by_column[-1], by_column, np.arange(columns + 1))
     column = np.minimum(x.astype(int), columns - 1)
-    y = np.empty(samples)
+    y = np.empty(len(unit))
     for i, c in enumerate(column):
         by_row = np.concatenate([[0], np.cumsum(intensity[:, c])])
         y[i] = np.interp(unit[i, 1] * by_row[-1], by_row, np.arange(rows + 1))
     return np.stack([(x / columns - 0.5) * size_x_mm, (y / rows - 0.5) * size_y_mm], axis=1)
-
-
-def read_image(path: Path, what: str) -> Floats:
-    """One grey image from .npy or an image file, (rows, columns).
-
-    Raises:
-        InputError: it cannot be read; names the file.
-    """
-    try:
-        if path.suffix == ".npy":
-            image = np.load(path, allow_pickle=False)
-        else:
-            from skimage import io
-
-            image = io.imread(path, as_gray=True)
-        if image.dtype.kind not in "biuf":
-            raise ValueError
-        return np.asarray(image, dtype=float)
-    except Exception as error:  # readers of pictures raise what they like, and speak of themselves
-        kind = "array of numbers as numpy.save writes it" if path.suffix == ".npy" else "picture"
-        reason = getattr(error, "strerror", None) or f"it holds no {kind}"
-        raise InputError(f"{path}: cannot be read as the image of {what}: {reason}") from None
 
 
 def moved_source(view: ScanGeometry, offset_mm: Floats) -> ScanGeometry:
@@ -92,10 +72,6 @@ def moved_source(view: ScanGeometry, offset_mm: Floats) -> ScanGeometry:
     return ScanGeometry(
         view.source + offset_mm @ axes[:, :2].T, view.detector, view.u, view.v, view.panel
     )
-
-
-def _unit_square(samples: int) -> Floats:
-    return np.mod(0.5 + np.arange(1, samples + 1)[:, None] * _STEPS, 1.0)
 
 
 def _with_variance(points: Floats, variance: Floats) -> Floats:

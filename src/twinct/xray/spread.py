@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from twinct.errors import InputError
+from twinct.files.tables import read_columns
 from twinct.geometry import Floats
-from twinct.xray.spectrum import read_columns
 
 _FREQUENCIES = 512
 """Along each half axis, for an integral over frequencies."""
-HIGHEST = 1.05
+MOST_MODULATION = 1.05
 """Largest modulation: measured tables go above 1 by their noise, what sharpens by more."""
 CUT_OFF = 0.1
 """Largest modulation at the end of a table below the Nyquist frequency: an edge rings by 0.3 %."""
 
 
 @dataclass(frozen=True)
-class PointSpread:
+class PointSpreadFunction:
     """A rotationally symmetric point spread.
 
     Attributes:
@@ -37,7 +37,7 @@ class PointSpread:
     end_per_mm: float = np.inf
 
     @classmethod
-    def gaussian(cls, sigma_mm: float) -> PointSpread:
+    def gaussian(cls, sigma_mm: float) -> PointSpreadFunction:
         """A Gaussian.
 
         Two thin wires of diameter and gap d behind it dip by 20 % at d = sqrt(2) sigma: the basic
@@ -48,7 +48,7 @@ class PointSpread:
     @classmethod
     def tabulated(
         cls, frequencies_per_mm: Floats, modulation: Floats, reach_mm: float = 5.0
-    ) -> PointSpread:
+    ) -> PointSpreadFunction:
         """Linear between the rows of a table, 0 beyond its last frequency.
 
         Raises:
@@ -71,17 +71,19 @@ class PointSpread:
         )
 
     @classmethod
-    def read(cls, path: Path) -> PointSpread:
-        """Two columns of text: spatial frequency in 1/mm, modulation from 0 to ``HIGHEST``.
+    def read(cls, path: Path) -> PointSpreadFunction:
+        """Two columns of text: spatial frequency in 1/mm, modulation from 0 to ``MOST_MODULATION``.
 
         Raises:
             InputError: not such a table; names the file.
         """
         frequencies, values = read_columns(path, 2)
         problems: list[str] = []
-        if values.min() < 0 or values.max() > HIGHEST:
+        if values.min() < 0 or values.max() > MOST_MODULATION:
             wrong = values.min() if values.min() < 0 else values.max()
-            problems.append(f"a modulation of {wrong:g}: it must lie between 0 and {HIGHEST:g}")
+            problems.append(
+                f"a modulation of {wrong:g}: it must lie between 0 and {MOST_MODULATION:g}"
+            )
         try:
             made = cls.tabulated(frequencies, values)
         except InputError as error:
@@ -150,7 +152,7 @@ def _fast(length: int) -> int:
 
 
 def _transfer(
-    spread: PointSpread, shape: tuple[int, int], pitch_u: float, pitch_v: float
+    spread: PointSpreadFunction, shape: tuple[int, int], pitch_u: float, pitch_v: float
 ) -> NDArray[np.float32]:
     key = (spread, shape, pitch_u, pitch_v)
     if key not in _LAST:
@@ -161,5 +163,5 @@ def _transfer(
     return _LAST[key]
 
 
-_LAST: dict[tuple[PointSpread, tuple[int, int], float, float], NDArray[np.float32]] = {}
+_LAST: dict[tuple[PointSpreadFunction, tuple[int, int], float, float], NDArray[np.float32]] = {}
 """The filter last used: a scan uses one."""

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from twinct.errors import InputError, MissingExtraError
-from twinct.xray.spectrum import Spectrum
+from twinct.xray.spectrum import PhotonSpectrum
 
 _CM2_MM2 = 100.0
 
@@ -15,7 +15,7 @@ _CM2_MM2 = 100.0
 @lru_cache(maxsize=8)  # a second of SpekPy's time, and asked for at several places
 def tube_spectrum(
     kvp: float, anode_angle_deg: float = 12.0, *, step_kev: float = 1.0, target: str = "W"
-) -> Spectrum:
+) -> PhotonSpectrum:
     """What a tube emits before any filter, on the central ray.
 
     SpekPy's model (Poludniowski et al., Med. Phys. 48 (2021) 3630) with its default physics
@@ -42,4 +42,4 @@ def tube_spectrum(
         raise InputError(
             f"no tube spectrum for {kvp:g} kV, {anode_angle_deg:g} deg, target {target}: {error}"
         ) from None
-    return Spectrum(np.asarray(energies), np.asarray(per_cm2) / _CM2_MM2)
+    return PhotonSpectrum(np.asarray(energies), np.asarray(per_cm2) / _CM2_MM2)

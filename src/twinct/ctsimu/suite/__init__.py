@@ -11,7 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from twinct.ctsimu.render import Files, Options, render
+from twinct.ctsimu.outputs import Files, Options
+from twinct.ctsimu.render import render
 from twinct.ctsimu.scenario import load_ctsimu
 from twinct.ctsimu.suite.cases import NOT_TAKEN, TESTS, Case, cases
 from twinct.ctsimu.suite.verdicts import Verdict, verdicts

@@ -15,7 +15,7 @@ import numpy as np
 from trimesh import Trimesh
 
 from twinct.ctsimu.suite import samples
-from twinct.ctsimu.writing import Json, header, material, placed, quantity
+from twinct.ctsimu.writing import Json, header, material_entry, placed, quantity
 from twinct.files.writing import write_json
 
 DENSITY_G_CM3 = {
@@ -40,7 +40,7 @@ WEDGE_PANEL_MM, WEDGE_PITCH_MM = 1000.0, 0.2
 
 
 @dataclass(frozen=True)
-class Part:
+class Piece:
     """A sample in its place: the mesh is in the world."""
 
     name: str
@@ -81,7 +81,7 @@ class Case:
     voltage_kv: float
     monochromatic: bool = False
     copper_mm: float = 0.0
-    parts: Sequence[Part] = ()
+    parts: Sequence[Piece] = ()
     scintillator: tuple[str, float] | None = None
     snr: float | None = None
     resolution_mm: float | None = None
@@ -127,7 +127,7 @@ class Case:
         if self.scintillator is not None:
             name, thickness = self.scintillator
             layer = {"material_id": name, "thickness": quantity(thickness, "mm")}
-        materials = [material(n, d, {n: 1.0}) for n, d in DENSITY_G_CM3.items()]
+        materials = [material_entry(n, d, {n: 1.0}) for n, d in DENSITY_G_CM3.items()]
         return {
             "file": header(self.name, f"CTSimU qualification test {self.name}"),
             "environment": {"material_id": None},
@@ -174,7 +174,7 @@ class Case:
                 "flat_field": {"number": int(self.flat), "frame_average": 1, "ideal": True},
                 "scattering": False,
             },
-            "materials": [*materials, material(OPAQUE, OPAQUE_G_CM3, {"W": 1.0})],
+            "materials": [*materials, material_entry(OPAQUE, OPAQUE_G_CM3, {"W": 1.0})],
         }
 
 
@@ -195,8 +195,8 @@ def _distance() -> list[Case]:
     return [Case("2D-FB-2", "", 501, 501, 0.4, 30.0, 150.0, flat=False)]
 
 
-def _edge(distance_mm: float = 500.0) -> Part:
-    return Part("edge", lambda: samples.edge(distance_mm), OPAQUE)
+def _edge(distance_mm: float = 500.0) -> Piece:
+    return Piece("edge", lambda: samples.edge(distance_mm), OPAQUE)
 
 
 def _spots() -> list[Case]:
@@ -221,7 +221,7 @@ def _coverage() -> list[Case]:
 def _wires() -> list[Case]:
     pitch = 0.05
     middle = ((1126 - 1000) * pitch, (496 - 500) * pitch)
-    part = Part("wires", lambda: samples.duplex_wires(1000.0, middle, 1050 * pitch), "Pt")
+    part = Piece("wires", lambda: samples.duplex_wires(1000.0, middle, 1050 * pitch), "Pt")
     return [
         Case(
             "2D-DW-1", key, 2000, 1000, pitch, 1000.0, 220.0,
@@ -231,14 +231,14 @@ def _wires() -> list[Case]:
     ]  # fmt: skip
 
 
-def _wedge(name: str, of: str, **ends: Any) -> Part:
+def _wedge(name: str, of: str, **ends: Any) -> Piece:
     steps = samples.IRON_STEPS_MM if of == "Fe" else samples.WEDGE_STEPS_MM
-    return Part(
+    return Piece(
         name, lambda: samples.wedge(WEDGE_PANEL_MM, WEDGE_PITCH_MM, steps_mm=steps, **ends), of
     )
 
 
-def _wedge_case(test: str, key: str, parts: list[Part], voltage_kv: float, **more: Any) -> Case:
+def _wedge_case(test: str, key: str, parts: list[Piece], voltage_kv: float, **more: Any) -> Case:
     size = samples.WEDGE_PANEL_PX
     return Case(
         test, key, size, size, WEDGE_PITCH_MM, WEDGE_PANEL_MM, voltage_kv, parts=parts, **more

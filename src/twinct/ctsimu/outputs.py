@@ -1,17 +1,58 @@
-"""The metadata file beside the images, which the CTSimU toolbox reads."""
+"""What a rendering writes: names of the images, and the metadata file that the toolbox reads."""
 
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 from twinct.ctsimu.acquisition import FORMAT
 from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.ctsimu.scene import FieldImages, Frame
 from twinct.files.writing import write_json
 
-if TYPE_CHECKING:
-    from twinct.ctsimu.render import Files, Options
+
+@dataclass(frozen=True)
+class Options:
+    """What a scenario leaves to the software.
+
+    Attributes:
+        samples: rays along each pixel edge, for a point source.
+        spot_points: points of a focal spot with extent.
+        seed: of the noise.
+    """
+
+    samples: int = 3
+    spot_points: int = 32
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Files:
+    """Names of what is written."""
+
+    folder: Path
+    name: str
+
+    @property
+    def metadata(self) -> Path:
+        """What the CTSimU toolbox reads; written last."""
+        return self.folder / f"{self.name}_metadata.json"
+
+    @property
+    def key(self) -> Path:
+        """Which rendering the folder holds."""
+        return self.folder / f"{self.name}_rendering.json"
+
+    def projection(self, index: int) -> Path:
+        """A projection."""
+        return self.folder / f"{self.name}_{index:04d}.tif"
+
+    def field(self, kind: str, index: int, count: int) -> Path:
+        """A dark or flat image."""
+        number = f"_{index:04d}" if count > 1 else ""
+        return self.folder / f"{self.name}_{kind}{number}.tif"
 
 
 def write_metadata(

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.ctsimu.images import read_image
-from twinct.ctsimu.scene import Response
-from twinct.ctsimu.tables import read_table
+from twinct.ctsimu.scene import PanelResponse
+from twinct.files.images import read_image
+from twinct.files.tables import read_curve
 from twinct.geometry import Floats, Panel
-from twinct.xray.spread import PointSpread
+from twinct.xray.spread import PointSpreadFunction
 
 Image = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ MTF_REACH_MM = 5.0
 
 
 @dataclass(frozen=True)
-class Detector:
+class Digitiser:
     """A detector that is ready to take images.
 
     Attributes:
@@ -34,7 +34,7 @@ class Detector:
         free_beam_j: energy in the brightest pixel of the free beam in frame 0.
     """
 
-    response: Response
+    response: PanelResponse
     panel: Panel
     free_beam_j: float
 
@@ -42,7 +42,7 @@ class Detector:
         """Mean grey values of what the pixels collect, J; not rounded, not cut off."""
         response = self.response
         if response.curve is not None:
-            return _on_and_on(energy_j, *read_table(response.curve))
+            return _extended(energy_j, *read_curve(response.curve))
         if response.factor is not None and response.offset is not None:
             return response.factor * energy_j + response.offset
         return response.imin + (response.imax - response.imin) * (energy_j / self.free_beam_j)
@@ -59,7 +59,7 @@ class Detector:
         """
         response = self.response
         if response.noise is not None:
-            ratio = np.interp(grey, *read_table(response.noise))
+            ratio = np.interp(grey, *read_curve(response.noise))
             return np.where(ratio > 0, np.abs(grey) / np.where(ratio > 0, ratio, 1.0), 0.0)
         if response.snr is None:
             return None
@@ -89,11 +89,13 @@ class Detector:
         noise = spread.apply(white.astype(np.float32), panel.pitch_u, panel.pitch_v)
         return noise.astype(np.float64) / spread.noise_gain(panel.pitch_u, panel.pitch_v)
 
-    def _spread(self) -> PointSpread | None:
+    def _spread(self) -> PointSpreadFunction | None:
         if self.response.mtf is not None:
-            return PointSpread.tabulated(*read_table(self.response.mtf), reach_mm=MTF_REACH_MM)
+            return PointSpreadFunction.tabulated(
+                *read_curve(self.response.mtf), reach_mm=MTF_REACH_MM
+            )
         sigma_mm = self._sigma_mm()
-        return PointSpread.gaussian(sigma_mm) if sigma_mm > 0 else None
+        return PointSpreadFunction.gaussian(sigma_mm) if sigma_mm > 0 else None
 
     def _sigma_mm(self) -> float:
         """Of the Gaussian that, together with the pixel, has the basic spatial resolution.
@@ -108,7 +110,7 @@ class Detector:
         """Put the given grey values where pixels are bad."""
         if self.response.bad_pixels is None:
             return image
-        wrong = read_image(self.response.bad_pixels, image.shape)
+        wrong = read_image(self.response.bad_pixels, "bad pixels", image.shape)
         return np.where(wrong == -1, image, wrong)
 
     def stored(self, image: Image) -> NDArray[np.uint16]:
@@ -116,14 +118,7 @@ class Detector:
         return np.clip(np.rint(image), 0, 2**self.response.bits - 1).astype(np.uint16)
 
 
-def binned(image: Image, binning: tuple[int, int]) -> Image:
-    """Mean of blocks of (u, v) pixels."""
-    across, down = binning
-    rows, columns = image.shape
-    return image.reshape(rows // down, down, columns // across, across).mean(axis=(1, 3))
-
-
-def _on_and_on(values: Image, places: Floats, results: Floats) -> Image:
+def _extended(values: Image, places: Floats, results: Floats) -> Image:
     """Linear between the places, and on beyond the last two."""
     inside = np.interp(values, places, results)
     if len(places) < 2:

@@ -14,10 +14,11 @@ import numpy as np
 import trimesh
 from trimesh import Trimesh
 
-from twinct.ctsimu.scene import Body
+from twinct.ctsimu.scene import Sample
 from twinct.errors import SpecimenError
 from twinct.geometry import Floats, Pose
-from twinct.specimen.surface import open_edges, refined, subtract, surface
+from twinct.specimen.surface import open_edges, subtract, surface
+from twinct.xray._placement import corners, longest_edge, split
 
 OVERLAP = 1e-9
 """A smaller share of a volume than this is rounding of two faces that touch."""
@@ -28,14 +29,12 @@ KEPT = 16
 LADDER = 1.4
 """Distances for which a mesh is refined are powers of this: each frame finds the same mesh."""
 
-MAX_TRIANGLES = 5_000_000
+MAX_SAMPLE_TRIANGLES = 5_000_000
 """Of one sample; gVXR takes 0.1 kB for each."""
 
-DEPTH_MM = 0.001
-"""How far a path may be off because gVXR takes the distance to the source as linear in a triangle.
-
-Over an edge e at distance d it is off by up to e^2 / (8 d) at each surface.
-"""
+SAMPLE_DEPTH_MM = 0.001
+"""How far a path may be off because of a triangle's size: the suite's edges and steps need more
+than ``twinct.xray`` takes by itself."""
 
 
 @dataclass
@@ -46,57 +45,57 @@ class Solids:
     _cut: dict[object, Trimesh] = field(default_factory=dict)
     _fine: dict[tuple[int, int], tuple[Trimesh, Trimesh]] = field(default_factory=dict)
 
-    def of(self, bodies: Sequence[Body], source: Floats) -> list[tuple[Body, Trimesh]]:
-        """The bodies that are not vacuum, and what each of them is in its own frame.
+    def of(self, samples: Sequence[Sample], source: Floats) -> list[tuple[Sample, Trimesh]]:
+        """The samples that are not vacuum, and what each of them is in its own frame.
 
         Args:
-            bodies: of one frame.
+            samples: of one frame.
             source: the focal spot in the world, (3,), mm.
 
         Raises:
             SpecimenError: a file that is no closed surface, or a sample that is too near to the
                 source for its size; names it.
         """
-        solids = [(body, self._mesh(body)) for body in bodies]
+        solids = [(sample, self._mesh(sample)) for sample in samples]
         found = []
-        for index, (body, mesh) in enumerate(solids):
-            if body.material is None:
+        for index, (sample, mesh) in enumerate(solids):
+            if sample.material is None:
                 continue
             later = [
-                (other, body.world_from_body.inverse() @ other.world_from_body, shape)
+                (other, sample.world_from_sample.inverse() @ other.world_from_sample, shape)
                 for other, shape in solids[index + 1 :]
             ]
-            left = self._without(body, mesh, later)
+            left = self._without(sample, mesh, later)
             if len(left.faces):
-                found.append((body, self._refined(body, left, source)))
+                found.append((sample, self._refined(sample, left, source)))
         return found
 
-    def _refined(self, body: Body, mesh: Trimesh, source: Floats) -> Trimesh:
-        """Fine enough for the body's distance, whatever the frames before."""
-        seen = body.world_from_body.inverse().apply(source)
+    def _refined(self, sample: Sample, mesh: Trimesh, source: Floats) -> Trimesh:
+        """Fine enough for the sample's distance, whatever the frames before."""
+        seen = sample.world_from_sample.inverse().apply(source)
         nearest = np.clip(seen, *np.asarray(mesh.bounds))
-        distance = max(float(np.linalg.norm(seen - nearest)), DEPTH_MM)
+        distance = max(float(np.linalg.norm(seen - nearest)), SAMPLE_DEPTH_MM)
         rung = int(np.floor(np.log(distance) / np.log(LADDER)))
         key = id(mesh), rung
         if key not in self._fine:
-            edge = np.sqrt(8 * LADDER**rung * DEPTH_MM) / 1.5
-            # An equilateral triangle of that edge has 0.43 of its square.
-            if mesh.area / (0.43 * edge**2) > MAX_TRIANGLES:
+            edge = longest_edge(LADDER**rung, SAMPLE_DEPTH_MM)
+            # An equilateral triangle of two thirds of that edge has 0.19 of its square.
+            if mesh.area / (0.43 / 1.5**2 * edge**2) > MAX_SAMPLE_TRIANGLES:
                 raise SpecimenError(
-                    f"sample '{body.name}' comes within {distance:.3g} mm of the source: its "
-                    f"{mesh.area:.3g} mm^2 would need more than {MAX_TRIANGLES} triangles "
+                    f"sample '{sample.name}' comes within {distance:.3g} mm of the source: its "
+                    f"{mesh.area:.3g} mm^2 would need more than {MAX_SAMPLE_TRIANGLES} triangles "
                     "for gVXR to get its depth right"
                 )
-            self._fine[key] = mesh, refined(mesh, edge)  # the mesh too: its id must stay its own
+            self._fine[key] = mesh, split(mesh, edge)  # the mesh too: its id must stay its own
         return self._fine[key][1]
 
     def _without(
-        self, body: Body, mesh: Trimesh, later: list[tuple[Body, Pose, Trimesh]]
+        self, sample: Sample, mesh: Trimesh, later: list[tuple[Sample, Pose, Trimesh]]
     ) -> Trimesh:
         near = [(b, pose, shape) for b, pose, shape in later if _near(mesh, pose, shape)]
         if not near:
             return mesh
-        key = (body.file, body.scale) + tuple(
+        key = (sample.file, sample.scale) + tuple(
             (b.file, b.scale, tuple(np.round(pose.matrix, 9).ravel())) for b, pose, _ in near
         )
         if key not in self._cut:
@@ -111,40 +110,41 @@ class Solids:
                 )
                 for _, pose, shape in near
             ]
-            left = subtract(mesh, tools, body.name)
+            left = subtract(mesh, tools, sample.name)
             changed = not len(left.faces) or left.volume < (1 - OVERLAP) * mesh.volume
             self._cut[key] = left if changed else mesh
         return self._cut[key]
 
-    def _mesh(self, body: Body) -> Trimesh:
-        key = body.file, body.scale
+    def _mesh(self, sample: Sample) -> Trimesh:
+        key = sample.file, sample.scale
         if key not in self._meshes:
-            self._meshes[key] = _read(body)
+            self._meshes[key] = _read(sample)
         return self._meshes[key]
 
 
-def _read(body: Body) -> Trimesh:
+def _read(sample: Sample) -> Trimesh:
     try:
-        loaded = trimesh.load(body.file, force="mesh")
+        loaded = trimesh.load(sample.file, force="mesh")
     except Exception as error:  # each reader of trimesh has its own errors
-        raise SpecimenError(f"sample '{body.name}': {body.file} cannot be read: {error}") from None
+        raise SpecimenError(
+            f"sample '{sample.name}': {sample.file} cannot be read: {error}"
+        ) from None
     if not isinstance(loaded, Trimesh) or not len(loaded.faces):
-        raise SpecimenError(f"sample '{body.name}': {body.file} holds no triangles")
+        raise SpecimenError(f"sample '{sample.name}': {sample.file} holds no triangles")
     loaded.merge_vertices()
     vertices = np.asarray(loaded.vertices, dtype=np.float64)
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    mesh = surface((vertices - middle) * body.scale, np.asarray(loaded.faces))
+    mesh = surface((vertices - middle) * sample.scale, np.asarray(loaded.faces))
     gaps = open_edges(mesh)
     if gaps:
         raise SpecimenError(
-            f"sample '{body.name}': {body.file} is no closed surface: {gaps} of its edges do not "
-            "join exactly two triangles"
+            f"sample '{sample.name}': {sample.file} is no closed surface: {gaps} of its edges "
+            "do not join exactly two triangles"
         )
     return surface(mesh.vertices, mesh.faces[:, ::-1]) if mesh.volume < 0 else mesh
 
 
 def _near(mesh: Trimesh, pose: Pose, other: Trimesh) -> bool:
     low, high = mesh.bounds
-    corners = np.array(np.meshgrid(*np.asarray(other.bounds).T)).reshape(3, -1).T
-    seen = pose.apply(corners)
+    seen = pose.apply(corners(other))
     return bool((seen.min(axis=0) <= high).all() and (seen.max(axis=0) >= low).all())

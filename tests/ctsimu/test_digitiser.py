@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from twinct.ctsimu.detector import Detector, binned
+from twinct.ctsimu.digitiser import Digitiser
 from twinct.ctsimu.sampling import sampling
-from twinct.ctsimu.scene import RawImage, Response, Spot
+from twinct.ctsimu.scene import FocalSpot, PanelResponse
 from twinct.errors import InputError
+from twinct.files.images import RawImage
 from twinct.geometry import Panel
+from twinct.xray.readout import binned
 
 PLAIN = dict(
     real=False, scintillator=None, front=(), efficiency=None, imin=100.0, imax=50000.0,
@@ -20,7 +22,7 @@ PLAIN = dict(
 
 
 def detector(panel=None, **changes):
-    return Detector(Response(**PLAIN | changes), panel or Panel(1, 4, 0.05, 0.05), 2e-9)
+    return Digitiser(PanelResponse(**PLAIN | changes), panel or Panel(1, 4, 0.05, 0.05), 2e-9)
 
 
 def test_three_ways_to_a_grey_value_and_their_precedence(tmp_path):
@@ -94,11 +96,11 @@ def test_blur_keeps_a_flat_image_and_spreads_a_point_by_its_sigma():
 
 def test_binning_is_the_mean_of_blocks():
     image = np.arange(24.0).reshape(4, 6)
-    np.testing.assert_allclose(binned(image, (3, 2)), [[4, 7], [16, 19]])
+    np.testing.assert_allclose(binned(image, 3, 2), [[4, 7], [16, 19]])
 
 
 def test_point_source_is_sampled_on_one_even_lattice():
-    plan = sampling(Spot((0, 0), (0, 0), None), 6, 30, pixels=1000)
+    plan = sampling(FocalSpot((0, 0), (0, 0), None), 6, 30, pixels=1000)
     assert plan.samples == 2 and len(plan.shift) == 9
     inner = (np.arange(2) + 0.5) / 2 - 0.5
     along = np.unique(np.round(plan.shift[:, :1] + inner, 9))
@@ -106,7 +108,7 @@ def test_point_source_is_sampled_on_one_even_lattice():
 
 
 def test_gaussian_spot_has_its_mean_and_spread():
-    plan = sampling(Spot((0, 0), (0.008, 0.024), None), 3, 64, pixels=1000)
+    plan = sampling(FocalSpot((0, 0), (0.008, 0.024), None), 3, 64, pixels=1000)
     np.testing.assert_allclose(plan.spot_mm.mean(axis=0), 0, atol=1e-15)
     # Strata stand for themselves by their means: 64 of them hold 98.6 % of the variance.
     np.testing.assert_allclose(plan.spot_mm.std(axis=0), [0.008, 0.024], rtol=0.01)
@@ -122,8 +124,8 @@ def test_image_spot_takes_its_mean_and_spread_from_the_image(tmp_path):
     weights[5:10, 10:30] = 1.0  # row 0 at -v
     weights.tofile(tmp_path / "spot.raw")
     image = RawImage(tmp_path / "spot.raw", "<f4", 40, 20, 0)
-    points = sampling(Spot((0.4, 0.2), (0, 0), image), 3, 200, pixels=1000).spot_mm
+    points = sampling(FocalSpot((0.4, 0.2), (0, 0), image), 3, 200, pixels=1000).spot_mm
     np.testing.assert_allclose(points.mean(axis=0), [0, -0.025], atol=1e-4)
     np.testing.assert_allclose(points.std(axis=0), [0.2 / 12**0.5, 0.05 / 12**0.5], rtol=0.01)
     with pytest.raises(InputError, match="spot.raw"):
-        sampling(Spot((1, 1), (0, 0), RawImage(image.path, "<f4", 41, 20, 0)), 3, 9, pixels=9)
+        sampling(FocalSpot((1, 1), (0, 0), RawImage(image.path, "<f4", 41, 20, 0)), 3, 9, pixels=9)

@@ -1,0 +1,87 @@
+"""Grey images: raw numbers, NumPy arrays and pictures in, TIFF out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from twinct.errors import InputError
+from twinct.files.reading import reason
+from twinct.files.writing import complete
+from twinct.geometry import Floats
+
+
+@dataclass(frozen=True)
+class RawImage:
+    """Bare numbers in a file, row by row.
+
+    Attributes:
+        path: the file.
+        kind: numpy's name of the number type, byte order included.
+        columns: 0 where it is not known.
+        rows: 0 where it is not known.
+        header: bytes to skip.
+    """
+
+    path: Path
+    kind: str
+    columns: int
+    rows: int
+    header: int
+
+
+def read_image(
+    file: Path | RawImage, what: str, shape: tuple[int, int] | None = None
+) -> NDArray[np.float64]:
+    """One grey image, (rows, columns): raw, .npy, or a picture.
+
+    Args:
+        file: where it is.
+        what: it shows, for messages.
+        shape: rows and columns that it must have; a raw one is read by it.
+
+    Raises:
+        InputError: it cannot be read, or has another shape; names the file.
+    """
+    if isinstance(file, RawImage):
+        path, image = file.path, _raw(file, shape or (file.rows, file.columns))
+    else:
+        path, image = file, _picture(file, what)
+    if shape is not None and image.shape != shape:
+        raise InputError(f"{path}: an image of {image.shape} pixels for {what}, expected {shape}")
+    return image
+
+
+def _raw(file: RawImage, shape: tuple[int, int]) -> Floats:
+    try:
+        data = file.path.read_bytes()[file.header :]
+        return np.frombuffer(data, dtype=file.kind).reshape(shape).astype(np.float64)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file.path}: cannot be read as an image: {reason(error)}") from None
+
+
+def _picture(path: Path, what: str) -> Floats:
+    try:
+        if path.suffix == ".npy":
+            image = np.load(path, allow_pickle=False)
+        else:
+            from skimage import io
+
+            image = io.imread(path, as_gray=True)
+        if image.dtype.kind not in "biuf":
+            raise ValueError
+        return np.asarray(image, dtype=float)
+    except Exception as error:  # readers of pictures raise what they like, and speak of themselves
+        kind = "array of numbers as numpy.save writes it" if path.suffix == ".npy" else "picture"
+        cause = getattr(error, "strerror", None) or f"it holds no {kind}"
+        raise InputError(f"{path}: cannot be read as the image of {what}: {cause}") from None
+
+
+def write_tiff(path: Path, pixels: NDArray[np.generic]) -> None:
+    """Write an image as little-endian TIFF without compression; never leaves half a file."""
+    with complete(path) as draft:
+        tifffile.imwrite(draft, pixels, byteorder="<", photometric="minisblack", metadata=None)

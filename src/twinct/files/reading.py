@@ -1,0 +1,12 @@
+"""Why a file cannot be read."""
+
+from __future__ import annotations
+
+
+def reason(error: Exception) -> str:
+    """The cause in words, without error numbers."""
+    if isinstance(error, IsADirectoryError):
+        return "it is a folder"
+    if isinstance(error, UnicodeDecodeError):
+        return "not UTF-8 text"
+    return getattr(error, "strerror", None) or str(error)

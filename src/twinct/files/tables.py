@@ -1,0 +1,60 @@
+"""Tables of numbers in text files: spectra, efficiencies, characteristics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from twinct.errors import InputError
+from twinct.files.reading import reason
+from twinct.geometry import Floats
+
+
+def read_columns(path: Path, columns: int, *, more: bool = False) -> Floats:
+    """Columns of finite numbers from a text file, (columns, rows); ``#`` starts a comment.
+
+    Blanks, commas or semicolons stand between them.
+
+    Args:
+        path: the file.
+        columns: how many there are. Another number is refused: nobody can tell which are meant.
+        more: others may follow, and are left out.
+
+    Raises:
+        InputError: it cannot be read; names the file.
+    """
+    wanted = f"not {columns} columns of numbers"
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {wanted}: {reason(error)}") from None
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        try:
+            row = [float(word) for word in (words[:columns] if more else words)]
+        except ValueError as error:
+            raise InputError(f"{path}:{number}: {wanted}: {error}") from None
+        if len(row) != columns:
+            raise InputError(f"{path}:{number}: columns: {len(row)}, not {columns}")
+        if not np.isfinite(row).all():
+            raise InputError(f"{path}:{number}: {line.strip()!r}: the numbers must be finite")
+        rows.append(row)
+    if not rows:
+        raise InputError(f"{path}: the file holds no numbers")
+    return np.array(rows).T
+
+
+def read_curve(path: Path) -> tuple[Floats, Floats]:
+    """The first two columns of a text file: a curve over its first.
+
+    Raises:
+        InputError: as ``read_columns``, or the first column does not rise; names the file.
+    """
+    places, values = read_columns(path, 2, more=True)
+    if (np.diff(places) <= 0).any():
+        raise InputError(f"{path}: the first column must rise from line to line")
+    return places, values
