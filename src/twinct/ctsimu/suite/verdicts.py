@@ -54,17 +54,9 @@ def _noise(results: Path) -> list[Verdict]:
 
 
 def _distance(results: Path) -> list[Verdict]:
-    table = np.loadtxt(results / "2D-FB-2_summary.txt")
-    worst = float(np.abs(table[:, 4]).max())
-    return [
-        Verdict(
-            "2D-FB-2",
-            "largest deviation from the analytic profile",
-            "at most 0.1 %",
-            f"{worst:.3f} %",
-            worst <= 0.1,
-        )
-    ]
+    worst = float(np.abs(np.loadtxt(results / "2D-FB-2_summary.txt")[:, 4]).max())
+    what = "largest deviation from the analytic profile"
+    return [Verdict("2D-FB-2", what, "at most 0.1 %", f"{worst:.3f} %", worst <= 0.1)]
 
 
 def _coverage(results: Path) -> list[Verdict]:
@@ -91,39 +83,25 @@ def _spots(results: Path) -> list[Verdict]:
         text = (results / f"2D-WE-1_{key}_summary.txt").read_text()
         sigma = 1000 * _number(text, r"measured:\s+sigma.*\n\s+\[mm\] = (\S+)")
         frequency = _number(text, r"MTF20 measured:.*\n\s+\[cycles/mm\] = (\S+)")
-        for what, value, wanted, unit in (
-            ("LSF sigma", sigma, sigma_um, "um"),
-            ("MTF20", frequency, mtf20, "/mm"),
-        ):
-            deviation = value / wanted - 1
-            found.append(
-                Verdict(
-                    "2D-WE-1",
-                    f"{key}: {what}",
-                    f"{wanted} {unit} within 5 %",
-                    f"{value:.3f} {unit} ({100 * deviation:+.2f} %)",
-                    abs(deviation) <= 0.05,
-                )
-            )
+        found.append(_near("2D-WE-1", f"{key}: LSF sigma", sigma, sigma_um, "um"))
+        found.append(_near("2D-WE-1", f"{key}: MTF20", frequency, mtf20, "/mm"))
     return found
 
 
 def _wires(results: Path) -> list[Verdict]:
     found = []
-    for key, nominal in (("SR75", 0.075), ("SR150", 0.15)):
+    for key, nominal_um in (("SR75", 75.0), ("SR150", 150.0)):
         text = (results / f"2D-DW-1_{key}_results.txt").read_text()
-        value = _number(text, r"iSRb: (\S+)")
-        deviation = value / nominal - 1
-        found.append(
-            Verdict(
-                "2D-DW-1",
-                f"{key}: iSRb",
-                f"{1000 * nominal:g} um within 5 %",
-                f"{1000 * value:.2f} um ({100 * deviation:+.2f} %)",
-                abs(deviation) <= 0.05,
-            )
-        )
+        value_um = 1000 * _number(text, r"iSRb: (\S+)")
+        found.append(_near("2D-DW-1", f"{key}: iSRb", value_um, nominal_um, "um"))
     return found
+
+
+def _near(test: str, what: str, value: float, wanted: float, unit: str) -> Verdict:
+    """A figure that must be met within 5 %."""
+    off = value / wanted - 1
+    measured = f"{value:.3f} {unit} ({100 * off:+.2f} %)"
+    return Verdict(test, what, f"{wanted:g} {unit} within 5 %", measured, abs(off) <= 0.05)
 
 
 def _scintillators(results: Path) -> list[Verdict]:
@@ -143,15 +121,9 @@ def _scintillators(results: Path) -> list[Verdict]:
             asked, passed = "Monte Carlo uncertainty + 2 %", worst <= 1
         elif name.endswith("_Fe_100"):  # see IRON_STEPS_MM
             asked = "nothing: the steps were taken from this reference"
-        found.append(
-            Verdict(
-                "2D-SW-1",
-                f"{name}: ratios to D1, primary radiation",
-                asked,
-                f"largest deviation {100 * relative:.2f} %, {worst:.2f} of what is allowed",
-                passed,
-            )
-        )
+        what = f"{name}: ratios to D1, primary radiation"
+        measured = f"largest deviation {100 * relative:.2f} %, {worst:.2f} of what is allowed"
+        found.append(Verdict("2D-SW-1", what, asked, measured, passed))
     return found
 
 
