@@ -8,10 +8,11 @@ import numpy as np
 import trimesh
 
 from twinct import scenario
-from twinct.errors import SpecimenError
+from twinct.files.meshes import read_mesh
 from twinct.scenario import Shape
+from twinct.specimen.shells import joined_shells
 from twinct.specimen.skull import skull_surface
-from twinct.specimen.surface import open_edges, surface
+from twinct.specimen.surface import surface
 from twinct.specimen.volumes import ct_surface
 
 SPHERE_SUBDIVISIONS = 6
@@ -63,52 +64,10 @@ def _cylinder(radius: float, height: float) -> trimesh.Trimesh:
     return surface(rod.vertices * (fit, fit, 1.0), rod.faces)
 
 
-_KNOWN = "STL, PLY and OBJ files are known"
-
-
 def _mesh_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
     where = f"part {name!r}: mesh file {shape.path}"
-    if shape.path.is_dir():
-        raise SpecimenError(f"{where} is a folder; the name of one file is needed")
-    if not shape.path.is_file():
-        raise SpecimenError(f"{where} does not exist")
-    try:
-        mesh = trimesh.load(shape.path, force="mesh")
-    except ImportError:  # trimesh looks for a guesser of encodings where text is none it knows
-        raise SpecimenError(f"{where} is no mesh: {_KNOWN}") from None
-    except Exception as error:  # trimesh's readers raise whatever their format brings
-        raise SpecimenError(
-            f"{where} cannot be read ({type(error).__name__}: {error}); {_KNOWN}"
-        ) from None
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise SpecimenError(f"{where} holds no triangles")
-    if not np.isfinite(mesh.vertices).all():
-        raise SpecimenError(f"{where} holds vertices that are not finite")
-    mesh = _mended(mesh)
-    if not mesh.is_watertight:
-        raise SpecimenError(
-            f"{where} is open: {open_edges(mesh)} of {len(mesh.edges_unique)} edges do not join "
-            "exactly two triangles. X-ray path lengths need a closed surface; close it in a "
-            "mesh editor"
-        )
-    if not mesh.is_winding_consistent or not mesh.volume > 0:
-        raise SpecimenError(f"{where} has triangles whose inside and outside cannot be told apart")
+    mesh = read_mesh(shape.path, where)
     vertices = mesh.vertices * shape.unit_mm
     if shape.centre:
         vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    return surface(vertices, mesh.faces)
-
-
-def _mended(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Merge equal vertices, drop collapsed and repeated triangles, turn all normals outwards."""
-    mesh = mesh.copy()
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    mesh.update_faces(mesh.nondegenerate_faces(height=0.0))
-    mesh.update_faces(mesh.unique_faces())
-    mesh.remove_unreferenced_vertices()
-    if mesh.is_watertight:
-        if not mesh.is_winding_consistent:
-            trimesh.repair.fix_winding(mesh)
-        if mesh.volume < 0:
-            mesh.invert()
-    return mesh
+    return joined_shells(surface(vertices, mesh.faces), where)

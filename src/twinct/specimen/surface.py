@@ -138,9 +138,3 @@ def subtract(
 
 def _boxes_meet(a: trimesh.Trimesh, b: trimesh.Trimesh) -> bool:
     return bool((a.bounds[0] <= b.bounds[1]).all() and (b.bounds[0] <= a.bounds[1]).all())
-
-
-def open_edges(mesh: trimesh.Trimesh) -> int:
-    """Number of edges that do not join exactly two triangles."""
-    _, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    return int((counts != 2).sum())

@@ -1,0 +1,110 @@
+"""One solid from the shells of a mesh: what lies in two of them counts once."""
+
+from __future__ import annotations
+
+import logging
+
+import manifold3d
+import numpy as np
+import trimesh
+
+from twinct.errors import SpecimenError
+from twinct.specimen.surface import from_manifold, surface, to_manifold
+
+log = logging.getLogger(__name__)
+
+TOUCH = 1e-7
+"""A smaller share of the volume is rounding of shells that touch, in single precision."""
+
+
+def joined_shells(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
+    """The solid that the shells of a mesh make together.
+
+    Shells turned outwards are bodies and are united; shells turned inwards are the cavities of the
+    smallest body around them. A mesh whose shells do not meet comes back as it is.
+
+    Args:
+        mesh: closed, all triangles of a shell turned the same way, mm.
+        where: what messages call it.
+
+    Raises:
+        SpecimenError: a shell turned inwards lies in no other shell, or crosses one; or a shell is
+            no solid.
+    """
+    shells = _shells(mesh)
+    if len(shells) == 1:
+        return mesh
+    bodies = [_solid(shell, where) for shell in shells if shell.volume > 0]
+    cavities = [_solid(_turned(shell), where) for shell in shells if not shell.volume > 0]
+    least = TOUCH * float(sum(body.volume() for body in bodies))
+    whole, holes = _sum(bodies), _sum(cavities)
+    once = float(mesh.volume)
+    if abs((whole - holes).volume() - once) < least and abs(_excess(cavities, holes)) < least:
+        return mesh
+    for cavity in cavities:
+        _carve(bodies, cavity, least, where)
+    solid = _sum(bodies)
+    twice = once - solid.volume()
+    if twice < least:  # bodies within cavities of others
+        return mesh
+    log.warning(
+        "%s: its %d shells overlap; what lies in several of them (%.3g mm^3 in all) counts once",
+        where,
+        len(shells),
+        twice,
+    )
+    return from_manifold(solid)
+
+
+def _shells(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
+    labels = trimesh.graph.connected_component_labels(
+        mesh.face_adjacency, node_count=len(mesh.faces)
+    )
+    order = np.argsort(labels, kind="stable")
+    shells = []
+    for faces in np.split(order, np.cumsum(np.bincount(labels))[:-1]):
+        corners, local = np.unique(mesh.faces[faces], return_inverse=True)
+        shells.append(surface(mesh.vertices[corners], local.reshape(-1, 3)))
+    return shells
+
+
+def _turned(shell: trimesh.Trimesh) -> trimesh.Trimesh:
+    return surface(shell.vertices, shell.faces[:, ::-1])
+
+
+def _solid(shell: trimesh.Trimesh, where: str) -> manifold3d.Manifold:
+    solid = to_manifold(shell)
+    if solid.is_empty():
+        raise SpecimenError(
+            f"{where} has several shells, and the one {_at(shell.bounds)} is no solid: whether it "
+            "overlaps another cannot be told"
+        )
+    return solid
+
+
+def _sum(solids: list[manifold3d.Manifold]) -> manifold3d.Manifold:
+    return manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+
+
+def _excess(solids: list[manifold3d.Manifold], united: manifold3d.Manifold) -> float:
+    return sum(solid.volume() for solid in solids) - united.volume()
+
+
+def _carve(
+    bodies: list[manifold3d.Manifold], cavity: manifold3d.Manifold, least: float, where: str
+) -> None:
+    """Take a cavity out of the smallest body around it."""
+    for i in sorted(range(len(bodies)), key=lambda i: bodies[i].volume()):
+        if (cavity - bodies[i]).volume() < least < (cavity ^ bodies[i]).volume():
+            bodies[i] = bodies[i] - cavity
+            return
+    place = _at(np.reshape(cavity.bounding_box(), (2, 3)))
+    raise SpecimenError(
+        f"{where}: the shell {place} is turned inside out, as a cavity is, but "
+        "does not lie within another shell; turn or move it in a mesh editor"
+    )
+
+
+def _at(bounds: np.ndarray) -> str:
+    x, y, z = bounds.mean(axis=0)
+    return f"around ({x:.3g}, {y:.3g}, {z:.3g}) mm"
