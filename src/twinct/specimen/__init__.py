@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from twinct.specimen.build import BuiltPart, BuiltSpecimen, build_specimen
 from twinct.specimen.materials import Material, material, material_names
+from twinct.specimen.size import SpecimenSize, specimen_size
 from twinct.specimen.voxels import volume_fractions
 
 __all__ = [
     "BuiltPart",
     "BuiltSpecimen",
     "Material",
+    "SpecimenSize",
     "build_specimen",
     "material",
     "material_names",
+    "specimen_size",
     "volume_fractions",
 ]
