@@ -73,7 +73,16 @@ class MemoryShortageError(InputError):
 
 
 class MotionError(TwinctError):
-    """The simulated arms did not do what was asked of them."""
+    """The simulated arms did not do what was asked of them.
+
+    Attributes:
+        arms: ``source`` and ``detector``, as far as they are the cause.
+    """
+
+    def __init__(self, message: str, arms: Iterable[str] = ()) -> None:
+        """Say what happened, and to which arms."""
+        super().__init__(message)
+        self.arms = tuple(arms)
 
 
 class TargetRefusedError(MotionError):

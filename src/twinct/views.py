@@ -160,6 +160,10 @@ class PosePairs:
         """(``world_from_source``, ``world_from_detector``) of one view."""
         return self.source[view], self.detector[view]
 
+    def targets(self) -> list[Target]:
+        """The same, in the numbers that the links carry."""
+        return [Target.from_poses(*self[view]) for view in range(len(self))]
+
     def geometry(self, panel: Panel) -> ScanGeometry:
         """The scan geometry these poses make."""
         return ScanGeometry.from_poses(self.source, self.detector, panel)

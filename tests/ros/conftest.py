@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from twinct.ros.environment import Domain
-from twinct.ros.robots_node import own_targets
+from twinct.scan import Workshop
 from twinct.scenario import Scenario, load_scenario
 from twinct.views import Target
 
@@ -47,7 +47,7 @@ def short() -> Scenario:
 
 @pytest.fixture(scope="module")
 def targets(scenario: Scenario) -> list[Target]:
-    return own_targets(scenario)
+    return Workshop(scenario).targets
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +79,9 @@ class Notes:
 
     def render_takes(self, seconds: float) -> None:
         (self.folder / "render_s").write_text(str(seconds))
+
+    def images_shrink(self, wrong: bool) -> None:
+        (self.folder / "one_pixel").write_text(str(int(wrong)))
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from twinct.errors import TwinctError
 from twinct.ros import RosRig
-from twinct.ros.robots_node import own_targets
+from twinct.scan import Workshop
 from twinct.scenario import load_scenario
 
 scenario = load_scenario(sys.argv[1])
-targets = own_targets(scenario)
+targets = Workshop(scenario).targets
 command = sys.executable, str(Path(__file__).with_name("fake_node.py"))
 try:
     with RosRig(scenario, node_command=command, log_dir=Path(sys.argv[2])) as rig:

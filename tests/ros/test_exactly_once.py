@@ -23,7 +23,8 @@ from twinct.ros.messages import (
 )
 from twinct.ros.node import Ledger, RefusedError
 from twinct.ros.processes import NodeProcess
-from twinct.ros.robots_node import Turns, own_targets
+from twinct.ros.robots_node import Turns
+from twinct.scan import Workshop
 from twinct.views import Target
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
@@ -267,7 +268,7 @@ def test_a_late_x_ray_node_images_the_view_that_was_reached(
 
 
 def test_the_command_line_starts_the_real_nodes(short, foreign, domain, node):
-    targets = own_targets(short)
+    targets = Workshop(short).targets
     somebody = foreign(domain)
     out = somebody.publisher("/scan/target", PoseArray)
     images = somebody.listen("/xray/image", Image)

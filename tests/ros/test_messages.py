@@ -31,7 +31,7 @@ def reached(random_pose):
         position=rng.normal(size=3),
         velocity=rng.normal(size=3),
         effort=rng.normal(size=3) * 1e-300,
-        state=np.concatenate([rng.normal(size=40), [np.nextafter(0, 1), -0.0, np.inf]]),
+        state=np.concatenate([rng.normal(size=40), [np.nextafter(0, 1), -0.0, 1e308]]),
         time_s=1 / 3,
         clearance_mm=float(np.nextafter(10, 11)),
     )
@@ -53,7 +53,8 @@ def test_reached_round_trip(reached):
     state = over_the_wire(messages.state_message(STAMP, reached))
     assert Stamp.of(joints.header.stamp) == messages.state_stamp(state) == STAMP
 
-    back = messages.reached_of(messages.executed_of(poses), joints, state)
+    parts = messages.executed_of(poses), messages.joints_of(joints), messages.state_of(state)
+    back = messages.reached_of(*parts)
 
     for name in ("source_m", "object_m", "detector_m", "joint_names", "time_s", "clearance_mm"):
         assert getattr(back, name) == getattr(reached, name), name
@@ -63,7 +64,7 @@ def test_reached_round_trip(reached):
 
 def test_image_round_trip():
     image = np.random.default_rng(2).normal(size=(24, 32)).astype(np.float32)
-    image[0, :3] = np.nan, np.inf, -0.0
+    image[0, :3] = np.nextafter(np.float32(0), np.float32(1)), 3e38, -0.0
 
     message = over_the_wire(messages.image_message(STAMP, image))
 
@@ -72,11 +73,62 @@ def test_image_round_trip():
     assert messages.image_of(message).tobytes() == image.tobytes()
 
 
-def test_image_of_other_encodings_is_refused():
-    message = messages.image_message(STAMP, np.zeros((2, 2), np.float32))
-    message.encoding = "mono16"
-    with pytest.raises(MalformedError, match="mono16.*32FC1"):
-        messages.image_of(message)
+def spoilt(message, **attributes):
+    for name, value in attributes.items():
+        setattr(message, name, value)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda m: spoilt(m, encoding="mono16"), "mono16.*32FC1"),
+        (lambda m: spoilt(m, step=4), "4 bytes a row, expected 32FC1 of 12"),
+        (lambda m: spoilt(m, data=m.data[:-4]), "20 bytes, expected 24"),
+        (lambda m: spoilt(m, data=b"\0\0\xc0\x7f" * 6), "6 pixels are not finite"),
+        (
+            lambda _: messages.image_message(STAMP, np.ones((1, 1), "f4")),
+            "1 x 1 px, expected 3 x 2",
+        ),
+        (
+            lambda _: messages.image_message(STAMP, np.ones((1, 3), "f4")),
+            "3 x 1 px, expected 3 x 2",
+        ),
+    ],
+)
+def test_what_is_no_image_of_the_panel_is_refused(spoil, reason):
+    message = messages.image_message(STAMP, np.zeros((2, 3), np.float32))
+    assert messages.image_of(message, (2, 3)).shape == (2, 3)
+    with pytest.raises(MalformedError, match=reason):
+        messages.image_of(spoil(message), (2, 3))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda m: spoilt(m, data=[]), "data has 0 numbers, expected 45"),
+        (lambda m: spoilt(m, data=m.data[:-1]), "data has 44 numbers, expected 45"),
+        (lambda m: spoilt(m, data=[np.nan, *m.data[1:]]), "data holds nan"),
+        (lambda m: m.layout.dim[0].__setattr__("size", 0) or spoilt(m, data=m.data[:2]), "no sim"),
+    ],
+)
+def test_what_is_no_state_is_refused(reached, spoil, reason):
+    message = messages.state_message(STAMP, reached)
+    with pytest.raises(MalformedError, match=reason):
+        messages.state_of(spoil(message))
+
+
+@pytest.mark.parametrize(
+    ("attributes", "reason"),
+    [
+        ({"name": []}, "no joints"),
+        ({"effort": [1.0]}, "effort has 1 numbers, expected 3"),
+        ({"velocity": [0.0, np.inf, 0.0]}, "velocity holds inf"),
+    ],
+)
+def test_what_are_no_joints_is_refused(reached, attributes, reason):
+    with pytest.raises(MalformedError, match=reason):
+        messages.joints_of(spoilt(messages.joints_message(STAMP, reached), **attributes))
 
 
 def test_camera_info_projects_like_the_geometry(random_geometry):
@@ -113,6 +165,13 @@ def test_what_is_no_target_is_refused(spoil, reason):
     spoil(message)
     with pytest.raises(MalformedError, match=reason):
         messages.target_of(message)
+
+
+def test_a_reached_pose_that_is_none_is_named(reached):
+    message = messages.reached_message(STAMP, messages.executed(reached))
+    message.poses[1].position.y = np.nan
+    with pytest.raises(MalformedError, match="pose 1, object_m: .*not finite"):
+        messages.executed_of(message)
 
 
 def test_epoch_follows_from_the_scenario_and_names_views(scenario):

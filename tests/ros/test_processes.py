@@ -13,7 +13,7 @@ import pytest
 from twinct.errors import InputError, LinkError
 from twinct.ros import RosRig
 from twinct.ros.environment import Domain, sweep_shared_memory
-from twinct.ros.robots_node import own_targets
+from twinct.scan import Workshop
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -87,7 +87,7 @@ def test_a_node_that_dies_takes_the_other_with_it_while_nobody_asks(scenario, fa
         os.kill(robots, signal.SIGKILL)
         assert gone([robots, xray], END_S)
         with pytest.raises(LinkError, match="robots node was ended by SIGKILL"):
-            rig.move(0, own_targets(scenario)[0])
+            rig.move(0, Workshop(scenario).targets[0])
 
 
 def test_a_killed_parent_takes_its_nodes_with_it_even_at_work(scan, gone, notes):
@@ -140,7 +140,7 @@ def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_comm
     ) as follower:
         try:
             assert follower.stdout.readline() == b"waiting for images\n"
-            targets = own_targets(scenario)
+            targets = Workshop(scenario).targets
             with closing(RosRig(scenario, node_command=fake_command, domain=domain)) as rig:
                 for view, target in enumerate(targets):
                     rig.move(view, target)
@@ -159,7 +159,7 @@ def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_comm
 
 
 def test_each_node_logs_its_start_and_its_views(scenario, fake_command, tmp_path):
-    targets = own_targets(scenario)
+    targets = Workshop(scenario).targets
     with closing(RosRig(scenario, node_command=fake_command, log_dir=tmp_path)) as rig:
         for view in range(2):
             rig.move(view, targets[view])

@@ -8,8 +8,7 @@ import pytest
 
 from twinct.errors import LinkError, MotionError
 from twinct.ros import RosRig
-from twinct.ros.robots_node import own_targets
-from twinct.scan import LocalRig, build_imager, build_robots, commanded_targets
+from twinct.scan import LocalRig, Workshop, build_imager, build_robots
 from twinct.scenario import parse_scenario
 from twinct.views import Reached, Target
 
@@ -96,15 +95,11 @@ def test_contract(make, scenario, targets, fakes, fake_command):
             rig.move(3, targets[3])
 
 
-def test_the_nodes_know_the_targets_of_the_scan(scenario):
-    assert own_targets(scenario) == commanded_targets(scenario)
-
-
 @pytest.mark.parametrize("physics", [False, True], ids=["ideal", "physics"])
 def test_real_engines_give_the_same_bits_over_both_links_and_after_a_resume(short, physics):
     if physics:
         short = parse_scenario(json.loads(short.resolved()) | PHYSICS)
-    targets = commanded_targets(short)
+    targets = Workshop(short).targets
     rig = LocalRig(build_robots(short), build_imager(short), short.detector.panel)
     local = take(rig, targets)
     ros = take(RosRig(short), targets)

@@ -18,12 +18,8 @@ from twinct.ctsimu.scene import Sample
 from twinct.errors import SpecimenError
 from twinct.files.meshes import open_edges
 from twinct.geometry import Floats, Pose
-<<<<<<< HEAD:src/twinct/ctsimu/solids.py
-from twinct.specimen.surface import open_edges, subtract, surface
+from twinct.specimen.surface import subtract, surface
 from twinct.xray._placement import corners, longest_edge, split
-=======
-from twinct.specimen.surface import refined, subtract, surface
->>>>>>> f38e438 (Shells of one mesh file that overlap count once; the reader of meshes in files):src/twinct/ctsimu/bodies.py
 
 OVERLAP = 1e-9
 """A smaller share of a volume than this is rounding of two faces that touch."""

@@ -35,6 +35,7 @@ def main(
     parser.add_argument("node", choices=["robots", "xray"])
     parser.add_argument("scenario", type=Path)
     parser.add_argument("--epoch")
+    parser.add_argument("--members", type=Path, help="where the scan's processes say who they are")
     parser.add_argument("--first-view", type=int, default=0)
     parser.add_argument("--restore", type=Path)
     parser.add_argument("--lifeline", action="store_true", help="end when stdin does")
@@ -42,7 +43,10 @@ def main(
     try:
         limit_threads()
         require_ros()
+        from twinct.ros.senders import Members
+
         scenario = load_scenario(given.scenario)
+        members = Members(given.members) if given.members else None
         if given.node == "robots":
             from twinct.ros.robots_node import spin_robots
 
@@ -51,12 +55,19 @@ def main(
                 epoch=given.epoch,
                 first_view=given.first_view,
                 restore=given.restore,
+                members=members,
                 lifeline=given.lifeline,
                 build=build_robots,
             )
         from twinct.ros.xray_node import spin_xray
 
-        return spin_xray(scenario, epoch=given.epoch, lifeline=given.lifeline, build=build_imager)
+        return spin_xray(
+            scenario,
+            epoch=given.epoch,
+            members=members,
+            lifeline=given.lifeline,
+            build=build_imager,
+        )
     except TwinctError as error:
         sys.stderr.write(f"twinct: {error}\n")
         return error.exit_code

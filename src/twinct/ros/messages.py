@@ -8,7 +8,7 @@ its stamp as ``SECONDS.NANOSECONDS``, the nanoseconds with nine digits.
 from __future__ import annotations
 
 import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 from twinct.geometry import ScanGeometry
 from twinct.scenario import Scenario, stage_digests
-from twinct.views import Instant, Reached, SevenNumbers, Target
+from twinct.views import Instant, Reached, SevenNumbers, Target, from_seven
 
 WORLD_FRAME = "world"
 IMAGE_FRAME = "detector_optical"
@@ -130,7 +130,22 @@ def _poses(
     count = len(message.poses)
     if count != len(names) and not (repeated and count and count % len(names) == 0):
         raise MalformedError(f"{count} poses, expected {len(names)}: {', '.join(names)}")
-    return tuple(_numbers(pose) for pose in message.poses)
+    poses = tuple(_numbers(pose) for pose in message.poses)
+    for i, numbers in enumerate(poses):
+        try:
+            from_seven(numbers)
+        except ValueError as error:
+            raise MalformedError(f"pose {i}, {names[i % len(names)]}: {error}") from None
+    return poses
+
+
+def _finite(values: Sequence[float], what: str, count: int | None = None) -> NDArray[np.float64]:
+    numbers = np.array(values, dtype=np.float64)
+    if count is not None and len(numbers) != count:
+        raise MalformedError(f"{what} has {len(numbers)} numbers, expected {count}")
+    if not np.isfinite(numbers).all():
+        raise MalformedError(f"{what} holds {numbers[~np.isfinite(numbers)][0]}")
+    return numbers
 
 
 def target_message(stamp: Stamp, target: Target) -> PoseArray:
@@ -145,12 +160,7 @@ def target_of(message: PoseArray) -> Target:
     Raises:
         MalformedError: not two poses in the world frame, or not poses at all.
     """
-    target = Target(*_poses(message, ("source", "detector")))
-    try:
-        _ = target.source, target.detector
-    except ValueError as error:
-        raise MalformedError(str(error)) from None
-    return target
+    return Target(*_poses(message, ("source", "detector")))
 
 
 class Executed(NamedTuple):
@@ -219,6 +229,30 @@ def joints_message(stamp: Stamp, reached: Reached) -> JointState:
     )
 
 
+class Joints(NamedTuple):
+    """What ``/joint_states`` carries: names, rad, rad/s and N m, (joints,)."""
+
+    names: tuple[str, ...]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    effort: NDArray[np.float64]
+
+
+def joints_of(message: JointState) -> Joints:
+    """From ``/joint_states``.
+
+    Raises:
+        MalformedError: no joints, or not a finite position, speed and torque of each.
+    """
+    count = len(message.name)
+    if not count:
+        raise MalformedError("no joints")
+    numbers = [
+        _finite(getattr(message, what), what, count) for what in ("position", "velocity", "effort")
+    ]
+    return Joints(tuple(message.name), *numbers)
+
+
 def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
     """For ``/scan/state``: simulated time in s, clearance in mm, then the simulator's state."""
     message = Float64MultiArray()
@@ -240,9 +274,28 @@ def state_stamp(message: Float64MultiArray) -> Stamp | None:
         return None
 
 
-def reached_of(
-    poses: Executed, joints: JointState, state: Float64MultiArray, samples: int = 1
-) -> Reached:
+class State(NamedTuple):
+    """What ``/scan/state`` carries; the full simulator state is (n,)."""
+
+    time_s: float
+    clearance_mm: float
+    simulator: NDArray[np.float64]
+
+
+def state_of(message: Float64MultiArray) -> State:
+    """From ``/scan/state``.
+
+    Raises:
+        MalformedError: another number of values than its layout says, or one that is not finite.
+    """
+    size = message.layout.dim[0].size
+    time_s, clearance_mm, *_ = numbers = _finite(message.data, "data", 2 + size)
+    if not size:
+        raise MalformedError("no simulator state")
+    return State(float(time_s), float(clearance_mm), numbers[2:])
+
+
+def reached_of(poses: Executed, joints: Joints, state: State, samples: int = 1) -> Reached:
     """What was reached, from the three messages that carry it.
 
     Args:
@@ -254,19 +307,18 @@ def reached_of(
     Raises:
         MalformedError: another number of instants.
     """
-    time_s, clearance_mm = state.data[:2]
     exposure, before = poses.exposure(samples)
     return Reached(
         source_m=poses.view.source_m,
         object_m=poses.view.object_m,
         detector_m=poses.view.detector_m,
-        joint_names=tuple(joints.name),
-        position=np.array(joints.position),
-        velocity=np.array(joints.velocity),
-        effort=np.array(joints.effort),
-        state=np.array(state.data[2:]),
-        time_s=time_s,
-        clearance_mm=clearance_mm,
+        joint_names=joints.names,
+        position=joints.position,
+        velocity=joints.velocity,
+        effort=joints.effort,
+        state=state.simulator,
+        time_s=state.time_s,
+        clearance_mm=state.clearance_mm,
         exposure=exposure,
         before=before,
     )
@@ -294,19 +346,29 @@ def image_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
     return message
 
 
-def image_of(message: Image) -> NDArray[np.float32]:
+def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
     """From ``/xray/image``, (rows, columns).
 
+    Args:
+        message: the image.
+        shape: rows and columns that it must have; any where None.
+
     Raises:
-        MalformedError: not an image of single floats.
+        MalformedError: not an image of finite single floats, or of another shape.
     """
     rows, columns = message.height, message.width
+    if shape is not None and (rows, columns) != shape:
+        raise MalformedError(f"{columns} x {rows} px, expected {shape[1]} x {shape[0]}")
     if message.encoding != IMAGE_ENCODING or message.step != 4 * columns:
         raise MalformedError(
             f"{message.encoding} image of {message.step} bytes a row, "
             f"expected {IMAGE_ENCODING} of {4 * columns}"
         )
+    if len(message.data) != 4 * rows * columns:
+        raise MalformedError(f"{len(message.data)} bytes, expected {4 * rows * columns}")
     pixels = np.frombuffer(message.data, dtype=">f4" if message.is_bigendian else "<f4")
+    if not np.isfinite(pixels).all():
+        raise MalformedError(f"{np.count_nonzero(~np.isfinite(pixels))} pixels are not finite")
     return pixels.reshape(rows, columns).astype(np.float32, copy=False)
 
 
@@ -333,7 +395,7 @@ def camera_message(stamp: Stamp, geometry: ScanGeometry) -> CameraInfo:
     return message
 
 
-OK, ERROR = DiagnosticStatus.OK, DiagnosticStatus.ERROR
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 def diagnostic_message(

@@ -12,12 +12,15 @@ from typing import Generic, Protocol, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray
 
 from twinct.ros.lifeline import Lifeline
-from twinct.ros.messages import ERROR, OK, Stamp, diagnostic_message
+from twinct.ros.messages import ERROR, OK, WARN, Stamp, diagnostic_message
+from twinct.ros.senders import Members, Sender
 from twinct.ros.station import DIAGNOSTICS, Station
 
 Question = TypeVar("Question")
 Answer = TypeVar("Answer")
 
+SCAN, ROBOTS, XRAY = "twinct_scan", "twinct_robots", "twinct_xray"
+"""Names of the three nodes of a scan."""
 FOREVER_S = 1e9
 LISTENERS = 2
 """Subscriptions that a node has on what it answers: ``Station.listen_to_all``."""
@@ -34,13 +37,13 @@ class RefusedError(Exception):
     """A message that a node does not act on.
 
     Attributes:
-        arm: which arm it is about, if one.
+        arms: those it is about.
     """
 
-    def __init__(self, reason: str, arm: str = "") -> None:
+    def __init__(self, reason: str, arms: tuple[str, ...] = ()) -> None:
         """Give the reason."""
         super().__init__(reason)
-        self.arm = arm
+        self.arms = arms
 
 
 class Ledger(Generic[Question, Answer]):
@@ -80,29 +83,43 @@ class Ledger(Generic[Question, Answer]):
             self._answers.popitem(last=False)
 
 
-class Reporter:
-    """Says on ``/diagnostics`` how a node is and what it refuses."""
+class Diagnostics:
+    """Says on ``/diagnostics`` how a node is, what it refuses, and who does not belong there."""
 
-    def __init__(self, station: Station) -> None:
-        """Speak for a station's node."""
-        self._name = station.name
+    def __init__(self, station: Station, tell: Callable[[str], None] = say) -> None:
+        """Speak for a station's node, and tell the same to whom it was started by."""
+        self._station = station
+        self._tell = tell
+        self._strangers: set[tuple[str, str]] = set()
         self._publisher = station.publisher(DIAGNOSTICS, DiagnosticArray, depth=10)
 
     def ready(self) -> None:
         """Say that the node is at work."""
-        message = diagnostic_message(NO_STAMP, self._name, OK, "at work", {})
-        self._publisher.publish(message)
+        self._say(NO_STAMP, OK, "at work", {})
 
     def refuse(self, stamp: Stamp, text: str, values: dict[str, object]) -> None:
         """Say what was refused, and why."""
-        values = {"stamp": stamp, **values}
-        message = diagnostic_message(stamp, self._name, ERROR, text, values)
-        self._publisher.publish(message)
-        say(text)
+        self._say(stamp, ERROR, text, {"stamp": stamp, **values})
+        self._tell(text)
+
+    def stranger(self, topic: str, sender: Sender) -> None:
+        """Say, once, that what somebody sends on a topic is not of this scan and not used."""
+        if (key := (topic, sender.participant)) in self._strangers:
+            return
+        self._strangers.add(key)
+        text = (
+            f"{self._station.name_of(topic, sender)}, not of this scan, speaks on {topic}: unused"
+        )
+        self._say(NO_STAMP, WARN, text, {"topic": topic, "publisher": sender.publisher})
+        self._tell(text)
+
+    def _say(self, stamp: Stamp, level: bytes, text: str, values: dict[str, object]) -> None:
+        name = self._station.name
+        self._publisher.publish(diagnostic_message(stamp, name, level, text, values))
 
 
-class Engine(Protocol):
-    """A simulation."""
+class Simulation(Protocol):
+    """What a node answers with."""
 
     def close(self) -> None:
         """Give everything back."""
@@ -117,26 +134,28 @@ class OpenNode(Protocol):
         ...
 
 
-SomeEngine = TypeVar("SomeEngine", bound=Engine)
+SomeSimulation = TypeVar("SomeSimulation", bound=Simulation)
 
 
 def run_node(
     name: str,
-    build: Callable[[], SomeEngine],
-    open_node: Callable[[Station, Reporter, SomeEngine], OpenNode],
+    build: Callable[[], SomeSimulation],
+    open_node: Callable[[Station, Diagnostics, SomeSimulation], OpenNode],
     *,
     lifeline: bool,
+    members: Members | None,
     largest_message: int = 0,
 ) -> int:
-    """Build an engine, open its node, and handle messages until told to end.
+    """Build a simulation, open its node, and handle messages until told to end.
 
-    The node joins its domain once the engine can answer, so that whoever sees it can use it.
+    The node joins its domain once the simulation can answer, so that whoever sees it can use it.
 
     Args:
         name: of the node.
-        build: makes the engine.
+        build: makes the simulation.
         open_node: makes the endpoints.
         lifeline: end when stdin does.
+        members: of the scan it belongs to.
         largest_message: that the node sends, bytes.
 
     Returns:
@@ -149,15 +168,17 @@ def run_node(
             station.wake()
 
     say(f"{name} starts")
-    with Lifeline(parent=lifeline, on_end=end) as line, closing(build()) as engine:
+    with Lifeline(parent=lifeline, on_end=end) as line, closing(build()) as simulation:
         if line.ended:
             return 0
         station = Station(name, largest_message=largest_message)
         with closing(station):
-            reporter = Reporter(station)
-            node = open_node(station, reporter, engine)
+            if members is not None:
+                members.enter(name, station.participant)
+            diagnostics = Diagnostics(station)
+            node = open_node(station, diagnostics, simulation)
             station.wait(lambda: line.ended or node.connected(), FOREVER_S)
-            reporter.ready()
+            diagnostics.ready()
             say(f"{name} is ready on ROS domain {station.domain_id}")
             station.wait(lambda: line.ended, FOREVER_S)
     say(f"{name} ends")

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -31,22 +34,26 @@ from twinct.ros.messages import (
     OK,
     Epoch,
     Executed,
+    MalformedError,
     Stamp,
     diagnostic_values,
     executed_of,
     image_of,
+    joints_of,
     reached_of,
+    state_of,
     state_stamp,
     target_message,
 )
-from twinct.ros.node import LISTENERS
+from twinct.ros.node import LISTENERS, ROBOTS, SCAN, XRAY, Diagnostics
 from twinct.ros.processes import NodeProcess
-from twinct.ros.robots_node import NAME as ROBOTS
 from twinct.ros.robots_node import describe
+from twinct.ros.senders import Members, Sender
 from twinct.ros.station import DIAGNOSTICS, IMAGE, JOINTS, REACHED, STATE, TARGET, Station
-from twinct.ros.xray_node import NAME as XRAY
 from twinct.scenario import Scenario
 from twinct.views import Reached, Target
+
+log = logging.getLogger(__name__)
 
 NODE_COMMAND = (sys.executable, "-m", "twinct.ros")
 START_S = 900.0
@@ -55,16 +62,6 @@ ANSWER_S = 600.0
 """Time for one answer. A node that dies is noticed at once; this is for one that hangs."""
 FIRST_REPEAT_S, LONGEST_REPEAT_S = 2.0, 60.0
 """A target is sent again after this silence, then after twice as long, and so on."""
-
-
-class _View:
-    """What has come in for one view."""
-
-    def __init__(self) -> None:
-        self.poses: Executed | None = None
-        self.joints: JointState | None = None
-        self.state: Float64MultiArray | None = None
-        self.image: Image | None = None
 
 
 class RosRig:
@@ -109,10 +106,11 @@ class RosRig:
         self.epoch = Epoch.of(scenario)
         self._answer_s = answer_s
         self._samples = scenario.source.motion_samples
-        self._views: dict[Stamp, _View] = {}
+        self._shape = scenario.detector.panel.shape
+        self._views: dict[Stamp, dict[str, Any]] = {}
         self._asked: tuple[int, Stamp, PoseArray] | None = None
         self._ready: set[str] = set()
-        self._refusal: str | None = None
+        self._refusal: TargetRefusedError | None = None
         self._conflict: str | None = None
         self._nodes: list[NodeProcess] = []
         self._ended: list[NodeProcess] = []
@@ -129,12 +127,16 @@ class RosRig:
             self.log_dir = folder if log_dir is None else log_dir
             self.log_dir.mkdir(parents=True, exist_ok=True)
             stack.callback(self._stop_nodes)
-            self._start_nodes(scenario, folder, domain, first_view, start_state, node_command)
-            station = self._station = Station("twinct_scan", self.domain_id)
+            exchange = folder / "exchange"
+            exchange.mkdir()
+            self._members = Members(exchange)
+            self._start_nodes(scenario, exchange, domain, first_view, start_state, node_command)
+            station = self._station = Station(SCAN, self.domain_id)
             stack.callback(station.close)
+            self._members.enter(SCAN, station.participant)
+            self._diagnostics = Diagnostics(station, log.warning)
             self._open(station)
-            for name in ("scenario.json", "start.npy"):  # read; must not outlive a killed parent
-                (folder / name).unlink(missing_ok=True)
+            shutil.rmtree(exchange)  # read by all; must not outlive a killed parent
             self._teardown = stack.pop_all()
 
     def _start_nodes(
@@ -148,7 +150,8 @@ class RosRig:
     ) -> None:
         file = folder / "scenario.json"
         file.write_text(scenario.resolved(), encoding="utf-8")
-        common = [str(file), "--epoch", str(self.epoch), "--lifeline"]
+        scan = ["--epoch", str(self.epoch), "--members", str(folder)]
+        common = [str(file), *scan, "--lifeline"]
         start = ["--first-view", str(first_view)]
         if start_state is not None:
             np.save(folder / "start.npy", start_state)
@@ -177,10 +180,10 @@ class RosRig:
     def _open(self, station: Station) -> None:
         self._target = station.publisher(TARGET, PoseArray)
         heard = [
-            station.listen(REACHED, PoseArray, self._on_reached),
-            station.listen(JOINTS, JointState, self._on_joints),
-            station.listen(STATE, Float64MultiArray, self._on_state),
-            station.listen(IMAGE, Image, self._on_image),
+            self._hear(station, REACHED, PoseArray, ROBOTS, self._poses_of),
+            self._hear(station, JOINTS, JointState, ROBOTS, joints_of),
+            self._hear(station, STATE, Float64MultiArray, ROBOTS, state_of),
+            self._hear(station, IMAGE, Image, XRAY, lambda image: image_of(image, self._shape)),
         ]
         station.listen(DIAGNOSTICS, DiagnosticArray, self._on_diagnostics)
 
@@ -194,62 +197,53 @@ class RosRig:
         if not station.wait(lambda: self._broken() or connected(), START_S):
             raise LinkError(f"the nodes were not at work {START_S:.0f} s after their start")
         self._check()
-        for topic, owner in ((REACHED, ROBOTS), (IMAGE, XRAY)):
-            publishers = station.publishers(topic)
-            if len(publishers) > 1:
-                others = sorted(publishers)
-                raise LinkError(
-                    f"{topic} on ROS domain {self.domain_id} has {len(publishers)} publishers "
-                    f"({', '.join(others)}), expected only {owner} of this scan: "
-                    "end the others, or choose another domain"
-                )
 
-    def _view(self, stamp: Stamp) -> _View | None:
-        """Where to put what comes in for a stamp; None for a stranger's."""
+    def _hear(
+        self, station: Station, topic: str, kind: Any, owner: str, read: Callable[[Any], Any]
+    ) -> Subscription:
+        """Keep what the owner of a topic answers, and nobody else."""
+
+        def keep(message: Any, sender: Sender) -> None:
+            if not self._members.sent(owner, sender):
+                self._diagnostics.stranger(topic, sender)
+                return
+            stamp = state_stamp(message) if topic == STATE else Stamp.of(message.header.stamp)
+            if stamp is None or (view := self._view(stamp)) is None:
+                return
+            try:
+                view[topic] = read(message)
+            except MalformedError as error:
+                self._conflict = f"{topic} of view {self.epoch.view(stamp)}: {error}"
+
+        return station.listen(topic, kind, keep)
+
+    def _view(self, stamp: Stamp) -> dict[str, Any] | None:
+        """What has come in for a stamp, by topic; None for a stamp of no view."""
         if self.epoch.view(stamp) is None:
             return None
-        return self._views.setdefault(stamp, _View())
+        return self._views.setdefault(stamp, {})
 
-    def _on_reached(self, message: PoseArray) -> None:
-        view = self._view(stamp := Stamp.of(message.header.stamp))
-        if view is None:
-            return
-        try:
-            poses = executed_of(message)
-        except ValueError as error:
-            self._conflict = f"{REACHED} at {stamp}: {error}"
-            return
-        if view.poses not in (None, poses):
-            self._conflict = f"{REACHED} has two answers at {stamp}: a stranger speaks there"
-        view.poses = poses
+    def _poses_of(self, message: PoseArray) -> Executed:
+        poses = executed_of(message)
+        poses.exposure(self._samples)
+        return poses
 
-    def _on_joints(self, message: JointState) -> None:
-        if (view := self._view(Stamp.of(message.header.stamp))) is not None:
-            view.joints = message
-
-    def _on_state(self, message: Float64MultiArray) -> None:
-        stamp = state_stamp(message)
-        if stamp is not None and (view := self._view(stamp)) is not None:
-            view.state = message
-
-    def _on_image(self, message: Image) -> None:
-        if (view := self._view(Stamp.of(message.header.stamp))) is not None:
-            view.image = message
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self._ready |= {status.name for status in message.status if status.level == OK}
-        stamp = Stamp.of(message.header.stamp)
-        if self._asked is None or stamp != self._asked[1]:
-            return
-        for status in message.status:
-            if status.level != ERROR:
-                continue
-            values = diagnostic_values(status.values)
-            if status.name == ROBOTS and values.get("target") == describe(self._asked[2]):
-                arm = f" ({values['arm']} arm)" if values.get("arm") else ""
-                self._refusal = f"{values.get('reason', status.message)}{arm}"
-            elif status.name == XRAY:
-                self._conflict = status.message
+    def _on_diagnostics(self, message: DiagnosticArray, sender: Sender) -> None:
+        name = next((n for n in (ROBOTS, XRAY) if self._members.sent(n, sender)), None)
+        for status in message.status if name is not None else ():
+            if status.level == OK:
+                self._ready.add(name)
+            elif status.level == ERROR and self._asked is not None:
+                view, stamp, target = self._asked
+                if stamp != Stamp.of(message.header.stamp):
+                    continue
+                values = diagnostic_values(status.values)
+                if name == XRAY:
+                    self._conflict = status.message
+                elif values.get("target") == describe(target):
+                    arms = [arm for arm in values.get("arm", "").split(", ") if arm]
+                    reason = values.get("reason", status.message)
+                    self._refusal = TargetRefusedError(f"view {view}: {reason}", arms)
 
     def _broken(self) -> bool:
         return self._conflict is not None or bool(self._ended)
@@ -284,28 +278,26 @@ class RosRig:
         stamp = self.epoch.at(view)
         for old in [s for s in self._views if s != stamp]:
             del self._views[old]
-        got = self._views.setdefault(stamp, _View())
+        got = self._views.setdefault(stamp, {})
         self._refusal = None
         self._asked = view, stamp, target_message(stamp, target)
         self._target.publish(self._asked[2])
 
         def done() -> bool:
-            return self._refusal is not None or None not in (got.poses, got.joints, got.state)
+            return self._refusal is not None or got.keys() >= {REACHED, JOINTS, STATE}
 
         self._wait("reached poses", done)
         if self._refusal is not None:
-            raise TargetRefusedError(f"view {view}: {self._refusal}")
-        assert got.poses is not None and got.joints is not None and got.state is not None
-        return reached_of(got.poses, got.joints, got.state, self._samples)
+            raise self._refusal
+        return reached_of(got[REACHED], got[JOINTS], got[STATE], self._samples)
 
     def expose(self, view: int) -> NDArray[np.float32]:
         """See ``Rig.expose``."""
         if self._asked is None or self._asked[0] != view or self._refusal is not None:
             raise ValueError(f"view {view} was not reached: move before you expose")
         got = self._views[self._asked[1]]
-        self._wait("image", lambda: got.image is not None)
-        assert got.image is not None
-        return image_of(got.image)
+        self._wait("image", lambda: IMAGE in got)
+        return got[IMAGE]
 
     def _stop_nodes(self) -> None:
         for node in self._nodes:

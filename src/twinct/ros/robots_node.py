@@ -25,7 +25,17 @@ from twinct.ros.messages import (
     state_message,
     target_of,
 )
-from twinct.ros.node import LISTENERS, Ledger, RefusedError, Reporter, run_node, say
+from twinct.ros.node import (
+    LISTENERS,
+    ROBOTS,
+    SCAN,
+    Diagnostics,
+    Ledger,
+    RefusedError,
+    run_node,
+    say,
+)
+from twinct.ros.senders import Members, Sender
 from twinct.ros.station import CLOCK, JOINTS, REACHED, STATE, TARGET, Station
 from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
@@ -34,7 +44,6 @@ from twinct.views import PosePairs, Reached, Target
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-NAME = "twinct_robots"
 ANSWERS = 10
 """Answers kept for those who are slow or late."""
 
@@ -61,6 +70,7 @@ def spin_robots(
     epoch: str | None = None,
     first_view: int = 0,
     restore: Path | None = None,
+    members: Members | None = None,
     lifeline: bool = False,
     build: Callable[[Scenario], Robots] | None = None,
 ) -> int:
@@ -72,6 +82,7 @@ def spin_robots(
             its turn. None accepts any target.
         first_view: of that scan.
         restore: ``.npy`` file with the simulator state to start from.
+        members: of that scan: only the scan itself may ask for its next view.
         lifeline: end also when stdin does.
         build: makes the simulation, in place of ``build_robots``.
 
@@ -80,9 +91,11 @@ def spin_robots(
     """
     turns = None
     if epoch is not None:
-        turns = Turns(Epoch.parse(epoch), own_targets(scenario), first_view)
+        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+        targets = PosePairs.from_geometry(geometry).targets()
+        turns = Turns(Epoch.parse(epoch), targets, first_view)
 
-    def build_engine() -> Robots:
+    def build_simulation() -> Robots:
         if build is None:
             from twinct.scan import build_robots as make
         else:
@@ -93,18 +106,14 @@ def spin_robots(
         return robots
 
     return run_node(
-        NAME,
-        build_engine,
-        lambda station, reporter, robots: RobotsNode(station, reporter, robots, turns),
+        ROBOTS,
+        build_simulation,
+        lambda station, diagnostics, robots: RobotsNode(
+            station, diagnostics, robots, turns, members
+        ),
         lifeline=lifeline,
+        members=members,
     )
-
-
-def own_targets(scenario: Scenario) -> list[Target]:
-    """What ``commanded_targets`` gives, without importing what builds a simulation."""
-    panel = scenario.detector.panel
-    poses = PosePairs.from_geometry(commanded_views(scenario.trajectory, panel))
-    return [Target.from_poses(*poses[view]) for view in range(len(poses))]
 
 
 class Turns:
@@ -148,14 +157,21 @@ class RobotsNode:
     """Answers each target once."""
 
     def __init__(
-        self, station: Station, reporter: Reporter, robots: Robots, turns: Turns | None = None
+        self,
+        station: Station,
+        diagnostics: Diagnostics,
+        robots: Robots,
+        turns: Turns | None = None,
+        members: Members | None = None,
     ) -> None:
         """Make the endpoints; from now on targets are executed."""
         self._robots = robots
         self._turns = turns
         # A refusal of the robots is an answer too: it is not tried again.
         self._ledger: Ledger[Target, Reached | RefusedError] = Ledger()
-        self._reporter = reporter
+        self._station = station
+        self._diagnostics = diagnostics
+        self._members = members
         self._reached = station.publisher(REACHED, PoseArray, depth=ANSWERS)
         self._joints = station.publisher(JOINTS, JointState, depth=ANSWERS)
         self._state = station.publisher(STATE, Float64MultiArray, depth=ANSWERS)
@@ -164,6 +180,8 @@ class RobotsNode:
 
     def connected(self) -> bool:
         """Whether the rig and the X-ray node of the scan are there; a node on its own has none."""
+        if self._members is not None and not self._members.knows(SCAN):
+            return False
         return self._turns is None or (
             all(heard.get_publisher_count() for heard in self._targets)
             and self._reached.get_subscription_count() > LISTENERS
@@ -171,11 +189,14 @@ class RobotsNode:
             and bool(self._state.get_subscription_count())
         )
 
-    def _on_target(self, message: PoseArray) -> None:
+    def _on_target(self, message: PoseArray, sender: Sender) -> None:
         stamp = Stamp.of(message.header.stamp)
         try:
             target = target_of(message)
-            answer = self._ledger.find(stamp, target) or self._execute(stamp, target)
+            answer = self._ledger.find(stamp, target)
+            if answer is None:
+                self._admit(stamp, target, sender)
+                answer = self._execute(stamp, target)
             if isinstance(answer, RefusedError):
                 raise answer
         except (RefusedError, MalformedError) as refused:
@@ -183,14 +204,21 @@ class RobotsNode:
         else:
             self._answer(stamp, answer)
 
-    def _execute(self, stamp: Stamp, target: Target) -> Reached | RefusedError:
+    def _admit(self, stamp: Stamp, target: Target, sender: Sender) -> None:
         if self._turns is not None:
             self._turns.check(stamp, target)
+        if self._members is not None and not self._members.sent(SCAN, sender):
+            raise RefusedError(
+                "a scan is running and only it asks for its next view, not "
+                + self._station.name_of(TARGET, sender)
+            )
+
+    def _execute(self, stamp: Stamp, target: Target) -> Reached | RefusedError:
         answer: Reached | RefusedError
         try:
             answer = self._robots.move(target)
         except MotionError as error:
-            answer = RefusedError(str(error), str(getattr(error, "arm", "")))
+            answer = RefusedError(str(error), error.arms)
         else:
             view = self._turns.view(stamp) if self._turns is not None else None
             if self._turns is not None:
@@ -213,11 +241,11 @@ class RobotsNode:
         view = self._turns.view(stamp) if self._turns is not None else None
         values: dict[str, object] = {
             "view": "" if view is None else view,
-            "arm": getattr(refused, "arm", ""),
+            "arm": ", ".join(getattr(refused, "arms", ())),
             "reason": refused,
             "target": describe(message),
         }
-        self._reporter.refuse(stamp, f"target refused: {refused}", values)
+        self._diagnostics.refuse(stamp, f"target refused: {refused}", values)
 
 
 def describe(message: PoseArray) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import rclpy
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -19,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from twinct.ros.environment import roomy_shared_memory, settle
+from twinct.ros.senders import Sender, SenderExecutor, participant, participant_of
 
 TARGET = "/scan/target"
 REACHED = "/scan/reached"
@@ -48,6 +49,7 @@ class Station:
     Attributes:
         name: of the node.
         domain_id: that it joined.
+        participant: what others know it by.
     """
 
     def __init__(self, name: str, domain_id: int | None = None, largest_message: int = 0) -> None:
@@ -76,7 +78,8 @@ class Station:
                 use_global_arguments=False,
             )
         self.domain_id: int = self._context.get_domain_id()
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self.participant = participant_of(next(iter(self._node.publishers)))
+        self._executor = SenderExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._closed = False
 
@@ -88,44 +91,48 @@ class Station:
         )
 
     def listen(
-        self, topic: str, kind: Any, callback: Callable[[Any], None], *, depth: int = 20
+        self,
+        topic: str,
+        kind: Any,
+        callback: Callable[[Any, Sender], None],
+        *,
+        depth: int = 20,
+        latched: bool = True,
     ) -> Subscription:
-        """Hear those who publish reliably and transient local, also what they said before."""
+        """Hear those who publish reliably and, where latched, what they said before."""
+        hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(matched=lambda _: None)
         return self._node.create_subscription(
-            kind, topic, callback, _qos(depth, latched=True), event_callbacks=events
+            kind, topic, hear, _qos(depth, latched=latched), event_callbacks=events
         )
 
     def listen_to_all(
-        self, topic: str, kind: Any, callback: Callable[[Any], None], *, depth: int = 100
+        self, topic: str, kind: Any, callback: Callable[[Any, Sender], None], *, depth: int = 100
     ) -> list[Subscription]:
         """Hear everybody who publishes reliably, each message once.
 
         A transient-local subscription does not match the volatile publisher that a foreign node
         makes by default, and a volatile one does not hear what was said before it came. So there
-        are both, and what comes through both is told by the time its publisher sent it.
+        are both.
         """
-        seen: deque[tuple[int, int, int]] = deque(maxlen=4 * depth)
+        seen: deque[Sender] = deque(maxlen=4 * depth)
 
-        def once(message: Any, info: Any) -> None:
-            stamp = message.header.stamp
-            key = (info["source_timestamp"], stamp.sec, stamp.nanosec)
-            if key not in seen:
-                seen.append(key)
-                callback(message)
+        def once(message: Any, sender: Sender) -> None:
+            if sender not in seen:
+                seen.append(sender)
+                callback(message, sender)
 
-        hear: Any = once  # rclpy takes two arguments too, but its annotation does not say so
-        events = SubscriptionEventCallbacks(matched=lambda _: None)
         return [
-            self._node.create_subscription(
-                kind, topic, hear, _qos(depth, latched=latched), event_callbacks=events
-            )
+            self.listen(topic, kind, once, depth=depth, latched=latched)
             for latched in (True, False)
         ]
 
-    def publishers(self, topic: str) -> list[str]:
-        """Names of the nodes that publish on a topic, as far as they are discovered."""
-        return [info.node_name for info in self._node.get_publishers_info_by_topic(topic)]
+    def name_of(self, topic: str, sender: Sender) -> str:
+        """What a node that publishes on a topic calls itself, as far as it is discovered."""
+        for info in self._node.get_publishers_info_by_topic(topic):
+            if participant(info.endpoint_gid) == sender.participant:
+                return f"a node {info.node_name!r}"
+        return "an unknown node"
 
     def wait(self, until: Callable[[], bool], timeout_s: float) -> bool:
         """Handle what comes in until a condition holds.

@@ -20,11 +20,11 @@ from twinct.ros.messages import (
     executed_of,
     image_message,
 )
-from twinct.ros.node import Ledger, RefusedError, Reporter, run_node, say
+from twinct.ros.node import ROBOTS, XRAY, Diagnostics, Ledger, RefusedError, run_node, say
+from twinct.ros.senders import Members, Sender
 from twinct.ros.station import CAMERA, IMAGE, REACHED, Station
 from twinct.scenario import Scenario
 
-NAME = "twinct_xray"
 MEMORY_BYTES = 256 * 2**20
 """Images kept for those who ask again; never fewer than two, never more than 32."""
 
@@ -53,6 +53,7 @@ def spin_xray(
     scenario: Scenario,
     *,
     epoch: str | None = None,
+    members: Members | None = None,
     lifeline: bool = False,
     build: Callable[[Scenario], XRay] | None = None,
 ) -> int:
@@ -61,6 +62,7 @@ def spin_xray(
     Args:
         scenario: what to simulate.
         epoch: of the scan this node belongs to: only its views are imaged. None images any.
+        members: of that scan: only what its robots reach is imaged.
         lifeline: end also when stdin does.
         build: makes the simulation, in place of ``build_imager``.
 
@@ -68,7 +70,7 @@ def spin_xray(
         Exit code: 0.
     """
 
-    def build_engine() -> XRay:
+    def build_simulation() -> XRay:
         if build is None:
             from twinct.scan import build_imager as make
         else:
@@ -78,12 +80,13 @@ def spin_xray(
     panel = scenario.detector.panel
     own = Epoch.parse(epoch) if epoch is not None else None
     return run_node(
-        NAME,
-        build_engine,
-        lambda station, reporter, imager: XRayNode(
-            station, reporter, imager, panel, own, scenario.source.motion_samples
+        XRAY,
+        build_simulation,
+        lambda station, diagnostics, imager: XRayNode(
+            station, diagnostics, imager, panel, own, members, scenario.source.motion_samples
         ),
         lifeline=lifeline,
+        members=members,
         largest_message=image_bytes(panel),
     )
 
@@ -99,10 +102,11 @@ class XRayNode:
     def __init__(
         self,
         station: Station,
-        reporter: Reporter,
+        diagnostics: Diagnostics,
         imager: XRay,
         panel: Panel,
         epoch: Epoch | None = None,
+        members: Members | None = None,
         samples: int = 1,
     ) -> None:
         """Make the endpoints; from now on views are imaged."""
@@ -113,7 +117,8 @@ class XRayNode:
         self._ledger: Ledger[Executed, tuple[CameraInfo, Image]] = Ledger(
             keep=min(max(MEMORY_BYTES // image_bytes(panel), 2), 32)
         )
-        self._reporter = reporter
+        self._diagnostics = diagnostics
+        self._members = members
         depth = min(max(QUEUE_BYTES // image_bytes(panel), 1), 10)
         self._camera = station.publisher(CAMERA, CameraInfo, depth=depth)
         self._image = station.publisher(IMAGE, Image, depth=depth)
@@ -121,12 +126,17 @@ class XRayNode:
 
     def connected(self) -> bool:
         """Whether the rig and the robots node of the scan are there; a node on its own has none."""
+        if self._members is not None and not self._members.knows(ROBOTS):
+            return False
         return self._epoch is None or (
             all(heard.get_publisher_count() for heard in self._views)
             and bool(self._image.get_subscription_count())
         )
 
-    def _on_reached(self, message: PoseArray) -> None:
+    def _on_reached(self, message: PoseArray, sender: Sender) -> None:
+        if self._members is not None and not self._members.sent(ROBOTS, sender):
+            self._diagnostics.stranger(REACHED, sender)
+            return
         stamp = Stamp.of(message.header.stamp)
         try:
             poses = executed_of(message)
@@ -134,7 +144,7 @@ class XRayNode:
         except (RefusedError, MalformedError) as refused:
             view = self._epoch.view(stamp) if self._epoch is not None else None
             values: dict[str, object] = {"view": "" if view is None else view, "reason": refused}
-            self._reporter.refuse(stamp, f"view refused: {refused}", values)
+            self._diagnostics.refuse(stamp, f"view refused: {refused}", values)
             return
         self._camera.publish(camera)
         self._image.publish(image)

@@ -4,7 +4,7 @@ from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.data import Scan, View
 from twinct.scan.rig import LocalRig, Rig
 from twinct.scan.store import ScanStore, check_space
-from twinct.scan.workshop import Workshop, build_imager, build_robots, commanded_targets
+from twinct.scan.workshop import Workshop, build_imager, build_robots
 
 __all__ = [
     "LocalRig",
@@ -18,5 +18,4 @@ __all__ = [
     "build_imager",
     "build_robots",
     "check_space",
-    "commanded_targets",
 ]

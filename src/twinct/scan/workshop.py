@@ -47,8 +47,7 @@ class Workshop:
     @cached_property
     def targets(self) -> list[Target]:
         """The same, in the numbers that the links carry."""
-        poses = self.commanded_poses
-        return [Target.from_poses(*poses[view]) for view in range(len(poses))]
+        return self.commanded_poses.targets()
 
     @cached_property
     def cell(self) -> CellModel:
@@ -108,11 +107,6 @@ class Workshop:
             commanded=self.commanded,
             seed=scenario.seed,
         )
-
-
-def commanded_targets(scenario: Scenario) -> list[Target]:
-    """The targets of a scenario, without building anything."""
-    return Workshop(scenario).targets
 
 
 def build_robots(scenario: Scenario) -> RobotSimulation:

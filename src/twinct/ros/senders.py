@@ -1,0 +1,168 @@
+"""Who sent a message: the participant whose publisher it came from, as the middleware knows it.
+
+rclpy hands out a message without the identifier (GID) of its publisher, though the library below it
+has both. So messages are taken there; the functions and structures are those of ROS 2 Jazzy.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Coroutine, Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+
+from twinct.errors import LinkError
+
+_PARTICIPANT_BYTES = 12
+"""Of a GID; the other four tell the publishers of one participant apart."""
+_NOTHING_TO_TAKE = 401
+
+
+class _Gid(ctypes.Structure):
+    _fields_ = (("middleware", ctypes.c_char_p), ("data", ctypes.c_uint8 * 16))
+
+
+class _Origin(ctypes.Structure):
+    """``rmw_message_info_t``."""
+
+    _fields_ = (
+        ("sent_ns", ctypes.c_int64),
+        ("received_ns", ctypes.c_int64),
+        ("number", ctypes.c_uint64),
+        ("number_received", ctypes.c_uint64),
+        ("publisher", _Gid),
+        ("from_this_process", ctypes.c_bool),
+    )
+
+
+class _Allocator(ctypes.Structure):
+    _fields_ = tuple(
+        (name, ctypes.c_void_p)
+        for name in ("allocate", "deallocate", "reallocate", "zero_allocate", "state")
+    )
+
+
+class _Bytes(ctypes.Structure):
+    """``rcutils_uint8_array_t``."""
+
+    _fields_ = (
+        ("start", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    )
+
+
+def _function(name: str, *arguments: Any, result: Any = ctypes.c_int) -> Any:
+    """A function of the libraries that rclpy itself has loaded."""
+    function = ctypes.CDLL(rclpy_implementation.__file__)[name]
+    function.argtypes, function.restype = arguments, result
+    return function
+
+
+_pointer, _void = ctypes.POINTER, ctypes.c_void_p
+_default_allocator = _function("rcutils_get_default_allocator", result=_Allocator)
+_init = _function("rcutils_uint8_array_init", _pointer(_Bytes), ctypes.c_size_t, _void)
+_free = _function("rcutils_uint8_array_fini", _pointer(_Bytes))
+_take = _function("rcl_take_serialized_message", _void, _pointer(_Bytes), _pointer(_Origin), _void)
+_rmw_handle = _function("rcl_publisher_get_rmw_handle", _void, result=_void)
+_gid_of = _function("rmw_get_gid_for_publisher", _void, _pointer(_Gid))
+
+
+class Sender(NamedTuple):
+    """Where a message comes from; no two messages have the same.
+
+    Attributes:
+        publisher: its GID, in hexadecimal.
+        number: of the message among those of its publisher.
+    """
+
+    publisher: str
+    number: int
+
+    @property
+    def participant(self) -> str:
+        """Whom the publisher belongs to."""
+        return participant(bytes.fromhex(self.publisher))
+
+
+def participant(gid: Iterable[int]) -> str:
+    """The participant of a publisher's GID, in hexadecimal."""
+    return bytes(gid)[:_PARTICIPANT_BYTES].hex()
+
+
+def participant_of(publisher: Publisher) -> str:
+    """The participant that a publisher of this process belongs to.
+
+    Raises:
+        LinkError: the middleware does not say.
+    """
+    gid = _Gid()
+    with publisher.handle:
+        fault = _gid_of(_rmw_handle(publisher.handle.pointer), ctypes.byref(gid))
+    if fault:
+        raise LinkError(f"ROS 2 does not tell the identifier of a publisher (error {fault})")
+    return participant(gid.data)
+
+
+class SenderExecutor(SingleThreadedExecutor):
+    """Calls subscriptions with the message and its ``Sender``."""
+
+    def _take_subscription(
+        self, sub: Subscription
+    ) -> Callable[[], Coroutine[Any, Any, None]] | None:
+        origin, content, allocator = _Origin(), _Bytes(), _default_allocator()
+        _init(ctypes.byref(content), 0, ctypes.byref(allocator))
+        try:
+            with sub.handle:
+                fault = _take(sub.handle.pointer, ctypes.byref(content), ctypes.byref(origin), None)
+            if fault == _NOTHING_TO_TAKE:
+                return None
+            if fault:
+                raise LinkError(f"ROS 2 cannot take a message of {sub.topic_name} (error {fault})")
+            data = ctypes.string_at(content.start, content.length)
+        finally:
+            _free(ctypes.byref(content))
+        message = deserialize_message(data, sub.msg_type)
+        sender = Sender(bytes(origin.publisher.data).hex(), origin.number)
+
+        async def call() -> None:
+            sub.callback(message, sender)
+
+        return call
+
+
+class Members:
+    """The processes of one scan, each with its participant, in a folder that only they can write.
+
+    A node says who it is before it publishes anything, so what comes from anybody else is a
+    stranger's, whatever name it has.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Look into a folder."""
+        self._folder = folder
+        self._known: dict[str, str] = {}
+
+    def enter(self, name: str, participant: str) -> None:
+        """Say who a process of the scan is."""
+        draft = self._folder / f"{name}.new"
+        draft.write_text(participant, encoding="ascii")
+        draft.replace(self._folder / f"{name}.id")
+
+    def knows(self, name: str) -> bool:
+        """Whether a process has said who it is; read once, and remembered."""
+        file = self._folder / f"{name}.id"
+        if name not in self._known and file.exists():
+            self._known[name] = file.read_text(encoding="ascii")
+        return name in self._known
+
+    def sent(self, name: str, sender: Sender) -> bool:
+        """Whether a message comes from this process of the scan."""
+        return self.knows(name) and self._known[name] == sender.participant

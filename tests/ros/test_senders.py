@@ -1,0 +1,154 @@
+"""Who answers must be a node that the scan started: nobody else's answers are used."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Float64MultiArray
+
+from twinct.errors import LinkError
+from twinct.ros import RosRig, messages
+from twinct.ros.senders import Members
+from twinct.ros.station import Station
+from twinct.scan import LocalRig
+
+pytestmark = pytest.mark.ros
+
+TOPICS = {
+    "/scan/reached": PoseArray,
+    "/joint_states": JointState,
+    "/scan/state": Float64MultiArray,
+    "/xray/image": Image,
+}
+
+
+def test_a_message_tells_who_sent_it_whatever_its_node_is_called(domain, tmp_path):
+    heard = []
+    with (
+        closing(Station("listener", domain)) as listener,
+        closing(Station("robots", domain)) as one,
+        closing(Station("robots", domain)) as other,
+    ):
+        members = Members(tmp_path)
+        assert not members.knows("robots")
+        listener.listen("/scan/state", Float64MultiArray, lambda m, s: heard.append((m, s)))
+        members.enter("robots", one.participant)
+        for station, value in ((one, 1.0), (other, 2.0), (one, 3.0)):
+            out = station.publisher("/scan/state", Float64MultiArray)
+            out.publish(Float64MultiArray(data=[value]))
+            assert listener.wait(lambda value=value: heard and heard[-1][0].data[0] == value, 20)
+        assert [members.sent("robots", sender) for _, sender in heard] == [True, False, True]
+        assert len({sender for _, sender in heard}) == 3
+        assert one.participant != other.participant == heard[1][1].participant
+        assert "'robots'" in listener.name_of("/scan/state", heard[1][1])
+
+
+class Forger:
+    """A stranger who answers the scan's targets before its nodes do."""
+
+    def __init__(self, stranger, epoch, scenario, fakes):
+        self.stranger, self.epoch, self.fakes = stranger, epoch, fakes
+        self.shape = scenario.detector.panel.shape
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.out = {
+            topic: stranger.node.create_publisher(kind, topic, latched)
+            for topic, kind in TOPICS.items()
+        }
+        self.diagnostics = stranger.listen("/diagnostics", DiagnosticArray)
+        stranger.until(
+            lambda: (
+                all(out.get_subscription_count() for out in self.out.values())
+                and self.out["/scan/reached"].get_subscription_count() >= 3
+                and stranger.node.count_publishers("/diagnostics") >= 3
+            )
+        )
+
+    def answer(self, view, target, image, state=None):
+        stamp = self.epoch.at(view)
+        robots = self.fakes.FakeRobots()
+        robots.moves = 40
+        reached = robots.move(target)
+        forged = messages.state_message(stamp, reached)
+        if state is not None:
+            forged.data = state
+        for topic, message in {
+            "/scan/reached": messages.reached_message(stamp, messages.executed(reached)),
+            "/joint_states": messages.joints_message(stamp, reached),
+            "/scan/state": forged,
+            "/xray/image": messages.image_message(stamp, image),
+        }.items():
+            self.out[topic].publish(message)
+
+    def warnings(self):
+        return [
+            (status.name, messages.diagnostic_values(status.values)["topic"])
+            for message in self.diagnostics
+            for status in message.status
+            if status.level == DiagnosticStatus.WARN
+        ]
+
+
+def test_forged_answers_change_nothing_and_are_named_once(
+    scenario, targets, fake_command, foreign, fakes, caplog
+):
+    forgeries = [
+        {"image": np.ones((1, 1), np.float32)},
+        {"image": np.ones((1, scenario.detector.columns), np.float32)},
+        {"image": np.ones(scenario.detector.panel.shape, np.float32)},
+        {"image": np.full((3, 5), np.nan, np.float32), "state": []},
+        {"image": np.ones((1, 1), np.float32), "state": [np.nan] * 8},
+    ]
+    local = LocalRig(
+        fakes.FakeRobots(), fakes.FakeImager(scenario.detector), scenario.detector.panel
+    )
+    with closing(RosRig(scenario, node_command=fake_command)) as rig:
+        forger = Forger(foreign(rig.domain_id), rig.epoch, scenario, fakes)
+        for view, forged in enumerate(forgeries):
+            forger.answer(view, targets[view], **forged)
+            forger.stranger.stay(0.3)  # the forged answers are there before the true ones
+            reached, true = rig.move(view, targets[view]), local.move(view, targets[view])
+            forger.answer(view, targets[view], **forged)
+            image = rig.expose(view)
+            assert image.tobytes() == local.expose(view).tobytes()
+            assert reached.state.tobytes() == true.state.tobytes()
+            assert (reached.source_m, reached.time_s) == (true.source_m, true.time_s)
+        forger.stranger.until(lambda: len(forger.warnings()) >= 5)
+        forger.stranger.stay(0.3)
+    told = sorted(forger.warnings())
+    assert told == sorted(
+        [("twinct_scan", topic) for topic in TOPICS] + [("twinct_xray", "/scan/reached")]
+    )
+    words = [record.getMessage() for record in caplog.records if "not of this scan" in record.msg]
+    assert len(words) == len(TOPICS)
+    assert all("'somebody_else'" in line for line in words)
+
+
+def test_an_image_of_another_shape_ends_the_scan_by_name(scenario, targets, fake_command, notes):
+    with closing(RosRig(scenario, node_command=fake_command)) as rig:
+        rig.move(0, targets[0])
+        notes.images_shrink(True)
+        try:
+            with pytest.raises(LinkError, match=r"/xray/image of view 0: 1 x 1 px, expected 32 x"):
+                rig.expose(0)
+        finally:
+            notes.images_shrink(False)
+
+
+def test_a_refusal_by_a_stranger_refuses_nothing(scenario, targets, fake_command, foreign):
+    with closing(RosRig(scenario, node_command=fake_command)) as rig:
+        stranger = foreign(rig.domain_id)
+        out = stranger.publisher("/diagnostics", DiagnosticArray)
+        stranger.until(lambda: out.get_subscription_count() >= 1)
+        for name in ("twinct_xray", "twinct_robots"):
+            out.publish(
+                messages.diagnostic_message(
+                    rig.epoch.at(0), name, messages.ERROR, "no", {"target": "everything"}
+                )
+            )
+        stranger.stay(0.3)
+        rig.move(0, targets[0])
+        rig.expose(0)
