@@ -123,8 +123,9 @@ def test_out_of_reach_is_refused_and_leaves_all_as_it_was(
     simulation = RobotSimulation(cell, Motion(), plan.home)
     before = simulation.joints
     away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
-    with pytest.raises(TargetRefusedError, match=r"source arm: out of reach by \d+\.\d mm"):
+    with pytest.raises(TargetRefusedError, match=r"source arm: out of reach by \d+\.\d mm") as no:
         simulation.move(Target.from_poses(away, targets[0].detector))
+    assert no.value.arms == ("source",)
     assert np.array_equal(simulation.joints, before)
     assert simulation.time_s == 0
     simulation.move(targets[0])
@@ -145,8 +146,11 @@ def test_driven_into_table_or_specimen_the_panel_touches_it(
     plan = plan_motion(cell, motion, [free])
     simulation = RobotSimulation(cell, motion, plan.home)
     simulation.move(free)
-    with pytest.raises(TargetRefusedError, match=rf"would collide: .*(detector_panel|{other})"):
+    with pytest.raises(
+        TargetRefusedError, match=rf"would collide: .*(detector_panel|{other})"
+    ) as no:
         simulation.move(inside)
+    assert no.value.arms == ("detector",)
     goal = simulation._kinematics.follow(simulation.joints, inside)[0].joints
     deepest = []
     clearance = Clearance(cell)
@@ -174,6 +178,7 @@ def test_half_the_torque_cannot_follow(
         for target in targets:
             simulation.move(target)
     assert simulation.watch.torque_share.max() >= SATURATED
+    assert caught.value.arms == ("source",)
     assert "cannot follow" in str(caught.value)
     assert "torque limit reached in" in str(caught.value)
     assert "source_shoulder_lift_joint (165 N m)" in str(caught.value)

@@ -77,11 +77,12 @@ class Notes:
         file = self.folder / what
         return len(file.read_text().splitlines()) if file.exists() else 0
 
-    def render_takes(self, seconds: float) -> None:
-        (self.folder / "render_s").write_text(str(seconds))
+    def tell(self, what: str, number: float) -> None:
+        """``render_s``, ``one_pixel`` or ``short_arm``; 0 for as usual."""
+        (self.folder / what).write_text(str(number))
 
-    def images_shrink(self, wrong: bool) -> None:
-        (self.folder / "one_pixel").write_text(str(int(wrong)))
+    def render_takes(self, seconds: float) -> None:
+        self.tell("render_s", seconds)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ class FakeRobots:
         self.moves = int(state[0])
 
     def move(self, target):
-        if target.source_m[0] > REFUSED_X_M:
+        if target.source_m[0] > REFUSED_X_M or _told("short_arm"):
             raise MotionError("the source arm is too short", ["source"])
         _note("move", target.source_m)
         self.moves += 1

@@ -244,6 +244,7 @@ def test_a_foreign_node_drives_the_standalone_nodes(
     somebody.ask(out, target_message(Stamp(6, 0), far), lambda: errors(diagnostics))
     assert errors(diagnostics)[0]["reason"] == "the source arm is too short"
     assert errors(diagnostics)[0]["stamp"] == "6.000000000"
+    assert errors(diagnostics)[0]["arm"] == "source"
     for process in nodes:
         process.stop()
         assert process.exit_code == 0, process.describe_end()

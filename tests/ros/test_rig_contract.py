@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from twinct.errors import LinkError, MotionError
-from twinct.ros import RosRig
-from twinct.scan import LocalRig, Workshop, build_imager, build_robots
+from twinct.ros import RosRig, ros_rigs
+from twinct.scan import LocalRig, Workshop, local_rig
 from twinct.scenario import parse_scenario
 from twinct.views import Reached, Target
 
@@ -50,20 +50,20 @@ def take(rig, targets, first=0):
     return views
 
 
-def local_rig(scenario, fakes, command):
+def fake_local_rig(scenario, fakes, command):
     del command
     return LocalRig(
         fakes.FakeRobots(), fakes.FakeImager(scenario.detector), scenario.detector.panel
     )
 
 
-def ros_rig(scenario, fakes, command):
+def fake_ros_rig(scenario, fakes, command):
     del fakes
     return RosRig(scenario, node_command=command)
 
 
-@pytest.mark.parametrize("make", [local_rig, ros_rig])
-def test_contract(make, scenario, targets, fakes, fake_command):
+@pytest.mark.parametrize("make", [fake_local_rig, fake_ros_rig])
+def test_contract(make, scenario, targets, fakes, fake_command, notes):
     views = []
     with closing(make(scenario, fakes, fake_command)) as rig:
         with pytest.raises(ValueError, match="view 0 was not reached"):
@@ -77,6 +77,11 @@ def test_contract(make, scenario, targets, fakes, fake_command):
         with pytest.raises(MotionError):
             rig.move(3, Target(far, targets[3].detector_m))
         rig.move(3, targets[3])
+        notes.tell("short_arm", 1)
+        with pytest.raises(MotionError, match="the source arm is too short") as caught:
+            rig.move(4, targets[4])
+        notes.tell("short_arm", 0)
+        assert caught.value.arms == ("source",)
     rig.close()
 
     for view, (reached, image) in enumerate(views):
@@ -86,11 +91,11 @@ def test_contract(make, scenario, targets, fakes, fake_command):
     images = [image.tobytes() for _, image in views]
     assert len(set(images)) == len(images), "each view has its own image"
     for (reached, image), (expected, expected_image) in zip(
-        views, take(local_rig(scenario, fakes, ()), targets[:3]), strict=True
+        views, take(fake_local_rig(scenario, fakes, ()), targets[:3]), strict=True
     ):
         assert_same(reached, expected)
         assert image.tobytes() == expected_image.tobytes()
-    if make is ros_rig:
+    if make is fake_ros_rig:
         with pytest.raises(LinkError, match="closed"):
             rig.move(3, targets[3])
 
@@ -99,14 +104,16 @@ def test_contract(make, scenario, targets, fakes, fake_command):
 def test_real_engines_give_the_same_bits_over_both_links_and_after_a_resume(short, physics):
     if physics:
         short = parse_scenario(json.loads(short.resolved()) | PHYSICS)
-    targets = Workshop(short).targets
-    rig = LocalRig(build_robots(short), build_imager(short), short.detector.panel)
-    local = take(rig, targets)
-    ros = take(RosRig(short), targets)
+    workshop = Workshop(short)
+    targets, over_ros = workshop.targets, ros_rigs()
+    local = take(local_rig(workshop, 0, None), targets)
+    ros = take(over_ros(workshop, 0, None), targets)
     state = local[1][0].state
-    resumed = take(RosRig(short, first_view=2, start_state=state), targets, first=2)
+    resumed = [
+        take(make_rig(workshop, 2, state), targets, first=2) for make_rig in (local_rig, over_ros)
+    ]
 
-    for expected, others in [(local, ros), (local[2:], resumed)]:
+    for expected, others in [(local, ros), *((local[2:], again) for again in resumed)]:
         for (reached, image), (reached_ros, image_ros) in zip(expected, others, strict=True):
             assert_same(reached, reached_ros)
             assert image.tobytes() == image_ros.tobytes()

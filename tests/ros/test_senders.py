@@ -130,12 +130,12 @@ def test_forged_answers_change_nothing_and_are_named_once(
 def test_an_image_of_another_shape_ends_the_scan_by_name(scenario, targets, fake_command, notes):
     with closing(RosRig(scenario, node_command=fake_command)) as rig:
         rig.move(0, targets[0])
-        notes.images_shrink(True)
+        notes.tell("one_pixel", 1)
         try:
             with pytest.raises(LinkError, match=r"/xray/image of view 0: 1 x 1 px, expected 32 x"):
                 rig.expose(0)
         finally:
-            notes.images_shrink(False)
+            notes.tell("one_pixel", 0)
 
 
 def test_a_refusal_by_a_stranger_refuses_nothing(scenario, targets, fake_command, foreign):

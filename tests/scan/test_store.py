@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +131,26 @@ def test_an_existing_scan_is_never_touched(tmp_path, scenario, commanded) -> Non
     assert contents(path) == before
     with pytest.raises(ScanExistsError, match="2 of 5 views"):
         ScanStore(path).read()
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("transmission", np.ones((1, 1), np.float32)),
+        ("transmission", np.ones((1, 7), np.float32)),
+        ("state", np.zeros(8)),
+        ("joints", np.zeros(0)),
+    ],
+)
+def test_a_view_of_another_shape_is_refused_and_leaves_nothing(
+    tmp_path, scenario, commanded, name, values
+) -> None:
+    """A single pixel would be spread over the whole image, a short state written as it is."""
+    store = fill(tmp_path / "scan.zarr", scenario, commanded, range(1))
+    before = contents(tmp_path)
+    with pytest.raises(ValueError, match=f"^{name} of view 1 has "):
+        store.write(1, replace(view(1), **{name: values}))
+    assert contents(tmp_path) == before and store.acquired == 1
 
 
 def test_a_full_disk_loses_nothing(tmp_path, scenario, commanded, monkeypatch) -> None:

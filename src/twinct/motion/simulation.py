@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -162,20 +162,20 @@ class RobotSimulation:
         """
         start = self._data.qpos.copy()
         result, largest = self._kinematics.follow(start, target)
-        problems = []
+        problems: dict[str, str] = {}
         for arm, side in enumerate(SIDES):
             if not result.solved[arm]:
-                problems.append(
+                problems[side] = (
                     f"{side} arm: out of reach by {result.position_mm[arm]:.1f} mm and "
                     f"{result.rotation_deg[arm]:.2f} deg{self._at_limits(arm, result.joints)}"
                 )
             elif largest[self._cell.arm_joints[arm]].max() > 2 * FLIP_RAD:
-                problems.append(
+                problems[side] = (
                     f"{side} arm: no continuous path: a joint would jump by "
                     f"{np.degrees(largest[self._cell.arm_joints[arm]].max()):.0f} deg"
                 )
         if problems:
-            raise TargetRefusedError("; ".join(problems))
+            raise TargetRefusedError("; ".join(problems.values()), problems)
         least = REFUSED_SHARE * self._motion.clearance_mm
         gap = self._clearance.over(straight_path(self._cell, self._scratch, start, result.joints))
         if gap.distance_mm < least:
@@ -185,7 +185,7 @@ class RobotSimulation:
                 if gap.distance_mm < 0
                 else f"come within {gap.distance_mm:.1f} mm, at least {least:g} mm must stay"
             )
-            raise TargetRefusedError(f"would collide: {pair} would {how}")
+            raise TargetRefusedError(f"would collide: {pair} would {how}", _arms(gap.bodies))
         return result.joints
 
     def drive(
@@ -258,7 +258,7 @@ class RobotSimulation:
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
         self._judge(watch, record)
-        raise TargetRefusedError(self._why_not(wanted))
+        raise self._late(wanted)
 
     def _judge(self, watch: StepWatch, record: Floats) -> None:
         """Largest speeds and torques; those of the first instant belong to the move before."""
@@ -324,7 +324,7 @@ class RobotSimulation:
         ]
         return f" (at the limit of {', '.join(stuck)})" if stuck else ""
 
-    def _why_not(self, wanted: Floats) -> str:
+    def _late(self, wanted: Floats) -> TargetRefusedError:
         """Where the arms are after the time-out, and what holds them."""
         off_mm = (
             np.linalg.norm(self._data.site_xpos[list(self._cell.site_ids)] - wanted, axis=1)
@@ -346,4 +346,11 @@ class RobotSimulation:
             parts.append(f"torque limit reached in {', '.join(limited)}")
         for first, second in sorted(self._watch.contacts):
             parts.append(f"{readable(first)} touches {readable(second)}")
-        return "; ".join(parts)
+        far = off_mm >= self._motion.tolerance_mm
+        arms = [side for side, late in zip(SIDES, far, strict=True) if late]
+        return TargetRefusedError("; ".join(parts), arms)
+
+
+def _arms(bodies: Sequence[str]) -> list[str]:
+    """The arms that bodies belong to: their names begin with it."""
+    return [side for side in SIDES if any(body.startswith(side) for body in bodies)]

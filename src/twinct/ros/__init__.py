@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING, Any
 from twinct.ros.environment import Domain, require_ros
 
 if TYPE_CHECKING:
-    from twinct.ros.rig import RosRig
+    from twinct.ros.rig import RosRig, ros_rigs
     from twinct.ros.robots_node import spin_robots
     from twinct.ros.xray_node import spin_xray
 
-__all__ = ["Domain", "RosRig", "require_ros", "spin_robots", "spin_xray"]
+__all__ = ["Domain", "RosRig", "require_ros", "ros_rigs", "spin_robots", "spin_xray"]
 
-_HOMES = {"RosRig": "rig", "spin_robots": "robots_node", "spin_xray": "xray_node"}
+_HOMES = {
+    **{"RosRig": "rig", "ros_rigs": "rig"},
+    **{"spin_robots": "robots_node", "spin_xray": "xray_node"},
+}
 
 
 def __getattr__(name: str) -> Any:

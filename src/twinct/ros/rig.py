@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -53,6 +53,9 @@ from twinct.ros.station import DIAGNOSTICS, IMAGE, JOINTS, REACHED, STATE, TARGE
 from twinct.scenario import Scenario
 from twinct.views import Reached, Target
 
+if TYPE_CHECKING:
+    from twinct.scan import Workshop
+
 log = logging.getLogger(__name__)
 
 NODE_COMMAND = (sys.executable, "-m", "twinct.ros")
@@ -62,6 +65,30 @@ ANSWER_S = 600.0
 """Time for one answer. A node that dies is noticed at once; this is for one that hangs."""
 FIRST_REPEAT_S, LONGEST_REPEAT_S = 2.0, 60.0
 """A target is sent again after this silence, then after twice as long, and so on."""
+
+
+def ros_rigs(
+    log_dir: Path | None = None, domain: Domain | None = None
+) -> Callable[[Workshop, int, NDArray[np.float64] | None], RosRig]:
+    """What makes rigs over ROS 2, called as ``twinct.scan.local_rig`` is.
+
+    Args:
+        log_dir: folder for what the nodes print; None for a temporary one.
+        domain: held for the scan; None takes one when the rig is made.
+    """
+
+    def make(
+        workshop: Workshop, first_view: int, start_state: NDArray[np.float64] | None
+    ) -> RosRig:
+        return RosRig(
+            workshop.scenario,
+            first_view=first_view,
+            start_state=start_state,
+            log_dir=log_dir,
+            domain=domain,
+        )
+
+    return make
 
 
 class RosRig:

@@ -84,7 +84,7 @@ def spin_robots(
         restore: ``.npy`` file with the simulator state to start from.
         members: of that scan: only the scan itself may ask for its next view.
         lifeline: end also when stdin does.
-        build: makes the simulation, in place of ``build_robots``.
+        build: makes the simulation, in place of the real one.
 
     Returns:
         Exit code: 0.
@@ -96,11 +96,7 @@ def spin_robots(
         turns = Turns(Epoch.parse(epoch), targets, first_view)
 
     def build_simulation() -> Robots:
-        if build is None:
-            from twinct.scan import build_robots as make
-        else:
-            make = build
-        robots = make(scenario)
+        robots = (build or _robots)(scenario)
         if restore is not None:
             robots.restore(np.load(restore))
         return robots
@@ -114,6 +110,12 @@ def spin_robots(
         lifeline=lifeline,
         members=members,
     )
+
+
+def _robots(scenario: Scenario) -> Robots:
+    from twinct.scan import Workshop  # only here: it brings all that a simulation needs
+
+    return Workshop(scenario).robots()
 
 
 class Turns:

@@ -64,24 +64,16 @@ def spin_xray(
         epoch: of the scan this node belongs to: only its views are imaged. None images any.
         members: of that scan: only what its robots reach is imaged.
         lifeline: end also when stdin does.
-        build: makes the simulation, in place of ``build_imager``.
+        build: makes the simulation, in place of the real one.
 
     Returns:
         Exit code: 0.
     """
-
-    def build_simulation() -> XRay:
-        if build is None:
-            from twinct.scan import build_imager as make
-        else:
-            make = build
-        return make(scenario)
-
     panel = scenario.detector.panel
     own = Epoch.parse(epoch) if epoch is not None else None
     return run_node(
         XRAY,
-        build_simulation,
+        lambda: (build or _imager)(scenario),
         lambda station, diagnostics, imager: XRayNode(
             station, diagnostics, imager, panel, own, members, scenario.source.motion_samples
         ),
@@ -89,6 +81,12 @@ def spin_xray(
         members=members,
         largest_message=image_bytes(panel),
     )
+
+
+def _imager(scenario: Scenario) -> XRay:
+    from twinct.scan import Workshop  # only here: it brings all that a simulation needs
+
+    return Workshop(scenario).imager()
 
 
 def image_bytes(panel: Panel) -> int:

@@ -1,6 +1,6 @@
 """A run: from scenario to scan to volume to figures, in memory or in a folder."""
 
-from twinct.runs.acquisition import acquire_to_store, local_rig, machine_frames, simulate
+from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
 from twinct.runs.checks import check_physics, check_sight, findings, require_extras
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, report_again, run
@@ -21,7 +21,6 @@ __all__ = [
     "findings",
     "judge",
     "line_integrals",
-    "local_rig",
     "machine_frames",
     "reconstruct",
     "report_again",

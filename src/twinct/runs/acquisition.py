@@ -15,7 +15,7 @@ from twinct.errors import InputError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.progress import SILENT, Progress
 from twinct.runs.checks import check_physics
-from twinct.scan import LocalRig, Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire
+from twinct.scan import Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire, local_rig
 from twinct.scenario import Scenario
 from twinct.views import Instant, Reached
 
@@ -47,7 +47,8 @@ def simulate(
     check_physics(workshop)
     views: list[View] = []
     names: tuple[str, ...] = ()
-    with local_rig(workshop) as rig, progress.stage("views", len(workshop.targets)) as step:
+    views_to_take = len(workshop.targets)
+    with local_rig(workshop, 0, None) as rig, progress.stage("views", views_to_take) as step:
 
         def keep(_: int, view: View, reached: Reached) -> None:
             nonlocal names
@@ -57,14 +58,6 @@ def simulate(
 
         acquire(rig, scenario, workshop.targets, keep)
     return Scan.from_views(scenario, workshop.commanded_poses, names, views)
-
-
-def local_rig(workshop: Workshop, start_state: NDArray[np.float64] | None = None) -> LocalRig:
-    """Both simulations in this process, at home or in a state they had before."""
-    robots = workshop.robots()
-    if start_state is not None:
-        robots.restore(start_state)
-    return LocalRig(robots, workshop.imager(), workshop.scenario.detector.panel)
 
 
 def acquire_to_store(

@@ -7,12 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from twinct.progress import Progress
-from twinct.runs.acquisition import RigFactory, local_rig
-from twinct.scan import Rig, Workshop
+from twinct.runs.acquisition import RigFactory
+from twinct.scan import local_rig
 
 Link = Literal["ros2", "local"]
 
@@ -35,26 +32,14 @@ def rig_factory(link: Link, logs: Path, progress: Progress) -> Generator[RigFact
         from twinct.xray import prepare_engine
 
         prepare_engine()
-        yield lambda workshop, _, state: local_rig(workshop, state)
+        yield local_rig
         return
-    from twinct.ros import Domain, require_ros
+    from twinct.ros import Domain, require_ros, ros_rigs
 
     require_ros()
     domain = Domain()
     try:
         progress.say(f"ROS 2: domain {domain.id} (ROS_DOMAIN_ID)")
-
-        def ros_rig(workshop: Workshop, first: int, state: NDArray[np.float64] | None) -> Rig:
-            from twinct.ros import RosRig
-
-            return RosRig(
-                workshop.scenario,
-                first_view=first,
-                start_state=state,
-                log_dir=logs,
-                domain=domain,
-            )
-
-        yield ros_rig
+        yield ros_rigs(logs, domain)
     finally:
         domain.close()

@@ -2,9 +2,9 @@
 
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.data import Scan, View
-from twinct.scan.rig import LocalRig, Rig
+from twinct.scan.rig import LocalRig, Rig, local_rig
 from twinct.scan.store import ScanStore, check_space
-from twinct.scan.workshop import Workshop, build_imager, build_robots
+from twinct.scan.workshop import Workshop
 
 __all__ = [
     "LocalRig",
@@ -15,7 +15,6 @@ __all__ = [
     "View",
     "Workshop",
     "acquire",
-    "build_imager",
-    "build_robots",
     "check_space",
+    "local_rig",
 ]

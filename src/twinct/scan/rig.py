@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import Panel
+from twinct.scan.workshop import Workshop
 from twinct.views import Reached, Target
 
 if TYPE_CHECKING:
@@ -81,3 +82,20 @@ class LocalRig:
     def __exit__(self, *_: object) -> None:
         """Close, whatever happened."""
         self.close()
+
+
+def local_rig(
+    workshop: Workshop, first_view: int, start_state: NDArray[np.float64] | None
+) -> LocalRig:
+    """Both simulations in this process.
+
+    Args:
+        workshop: the scenario's parts.
+        first_view: that will be asked for; nothing here depends on it.
+        start_state: what the robot simulation was in before it; None for the planned home.
+    """
+    del first_view
+    robots = workshop.robots()
+    if start_state is not None:
+        robots.restore(start_state)
+    return LocalRig(robots, workshop.imager(), workshop.scenario.detector.panel)

@@ -165,10 +165,15 @@ class ScanStore:
 
         Raises:
             StorageError: the disk is full. What was written before stays good.
+            ValueError: something of the view has another shape than the scan; nothing is written.
         """
+        columns = _columns(view)
+        for name, values in {"transmission": view.transmission, **columns}.items():
+            if np.shape(values) != (shape := self._array(name).shape[1:]):
+                raise ValueError(f"{name} of view {index} has {np.shape(values)}, the scan {shape}")
         with storage_errors(self.path):
             self._array("transmission")[index] = view.transmission
-            for name, values in _columns(view).items():
+            for name, values in columns.items():
                 self._put(name, index, np.asarray(values, dtype="<f8"))
             self._finish(index)
 

@@ -107,13 +107,3 @@ class Workshop:
             commanded=self.commanded,
             seed=scenario.seed,
         )
-
-
-def build_robots(scenario: Scenario) -> RobotSimulation:
-    """A robot simulation at rest in its planned home."""
-    return Workshop(scenario).robots()
-
-
-def build_imager(scenario: Scenario) -> Imager:
-    """An X-ray simulation of the scenario's specimen."""
-    return Workshop(scenario).imager()
