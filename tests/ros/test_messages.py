@@ -53,8 +53,8 @@ def test_reached_round_trip(reached):
     state = over_the_wire(messages.state_message(STAMP, reached))
     assert Stamp.of(joints.header.stamp) == messages.state_stamp(state) == STAMP
 
-    parts = messages.executed_of(poses), messages.joints_of(joints), messages.state_of(state)
-    back = messages.reached_of(*parts)
+    messages.checked_joints(joints), messages.checked_state(state)
+    back = messages.reached_of(messages.executed_of(poses), joints, state)
 
     for name in ("source_m", "object_m", "detector_m", "joint_names", "time_s", "clearance_mm"):
         assert getattr(back, name) == getattr(reached, name), name
@@ -108,14 +108,14 @@ def test_what_is_no_image_of_the_panel_is_refused(spoil, reason):
     [
         (lambda m: spoilt(m, data=[]), "data has 0 numbers, expected 45"),
         (lambda m: spoilt(m, data=m.data[:-1]), "data has 44 numbers, expected 45"),
-        (lambda m: spoilt(m, data=[np.nan, *m.data[1:]]), "data holds nan"),
+        (lambda m: spoilt(m, data=[np.nan, *m.data[1:]]), "data holds numbers that are not finite"),
         (lambda m: m.layout.dim[0].__setattr__("size", 0) or spoilt(m, data=m.data[:2]), "no sim"),
     ],
 )
 def test_what_is_no_state_is_refused(reached, spoil, reason):
     message = messages.state_message(STAMP, reached)
     with pytest.raises(MalformedError, match=reason):
-        messages.state_of(spoil(message))
+        messages.checked_state(spoil(message))
 
 
 @pytest.mark.parametrize(
@@ -123,12 +123,12 @@ def test_what_is_no_state_is_refused(reached, spoil, reason):
     [
         ({"name": []}, "no joints"),
         ({"effort": [1.0]}, "effort has 1 numbers, expected 3"),
-        ({"velocity": [0.0, np.inf, 0.0]}, "velocity holds inf"),
+        ({"velocity": [0.0, np.inf, 0.0]}, "velocity holds numbers that are not finite"),
     ],
 )
 def test_what_are_no_joints_is_refused(reached, attributes, reason):
     with pytest.raises(MalformedError, match=reason):
-        messages.joints_of(spoilt(messages.joints_message(STAMP, reached), **attributes))
+        messages.checked_joints(spoilt(messages.joints_message(STAMP, reached), **attributes))
 
 
 def test_camera_info_projects_like_the_geometry(random_geometry):

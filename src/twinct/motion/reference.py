@@ -33,7 +33,7 @@ class Reference:
         self._acceleration = [float(np.radians(motion.acceleration_deg_s2))] * n
         self._jerk = [float(np.radians(motion.jerk_deg_s3))] * n
 
-    def towards(self, now: Floats, goal: Floats) -> Path:
+    def towards(self, now: Floats, goal: Floats) -> TimedPath:
         """The path to rest at a goal.
 
         Args:
@@ -55,11 +55,15 @@ class Reference:
         verdict = self._planner.calculate(ask, trajectory)
         if verdict not in (self._ruckig.Result.Working, self._ruckig.Result.Finished):
             raise MotionError(f"no timed joint path: Ruckig says {verdict}")
-        return Path(trajectory)
+        return TimedPath(trajectory)
 
 
-class Path:
-    """One timed joint path."""
+class TimedPath:
+    """Joint positions over time.
+
+    Attributes:
+        duration: s.
+    """
 
     def __init__(self, trajectory: Any) -> None:
         """Wrap Ruckig's trajectory."""

@@ -12,7 +12,7 @@ from twinct.cell import CellModel, Clearance, mujoco_module
 from twinct.errors import MotionError, TargetRefusedError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.motion.kinematics import Kinematics, site_pose
-from twinct.motion.plan import FLIP_RAD, readable, straight_path
+from twinct.motion.plan import FLIP_RAD, SIDES, readable, straight_path
 from twinct.motion.reference import Reference
 from twinct.motion.shutter import Shutter
 from twinct.scenario import Motion
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     import mujoco
 else:
     mujoco = mujoco_module()
-
-SIDES = ("source", "detector")
 
 REFUSED_SHARE = 0.5
 """A target is refused where its path leaves less than this share of a plan's clearance.

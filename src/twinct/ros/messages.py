@@ -139,13 +139,11 @@ def _poses(
     return poses
 
 
-def _finite(values: Sequence[float], what: str, count: int | None = None) -> NDArray[np.float64]:
-    numbers = np.array(values, dtype=np.float64)
-    if count is not None and len(numbers) != count:
-        raise MalformedError(f"{what} has {len(numbers)} numbers, expected {count}")
-    if not np.isfinite(numbers).all():
-        raise MalformedError(f"{what} holds {numbers[~np.isfinite(numbers)][0]}")
-    return numbers
+def _check_numbers(values: Sequence[float], what: str, count: int) -> None:
+    if len(values) != count:
+        raise MalformedError(f"{what} has {len(values)} numbers, expected {count}")
+    if not np.isfinite(values).all():
+        raise MalformedError(f"{what} holds numbers that are not finite")
 
 
 def target_message(stamp: Stamp, target: Target) -> PoseArray:
@@ -229,28 +227,17 @@ def joints_message(stamp: Stamp, reached: Reached) -> JointState:
     )
 
 
-class Joints(NamedTuple):
-    """What ``/joint_states`` carries: names, rad, rad/s and N m, (joints,)."""
-
-    names: tuple[str, ...]
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    effort: NDArray[np.float64]
-
-
-def joints_of(message: JointState) -> Joints:
-    """From ``/joint_states``.
+def checked_joints(message: JointState) -> JointState:
+    """The message, if each of its joints has a finite position, speed and torque.
 
     Raises:
-        MalformedError: no joints, or not a finite position, speed and torque of each.
+        MalformedError: it has none, or not these.
     """
-    count = len(message.name)
-    if not count:
+    if not message.name:
         raise MalformedError("no joints")
-    numbers = [
-        _finite(getattr(message, what), what, count) for what in ("position", "velocity", "effort")
-    ]
-    return Joints(tuple(message.name), *numbers)
+    for what in ("position", "velocity", "effort"):
+        _check_numbers(getattr(message, what), what, len(message.name))
+    return message
 
 
 def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
@@ -274,29 +261,23 @@ def state_stamp(message: Float64MultiArray) -> Stamp | None:
         return None
 
 
-class State(NamedTuple):
-    """What ``/scan/state`` carries; the full simulator state is (n,)."""
-
-    time_s: float
-    clearance_mm: float
-    simulator: NDArray[np.float64]
-
-
-def state_of(message: Float64MultiArray) -> State:
-    """From ``/scan/state``.
+def checked_state(message: Float64MultiArray) -> Float64MultiArray:
+    """The message, if it holds as many finite numbers as its layout says.
 
     Raises:
-        MalformedError: another number of values than its layout says, or one that is not finite.
+        MalformedError: it does not.
     """
-    size = message.layout.dim[0].size
-    time_s, clearance_mm, *_ = numbers = _finite(message.data, "data", 2 + size)
+    size = list(message.layout.dim)[0].size
     if not size:
         raise MalformedError("no simulator state")
-    return State(float(time_s), float(clearance_mm), numbers[2:])
+    _check_numbers(message.data, "data", 2 + size)
+    return message
 
 
-def reached_of(poses: Executed, joints: Joints, state: State, samples: int = 1) -> Reached:
-    """What was reached, from the three messages that carry it.
+def reached_of(
+    poses: Executed, joints: JointState, state: Float64MultiArray, samples: int = 1
+) -> Reached:
+    """What was reached, from the three messages that carry it, once they are checked.
 
     Args:
         poses: from ``/scan/reached``.
@@ -307,18 +288,19 @@ def reached_of(poses: Executed, joints: Joints, state: State, samples: int = 1) 
     Raises:
         MalformedError: another number of instants.
     """
+    time_s, clearance_mm = state.data[:2]
     exposure, before = poses.exposure(samples)
     return Reached(
         source_m=poses.view.source_m,
         object_m=poses.view.object_m,
         detector_m=poses.view.detector_m,
-        joint_names=joints.names,
-        position=joints.position,
-        velocity=joints.velocity,
-        effort=joints.effort,
-        state=state.simulator,
-        time_s=state.time_s,
-        clearance_mm=state.clearance_mm,
+        joint_names=tuple(joints.name),
+        position=np.array(joints.position),
+        velocity=np.array(joints.velocity),
+        effort=np.array(joints.effort),
+        state=np.array(state.data[2:]),
+        time_s=time_s,
+        clearance_mm=clearance_mm,
         exposure=exposure,
         before=before,
     )

@@ -36,12 +36,12 @@ from twinct.ros.messages import (
     Executed,
     MalformedError,
     Stamp,
+    checked_joints,
+    checked_state,
     diagnostic_values,
     executed_of,
     image_of,
-    joints_of,
     reached_of,
-    state_of,
     state_stamp,
     target_message,
 )
@@ -208,8 +208,8 @@ class RosRig:
         self._target = station.publisher(TARGET, PoseArray)
         heard = [
             self._hear(station, REACHED, PoseArray, ROBOTS, self._poses_of),
-            self._hear(station, JOINTS, JointState, ROBOTS, joints_of),
-            self._hear(station, STATE, Float64MultiArray, ROBOTS, state_of),
+            self._hear(station, JOINTS, JointState, ROBOTS, checked_joints),
+            self._hear(station, STATE, Float64MultiArray, ROBOTS, checked_state),
             self._hear(station, IMAGE, Image, XRAY, lambda image: image_of(image, self._shape)),
         ]
         station.listen(DIAGNOSTICS, DiagnosticArray, self._on_diagnostics)
@@ -256,8 +256,8 @@ class RosRig:
         return poses
 
     def _on_diagnostics(self, message: DiagnosticArray, sender: Sender) -> None:
-        name = next((n for n in (ROBOTS, XRAY) if self._members.sent(n, sender)), None)
-        for status in message.status if name is not None else ():
+        name = next((n for n in (ROBOTS, XRAY) if self._members.sent(n, sender)), "")
+        for status in message.status if name else ():
             if status.level == OK:
                 self._ready.add(name)
             elif status.level == ERROR and self._asked is not None:

@@ -123,10 +123,6 @@ class _Body:
     def __call__(self, x: Field, y: Field, z: Field) -> Field:
         return self.distance(x, y, z)
 
-    def grown(self, by: float) -> _Body:
-        """The body with its surface moved outwards."""
-        return _Body(lambda x, y, z: self(x, y, z) - by, self.low - by, self.high + by)
-
     def within(self, other: _Body, blend: float = 0.0) -> _Body:
         """What is inside both."""
         return _Body(
