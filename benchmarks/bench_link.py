@@ -24,7 +24,6 @@ from bench_xray import bare_loop
 
 from twinct.scan import LocalRig, Rig, ScanStore, Stopwatch, View, Workshop, acquire
 from twinct.scenario import load_scenario
-from twinct.views import Reached
 
 LOOPS = ("bare", "local", "ros")
 LARGEST_RATIO, LARGEST_EXTRA_MS = 1.15, 15.0
@@ -46,15 +45,15 @@ def scan(workshop: Workshop, views: int, rig: Rig) -> tuple[list[float], dict[st
     with tempfile.TemporaryDirectory() as folder, closing(rig):
         store: ScanStore | None = None
 
-        def keep(index: int, view: View, reached: Reached) -> None:
+        def keep(index: int, view: View) -> None:
             nonlocal store
             if store is None:
                 store = ScanStore.create(
                     Path(folder) / "scan.zarr",
                     workshop.scenario,
                     workshop.commanded_poses,
-                    reached.joint_names,
-                    len(view.state),
+                    view.reached.joint_names,
+                    len(view.reached.state),
                 )
             store.write(index, view)
             ends.append(time.perf_counter())

@@ -31,8 +31,7 @@ FINE_IK = {"position_tolerance_mm": 0.01, "rotation_tolerance_deg": 0.01}
 def paper_targets(views: int) -> list[Target]:
     panel = Detector().panel
     geometry = commanded_views(SinusoidTrajectory(kind="sinusoid", views=views), panel)
-    pairs = PosePairs.from_geometry(geometry)
-    return [Target.from_poses(*pairs[view]) for view in range(views)]
+    return PosePairs.from_geometry(geometry).targets()
 
 
 def measure(views: int, trigger: str) -> dict[str, object]:
@@ -59,7 +58,8 @@ def measure(views: int, trigger: str) -> dict[str, object]:
     errors = {}
     for side in ("source", "detector"):
         pairs = [
-            (getattr(r, side), getattr(t, side)) for r, t in zip(reached, targets, strict=True)
+            (getattr(r.executed, side), getattr(t, side))
+            for r, t in zip(reached, targets, strict=True)
         ]
         errors[side] = {
             "position_mm": _spread([a.distance_mm(b) for a, b in pairs]),

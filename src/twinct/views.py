@@ -10,10 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 
 SevenNumbers = tuple[float, float, float, float, float, float, float]
 """A pose as (x, y, z) in metres and a quaternion (x, y, z, w)."""
@@ -63,66 +60,13 @@ class Instant(NamedTuple):
 
     Attributes:
         source_m: executed ``world_from_source``.
-        object_m: executed ``world_from_object``.
-        detector_m: executed ``world_from_detector``.
-    """
-
-    source_m: SevenNumbers
-    object_m: SevenNumbers
-    detector_m: SevenNumbers
-
-    def placed(self, panel: Panel) -> tuple[ScanGeometry, Pose]:
-        """Source and panel as one view, and ``world_from_object``.
-
-        Raises:
-            ValueError: these numbers are no poses.
-        """
-        geometry = ScanGeometry.from_poses(
-            [from_seven(self.source_m)], [from_seven(self.detector_m)], panel
-        )
-        return geometry, from_seven(self.object_m)
-
-
-@dataclass(frozen=True, eq=False)
-class Reached:
-    """What the robot simulation has at the step that triggers the image.
-
-    Where an exposure takes its time, the poses are those in the middle of it, and joints, state and
-    time those at its end.
-
-    Attributes:
-        source_m: executed ``world_from_source``.
         object_m: executed ``world_from_object``: the specimen.
         detector_m: executed ``world_from_detector``.
-        joint_names: prefixed ``source_`` and ``detector_``, source first.
-        position: joint positions, (joints,), rad.
-        velocity: joint speeds, (joints,), rad/s.
-        effort: joint torques, (joints,), N m.
-        state: the full simulator state (``mjSTATE_INTEGRATION``), (n,).
-        time_s: simulated time.
-        clearance_mm: smallest gap between non-adjacent bodies at any step of the move.
-        exposure: instants of equal duration over the exposure; none where it is a single one.
-        before: where the arms were when the move began, which is where the last view was taken;
-            only where the detector's lag asks for it.
     """
 
     source_m: SevenNumbers
     object_m: SevenNumbers
     detector_m: SevenNumbers
-    joint_names: tuple[str, ...]
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    effort: NDArray[np.float64]
-    state: NDArray[np.float64]
-    time_s: float
-    clearance_mm: float
-    exposure: tuple[Instant, ...] = ()
-    before: Instant | None = None
-
-    @property
-    def path(self) -> tuple[Instant, ...]:
-        """The instants that make the image, at least one."""
-        return self.exposure or (Instant(self.source_m, self.object_m, self.detector_m),)
 
     @property
     def source(self) -> Pose:
@@ -138,6 +82,50 @@ class Reached:
     def detector(self) -> Pose:
         """``world_from_detector``, mm."""
         return from_seven(self.detector_m)
+
+    def placed(self, panel: Panel) -> tuple[ScanGeometry, Pose]:
+        """Source and panel as one view, and ``world_from_object``.
+
+        Raises:
+            ValueError: these numbers are no poses.
+        """
+        return ScanGeometry.from_poses([self.source], [self.detector], panel), self.object
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """What the robot simulation has at the step that triggers the image.
+
+    Attributes:
+        executed: where everything was; in the middle of an exposure that takes its time, whereas
+            joints, state and time are those at its end.
+        joint_names: prefixed ``source_`` and ``detector_``, source first.
+        position: joint positions, (joints,), rad.
+        velocity: joint speeds, (joints,), rad/s.
+        effort: joint torques, (joints,), N m.
+        state: the full simulator state (``mjSTATE_INTEGRATION``), (n,).
+        time_s: simulated time.
+        clearance_mm: smallest gap between non-adjacent bodies at any step of the move.
+        exposure: instants of equal duration over the exposure; none where it is a single one.
+        before: where the arms were when the move began, which is where the last view was taken;
+            only where the detector's lag asks for it.
+    """
+
+    executed: Instant
+    joint_names: tuple[str, ...]
+    position: Floats
+    velocity: Floats
+    effort: Floats
+    state: Floats
+    time_s: float
+    clearance_mm: float
+    exposure: tuple[Instant, ...] = ()
+    before: Instant | None = None
+
+    @property
+    def path(self) -> tuple[Instant, ...]:
+        """The instants that make the image, at least one."""
+        return self.exposure or (self.executed,)
 
 
 @dataclass(frozen=True, eq=False)

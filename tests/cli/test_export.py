@@ -17,7 +17,7 @@ from twinct.scan import ScanStore, View
 from twinct.scan import store as store_module
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
+from twinct.views import Instant, PosePairs, Reached, to_seven
 
 VIEWS = 5
 
@@ -46,10 +46,18 @@ def scan_in(folder: Path, scenario: Scenario, commanded: PosePairs, views: int) 
         rng = np.random.default_rng(index)
         image = rng.uniform(0.1, 1.0, (5, 7)).astype(np.float32)
         executed, believed = shifted(commanded[index], rng), shifted(commanded[index], rng)
-        view = View(
-            image, executed, Pose.identity(), believed, np.zeros(1), np.zeros(3), index, 20.0
+        source, detector = (to_seven(pose) for pose in executed)
+        reached = Reached(
+            executed=Instant(source, to_seven(Pose.identity()), detector),
+            joint_names=store.joint_names,
+            position=np.zeros(1),
+            velocity=np.zeros(1),
+            effort=np.zeros(1),
+            state=np.zeros(3),
+            time_s=index,
+            clearance_mm=20.0,
         )
-        store.write(index, view)
+        store.write(index, View(image, reached, believed))
     return store
 
 

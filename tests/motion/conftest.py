@@ -29,10 +29,8 @@ def cell(head: trimesh.Trimesh) -> CellModel:
 def paper_targets() -> list[Target]:
     """All 399 views of the paper."""
     panel = Detector().panel
-    pairs = PosePairs.from_geometry(
-        commanded_views(SinusoidTrajectory(kind="sinusoid", views=399), panel)
-    )
-    return [Target.from_poses(*pairs[view]) for view in range(len(pairs))]
+    geometry = commanded_views(SinusoidTrajectory(kind="sinusoid", views=399), panel)
+    return PosePairs.from_geometry(geometry).targets()
 
 
 @pytest.fixture(scope="session")

@@ -128,10 +128,8 @@ def test_iiwa_reaches_the_arc_that_the_docs_give_it(head: trimesh.Trimesh) -> No
         }
     )
     cell = build_cell(section, head, Pose.identity(), panel)
-    pairs = PosePairs.from_geometry(
-        commanded_views(ArcTrajectory(kind="arc", views=25, longitude_range_deg=120), panel)
-    )
-    targets = [Target.from_poses(*pairs[view]) for view in range(len(pairs))]
+    arc = ArcTrajectory(kind="arc", views=25, longitude_range_deg=120)
+    targets = PosePairs.from_geometry(commanded_views(arc, panel)).targets()
     plan = plan_motion(cell, Motion(), targets)
     assert plan.clearance_mm.min() >= 10
     assert max(off(cell, q, t)[0] for q, t in zip(plan.joints, targets, strict=True)) <= 0.1 + 1e-6

@@ -92,7 +92,7 @@ def test_a_moving_edge_is_as_wide_as_the_executed_path_says():
 
     assert weight @ x == pytest.approx(centre, abs=0.3)
     # Reconstruction hears of the middle of the exposure.
-    middle = ScanGeometry.from_poses([reached.source], [reached.detector], panel)
+    middle = reached.executed.placed(panel)[0]
     in_the_middle = columns[len(columns) // 2]
     assert middle.project([[80, 0, 0]])[0, 0, 0] == pytest.approx(in_the_middle, abs=0.1)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from twinct.errors import MotionError
-from twinct.views import Reached
+from twinct.views import Instant, Reached
 
 STATE = 5
 REFUSED_X_M = 9.0
@@ -34,9 +34,11 @@ class FakeRobots:
         self.moves += 1
         joints = np.arange(4) / 3 + self.moves
         return Reached(
-            source_m=(target.source_m[0] + self.moves * 1e-4 / 3, *target.source_m[1:]),
-            object_m=(0.0, 0.0, 1 / 3, 0.0, 0.0, 0.0, 1.0),
-            detector_m=target.detector_m,
+            executed=Instant(
+                source_m=(target.source_m[0] + self.moves * 1e-4 / 3, *target.source_m[1:]),
+                object_m=(0.0, 0.0, 1 / 3, 0.0, 0.0, 0.0, 1.0),
+                detector_m=target.detector_m,
+            ),
             joint_names=self.joint_names,
             position=joints,
             velocity=joints / 7,

@@ -163,7 +163,7 @@ def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets, n
     expected = [epoch.at(view) for view in range(4)]
     for messages in (disturbed.reached, disturbed.images, disturbed.joints):
         assert [Stamp.of(message.header.stamp) for message in messages] == expected
-    assert executed_of(disturbed.reached[0]).view.source_m == first.source_m
+    assert executed_of(disturbed.reached[0]).view == first.executed
     assert notes.count("move") == notes.count("render") == disturbed.next
 
 

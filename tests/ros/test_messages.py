@@ -8,7 +8,7 @@ from std_msgs.msg import Float64MultiArray
 from twinct.geometry import Panel, Pose
 from twinct.ros import messages
 from twinct.ros.messages import Epoch, MalformedError, Stamp
-from twinct.views import Reached, Target
+from twinct.views import Instant, Reached, Target, to_seven
 
 STAMP = Stamp(1_700_000_123, 7)
 REPROJECTION_PX = 1e-8
@@ -22,11 +22,8 @@ def over_the_wire(message):
 @pytest.fixture
 def reached(random_pose):
     rng = np.random.default_rng(3)
-    poses = Target.from_poses(random_pose(rng), random_pose(rng))
     return Reached(
-        source_m=poses.source_m,
-        object_m=Target.from_poses(random_pose(rng), random_pose(rng)).source_m,
-        detector_m=poses.detector_m,
+        executed=Instant(*(to_seven(random_pose(rng)) for _ in range(3))),
         joint_names=("source_a", "detector_a", "detector_b"),
         position=rng.normal(size=3),
         velocity=rng.normal(size=3),
@@ -56,7 +53,7 @@ def test_reached_round_trip(reached):
     messages.checked_joints(joints), messages.checked_state(state)
     back = messages.reached_of(messages.executed_of(poses), joints, state)
 
-    for name in ("source_m", "object_m", "detector_m", "joint_names", "time_s", "clearance_mm"):
+    for name in ("executed", "joint_names", "time_s", "clearance_mm"):
         assert getattr(back, name) == getattr(reached, name), name
     for name in ("position", "velocity", "effort", "state"):
         assert getattr(back, name).tobytes() == getattr(reached, name).tobytes(), name

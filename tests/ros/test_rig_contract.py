@@ -14,7 +14,7 @@ from twinct.views import Reached, Target
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
-POSES = ("source_m", "object_m", "detector_m", "exposure", "before")
+POSES = ("executed", "exposure", "before")
 NUMBERS = (*POSES, "joint_names", "time_s", "clearance_mm")
 ARRAYS = ("position", "velocity", "effort", "state")
 
@@ -87,7 +87,9 @@ def test_contract(make, scenario, targets, fakes, fake_command, notes):
     for view, (reached, image) in enumerate(views):
         assert isinstance(reached, Reached)
         assert image.shape == scenario.detector.panel.shape and image.dtype == np.float32
-        assert reached.source.distance_mm(targets[view].source) > 0, "executed, not commanded"
+        assert reached.executed.source.distance_mm(targets[view].source) > 0, (
+            "executed, not commanded"
+        )
     images = [image.tobytes() for _, image in views]
     assert len(set(images)) == len(images), "each view has its own image"
     for (reached, image), (expected, expected_image) in zip(

@@ -18,7 +18,7 @@ from twinct.scan import ScanStore, View, check_space
 from twinct.scan import store as store_module
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
+from twinct.views import Instant, PosePairs, Reached, to_seven
 
 VIEWS = 5
 NAMES = ("source_a", "detector_b")
@@ -37,16 +37,27 @@ def commanded(scenario: Scenario) -> PosePairs:
     return PosePairs.from_geometry(commanded_views(scenario.trajectory, scenario.detector.panel))
 
 
-def view(index: int) -> View:
+def view(index: int, *, instants: bool = False) -> View:
     rng = np.random.default_rng(index)
 
     def pose() -> Pose:
         return Pose.from_euler(rng.normal(size=3), rng.uniform(-180, 180, 3))
 
-    image = rng.random((5, 7), dtype=np.float32)
-    return View(
-        image, (pose(), pose()), pose(), (pose(), pose()), rng.random(2), rng.random(9), index, 1.5
+    def instant() -> Instant:
+        return Instant(to_seven(pose()), to_seven(pose()), to_seven(pose()))
+
+    reached = Reached(
+        executed=instant(),
+        joint_names=NAMES,
+        position=rng.random(2),
+        velocity=rng.random(2),
+        effort=rng.random(2),
+        state=rng.random(9),
+        time_s=index,
+        clearance_mm=1.5,
+        exposure=(instant(), instant()) if instants else (),
     )
+    return View(rng.random((5, 7), dtype=np.float32), reached, (pose(), pose()))
 
 
 def fill(path: Path, scenario: Scenario, commanded: PosePairs, views: range) -> ScanStore:
@@ -73,13 +84,27 @@ def test_a_scan_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> Non
     for index in range(VIEWS):
         written = view(index)
         np.testing.assert_array_equal(scan.transmission[index], written.transmission)
-        assert scan.executed[index] == written.executed
+        executed = written.reached.executed
+        assert scan.executed[index] == (executed.source, executed.detector)
         assert scan.believed[index] == written.believed
-        assert scan.executed_object[index] == written.executed_object
+        assert scan.executed_object[index] == executed.object
         assert scan.commanded[index] == commanded[index]
-        np.testing.assert_array_equal(scan.joints[index], written.joints)
+        np.testing.assert_array_equal(scan.joints[index], written.reached.position)
     assert scan.scenario == scenario
     assert scan.joint_names == NAMES
+
+
+def test_instants_of_an_exposure_read_back_to_the_last_bit(tmp_path, scenario, commanded) -> None:
+    blurred = scenario.model_copy(
+        update={"source": scenario.source.model_copy(update={"motion_samples": 2})}
+    )
+    store = ScanStore.create(tmp_path / "s.zarr", blurred, commanded, NAMES, 9)
+    for index in range(VIEWS):
+        store.write(index, view(index, instants=True))
+    written = [view(index, instants=True).reached.exposure for index in range(VIEWS)]
+    assert store.read().exposure == tuple(written)
+    unblurred = fill(tmp_path / "u.zarr", scenario, commanded, range(VIEWS)).read()
+    assert unblurred.exposure == ()
 
 
 def test_foreign_readers_find_the_contract(tmp_path, scenario, commanded) -> None:
@@ -93,8 +118,9 @@ def test_foreign_readers_find_the_contract(tmp_path, scenario, commanded) -> Non
             assert group[f"{which}/{name}"].shape == (VIEWS, width)
         axes = np.cross(group[f"{which}/u"][:], group[f"{which}/v"][:])
         np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1)
-    np.testing.assert_array_equal(group["executed/source"][2], view(2).executed[0].position)
-    np.testing.assert_array_equal(group["executed/object"][1], view(1).executed_object.position)
+    for name, index in (("source", 2), ("object", 1)):
+        written = getattr(view(index).reached.executed, name)
+        np.testing.assert_array_equal(group[f"executed/{name}"][index], written.position)
     assert group.attrs["pixel_pitch_mm"] == [2.0, 2.0]
 
 

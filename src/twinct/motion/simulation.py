@@ -293,9 +293,7 @@ class RobotSimulation:
         state = np.zeros(size)
         mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         return Reached(
-            source_m=middle.source_m,
-            object_m=middle.object_m,
-            detector_m=middle.detector_m,
+            executed=middle,
             joint_names=self._cell.joint_names,
             position=data.qpos.copy(),
             velocity=data.qvel.copy(),

@@ -195,8 +195,7 @@ class Executed(NamedTuple):
 def executed(reached: Reached) -> Executed:
     """The poses of a view that was reached."""
     before = () if reached.before is None else (reached.before,)
-    view = Instant(reached.source_m, reached.object_m, reached.detector_m)
-    return Executed(view, (*reached.exposure, *before))
+    return Executed(reached.executed, (*reached.exposure, *before))
 
 
 def reached_message(stamp: Stamp, poses: Executed) -> PoseArray:
@@ -291,9 +290,7 @@ def reached_of(
     time_s, clearance_mm = state.data[:2]
     exposure, before = poses.exposure(samples)
     return Reached(
-        source_m=poses.view.source_m,
-        object_m=poses.view.object_m,
-        detector_m=poses.view.detector_m,
+        executed=poses.view,
         joint_names=tuple(joints.name),
         position=np.array(joints.position),
         velocity=np.array(joints.velocity),

@@ -17,7 +17,6 @@ from twinct.progress import SILENT, Progress
 from twinct.runs.checks import check_physics
 from twinct.scan import Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire, local_rig
 from twinct.scenario import Scenario
-from twinct.views import Instant, Reached
 
 if TYPE_CHECKING:
     from twinct.xray.chain import ViewImages
@@ -46,18 +45,15 @@ def simulate(
     workshop = workshop or Workshop(scenario)
     check_physics(workshop)
     views: list[View] = []
-    names: tuple[str, ...] = ()
     views_to_take = len(workshop.targets)
     with local_rig(workshop, 0, None) as rig, progress.stage("views", views_to_take) as step:
 
-        def keep(_: int, view: View, reached: Reached) -> None:
-            nonlocal names
-            names = reached.joint_names
+        def keep(_: int, view: View) -> None:
             views.append(view)
             step()
 
         acquire(rig, scenario, workshop.targets, keep)
-    return Scan.from_views(scenario, workshop.commanded_poses, names, views)
+    return Scan.from_views(scenario, workshop.commanded_poses, views)
 
 
 def acquire_to_store(
@@ -93,18 +89,23 @@ def acquire_to_store(
         progress.stage("views", len(targets), first) as step,
     ):
 
-        def keep(index: int, view: View, reached: Reached) -> None:
+        def keep(index: int, view: View) -> None:
             nonlocal store
+            reached = view.reached
             if store is None:
                 store = ScanStore.create(
-                    path, scenario, workshop.commanded_poses, reached.joint_names, len(view.state)
+                    path,
+                    scenario,
+                    workshop.commanded_poses,
+                    reached.joint_names,
+                    len(reached.state),
                 )
             store.write(index, view)
             log.info(
                 "view %d: t %.3f s, clearance %.1f mm",
                 index,
-                view.simulated_s,
-                view.clearance_mm,
+                reached.time_s,
+                reached.clearance_mm,
             )
             step()
 
@@ -130,7 +131,7 @@ def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iter
     source, detector = scan.scenario.source, scan.scenario.detector
     if source.ideal and detector.ideal:
         raise InputError("an ideal source and detector have no raw images: set detector.readout")
-    if detector.lag and scan.exposure is not None:
+    if detector.lag and scan.exposure:
         raise InputError("raw images with detector.lag and source.motion_samples cannot be redone")
     geometry = scan.executed.geometry(detector.panel)
 
@@ -140,10 +141,7 @@ def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iter
     with workshop.imager() as imager:
         for view in views:
             path = [instant(view)]
-            if scan.exposure is not None:
-                triples = (
-                    Instant(*map(tuple, numbers)) for numbers in scan.exposure[view].tolist()
-                )
-                path = [triple.placed(detector.panel) for triple in triples]
+            if scan.exposure:
+                path = [one.placed(detector.panel) for one in scan.exposure[view]]
             before = instant(view - 1) if detector.lag and view else None
             yield imager.frame(path, view, before)

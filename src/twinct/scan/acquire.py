@@ -6,13 +6,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from twinct.scan.data import View
 from twinct.scan.rig import Rig
 from twinct.scenario import Scenario
 from twinct.uncertainty import believed_poses
-from twinct.views import Reached, Target
+from twinct.views import Target
 
 
 @dataclass
@@ -36,7 +34,7 @@ def acquire(
     rig: Rig,
     scenario: Scenario,
     targets: Sequence[Target],
-    keep: Callable[[int, View, Reached], None],
+    keep: Callable[[int, View], None],
     *,
     first: int = 0,
     watch: Stopwatch | None = None,
@@ -47,7 +45,7 @@ def acquire(
         rig: what moves and takes images.
         scenario: for the noise between executed and believed poses.
         targets: of all views.
-        keep: called with the index, the view and what the robots reached.
+        keep: called with the index and the view.
         first: index of the first view to take.
         watch: counts the seconds spent in moving and in exposing.
     """
@@ -59,19 +57,11 @@ def acquire(
         moved = time.perf_counter()
         image = rig.expose(index)
         exposed = time.perf_counter()
-        executed = reached.source, reached.detector
-        view = View(
-            image,
-            executed,
-            reached.object,
-            believed_poses(*executed, scenario.uncertainty, scenario.believed_seed, index),
-            reached.position,
-            reached.state,
-            reached.time_s,
-            reached.clearance_mm,
-            np.array(reached.exposure) if reached.exposure else None,
+        executed = reached.executed
+        believed = believed_poses(
+            executed.source, executed.detector, scenario.uncertainty, scenario.believed_seed, index
         )
-        keep(index, view, reached)
+        keep(index, View(image, reached, believed))
         watch.xray_s += exposed - moved
         watch.storing_s += time.perf_counter() - exposed
         if before_s is not None:  # a resumed scan cannot tell how long its first move took

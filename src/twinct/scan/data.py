@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twinct.geometry import Pose
 from twinct.scenario import Scenario
-from twinct.views import PosePairs
+from twinct.views import Instant, PosePairs, Reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,26 +18,13 @@ class View:
 
     Attributes:
         transmission: I/I0, (rows, columns), float32.
-        executed: ``world_from_source`` and ``world_from_detector`` at exposure.
-        executed_object: ``world_from_object`` at exposure.
+        reached: what the robots had at exposure.
         believed: what the system reports of source and detector.
-        joints: joint positions, (joints,), rad.
-        state: full simulator state, (n,).
-        simulated_s: simulated time at exposure.
-        clearance_mm: smallest gap between non-adjacent bodies on the way to this view.
-        exposure: instants of the exposure, (instants, 3, 7): source, object and detector in metres
-            and quaternions (x, y, z, w); none where an image takes no time.
     """
 
     transmission: NDArray[np.float32]
-    executed: tuple[Pose, Pose]
-    executed_object: Pose
+    reached: Reached
     believed: tuple[Pose, Pose]
-    joints: NDArray[np.float64]
-    state: NDArray[np.float64]
-    simulated_s: float
-    clearance_mm: float
-    exposure: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +45,7 @@ class Scan:
         joints: joint positions, (views, joints), rad.
         simulated_s: simulated time at exposure, (views,).
         clearance_mm: smallest gap on the way to each view, (views,).
-        exposure: instants of each exposure, (views, instants, 3, 7), as in ``View``.
+        exposure: instants of each view's exposure; empty where an image takes no time.
     """
 
     scenario: Scenario
@@ -71,29 +58,29 @@ class Scan:
     joints: NDArray[np.float64]
     simulated_s: NDArray[np.float64]
     clearance_mm: NDArray[np.float64]
-    exposure: NDArray[np.float64] | None = None
+    exposure: tuple[tuple[Instant, ...], ...] = ()
 
     @classmethod
-    def from_views(
-        cls,
-        scenario: Scenario,
-        commanded: PosePairs,
-        joint_names: tuple[str, ...],
-        views: list[View],
-    ) -> Scan:
+    def from_views(cls, scenario: Scenario, commanded: PosePairs, views: list[View]) -> Scan:
         """Put views taken one by one together."""
+        reached = [view.reached for view in views]
         return cls(
-            scenario,
-            np.stack([view.transmission for view in views]),
-            commanded,
-            PosePairs(tuple(v.executed[0] for v in views), tuple(v.executed[1] for v in views)),
-            tuple(view.executed_object for view in views),
-            PosePairs(tuple(v.believed[0] for v in views), tuple(v.believed[1] for v in views)),
-            joint_names,
-            np.stack([view.joints for view in views]),
-            np.array([view.simulated_s for view in views]),
-            np.array([view.clearance_mm for view in views]),
-            None if views[0].exposure is None else np.array([view.exposure for view in views]),
+            scenario=scenario,
+            transmission=np.stack([view.transmission for view in views]),
+            commanded=commanded,
+            executed=PosePairs(
+                tuple(r.executed.source for r in reached),
+                tuple(r.executed.detector for r in reached),
+            ),
+            executed_object=tuple(r.executed.object for r in reached),
+            believed=PosePairs(
+                tuple(v.believed[0] for v in views), tuple(v.believed[1] for v in views)
+            ),
+            joint_names=reached[0].joint_names,
+            joints=np.stack([r.position for r in reached]),
+            simulated_s=np.array([r.time_s for r in reached]),
+            clearance_mm=np.array([r.clearance_mm for r in reached]),
+            exposure=tuple(r.exposure for r in reached) if reached[0].exposure else (),
         )
 
     def __len__(self) -> int:
@@ -107,6 +94,5 @@ class Scan:
 
     def poses(self, which: str) -> PosePairs:
         """``commanded``, ``executed`` or ``believed`` poses."""
-        pairs = getattr(self, which)
-        assert isinstance(pairs, PosePairs)
-        return pairs
+        named = {"commanded": self.commanded, "executed": self.executed, "believed": self.believed}
+        return named[which]

@@ -21,7 +21,7 @@ from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.scan.data import Scan, View
 from twinct.scenario import Scenario, parse_scenario, stage_digests
-from twinct.views import PosePairs
+from twinct.views import Instant, PosePairs
 
 FORMAT = 2
 READABLE = (1, FORMAT)
@@ -193,18 +193,16 @@ class ScanStore:
             for name in ("transmission", "joints", "simulated_s", "clearance_mm")
         }
         objects = self._array("executed/object")[:], self._array("executed/object_quat")[:]
+        exposure = self._array(EXPOSURE)[:].tolist() if EXPOSURE in self._group else []
         return Scan(
-            self.scenario,
-            everything["transmission"],
-            self.poses("commanded"),
-            self.poses("executed"),
-            tuple(Pose(p, q) for p, q in zip(*objects, strict=True)),
-            self.poses("believed"),
-            self.joint_names,
-            everything["joints"],
-            everything["simulated_s"],
-            everything["clearance_mm"],
-            self._array(EXPOSURE)[:] if EXPOSURE in self._group else None,
+            scenario=self.scenario,
+            commanded=self.poses("commanded"),
+            executed=self.poses("executed"),
+            executed_object=tuple(Pose(p, q) for p, q in zip(*objects, strict=True)),
+            believed=self.poses("believed"),
+            joint_names=self.joint_names,
+            exposure=tuple(tuple(Instant(*map(tuple, i)) for i in view) for view in exposure),
+            **everything,
         )
 
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
@@ -267,8 +265,9 @@ def _chunk(index: int, dimensions: int) -> str:
 
 def _columns(view: View) -> dict[str, Any]:
     columns: dict[str, Any] = {}
-    for which in ("executed", "believed"):
-        source, detector = getattr(view, which)
+    reached, executed = view.reached, view.reached.executed
+    pairs = {"executed": (executed.source, executed.detector), "believed": view.believed}
+    for which, (source, detector) in pairs.items():
         axes = detector.rotation
         columns |= {
             f"{which}/source": source.position,
@@ -278,15 +277,15 @@ def _columns(view: View) -> dict[str, Any]:
             f"{which}/source_quat": source.quat,
             f"{which}/detector_quat": detector.quat,
         }
-    if view.exposure is not None:
-        columns[EXPOSURE] = view.exposure
+    if reached.exposure:
+        columns[EXPOSURE] = reached.exposure
     return columns | {
-        "executed/object": view.executed_object.position,
-        "executed/object_quat": view.executed_object.quat,
-        "joints": view.joints,
-        "state": view.state,
-        "simulated_s": view.simulated_s,
-        "clearance_mm": view.clearance_mm,
+        "executed/object": executed.object.position,
+        "executed/object_quat": executed.object.quat,
+        "joints": reached.position,
+        "state": reached.state,
+        "simulated_s": reached.time_s,
+        "clearance_mm": reached.clearance_mm,
     }
 
 
