@@ -43,6 +43,17 @@ def _processes_are_marked(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 @pytest.fixture
+def figure(record_property: Callable[[str, object], None]) -> Callable[[str], None]:
+    """Says a measured figure that docs/validation.md quotes: on the screen with -s, and in XML."""
+
+    def say(text: str) -> None:
+        record_property("figure", text)
+        print(text)  # noqa: T201
+
+    return say
+
+
+@pytest.fixture
 def random_pose() -> Callable[[np.random.Generator], Pose]:
     """A maker of poses anywhere within half a metre."""
 

@@ -32,17 +32,17 @@ def stack(folder, name, count, kind=""):
 
 
 @pytest.mark.parametrize("name", ["02_simple_scan_circular", "03_simple_scan_helix"])
-def test_simple_scans_frame_by_frame(tmp_path, name):
+def test_simple_scans_frame_by_frame(figure, tmp_path, name):
     # Asked for: 0.5 %. What is left is aRTist's and our rounding of edges inside a pixel.
     scenario = load_ctsimu(DATA / name / f"{name}.json")
     render(scenario, tmp_path)
     theirs = stack(DATA / name / "projections", name, scenario.frames)
     off = rms(stack(tmp_path, name, scenario.frames), theirs, 60000)
-    print(f"{name}: worst frame {100 * off.max():.4f} % of full scale")  # noqa: T201
+    figure(f"{name}: worst frame {100 * off.max():.4f} % of full scale")
     assert off.max() < 0.0005
 
 
-def test_full_example(tmp_path):
+def test_full_example(figure, tmp_path):
     # Spectrum, scintillator curves, spot, noise, deviations, flat and dark. Asked for: 1.5 %.
     name, source = "01_full_example", tmp_path / "files"
     shutil.copytree(DATA / "01_full", source, ignore=shutil.ignore_patterns("projections"))
@@ -56,5 +56,5 @@ def test_full_example(tmp_path):
         flat = stack(folder, name, 3, "_flat").mean(axis=0)
         corrected.append((stack(folder, name, 21) - dark) / (flat - dark))
     off = rms(*corrected, 1.0)
-    print(f"{name}: frames {100 * off.mean():.3f} % in the mean, {100 * off.max():.3f} at worst")  # noqa: T201
+    figure(f"{name}: frames {100 * off.mean():.3f} % in the mean, {100 * off.max():.3f} at worst")
     assert off.mean() < 0.006

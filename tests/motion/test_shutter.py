@@ -55,7 +55,7 @@ def test_an_image_that_takes_no_time_takes_no_steps():
     assert shutter.over([instant(3.0)], 0.002) == (instant(3.0), ())
 
 
-def test_a_moving_edge_is_as_wide_as_the_executed_path_says():
+def test_a_moving_edge_is_as_wide_as_the_executed_path_says(figure):
     workshop = Workshop(parse_scenario(SCENARIO))
     panel = workshop.scenario.detector.panel
     robots = workshop.robots()
@@ -87,6 +87,7 @@ def test_a_moving_edge_is_as_wide_as_the_executed_path_says():
     a, b = columns[:-1], columns[1:]
     centre = np.mean(a + b) / 2
     predicted = np.sqrt(np.mean(a * a + a * b + b * b) / 3 - centre**2 + 1 / 12)
+    figure(f"travel {travel:.2f} mm: edge {width:.2f} px, predicted {predicted:.2f} px")
     assert predicted > 3
     assert width == pytest.approx(predicted, rel=EDGE_SHARE)
 

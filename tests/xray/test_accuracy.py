@@ -29,7 +29,7 @@ def line_integrals(image):
     return -np.log(image.astype(np.float64))
 
 
-def test_marker_centroids_are_where_the_geometry_projects_them():
+def test_marker_centroids_are_where_the_geometry_projects_them(figure):
     detector = Detector(columns=400, rows=300, pixel_pitch_mm=(0.16, 0.18))
     radius, margin = 0.8, 20
     rng = np.random.default_rng(1)
@@ -55,11 +55,11 @@ def test_marker_centroids_are_where_the_geometry_projects_them():
             beam = view.source[0] - view.detector[0]
             tilts.append(np.degrees(np.arccos(view.normal[0] @ beam / np.linalg.norm(beam))))
     assert max(tilts) > 30
-    print(f"markers: mean {np.mean(errors):.4f}, max {np.max(errors):.4f} px")  # noqa: T201
+    figure(f"markers: mean {np.mean(errors):.4f}, max {np.max(errors):.4f} px")
     assert np.max(errors) < MARKER_PX
 
 
-def test_path_lengths_of_a_sphere_are_its_chords():
+def test_path_lengths_of_a_sphere_are_its_chords(figure):
     detector = Detector(columns=160, rows=120, pixel_pitch_mm=(1.5, 1.6))
     centre, radius = (12.0, -7.0, 5.0), 40.0
     rng = np.random.default_rng(2)
@@ -75,12 +75,12 @@ def test_path_lengths_of_a_sphere_are_its_chords():
             # gVXR has single wrong pixels at the rim; one pixel further out it has none.
             outside = chords(view, pose.apply(centre), radius + 1.0) == 0
             assert np.abs(lengths[outside]).max() < FLOAT32_MM
-    print(f"chords: mean {np.mean(errors):.4f}, worst view {max(errors):.4f} mm")  # noqa: T201
+    figure(f"chords: mean {np.mean(errors):.4f}, worst view {max(errors):.4f} mm")
     assert max(errors) < CHORD_MM
 
 
 @pytest.mark.parametrize("inside", ["boolean", "cavity"])
-def test_titanium_inside_bone(inside):
+def test_titanium_inside_bone(figure, inside):
     detector = Detector(columns=160, rows=120, pixel_pitch_mm=1.5)
     bone_at, bone_radius, bone_mu = (12.0, -7.0, 5.0), 40.0, 0.043
     metal_at, metal_radius, metal_mu = (17.0, -3.0, 9.0), 12.0, 0.182
@@ -105,7 +105,7 @@ def test_titanium_inside_bone(inside):
             assert hit.sum() > 500
             through_metal.append((error[hit] / truth[hit]).mean())
             through_bone.append(error[in_both > 0].mean() / truth[in_both > 0].mean())
-    print(  # noqa: T201
+    figure(
         f"titanium in bone ({inside}): through titanium {max(through_metal):.2e}, "
         f"all rays {max(through_bone):.2e}"
     )

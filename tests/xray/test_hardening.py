@@ -85,14 +85,14 @@ def cupping(volume):
     return (edge - centre) / centre
 
 
-def test_cupping_of_a_cylinder_goes():
+def test_cupping_of_a_cylinder_goes(figure):
     geometry = orbit()
     integrals = polychromatic(0.0, chords(geometry, (0, 0), RADIUS))
     r = FROM_AXIS_MM
     before = solve(integrals, geometry)
     hardening = Hardening(SPECTRUM, RESPONSE, [BONE], REFERENCE_KEV)
     after = solve(hardening.correct(integrals), geometry)
-    print(f"cupping {cupping(before):.3f}, corrected {cupping(after):.4f}")  # noqa: T201
+    figure(f"cupping {cupping(before):.3f}, corrected {cupping(after):.4f}")
     assert cupping(before) > 0.05
     assert abs(cupping(after)) < 0.005
     assert after[r < 40].mean() == pytest.approx(BONE.mu_per_mm(REFERENCE_KEV), rel=0.01)
@@ -117,7 +117,7 @@ def physics(kvp=80.0, aluminium_mm=2.5, layer_mm=0.6):
     ],
     ids=lambda of: " ".join(of) or "known" if isinstance(of, dict) else "",
 )
-def test_cupping_that_a_correction_with_another_spectrum_leaves(wrong, most):
+def test_cupping_that_a_correction_with_another_spectrum_leaves(wrong, most, figure):
     """The image has one spectrum, filter and scintillator, the correction believes in others."""
     geometry = orbit()
     spectrum, response = physics()
@@ -130,14 +130,14 @@ def test_cupping_that_a_correction_with_another_spectrum_leaves(wrong, most):
     volume = solve(hardening.correct(integrals), geometry)
     left = cupping(volume)
     mean = volume[FROM_AXIS_MM < 40].mean() / BONE.mu_per_mm(REFERENCE_KEV) - 1
-    print(f"{wrong or 'known'}: cupping {before:.4f} to {left:.4f}, mean {mean:+.4f}")  # noqa: T201
+    figure(f"{wrong or 'known'}: cupping {before:.4f} to {left:.4f}, mean {mean:+.4f}")
     assert before > 0.05
     assert abs(left) < most
     # A wrong spectrum is a wrong scale first, and hardly a cup.
     assert abs(mean) < (0.1 if wrong else 0.01)
 
 
-def test_the_dark_band_between_two_bones_goes():
+def test_the_dark_band_between_two_bones_goes(figure):
     geometry = orbit()
     bone = sum(chords(geometry, centre, ROD_RADIUS) for centre in RODS)
     water = chords(geometry, (0, 0), RADIUS) - bone
@@ -156,6 +156,6 @@ def test_the_dark_band_between_two_bones_goes():
     between = (np.abs(x) < 10) & (np.abs(y) < 4)
     aside = (np.abs(x) < 10) & (np.abs(y) > 22) & (np.abs(y) < 30)
     bands = [abs(v[between].mean() - v[aside].mean()) / low for v in (first, second)]
-    print(f"band between the bones {bands[0]:.3f}, corrected {bands[1]:.4f}")  # noqa: T201
+    figure(f"band between the bones {bands[0]:.3f}, corrected {bands[1]:.4f}")
     assert bands[0] > 0.04
     assert bands[1] < 0.25 * bands[0]

@@ -25,6 +25,8 @@ CHORD_MM = 0.02
 """As the imager's: the facets of the test sphere make 0.003 mm, rays at the rim the rest."""
 FLOAT32_MM = 1e-3
 """gVXR's single-precision depths at 1 m."""
+SLAB_MM = 2e-4
+"""gVXR's single-precision depths at 600 mm: 3e-5 mm for each of two faces, and its projection."""
 
 
 def test_each_body_moves_by_itself_and_paths_are_chords():
@@ -50,6 +52,23 @@ def test_each_body_moves_by_itself_and_paths_are_chords():
                 assert image.min() >= 0
 
 
+def test_slabs_are_as_thick_as_they_are(figure):
+    panel = Panel(9, 9, 0.2, 0.2)
+    view = front_view(panel)
+    rays = view.pixel_centres(0) - view.source[0]
+    oblique = np.linalg.norm(rays, axis=-1) / view.sdd
+    worst = 0.0
+    for thickness in (0.01, 0.1, 1.0, 10.0, 100.0, 400.0):
+        slab = box((0, 0, 0), (thickness, 2, 2))
+        with PathRenderer([Body(slab, BONE)], panel) as renderer:
+            for shift in (0.0, 7.3, -41.9):
+                pose = Pose.from_euler((shift, 0, 0), (0, 0, 0))
+                off = np.abs(renderer.render(view, pose)[0] - thickness * oblique).max()
+                worst = max(worst, float(off))
+    figure(f"slabs: at most {worst:.2g} mm off")
+    assert worst < SLAB_MM
+
+
 def test_samples_lie_at_the_centres_of_the_parts_of_a_pixel():
     panel, fine = Panel(30, 40, 3.0, 2.0), Panel(90, 120, 1.0, 2 / 3)
     bodies = [Body(sphere((3, 4, 5), 20, 4), BONE)]
@@ -73,7 +92,7 @@ def test_a_large_panel_is_taken_in_tiles(monkeypatch):
     np.testing.assert_allclose(tiles, whole, atol=5 * FLOAT32_MM)
 
 
-def test_large_triangles_are_split():
+def test_large_triangles_are_split(figure):
     """A bar along the beam, seen through its long sides: gVXR alone is off by millimetres."""
     panel = Panel(61, 81, 0.8, 0.8)
     view = ScanGeometry([[120, 6, 8]], [[-280, 0, 0]], [[0, 1, 0]], [[0, 0, 1]], panel)
@@ -90,7 +109,7 @@ def test_large_triangles_are_split():
             found = renderer.render(view, Pose.identity())[0]
         return np.sqrt(np.mean((found - truth)[inside] ** 2))
 
-    print(f"RMS {error(None):.3f} mm, split {error(longest_edge(60)):.4f} mm")  # noqa: T201
+    figure(f"RMS {error(None):.3f} mm, split {error(longest_edge(60)):.4f} mm")
     assert inside.sum() > 100
     assert error(None) > 0.3
     assert error(longest_edge(60)) < 0.05
@@ -131,7 +150,7 @@ def test_what_cannot_be_rendered_is_refused():
 
 
 @pytest.mark.process
-def test_a_spectrum_agrees_with_gvxr_in_its_own_polychromatic_mode():
+def test_a_spectrum_agrees_with_gvxr_in_its_own_polychromatic_mode(figure):
     """In a process of its own, since it drives gVXR itself."""
     code = """
     import numpy as np
@@ -189,4 +208,4 @@ def test_a_spectrum_agrees_with_gvxr_in_its_own_polychromatic_mode():
         check=False,
     )
     assert result.returncode == 0, result.stderr[-2000:]
-    print(result.stdout)  # noqa: T201
+    figure(result.stdout)

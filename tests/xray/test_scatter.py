@@ -11,24 +11,34 @@ WATER = material("water")
 KEV = 80.0
 SOD, SDD = 300.0, 600.0
 PITCH, PIXELS = 5.0, 61
+X = (np.arange(PIXELS) - PIXELS // 2) * PITCH
+HALF_MM = 47.5
+MIDDLE = np.ix_(np.abs(X) < HALF_MM, np.abs(X) < HALF_MM)
 
 
 def ball_chords(radius):
     """Path in a ball half-way between a point source and the panel, (PIXELS, PIXELS), mm."""
-    x = (np.arange(PIXELS) - PIXELS // 2) * PITCH
-    r = np.hypot(x[None], x[:, None])
+    r = np.hypot(X[None], X[:, None])
     offset = SOD * r / np.hypot(r, SDD)
     return 2 * np.sqrt(np.maximum(radius**2 - offset**2, 0))
 
 
+def primary(radius):
+    """Free beam and attenuation, without coherent scatter, which is left out on both sides."""
+    mu = WATER.mu_per_mm(KEV) - WATER.density_g_cm3 * xraylib.CS_Rayl_CP("H2O", KEV) / 10
+    beam = (1 + (X[None] ** 2 + X[:, None] ** 2) / SDD**2) ** -1.5
+    return beam * np.exp(-mu * ball_chords(radius))
+
+
 def monte_carlo(radius, photons, rng):
-    """Scattered over primary energy at the middle 100 mm of the panel; all orders of scattering.
+    """Scattered over primary energy at the middle 95 mm of the panel; all orders of scattering.
 
     Photoelectric absorption, Compton scattering by free electrons; straight flight in a ball of
-    water at the origin, the source at z = -SOD, the panel at z = SDD - SOD.
+    water at the origin, the source at z = -SOD, the panel at z = SDD - SOD. Photons start towards
+    the ball only; the primary energy is that of Beer and Lambert.
     """
-    half = np.arctan((PIXELS * PITCH / 2) / SDD)
-    cosine = rng.uniform(np.cos(half * np.sqrt(2)), 1, photons)
+    lowest = np.sqrt(1 - (radius / SOD) ** 2)
+    cosine = rng.uniform(lowest, 1, photons)
     turn = rng.uniform(0, 2 * np.pi, photons)
     sine = np.sqrt(1 - cosine**2)
     direction = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
@@ -37,8 +47,7 @@ def monte_carlo(radius, photons, rng):
     direction = direction[inside]
     position = np.tile([0.0, 0.0, -SOD], (len(direction), 1))
     energy = np.full(len(direction), KEV)
-    order = np.zeros(len(direction), int)
-    scored = np.zeros(2)
+    scattered, flown = 0.0, False
     grid = np.linspace(5, KEV + 1, 200)
     total = np.array([WATER.mu_per_mm(e) for e in grid])
     total -= [
@@ -57,16 +66,14 @@ def monte_carlo(radius, photons, rng):
         out = leaves & (direction[:, 2] > 0)
         reach = (SDD - SOD - position[out, 2]) / direction[out, 2]
         spot = position[out, :2] + reach[:, None] * direction[out, :2]
-        middle = (np.abs(spot) < 50).all(axis=1)
-        scattered = order[out] > 0
-        scored += [
-            energy[out][middle & ~scattered].sum(),
-            energy[out][middle & scattered].sum(),
-        ]
+        middle = (np.abs(spot) < HALF_MM).all(axis=1)
+        if flown:  # the first flight is the primary beam's
+            scattered += energy[out][middle].sum()
+        flown = True
         share = np.interp(energy, grid, compton) / np.interp(energy, grid, total)
         stays = ~leaves & (rng.random(len(position)) < share)
         position = position[stays] + flight[stays, None] * direction[stays]
-        direction, energy, order = direction[stays], energy[stays], order[stays] + 1
+        direction, energy = direction[stays], energy[stays]
         angles = np.linspace(-1, 1, 401)
         levels = np.arange(5, KEV + 1, 5)
         chosen = np.empty(len(energy))
@@ -87,30 +94,27 @@ def monte_carlo(radius, photons, rng):
         )
         alive = energy > 10
         position, direction = position[alive], direction[alive]
-        energy, order = energy[alive], order[alive]
-    return scored[1] / scored[0]
+        energy = energy[alive]
+    per_sr = photons / (2 * np.pi * (1 - lowest))
+    return scattered / (per_sr * KEV / SDD**2 * primary(radius)[MIDDLE].sum() * PITCH**2)
 
 
 def estimate(radius):
-    lengths = ball_chords(radius)
-    mu = WATER.mu_per_mm(KEV) - WATER.density_g_cm3 * xraylib.CS_Rayl_CP("H2O", KEV) / 10
-    x = (np.arange(PIXELS) - PIXELS // 2) * PITCH
-    beam = (1 + (x[None] ** 2 + x[:, None] ** 2) / SDD**2) ** -1.5
-    primary = beam * np.exp(-mu * lengths)
-    scattered = (primary * compton_per_mm(WATER, KEV) * lengths).astype(np.float32)
+    beam = primary(radius)
+    scattered = (beam * compton_per_mm(WATER, KEV) * ball_chords(radius)).astype(np.float32)
     spread = ScatterKernel(KEV).spread(scattered, PITCH, PITCH, SDD - SOD)
-    middle = (np.abs(x[None]) < 50) & (np.abs(x[:, None]) < 50)
-    return spread[middle].sum() / primary[middle].sum()
+    return spread[MIDDLE].sum() / beam[MIDDLE].sum()
 
 
+# The estimate is short of multiple scatter. Tolerances: three standard deviations of the reference.
 @pytest.mark.parametrize(
-    ("radius", "low", "high"), [(25.0, 0.85, 1.15), (50.0, 0.8, 1.1), (80.0, 0.6, 1.1)]
+    ("radius", "share", "tolerance"), [(25.0, 0.89, 0.05), (50.0, 0.82, 0.03), (80.0, 0.77, 0.11)]
 )
-def test_the_estimate_against_monte_carlo(radius, low, high):
+def test_the_estimate_against_monte_carlo(figure, radius, share, tolerance):
     reference = monte_carlo(radius, 800_000, np.random.default_rng(1))
     found = estimate(radius)
-    print(f"radius {radius}: scatter/primary {found:.4f}, Monte Carlo {reference:.4f}")  # noqa: T201
-    assert low < found / reference < high
+    figure(f"radius {radius}: scatter/primary {found:.4f}, Monte Carlo {reference:.4f}")
+    assert found / reference == pytest.approx(share, rel=tolerance)
 
 
 def test_the_kernel_takes_no_more_than_what_was_scattered():

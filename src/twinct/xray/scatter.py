@@ -12,8 +12,8 @@ against their distance d to the panel; mu L up to about 2 at the middle. Scatter
 coherent scatter (a narrow forward peak), and binding of the electrons are left out; an object is
 taken to be thin along the beam, at its middle. Against a Monte Carlo
 calculation of our own, of all orders, in a ball of water at 80 keV half-way to the panel, the ratio
-of scattered to primary energy at its middle is 8 % too low at a radius of 25 mm, 11 % at 50 mm and
-20 % at 80 mm (``tests/xray/test_scatter.py``); ``detector.scatter.scale`` makes up for it.
+of scattered to primary energy at its middle is 11 % too low at a radius of 25 mm, 18 % at 50 mm and
+23 % at 80 mm (``tests/xray/test_scatter.py``); ``detector.scatter.scale`` makes up for it.
 """
 
 from __future__ import annotations
