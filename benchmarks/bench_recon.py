@@ -6,10 +6,16 @@ Seconds are the median of a view; SART's are counted from update to update, so t
 copies before the first one does not count. Views per size: --views, except 512. RTK's back
 projection here is the exact adjoint, which it computes with one thread; its SART takes another one.
 
-Difference: RMS of the two volumes within 3 mm of the bone of an ellipsoid shell (0.043/mm),
-relative to it, where every view sees it. Both get the same views in the same order; the line
-integrals are analytic, made by neither. Peak memory of ours: the paper's 399 views at once, in a
-process of its own.
+Difference: RMS of the two volumes within 3 mm of the bone of an ellipsoid shell (0.043/mm), where
+every view sees it, relative to the RMS of theirs there: after one pass a volume has barely begun.
+Both get the same views in the same order; the line integrals are analytic, made by neither. Peak
+memory of ours: the paper's 399 views at once, in a process of its own.
+
+    python benchmarks/bench_recon.py --agreement 1 5 10 --sizes 128 --views 100
+    python benchmarks/bench_recon.py --scaling 1 2 --sizes 512 --views 4
+
+The first gives the differences alone, after so many iterations; the second the seconds of our SART
+with so many threads.
 """
 
 import argparse
@@ -82,7 +88,7 @@ class Rtk:
         vectors = [itk.Vector[itk.D, 3](numbers[k][0].tolist()) for k in ("row", "column")]
         self.geometry.AddProjection(*points, *vectors)
         self.panel = (*numbers["origin"], 0.0), (*numbers["spacing"], 1.0)
-        self.grid = -(np.array(grid.shape_xyz) - 1) / 2 * grid.voxel, grid.voxel
+        self.grid = grid.first_voxel_mm, grid.voxel
 
     def image(self, array, place):
         image = self.itk.image_view_from_array(array)
@@ -185,14 +191,46 @@ def measure(size, views, rounds, threads):
         t["sart"] += some
         theirs, some = updates(rtk_sart, p, geometry, grid)
         t["rtk_sart"] += some
-    reach = max(1, round(3.0 / grid.voxel[0]))
-    near = binary_dilation(truth > 0, iterations=reach) & region_of_interest(geometry, grid)
     row = {f"{name}_s": float(np.median(times)) for name, times in t.items()}
     for name in ("forward", "adjoint", "sart"):
         row[f"{name}_ratio"] = row[f"rtk_{name}_s"] / row[f"{name}_s"]
-    difference = float(np.sqrt(np.mean((ours - theirs)[near] ** 2)) / MU_BONE)
+    difference = apart(ours, theirs, geometry, grid)[0]
     peak = peak_mb(size, threads)
     return {"size": size, "views": views} | row | {"difference": difference, "peak_mb": peak}
+
+
+def apart(ours, theirs, geometry, grid):
+    """RMS near bone of the difference and of their error, relative to the RMS of theirs."""
+    truth = shells(grid)
+    reach = max(1, round(3.0 / grid.voxel[0]))
+    near = binary_dilation(truth > 0, iterations=reach) & region_of_interest(geometry, grid)
+    size = float(np.sqrt(np.mean(theirs[near] ** 2)))
+    return [float(np.sqrt(np.mean((theirs - x)[near] ** 2))) / size for x in (ours, truth)]
+
+
+def agreement(size, views, iterations):
+    """One line for each number of iterations."""
+    geometry, grid = setting(size, views)
+    p, A = shell_integrals(geometry), Projector(geometry, grid)
+    for count in iterations:
+        ours = sart(A, p, iterations=count, relaxation=0.3)
+        theirs = rtk_sart(p, geometry, grid, iterations=count, relaxation=0.3)
+        difference, error = apart(ours, theirs, geometry, grid)
+        print(
+            f"{size:4}  {views} views, {count} iterations: {difference:.3%} of RTK's volume, ",
+            end="",
+        )
+        print(f"which is {error:.1%} off the truth", flush=True)
+
+
+def scaling(size, views, threads):
+    """Seconds of a view of our SART by threads."""
+    geometry, grid = setting(size, views)
+    p, A = shell_integrals(geometry), Projector(geometry, grid)
+    sart(A[0], p[:1], iterations=1, relaxation=0.3)
+    for count in threads:
+        numba.set_num_threads(count)
+        print(f"{size:4}  {count} threads: {np.median(updates(sart, A, p)[1]):.3f} s a view")
 
 
 def main():
@@ -200,12 +238,21 @@ def main():
     parser.add_argument("--sizes", type=int, nargs="+", default=[128])
     parser.add_argument("--views", type=int, default=20)
     parser.add_argument("--views-512", type=int, default=4)
+    parser.add_argument("--agreement", type=int, nargs="+", metavar="ITERATIONS")
+    parser.add_argument("--scaling", type=int, nargs="+", metavar="THREADS")
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--json")
     options = parser.parse_args()
     numba.set_num_threads(options.threads)
     os.environ["ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS"] = str(options.threads)
+    if options.agreement or options.scaling:
+        for size in options.sizes:
+            if options.agreement:
+                agreement(size, options.views, options.agreement)
+            else:
+                scaling(size, options.views, options.scaling)
+        return
     results = []
     print(f"{options.threads} threads; ms a view, ours / RTK's = ratio")
     print("size  views  forward              exact adjoint        SART                 ", end="")
