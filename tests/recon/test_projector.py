@@ -195,3 +195,23 @@ def test_subset_is_the_same_views(random_geometry, turned_grid, panel):
 def test_grid_behind_the_source_is_refused(panel):
     with pytest.raises(InputError, match="behind the source of view 0"):
         Projector(along_axes(panel), VolumeGrid((20, 20, 20), 12.0))
+
+
+def test_results_go_where_they_are_asked_to(random_geometry, turned_grid, panel):
+    rng = np.random.default_rng(7)
+    A = Projector(random_geometry(3, panel, rng), turned_grid)
+    x = rng.random(A.domain_shape, dtype=np.float32)
+    x.flags.writeable = False
+    y, back = np.full(A.range_shape, np.nan, np.float32), np.full_like(x, np.nan)
+    assert A(x, out=y) is y
+    np.testing.assert_array_equal(y, A(x))
+    assert A.T(y, out=back) is back
+    np.testing.assert_array_equal(back, A.T(y))
+    for wrong in (y[1:], y.astype(float), np.asfortranarray(y), np.broadcast_to(y[0], y.shape)):
+        with pytest.raises(InputError, match="out is float.* writable float32 of shape"):
+            A(x, out=wrong)
+
+
+def test_a_projector_is_shown_in_one_line(random_geometry, turned_grid, panel):
+    A = Projector(random_geometry(3, panel, np.random.default_rng(8)), turned_grid)
+    assert repr(A) == "Projector(3 views, 37 x 31 px, 23 x 26 x 20 voxels)"

@@ -1,0 +1,225 @@
+"""The two engines against each other, which one is taken, and compiled kernels on disk."""
+
+import logging
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from twinct.errors import InputError
+from twinct.recon import Projector, engine
+from twinct.recon.engine import Ratio
+
+SINGLE = 2e-5
+"""Float32 places and sums against float64, of the largest value. Measured 2e-7 to 4e-6."""
+
+
+@pytest.fixture
+def pair(random_geometry, turned_grid, panel):
+    """The same projector with either engine: some rays miss, some views are truncated."""
+    geometry = random_geometry(6, panel, np.random.default_rng(0))
+    return [Projector(geometry, turned_grid, engine=name) for name in ("vector", "plain")]
+
+
+def close(vector, plain):
+    assert np.abs(vector - plain).max() < SINGLE * np.abs(plain).max()
+
+
+def test_engines_agree_on_the_operator(pair):
+    vector, plain = pair
+    rng = np.random.default_rng(1)
+    x = rng.standard_normal(vector.domain_shape).astype(np.float32)
+    y = rng.standard_normal(vector.range_shape).astype(np.float32)
+    close(vector(x), plain(x))
+    close(vector.T(y), plain.T(y))
+    close(vector.chords(), plain.chords())
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_engines_agree_on_an_update(pair, masked):
+    rng = np.random.default_rng(2)
+    start = rng.random(pair[0].domain_shape, dtype=np.float32)
+    measured = rng.random(pair[0].range_shape, dtype=np.float32) * 30
+    mask = rng.random(pair[0].range_shape[1:]) < 0.8 if masked else None
+    results = []
+    for A in pair:
+        x, change, seen = start.copy(), np.zeros_like(start), np.zeros_like(start)
+        for view in range(len(A)):
+            estimate, counts = A.update(x, view, measured[view], relaxation=0.5, mask=mask, floor=0)
+            A.update(start, view, measured[view], relaxation=1, mask=mask, change=change, seen=seen)
+        results.append((x, change, seen, estimate, counts))
+    for vector, plain in zip(*results, strict=True):
+        close(vector, plain)
+    assert (results[0][0] == 0).any(), "the floor was reached"
+
+
+def test_engines_agree_on_back_projection_and_total_variation(pair):
+    rng = np.random.default_rng(3)
+    images = rng.standard_normal(pair[0].range_shape).astype(np.float32)
+    z = rng.standard_normal(pair[0].domain_shape).astype(np.float32)
+    q = rng.random(z.shape, dtype=np.float32) + 1
+    start = rng.standard_normal((3, *z.shape)).astype(np.float32) / 10
+    inverse = 1 / pair[0].grid.voxel
+    results = []
+    for A in pair:
+        spread, out, dual = np.zeros_like(z), np.empty_like(z), start.copy()
+        A.back_project(images, np.linspace(1e4, 2e4, len(A)), spread)
+        A.kernels.primal(z, q, dual, inverse, np.float32(-0.5), out)
+        A.kernels.ascend(out, q, inverse, 0.1, 1.8, dual)
+        results.append((spread, out, dual))
+    for vector, plain in zip(*results, strict=True):
+        close(vector, plain)
+
+
+def test_a_ratio_has_its_border_and_counts_what_is_missing(pair):
+    measured = np.arange(6, dtype=np.float32).reshape(2, 3)
+    length = np.array([[2, 2, 0.5], [4, 4, 4]], np.float32)
+    for A in pair:
+        ratio = Ratio.room(2, 3)
+        nothing = np.zeros_like(measured)
+        A.kernels.ratio(measured, nothing, length, np.float32(1), np.float32(1), *ratio)
+        np.testing.assert_array_equal(
+            ratio.image, [[0, 0, 0.5, 0, 0], [0, 0, 0.5, 0, 0], *[[0.75, 0.75, 1, 1.25, 1.25]] * 2]
+        )
+        np.testing.assert_array_equal(ratio.counts, [[1, 1, 1, 0, 0]] * 2 + [[1] * 5] * 2)
+        for (r, c), missing in np.ndenumerate(ratio.missing):
+            assert missing == (ratio.counts[:r, :c] == 0).sum()
+
+
+def test_either_engine_can_be_asked_for(pair, monkeypatch):
+    geometry, grid = pair[0].geometry, pair[0].grid
+    assert pair[0].kernels is not pair[1].kernels
+    assert pair[1][0].kernels is pair[1].on(grid).kernels is pair[1].kernels
+    assert Projector(geometry, grid).kernels is pair[0].kernels
+    monkeypatch.setenv(engine.ENGINE_VARIABLE, "plain")
+    assert Projector(geometry, grid).kernels is pair[1].kernels
+    assert Projector(geometry, grid, engine="vector").kernels is pair[0].kernels
+    with pytest.raises(InputError, match="engine is 'fast': vector or plain needed"):
+        Projector(geometry, grid, engine="fast")
+    monkeypatch.setenv(engine.ENGINE_VARIABLE, "slow")
+    with pytest.raises(InputError, match="TWINCT_ENGINE is 'slow': vector or plain needed"):
+        Projector(geometry, grid)
+
+
+def test_plain_is_taken_where_vector_does_not_compile(monkeypatch, caplog):
+    plain = engine.kernels("plain")
+
+    def broken(name):
+        if name == "vector":
+            raise RuntimeError("no such instruction")
+        return plain
+
+    monkeypatch.setattr(engine, "_imported", broken)
+    engine._best.cache_clear()
+    try:
+        with caplog.at_level(logging.WARNING):
+            assert engine.kernels() is engine.kernels() is plain
+    finally:
+        engine._best.cache_clear()
+    assert [record.getMessage() for record in caplog.records] == [
+        "the vector engine does not compile here, the plain one is used: no such instruction"
+    ]
+    with pytest.raises(InputError, match="engine vector does not compile here: no such instr"):
+        engine.kernels("vector")
+
+
+def test_settings_of_algorithms_need_no_compiler():
+    code = (
+        "import sys, twinct.scenario, twinct.recon.algorithms\n"
+        "assert not {'numba', 'llvmlite'} & sys.modules.keys()"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+DIGESTS = """
+import hashlib
+import numpy as np
+from twinct.geometry import Panel, VolumeGrid
+from twinct.recon import Projector, fdk, fista_tv, os_sart, sart, sirt, cgls
+from twinct.scenario import CircleTrajectory
+from twinct.trajectory import commanded_views
+circle = CircleTrajectory(kind="circle", views=12, sod_mm=200, sdd_mm=400)
+A = Projector(commanded_views(circle, Panel(29, 31, 3.0, 3.0)), VolumeGrid((20, 22, 21), 2.0))
+rng = np.random.default_rng(0)
+p = A(rng.random(A.domain_shape, dtype=np.float32))
+p += rng.normal(0, 0.3, p.shape).astype(np.float32)
+for volume in (
+    sart(A, p, iterations=2, relaxation=0.5),
+    os_sart(A, p, iterations=2, relaxation=0.5, subsets=4),
+    sirt(A, p, iterations=2),
+    cgls(A, p, iterations=3),
+    fista_tv(A, p, iterations=2, regularisation=0.01),
+    fdk(A, p),
+):
+    print(hashlib.sha256(volume.array.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["vector", "plain"])
+def test_the_process_that_compiles_gives_the_bits_of_later_ones(name, tmp_path):
+    surroundings = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "TWINCT_ENGINE": name}
+    runs = []
+    for _ in range(2):
+        result = subprocess.run(
+            [sys.executable, "-c", DIGESTS], env=surroundings, capture_output=True, text=True
+        )
+        assert result.returncode == 0, result.stderr
+        runs.append(result.stdout.split())
+    assert len(set(runs[0])) == 6
+    assert runs[0] == runs[1]
+
+
+def test_kernels_on_disk_go_by_all_their_sources(tmp_path, monkeypatch):
+    from twinct.recon._vector import cache
+
+    package = tmp_path / "_vector"
+    package.mkdir()
+    for source in (package / "march.py", package / "rays.py", tmp_path / "_plain.py"):
+        source.write_text("old")
+    monkeypatch.setattr(cache, "_HERE", package)
+    before = cache._digest()
+    assert cache._digest() == before
+    for source in (package / "march.py", tmp_path / "_plain.py"):
+        source.write_text("new")
+        assert cache._digest() != before
+        source.write_text("old")
+    assert cache._digest() == before
+
+
+def test_kernels_are_compiled_once_and_nothing_else_is_touched(tmp_path, monkeypatch):
+    from twinct.recon._vector import cache
+
+    stranger = tmp_path / "sart-1.py311.nbi"
+    stranger.touch()
+    started = []
+
+    def compiler(command, env, **_):
+        started.append(command)
+        draft = env[cache._COMPILING]
+        open(os.path.join(draft, "forward.nbc"), "w").close()
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr(cache.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(cache.subprocess, "run", compiler)
+    folder = cache._folder()
+    assert cache._folder() == folder
+    assert len(started) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == [folder.name, stranger.name]
+    assert [path.name for path in folder.iterdir()] == ["forward.nbc"]
+
+
+def test_what_does_not_compile_leaves_its_reason_and_no_folder(tmp_path, monkeypatch):
+    from twinct.recon._vector import cache
+
+    def compiler(command, **_):
+        return subprocess.CompletedProcess(command, 1, "", "Traceback\nLLVMError: no vectors\n")
+
+    monkeypatch.setattr(cache.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(cache.subprocess, "run", compiler)
+    with pytest.raises(RuntimeError, match="^LLVMError: no vectors$"):
+        cache._folder()
+    assert not list(tmp_path.iterdir())
