@@ -99,7 +99,7 @@ def _best(found: list[dict[str, float]], relaxation: float) -> str:
 
 def regularised(scan: Scan, p: np.ndarray, strength: float) -> tuple[np.ndarray, dict[str, float]]:
     start = time.perf_counter()
-    volume = fista_tv(scan.projector, p, iterations=TV_ITERATIONS, regularisation=strength)
+    volume = fista_tv(scan.projector, p, iterations=TV_ITERATIONS, regularisation=strength).array
     figures = {"regularisation": strength} | scan.judge(volume)
     print(
         f"fista_tv, regularisation {strength:g}: {100 * figures['near_bone']:.2f} % near bone, "

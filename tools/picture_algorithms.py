@@ -30,6 +30,7 @@ from twinct.recon import (
 from twinct.scan import Workshop
 from twinct.scenario import load_scenario
 from twinct.trajectory import commanded_views
+from twinct.volume import Volume
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
@@ -103,14 +104,14 @@ def main() -> None:
     p, A = line_integrals(geometry), Projector(geometry, grid)
     panels: Panels = {"truth": (truth, region)}
 
-    def keep(name: str, volume: np.ndarray, views: ScanGeometry) -> None:
-        near, all_over = near_bone(volume, views)
+    def keep(name: str, volume: Volume, views: ScanGeometry) -> None:
+        near, all_over = near_bone(volume.array, views)
         sys.stdout.write(f"{name!r}: {near:.1f} % near bone, {all_over:.1f} % in the region\n")
-        panels[f"{name}: {near:.1f} %"] = volume, region_of_interest(views, grid)
+        panels[f"{name}: {near:.1f} %"] = volume.array, region_of_interest(views, grid)
 
     for name, run in ALGORITHMS.items():
         keep(name, run(A, p), geometry)
-    rest = without_surroundings(p, geometry, grid, margin_mm=30.0, voxel_mm=5.0)
+    rest = without_surroundings(A, p, margin_mm=30.0, voxel_mm=5.0)
     tv = fista_tv(A, rest, iterations=10, regularisation=1e-4)
     keep("fista_tv,\nsurroundings taken out", tv, geometry)
     arc = commanded_views(
@@ -122,7 +123,7 @@ def main() -> None:
 
     panels = {"truth": (truth, region)}
     p = line_integrals(geometry, noisy=False)
-    rest = without_surroundings(p, geometry, grid, margin_mm=30.0, voxel_mm=5.0)
+    rest = without_surroundings(A, p, margin_mm=30.0, voxel_mm=5.0)
     for name, data in (("sart", p), ("sart, surroundings\ntaken out", rest)):
         keep(name, sart(A, data, iterations=10, relaxation=0.3), geometry)
     draw(IMAGES / "truncation.png", panels, 3)

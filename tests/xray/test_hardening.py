@@ -73,7 +73,7 @@ def chords(geometry, centre, radius):
 
 
 def solve(integrals, geometry):
-    return sart(Projector(geometry, GRID), integrals, iterations=5, relaxation=0.3)[1]
+    return sart(Projector(geometry, GRID), integrals, iterations=5, relaxation=0.3).array[1]
 
 
 FROM_AXIS_MM = 1.25 * np.hypot(*(np.indices(GRID.shape[1:]) - 47.5))

@@ -57,7 +57,7 @@ def os_sart(
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: passes over all views, at least 1.
-        relaxation: between 0 and 2, both excluded.
+        relaxation: between 0 and 2, both excluded; stable as in ``sart``.
         subsets: from 1 to the number of views.
         x0: start, (z, y, x); zero if not given. n iterations and then m from their result are, to
             the last bit, n + m iterations.

@@ -51,6 +51,11 @@ def sart(
     centres, border pixels held over their outer half. It is faster, and its B_i[1] is 1 wherever
     all rays count. A voxel that projects beside the panel is not updated.
 
+    Where every voxel is seen by many views, errors fall with any relaxation below 2. A single ray
+    through a corner of the grid, whose samples exceed its length (A 1 / L, below 2 for cubic
+    voxels), is stable below 2 / (A 1 / L): up to 1 always. With one or two views alone, B_i and A_i
+    not being adjoint lets some errors grow, by 1 to 3 % a pass: stop early.
+
     Memory at its peak: 1 volume, and a few images, beside the projections.
 
     Args:

@@ -41,8 +41,11 @@ def sirt(
         x <- x + relaxation * C A^T R (p - A x)
 
     R divides by each ray's length inside the grid and leaves out rays that do not count, as in
-    ``sart``; C divides by A^T 1 over the rays that count. The transpose is exact, so for a
-    relaxation of 1 the iteration converges to a minimum of the residual weighted by R.
+    ``sart``; C divides by A^T 1 over the rays that count. The transpose is exact, so the iteration
+    converges to a minimum of the residual weighted by R where the relaxation is below 2 / q, with q
+    the largest eigenvalue of C A^T R A. q is at most the largest A 1 / L of a ray: samples at whole
+    planes against the exact length. That is below 2 for cubic voxels, so that any relaxation up to
+    1 is stable; only rays through corners come near it, and with many rays q was 1.003 to 1.014.
 
     Memory at its peak: 3 volumes and 2.25 times the projections, beside the projections.
 

@@ -1,0 +1,175 @@
+"""From a scan to a volume: masks, checkpoints and memory, on projections without robots."""
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twinct.errors import InputError, MemoryShortageError
+from twinct.recon import Projector, memory
+from twinct.runs import line_integrals, reconstruct, require_feasible, volumes
+from twinct.runs.integrals import hardening_corrected
+from twinct.runs.volumes import memory_needed
+from twinct.scan import Scan
+from twinct.scenario import parse_scenario
+from twinct.trajectory import commanded_views
+from twinct.views import PosePairs
+
+TWO = {"kind": "two_materials", "base": "water", "dense": "bone", "first_iterations": 2}
+AROUND = {"margin_mm": 20, "voxel_mm": 10, "iterations": 1}
+MU = 0.03
+
+
+def settings(**reconstruction):
+    grid = {"voxels": 24, "voxel_mm": 5.0}
+    return parse_scenario(
+        {
+            "source": {"spectrum": {"kind": "tube", "kvp": 80}},
+            "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8.0},
+            "trajectory": {"kind": "circle", "views": 12},
+            "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 40}}]},
+            "reconstruction": {"grid": grid, "iterations": 3} | reconstruction,
+        }
+    )
+
+
+@pytest.fixture
+def scan():
+    """A ball, in numbers: three geometries alike."""
+
+    def make(radius_mm=40.0, **reconstruction):
+        scenario = settings(**reconstruction)
+        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+        images = np.empty((len(geometry), *geometry.panel.shape), np.float32)
+        for view, image in enumerate(images):
+            ray = geometry.pixel_centres(view) - geometry.source[view]
+            ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+            along = ray @ geometry.source[view]
+            square = radius_mm**2 - geometry.source[view] @ geometry.source[view] + along**2
+            image[:] = np.exp(-MU * 2 * np.sqrt(np.maximum(square, 0)))
+        poses = PosePairs.from_geometry(geometry)
+        views = len(geometry)
+        return Scan(
+            scenario=scenario,
+            transmission=images,
+            commanded=poses,
+            executed=poses,
+            executed_object=(),
+            believed=poses,
+            joint_names=(),
+            joints=np.zeros((views, 0)),
+            simulated_s=np.arange(views, dtype=float),
+            clearance_mm=np.full(views, 50.0),
+        )
+
+    return make
+
+
+def masked(scan):
+    """A mask, and the scan with NaN where it is False."""
+    mask = np.ones(scan.transmission.shape[1:], np.bool_)
+    mask[:, 17] = False
+    mask[20, 3:9] = False
+    return mask, replace(scan, transmission=np.where(mask, scan.transmission, np.float32(np.nan)))
+
+
+def test_an_algorithm_that_knows_no_mask_refuses_it_by_name(scan):
+    mask, broken = masked(scan(engine="rtk"))
+    with pytest.raises(InputError, match="rtk_sart knows no mask"):
+        reconstruct(broken, mask=mask)
+
+
+@pytest.mark.parametrize("kind", [{"kind": "one_material"}, TWO], ids=["one", "two"])
+def test_hardening_leaves_masked_pixels_out(scan, kind):
+    whole = scan(beam_hardening=kind)
+    mask, broken = masked(whole)
+    volume = reconstruct(broken, mask=mask)
+    assert np.isfinite(volume.array).all()
+    other = replace(broken, transmission=np.where(mask, whole.transmission, np.float32(0.9)))
+    np.testing.assert_array_equal(volume, reconstruct(other, mask=mask))
+
+
+def killed_after(number):
+    def watch(done, _):
+        if done == number:
+            raise KeyboardInterrupt
+
+    return watch
+
+
+def test_checkpoints_of_other_projections_or_masks_are_left_alone(scan, tmp_path):
+    first = scan()
+    mask, _ = masked(first)
+    for other, keys in ((first, {"mask": mask}), (scan(radius_mm=30.0), {}), (first, {})):
+        expected = reconstruct(other, **keys)
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(other, checkpoints=tmp_path, watch=killed_after(1), **keys)
+        np.testing.assert_array_equal(reconstruct(other, checkpoints=tmp_path, **keys), expected)
+    assert len({path.name.rpartition("-")[0] for path in tmp_path.iterdir()}) == 3
+
+
+def test_a_finished_checkpoint_is_found_before_any_work(scan, tmp_path, monkeypatch):
+    done = scan(beam_hardening=TWO, surroundings=AROUND)
+    volume = reconstruct(done, checkpoints=tmp_path)
+
+    def work(*_, **__):
+        raise AssertionError("worked again")
+
+    for name in ("hardening_corrected", "without_surroundings", "Projector"):
+        monkeypatch.setattr(volumes, name, work)
+    residuals = []
+    again = reconstruct(done, checkpoints=tmp_path, watch=lambda *step: residuals.append(step))
+    np.testing.assert_array_equal(again, volume)
+    assert again.grid == volume.grid
+    assert [number for number, _ in residuals] == [1, 2, 3]
+
+
+def test_memory_is_told_for_each_stage(scan):
+    views = scan().commanded.geometry(settings().detector.panel)
+    voxels, pixels = 24**3, 12 * 40 * 30
+    plain = memory_needed(settings(), views)
+    held = 8 * pixels + 5 * voxels + memory.SPARE_BYTES
+    assert plain == {"sart": held + 4 * voxels}
+    all_of_it = memory_needed(
+        settings(beam_hardening=TWO, surroundings=AROUND, algorithm="cgls"), views
+    )
+    assert list(all_of_it) == ["beam hardening", "surroundings", "cgls"]
+    assert all_of_it["beam hardening"] == held + 8 * voxels + 4 * pixels
+    assert all_of_it["cgls"] == held + 12 * voxels + 9 * pixels
+
+
+def test_two_materials_that_do_not_fit_are_refused_before_work(scan, monkeypatch):
+    views = scan().commanded.geometry(settings().detector.panel)
+    limit = max(memory_needed(settings(), views).values())
+    monkeypatch.setattr(memory, "available_bytes", lambda: (limit, "a limit"))
+    require_feasible(settings(), views)
+    with pytest.raises(MemoryShortageError, match="beam hardening with a grid of .24, 24, 24. vox"):
+        require_feasible(settings(beam_hardening=TWO), views)
+
+
+@pytest.mark.parametrize("kind", [{"kind": "one_material"}, TWO], ids=["one", "two"])
+@pytest.mark.parametrize("large", ["volume", "projections"])
+def test_hardening_takes_what_is_told(scan, kind, large):
+    given = scan(beam_hardening=kind)
+    grid, views = {"volume": (80, 3), "projections": (8, 12)}[large]
+    given = scan(beam_hardening=kind, grid={"voxels": grid, "voxel_mm": 100 / grid})
+    scenario = given.scenario
+    geometry = given.commanded.geometry(scenario.detector.panel)[:views]
+    p = line_integrals(given.transmission[:views])
+    if large == "projections":
+        p, geometry = np.tile(p, (8, 1, 1)), geometry[np.arange(8 * views) % views]
+    A = Projector(geometry, scenario.reconstruction.grid.volume_grid)
+    hardening_corrected(scenario, p, A)  # tables, imports
+    tracemalloc.start()
+    try:
+        hardening_corrected(scenario, p, A)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    section = scenario.reconstruction.beam_hardening
+    told = volumes.hardening_bytes(section, grid**3, p.size)
+    assert peak < told
+    # Half of the spare bytes would hide a volume or the projections: they are larger here.
+    needed = told - memory.SPARE_BYTES
+    assert peak > 0.6 * needed
