@@ -201,7 +201,7 @@ def measure(size, views, rounds, threads):
 
 def apart(ours, theirs, geometry, grid):
     """RMS near bone of the difference and of their error, relative to the RMS of theirs."""
-    truth = shells(grid)
+    truth, ours, theirs = shells(grid), np.asarray(ours), np.asarray(theirs)
     reach = max(1, round(3.0 / grid.voxel[0]))
     near = binary_dilation(truth > 0, iterations=reach) & region_of_interest(geometry, grid)
     size = float(np.sqrt(np.mean(theirs[near] ** 2)))

@@ -92,6 +92,9 @@ def test_a_scan_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> Non
         np.testing.assert_array_equal(scan.joints[index], written.reached.position)
     assert scan.scenario == scenario
     assert scan.joint_names == NAMES
+    assert scan.poses("believed") is scan.believed
+    with pytest.raises(InputError, match="'scenario' is none of commanded, executed, believed"):
+        scan.poses("scenario")
 
 
 def test_instants_of_an_exposure_read_back_to_the_last_bit(tmp_path, scenario, commanded) -> None:

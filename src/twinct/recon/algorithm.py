@@ -21,12 +21,10 @@ from twinct.volume import Volume
 
 
 class AlgorithmSettings(Section):
-    """Keys of one algorithm; its own ``algorithm`` is a Literal of its name.
+    """Keys of one algorithm, among them ``algorithm``, a Literal of its name and its default.
 
     A key named ``path`` is an input file: it is made absolute, must exist, and counts by content.
     """
-
-    algorithm: str
 
 
 @dataclass(frozen=True, eq=False)

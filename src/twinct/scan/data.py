@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.errors import InputError
 from twinct.geometry import Pose
 from twinct.scenario import Scenario
 from twinct.views import Instant, PosePairs, Reached
@@ -93,6 +94,15 @@ class Scan:
         return f"Scan({self.scenario.name!r}, {len(self)} views, {columns} x {rows} px)"
 
     def poses(self, which: str) -> PosePairs:
-        """``commanded``, ``executed`` or ``believed`` poses."""
+        """Poses of one of the three geometries.
+
+        Args:
+            which: ``commanded``, ``executed`` or ``believed``.
+
+        Raises:
+            InputError: it is another word.
+        """
         named = {"commanded": self.commanded, "executed": self.executed, "believed": self.believed}
+        if which not in named:
+            raise InputError(f"geometry {which!r} is none of {', '.join(named)}")
         return named[which]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import zarr
+import zarr as _zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
@@ -22,6 +22,9 @@ from twinct.geometry import Pose
 from twinct.scan.data import Scan, View
 from twinct.scenario import Scenario, parse_scenario, stage_digests
 from twinct.views import Instant, PosePairs
+
+zarr: Any = _zarr
+"""Typed in part only."""
 
 FORMAT = 2
 READABLE = (1, FORMAT)
@@ -54,14 +57,14 @@ class ScanStore:
             InputError: its format is not known.
         """
         self.path = path
-        self._group = zarr.open_group(str(path), mode="r+")
+        self._group: Any = zarr.open_group(str(path), mode="r+")
         self._format = self._group.attrs.get("format")
         if self._format not in READABLE:
             raise InputError(
                 f"{path}: a scan store of format {self._format!r}; this twinct reads "
                 f"{' and '.join(map(str, READABLE))}: a newer one may read it"
             )
-        self._arrays: dict[str, zarr.Array[Any]] = {}
+        self._arrays: dict[str, Any] = {}
 
     @classmethod
     def create(
@@ -150,7 +153,7 @@ class ScanStore:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, source arm first."""
-        return tuple(self._group.attrs["joint_names"])  # type: ignore[arg-type]
+        return tuple(self._group.attrs["joint_names"])
 
     def state(self, view: int) -> NDArray[np.float64]:
         """The full simulator state of a view."""
@@ -188,21 +191,20 @@ class ScanStore:
                 f"{self.path} holds {self.acquired} of {self.views} views: "
                 "finish it with 'twinct run --resume'"
             )
-        everything = {
-            name: self._array(name)[:]
-            for name in ("transmission", "joints", "simulated_s", "clearance_mm")
-        }
         objects = self._array("executed/object")[:], self._array("executed/object_quat")[:]
         exposure = self._array(EXPOSURE)[:].tolist() if EXPOSURE in self._group else []
         return Scan(
             scenario=self.scenario,
+            transmission=self._array("transmission")[:],
             commanded=self.poses("commanded"),
             executed=self.poses("executed"),
             executed_object=tuple(Pose(p, q) for p, q in zip(*objects, strict=True)),
             believed=self.poses("believed"),
             joint_names=self.joint_names,
+            joints=self._array("joints")[:],
+            simulated_s=self._array("simulated_s")[:],
+            clearance_mm=self._array("clearance_mm")[:],
             exposure=tuple(tuple(Instant(*map(tuple, i)) for i in view) for view in exposure),
-            **everything,
         )
 
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
@@ -238,7 +240,7 @@ class ScanStore:
 
     def _array(self, name: str) -> Any:
         if name not in self._arrays:
-            self._arrays[name] = self._group[name]  # type: ignore[assignment]
+            self._arrays[name] = self._group[name]
         return self._arrays[name]
 
     def _remove_unfinished(self) -> None:
@@ -297,7 +299,7 @@ def _write_frame(
     state_size: int,
 ) -> None:
     views, panel = len(commanded), scenario.detector.panel
-    group = zarr.create_group(str(path), zarr_format=3)
+    group: Any = zarr.create_group(str(path), zarr_format=3)
     group.attrs.update(
         {
             "format": FORMAT,

@@ -20,7 +20,7 @@ from pydantic_core import to_jsonable_python
 
 from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.detector import RandomBadPixels
-from twinct.scenario.scenario import Scenario
+from twinct.scenario.scenario import Scenario, sections_in
 from twinct.settings import Section
 
 StageName = Literal["surface", "plan", "executed", "images", "believed", "volume"]
@@ -138,13 +138,12 @@ def _told(
     """What a stage reads of a section and is not at its default; always which kind it is."""
     told: dict[str, Any] = {}
     for name, info in type(section).model_fields.items():
-        value: Any = getattr(section, name)
+        value = getattr(section, name)
         inner = f"{key}.{name}" if key else name
         if name not in ("kind", "algorithm") and value == info.default:
             continue
-        listed = isinstance(value, tuple) and any(isinstance(item, Section) for item in value)
-        if listed:
-            parts = [_told(item, inner, reads, content) for item in value]
+        if sections := sections_in(value):
+            parts = [_told(item, inner, reads, content) for item in sections]
             if reads(inner) or any(parts):
                 told[name] = parts
         elif isinstance(value, Section):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,7 @@ def load_scenario(
 @contextmanager
 def named_places(
     source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
-) -> Iterator[None]:
+) -> Generator[None, None, None]:
     """Let problems that begin with a key say which file and line, or override, set it.
 
     What is found out only when a scenario is worked with, such as a material that nobody knows,
@@ -101,13 +101,14 @@ def scenario_schema() -> dict[str, Any]:
 
 def _of_a_part(schema: Any) -> Any:
     """The schema of files that extend others: any key may be missing, those of a choice too."""
-    if isinstance(schema, list):
-        return [_of_a_part(item) for item in schema]
-    if not isinstance(schema, dict):
-        return schema
+    text = json.dumps(schema, sort_keys=False)
+    return json.loads(text, object_hook=_without_needs)
+
+
+def _without_needs(part: dict[str, Any]) -> dict[str, Any]:
     return {
-        "anyOf" if key == "oneOf" else key: _of_a_part(value)
-        for key, value in schema.items()
+        "anyOf" if key == "oneOf" else key: value
+        for key, value in part.items()
         if key != "discriminator" and not (key == "required" and isinstance(value, list))
     }
 

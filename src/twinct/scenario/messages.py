@@ -38,7 +38,7 @@ def problems(draft: Draft, error: ValidationError) -> list[str]:
             key = (*key, *(tag for tag in TAGS if _exists(draft.data, [*key, tag])))
         wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
         found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model, others)))
-    sentences = []
+    sentences: list[str] = []
     for key, parts in found.items():
         deeper = any(len(other) > len(key) and other[: len(key)] == key for other in found)
         meant = [text for wrong_shape, text in parts if not wrong_shape]
@@ -98,7 +98,8 @@ class _Place(NamedTuple):
 def _sentence(
     detail: Any, key: Key, model: type[BaseModel] | None, others: list[type[BaseModel]]
 ) -> str:
-    kind, given = detail["type"], detail["input"]
+    kind: str = detail["type"]
+    given: Any = detail["input"]
     if kind == "extra_forbidden":
         if gone := advice(key, given):
             return gone
@@ -128,7 +129,7 @@ def _sentence(
     if kind in ("too_short", "too_long"):
         limit = detail["ctx"].get("min_length", detail["ctx"].get("max_length"))
         side = "at least" if kind == "too_short" else "at most"
-        has = len(given) if isinstance(given, list | tuple) else detail["ctx"]["actual_length"]
+        has = detail["ctx"]["actual_length"]
         return f"must have {side} {limit} {'entry' if limit == 1 else 'entries'}, but has {has}"
     if kind in _PLAIN:
         return f"{_PLAIN[kind]}, but is {'empty' if given is None else repr(given)}"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import yaml
 
@@ -24,7 +24,8 @@ class _Loader(yaml.SafeLoader):
     """YAML as scientists write it: 1e-3 is a number too, which YAML 1.1 takes for text."""
 
 
-_Loader.add_implicit_resolver(
+_resolvers: Any = _Loader
+_resolvers.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
     list("-+.0123456789"),
@@ -39,9 +40,9 @@ class Draft:
     with a section as a whole became so there.
     """
 
-    data: dict[str, Any] = field(default_factory=dict)
-    origins: dict[Key, str] = field(default_factory=dict)
-    left_out: list[str] = field(default_factory=list)
+    data: dict[str, Any] = field(default_factory=dict[str, Any])
+    origins: dict[Key, str] = field(default_factory=dict[Key, str])
+    left_out: list[str] = field(default_factory=list[str])
     """One sentence for each key that went with the algorithm it belonged to."""
 
     def origin(self, key: Key) -> str:
@@ -87,6 +88,14 @@ def key_of(dotted: str) -> Key:
     return tuple(int(step) if step.isdigit() else step for step in dotted.split("."))
 
 
+def _is_mapping(data: object) -> TypeGuard[dict[str, Any]]:
+    return isinstance(data, dict)
+
+
+def _is_list(data: object) -> TypeGuard[list[Any]]:
+    return isinstance(data, list)
+
+
 def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
     path = path.expanduser()
     if path.resolve() in chain:
@@ -125,9 +134,7 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
     return base
 
 
-def _construct(
-    loader: yaml.SafeLoader, node: yaml.Node, key: Key, path: Path, origins: dict[Key, str]
-) -> Any:
+def _construct(loader: Any, node: yaml.Node, key: Key, path: Path, origins: dict[Key, str]) -> Any:
     """Plain data of a node; notes the line of each key and makes each ``path`` absolute."""
     origins[key] = place = f"{path}:{node.start_mark.line + 1}"
     if len(key) > DEEPEST:
@@ -135,7 +142,7 @@ def _construct(
     if isinstance(node, yaml.MappingNode):
         data: dict[Any, Any] = {}
         for key_node, value_node in node.value:
-            name = loader.construct_object(key_node, deep=True)
+            name: Any = loader.construct_object(key_node, deep=True)
             if name in data:
                 line = key_node.start_mark.line + 1
                 raise ScenarioError(f"{path}:{line}: the key {name!r} stands twice")
@@ -154,7 +161,7 @@ def _too_deep(place: object) -> str:
     return f"{place}: nested too deep: a scenario has at most {DEEPEST} levels"
 
 
-def _merge(base: Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key) -> None:
+def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key) -> None:
     """Lay data over the draft: mappings merge, all else replaces, a new ``kind`` starts afresh."""
     here: Any = base.data
     for step in key:
@@ -162,7 +169,7 @@ def _merge(base: Draft, data: dict[Any, Any], origins: dict[Key, str], key: Key)
     for name, value in data.items():
         inner = (*key, name)
         old = here.get(name)
-        if isinstance(old, dict) and isinstance(value, dict):
+        if _is_mapping(old) and _is_mapping(value):
             kind = old.get("kind")
             if value.get("kind", kind) == kind:
                 _change_algorithm(base, inner, value.get("algorithm"))
@@ -191,24 +198,24 @@ def _apply_override(draft: Draft, override: str) -> None:
     here: Any = draft.data
     for depth, step in enumerate(steps):
         last = depth == len(steps) - 1
-        if isinstance(here, list):
+        if _is_list(here):
             if not step.isdigit() or int(step) >= len(here):
                 raise ScenarioError(
                     f"{place}: {'.'.join(steps[:depth])} is a list of {len(here)}: "
                     f"{step!r} is not one of its indices"
                 )
             index: Any = int(step)
-        elif isinstance(here, dict):
+        elif _is_mapping(here):
             index = step
         else:
             raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
         if last:
-            if isinstance(here, dict) and step == "kind" and here.get("kind", value) != value:
+            if _is_mapping(here) and step == "kind" and here.get("kind", value) != value:
                 _start_afresh(draft, here, key[:-1])
             if step == "algorithm":
                 _change_algorithm(draft, key[:-1], value)
             here[index] = value
-        elif isinstance(here, dict):
+        elif _is_mapping(here):
             here = here.setdefault(index, {})
         else:
             here = here[index]
@@ -227,7 +234,7 @@ def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
 def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
     """Leave out what the algorithm of before had and the new one has not, overrides apart."""
     section = draft.data.get("reconstruction")
-    if key != ("reconstruction",) or not isinstance(section, dict):
+    if key != ("reconstruction",) or not _is_mapping(section):
         return
     if not isinstance(algorithm, str) or algorithm not in SECTIONS:
         return
@@ -247,11 +254,11 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
 
 def _absolute_paths(data: Any) -> Any:
     """Make each ``path`` of an override absolute: it is relative to where the command runs."""
-    if isinstance(data, dict):
+    if _is_mapping(data):
         return {
             key: str(Path(value).expanduser().resolve())
             if key == "path" and isinstance(value, str)
             else _absolute_paths(value)
             for key, value in data.items()
         }
-    return [_absolute_paths(item) for item in data] if isinstance(data, list | tuple) else data
+    return [_absolute_paths(item) for item in data] if _is_list(data) else data

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast
 
 from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
@@ -171,7 +171,7 @@ SECTIONS, BROKEN_ALGORITHMS = _sections()
 def _named(value: Any) -> str:
     """The algorithm that a section or its plain data names."""
     if isinstance(value, dict):
-        return str(value.get("algorithm", DEFAULT_ALGORITHM))
+        return str(cast("dict[str, Any]", value).get("algorithm", DEFAULT_ALGORITHM))
     return str(getattr(value, "algorithm", DEFAULT_ALGORITHM))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 from pydantic import Field, model_validator
 
@@ -94,11 +95,16 @@ class Scenario(Section):
 
 def _files(section: Section, key: str) -> Iterator[tuple[str, Path]]:
     for name in type(section).model_fields:
-        value = getattr(section, name)
-        items = enumerate(value) if isinstance(value, tuple) else [("", value)]
-        for index, item in items:
-            place = ".".join(str(step) for step in (key, name, index) if step != "")
-            if isinstance(item, Section):
-                yield from _files(item, place)
-            elif name == "path" and item is not None:
-                yield place, Path(item)
+        value, inner = getattr(section, name), f"{key}.{name}" if key else name
+        for index, item in enumerate(sections_in(value)):
+            yield from _files(item, f"{inner}.{index}")
+        if isinstance(value, Section):
+            yield from _files(value, inner)
+        elif name == "path" and value is not None:
+            yield inner, Path(value)
+
+
+def sections_in(value: object) -> tuple[Section, ...]:
+    """The sections of a list of them; none of anything else."""
+    items = cast("tuple[object, ...]", value) if isinstance(value, tuple) else ()
+    return tuple(item for item in items if isinstance(item, Section))

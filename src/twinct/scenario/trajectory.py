@@ -10,7 +10,12 @@ from twinct.trajectory import TrajectorySettings
 from twinct.trajectory.families import families
 
 if TYPE_CHECKING:
-    AnyTrajectory = TrajectorySettings
+
+    class AnyTrajectory(TrajectorySettings):
+        """What all of them have."""
+
+        kind: str
+
 else:
     AnyTrajectory = Annotated[
         Union[tuple(family.settings for family in families().values())],  # noqa: UP007

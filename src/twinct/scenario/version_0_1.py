@@ -7,8 +7,7 @@ person writes all of them, so that they are known by it.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from twinct.scenario.reconstruction import SECTIONS
 
@@ -27,9 +26,10 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     What the algorithm did not use is left out, the engine ``rtk`` is the algorithm ``rtk_sart``,
     and without a ``nonnegative`` the algorithm's own default holds, as then.
     """
-    flat = data.get("reconstruction")
-    if not isinstance(flat, Mapping) or not flat.keys() >= _ALL:
+    section = data.get("reconstruction")
+    if not isinstance(section, dict) or not section.keys() >= _ALL:
         return data
+    flat = cast("dict[str, Any]", section)
     name = "rtk_sart" if flat["engine"] == "rtk" else str(flat["algorithm"])
     known = SECTIONS[name].model_fields if name in SECTIONS else flat
     gone = {key for key in _ALL if key not in known} | {"engine"}

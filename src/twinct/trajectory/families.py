@@ -8,7 +8,7 @@ from twinct.extensions import Offers, offers
 from twinct.geometry import Panel, ScanGeometry
 from twinct.trajectory.arc import ARC
 from twinct.trajectory.circle import CIRCLE
-from twinct.trajectory.family import Family, TrajectorySettings
+from twinct.trajectory.family import Family, TrajectorySettings, name_in
 from twinct.trajectory.helix import HELIX
 from twinct.trajectory.sinusoid import SINUSOID
 from twinct.trajectory.table import FILE
@@ -30,4 +30,4 @@ def commanded_views(section: TrajectorySettings, panel: Panel) -> ScanGeometry:
     Raises:
         TrajectoryError: a file of views that cannot be read, or a view that is none.
     """
-    return families()[section.kind].views(section, panel)
+    return families()[name_in(type(section))].views(section, panel)

@@ -16,12 +16,10 @@ from twinct.settings import Section
 
 
 class TrajectorySettings(Section):
-    """Keys of one family; its own ``kind`` is a Literal of its name.
+    """Keys of one family, among them ``kind``, a Literal of its name.
 
     A key named ``path`` is an input file: it is made absolute, must exist, and counts by content.
     """
-
-    kind: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,4 +37,9 @@ class Family:
     @property
     def name(self) -> str:
         """What the key ``kind`` calls it."""
-        return str(typing.get_args(self.settings.model_fields["kind"].annotation)[0])
+        return name_in(self.settings)
+
+
+def name_in(settings: type[TrajectorySettings]) -> str:
+    """The name that the key ``kind`` of some settings takes."""
+    return str(typing.get_args(settings.model_fields["kind"].annotation)[0])

@@ -43,7 +43,7 @@ class SinusoidTrajectory(OrbitSettings):
 
 def _views(section: SinusoidTrajectory, panel: Panel) -> ScanGeometry:
     """Longitude over its range, latitude a sine of it (Freiling et al.); both ends included."""
-    share = np.linspace(0.0, 1.0, _PATH_SAMPLES)
+    share: Floats = np.linspace(0.0, 1.0, _PATH_SAMPLES)
 
     def position(t: Floats) -> Floats:
         longitude = np.radians(
@@ -56,8 +56,8 @@ def _views(section: SinusoidTrajectory, panel: Panel) -> ScanGeometry:
 
     steps = np.linalg.norm(np.diff(position(share), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
-    at = stops(section.views) * length[-1]
-    return orbit_views(section, panel, position(np.interp(at, length, share)))
+    at: Floats = np.interp(stops(section.views) * length[-1], length, share)
+    return orbit_views(section, panel, position(at))
 
 
 SINUSOID = Family(SinusoidTrajectory, _views)
