@@ -188,6 +188,15 @@ def test_schema_allows_extends_and_refuses_unknown_keys() -> None:
     assert schema["$defs"]["Detector"]["properties"]["columns"]["description"]
 
 
+def test_schema_takes_a_part_of_a_section_as_files_that_extend_hold_it() -> None:
+    text = json.dumps(schema := scenario_schema())
+    assert '"oneOf"' not in text and '"required"' not in text
+    choices = schema["properties"]["reconstruction"]["anyOf"]
+    assert {"$ref": "#/$defs/FistaTvReconstruction"} in choices
+    assert "relaxation" not in schema["$defs"]["CglsReconstruction"]["properties"]
+    assert "grid" in schema["$defs"]["CglsReconstruction"]["properties"]
+
+
 def test_subsets_are_at_most_the_views() -> None:
     text = problems("reconstruction.algorithm=os_sart", "reconstruction.subsets=101")
     assert "subsets (101) must be at most trajectory.views (100)" in text
@@ -260,6 +269,9 @@ def test_the_engine_is_an_algorithm_now() -> None:
         "use algorithm: rtk_sart"
     )
     assert "any more: leave it out" in problems("reconstruction.engine=twinct")
+    assert "algorithm 'x' is not" in problems("reconstruction={kind: y, algorithm: x}")
+    assert "reconstruction: must be a section" in problems("reconstruction=sart")
+    assert "has 4" in problems("reconstruction.grid.voxel_mm=[1, 1, 1, 1]")
     text = problems("reconstruction.algorithm=ossart")
     assert text.startswith(
         "--set reconstruction.algorithm=ossart: reconstruction.algorithm: algorithm 'ossart' is "

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from twinct.scenario import Reconstruction, Scenario
+from twinct.scenario.digests import STAGES
 from twinct.scenario.reconstruction import SECTIONS, own_keys
 
 PAGE = Path(__file__).parents[1] / "docs" / "scenario.md"
@@ -37,6 +38,55 @@ and each key says so in its name. A `path` is relative to the file that names it
 ([how we read it](paper.md)); where nothing is said, the value is our choice. The pictures show the
 built-in skull without and with the effect of a key, and the difference
 ([more about each](physics.md)).
+"""
+
+ANEW = """## What a key makes anew
+
+A result belongs to a scenario by a digest of its stage: of the keys that the stage reads and that
+are not at their default, of the content of files, and of the stages it stands on. Name, description
+and the parts' names count for none. `seed` counts where something is drawn: for the images with
+noise or random bad pixels, for the volume in random order. `uncertainty.seed` varies the believed
+poses alone. The volume stands on them only where it is made from them.
+"""
+
+EXTENSIONS = """## Algorithms and trajectories of your own
+
+A package of yours can add to both. It names them as entry points, and where it is installed they
+are known to the command line, the ROS 2 nodes and Python alike:
+
+```toml
+[project.entry-points."twinct.algorithms"]
+landweber = "my_package.landweber:LANDWEBER"
+[project.entry-points."twinct.trajectories"]
+zigzag = "my_package.zigzag:ZIGZAG"
+```
+
+```python
+class Zigzag(OrbitSettings):
+    \"\"\"An arc whose views lie above and below it in turn.\"\"\"
+
+    kind: Literal["zigzag"]
+    range_deg: float = Field(default=20.0, gt=0, le=360, description="Arc of longitude.")
+    latitude_deg: float = Field(default=2.0, ge=0, lt=90, description="Above and below.")
+
+
+def views(section: Zigzag, panel: Panel) -> ScanGeometry:
+    longitude = section.centre_longitude_deg + section.range_deg * (stops(section.views) - 0.5)
+    latitude = section.latitude_deg * (-1.0) ** np.arange(section.views)
+    path = on_sphere(np.radians(longitude), np.radians(latitude), section.sod_mm)
+    return orbit_views(section, panel, path)
+
+
+ZIGZAG = Family(Zigzag, views)
+```
+
+`OrbitSettings` brings the keys of all orbits; `TrajectorySettings` none. All of it comes from
+`twinct.trajectory` and `twinct.geometry`; an algorithm is settings (`AlgorithmSettings`), a
+function and an `Algorithm`, from `twinct.recon.algorithm` ([more](reconstruction.md)). Such a
+module must not import `twinct.scenario`, which is made of it. A key `path`, in any section, is an
+input file: made absolute, it must exist, and it counts by its content. An entry point that fails,
+or whose name is taken, is reported with its package and stops nobody who does not name it.
+`tests/extension` is a whole example.
 """
 
 UNITS = {
@@ -94,7 +144,15 @@ def reference() -> str:
     sections: list[str] = [HEAD]
     seen: set[type[BaseModel]] = set()
     _write(Scenario, "Scenario", sections, seen)
-    return "\n".join(sections)
+    return "\n".join([*sections, ANEW, _stages(), EXTENSIONS])
+
+
+def _stages() -> str:
+    rows = ["| stage | reads | stands on |", "|---|---|---|"]
+    for name, stage in STAGES.items():
+        reads = ", ".join(f"`{key}`" for key in stage.reads)
+        rows.append(f"| {name} | {reads} | {', '.join(stage.on)} |")
+    return "\n".join(rows) + "\n"
 
 
 def _write(
@@ -211,6 +269,8 @@ def _plain(value: Any) -> str:
         return f"{{{', '.join(f'{key}: {_plain(item)}' for key, item in given.items())}}}"
     if isinstance(value, tuple):
         return f"[{', '.join(_plain(item) for item in value)}]"
+    if isinstance(value, bool):
+        return f"{value}".lower()
     return f"{value:g}" if isinstance(value, float) else f"{value}"
 
 

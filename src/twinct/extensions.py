@@ -5,21 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 log = logging.getLogger(__name__)
 
 
-class Named(Protocol):
-    """What says by which name a scenario calls it."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        ...
-
-
-T = TypeVar("T", bound=Named)
+T = TypeVar("T")
 
 
 class Offers(dict[str, T]):
@@ -43,7 +34,7 @@ def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
 
     Args:
         group: of entry points; each one's name is the name of what it leads to.
-        kind: what they must lead to.
+        kind: what they must lead to; its ``name`` is what a scenario calls it.
         built_in: of this package, by name; nobody else may take these names.
     """
     found = Offers(built_in)
@@ -68,8 +59,8 @@ def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
 def _checked(loaded: object, kind: type[T], name: str) -> T:
     if not isinstance(loaded, kind):
         raise TypeError(f"it leads to {type(loaded).__name__}, not to {kind.__name__}")
-    if loaded.name != name:
-        raise ValueError(f"it calls itself {loaded.name!r}")
+    if (own := getattr(loaded, "name", None)) != name:
+        raise ValueError(f"it calls itself {own!r}")
     return loaded
 
 

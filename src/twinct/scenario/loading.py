@@ -96,16 +96,11 @@ def scenario_schema() -> dict[str, Any]:
         "type": "string",
         "description": "Scenario file this one builds on, relative to it.",
     }
-    return _of_a_part(schema)
+    return json.loads(json.dumps(schema), object_hook=_with_keys_left_out)
 
 
-def _of_a_part(schema: Any) -> Any:
-    """The schema of files that extend others: any key may be missing, those of a choice too."""
-    text = json.dumps(schema, sort_keys=False)
-    return json.loads(text, object_hook=_without_needs)
-
-
-def _without_needs(part: dict[str, Any]) -> dict[str, Any]:
+def _with_keys_left_out(part: dict[str, Any]) -> dict[str, Any]:
+    """A file that extends another may leave out any key, also those that tell choices apart."""
     return {
         "anyOf" if key == "oneOf" else key: value
         for key, value in part.items()

@@ -8,15 +8,12 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from twinct.scenario.reading import Draft, Key, key_of
+from twinct.scenario.reading import Draft, Key, is_list, key_of
 from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
 from twinct.scenario.version_0_1 import advice
 from twinct.settings import Conflict, ConflictError
 from twinct.trajectory.families import families
-
-TAGS = ("kind", "algorithm")
-"""Keys that say which of several sections it is."""
 
 _BROKEN: dict[Key, dict[str, str]] = {
     ("reconstruction", "algorithm"): BROKEN_ALGORITHMS,
@@ -35,7 +32,10 @@ def problems(draft: Draft, error: ValidationError) -> list[str]:
             conflicts += (_blamed(draft, key, conflict) for conflict in cause.conflicts)
             continue
         if detail["type"] == "union_tag_invalid":
-            key = (*key, *(tag for tag in TAGS if _exists(draft.data, [*key, tag])))
+            key = (
+                *key,
+                "kind" if "kind" in detail.get("ctx", {})["discriminator"] else "algorithm",
+            )
         wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
         found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model, others)))
     sentences: list[str] = []
@@ -129,7 +129,7 @@ def _sentence(
     if kind in ("too_short", "too_long"):
         limit = detail["ctx"].get("min_length", detail["ctx"].get("max_length"))
         side = "at least" if kind == "too_short" else "at most"
-        has = detail["ctx"]["actual_length"]
+        has = len(given) if is_list(given) else detail["ctx"]["actual_length"]
         return f"must have {side} {limit} {'entry' if limit == 1 else 'entries'}, but has {has}"
     if kind in _PLAIN:
         return f"{_PLAIN[kind]}, but is {'empty' if given is None else repr(given)}"
@@ -197,5 +197,5 @@ def _item(annotation: Any) -> Any:
 
 def _tag(model: type[BaseModel]) -> str | None:
     """What the key ``kind`` or ``algorithm`` says of a section that is one of several."""
-    infos = (model.model_fields[tag] for tag in TAGS if tag in model.model_fields)
+    infos = (model.model_fields[tag] for tag in ("kind", "algorithm") if tag in model.model_fields)
     return next((str(typing.get_args(info.annotation)[0]) for info in infos), None)

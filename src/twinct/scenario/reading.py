@@ -88,11 +88,13 @@ def key_of(dotted: str) -> Key:
     return tuple(int(step) if step.isdigit() else step for step in dotted.split("."))
 
 
-def _is_mapping(data: object) -> TypeGuard[dict[str, Any]]:
+def is_mapping(data: object) -> TypeGuard[dict[str, Any]]:
+    """Whether it is one, for the type checker too."""
     return isinstance(data, dict)
 
 
-def _is_list(data: object) -> TypeGuard[list[Any]]:
+def is_list(data: object) -> TypeGuard[list[Any]]:
+    """Whether it is one, for the type checker too."""
     return isinstance(data, list)
 
 
@@ -169,7 +171,7 @@ def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key)
     for name, value in data.items():
         inner = (*key, name)
         old = here.get(name)
-        if _is_mapping(old) and _is_mapping(value):
+        if is_mapping(old) and is_mapping(value):
             kind = old.get("kind")
             if value.get("kind", kind) == kind:
                 _change_algorithm(base, inner, value.get("algorithm"))
@@ -198,24 +200,24 @@ def _apply_override(draft: Draft, override: str) -> None:
     here: Any = draft.data
     for depth, step in enumerate(steps):
         last = depth == len(steps) - 1
-        if _is_list(here):
+        if is_list(here):
             if not step.isdigit() or int(step) >= len(here):
                 raise ScenarioError(
                     f"{place}: {'.'.join(steps[:depth])} is a list of {len(here)}: "
                     f"{step!r} is not one of its indices"
                 )
             index: Any = int(step)
-        elif _is_mapping(here):
+        elif is_mapping(here):
             index = step
         else:
             raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
         if last:
-            if _is_mapping(here) and step == "kind" and here.get("kind", value) != value:
+            if is_mapping(here) and step == "kind" and here.get("kind", value) != value:
                 _start_afresh(draft, here, key[:-1])
             if step == "algorithm":
                 _change_algorithm(draft, key[:-1], value)
             here[index] = value
-        elif _is_mapping(here):
+        elif is_mapping(here):
             here = here.setdefault(index, {})
         else:
             here = here[index]
@@ -234,7 +236,7 @@ def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
 def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
     """Leave out what the algorithm of before had and the new one has not, overrides apart."""
     section = draft.data.get("reconstruction")
-    if key != ("reconstruction",) or not _is_mapping(section):
+    if key != ("reconstruction",) or not is_mapping(section):
         return
     if not isinstance(algorithm, str) or algorithm not in SECTIONS:
         return
@@ -254,11 +256,11 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
 
 def _absolute_paths(data: Any) -> Any:
     """Make each ``path`` of an override absolute: it is relative to where the command runs."""
-    if _is_mapping(data):
+    if is_mapping(data):
         return {
             key: str(Path(value).expanduser().resolve())
             if key == "path" and isinstance(value, str)
             else _absolute_paths(value)
             for key, value in data.items()
         }
-    return [_absolute_paths(item) for item in data] if _is_list(data) else data
+    return [_absolute_paths(item) for item in data] if is_list(data) else data
