@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from twinct.errors import InputError
 from twinct.files.reading import reason
 from twinct.files.writing import complete
-from twinct.geometry import Floats
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ def read_image(
     return image
 
 
-def _raw(file: RawImage, shape: tuple[int, int]) -> Floats:
+def _raw(file: RawImage, shape: tuple[int, int]) -> NDArray[np.float64]:
     try:
         data = file.path.read_bytes()[file.header :]
         return np.frombuffer(data, dtype=file.kind).reshape(shape).astype(np.float64)
@@ -64,7 +63,7 @@ def _raw(file: RawImage, shape: tuple[int, int]) -> Floats:
         raise InputError(f"{file.path}: cannot be read as an image: {reason(error)}") from None
 
 
-def _picture(path: Path, what: str) -> Floats:
+def _picture(path: Path, what: str) -> NDArray[np.float64]:
     try:
         if path.suffix == ".npy":
             image = np.load(path, allow_pickle=False)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinct.errors import InputError
 from twinct.files.reading import reason
-from twinct.geometry import Floats
 
 
-def read_columns(path: Path, columns: int, *, more: bool = False) -> Floats:
+def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.float64]:
     """Columns of finite numbers from a text file, (columns, rows); ``#`` starts a comment.
 
     Blanks, commas or semicolons stand between them.
@@ -48,7 +48,7 @@ def read_columns(path: Path, columns: int, *, more: bool = False) -> Floats:
     return np.array(rows).T
 
 
-def read_curve(path: Path) -> tuple[Floats, Floats]:
+def read_curve(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The first two columns of a text file: a curve over its first.
 
     Raises:
