@@ -216,7 +216,7 @@ def test_silent_from_import_to_exit():
 
 
 def test_without_gvxr_the_extra_is_named(monkeypatch):
-    monkeypatch.setattr(engine_module, "ENGINE", engine_module.Engine())
+    monkeypatch.setattr(engine_module, "ENGINE", engine_module.GvxrScene())
     monkeypatch.setitem(sys.modules, "gvxrPython3", None)
     with pytest.raises(MissingExtraError, match=r"twinct\[xray\]"):
         engine_module.ENGINE.acquire([], 80.0, DETECTOR.panel)
@@ -232,7 +232,7 @@ def test_a_missing_system_library_is_named_with_the_remedy(monkeypatch, tmp_path
     for name in [name for name in sys.modules if name.partition(".")[0] == "gvxrPython3"]:
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(InputError, match=r"libxcb-res.*make setup.*libxcb-res0"):
-        engine_module.Engine().acquire([], 80.0, DETECTOR.panel)
+        engine_module.GvxrScene().acquire([], 80.0, DETECTOR.panel)
 
 
 @pytest.mark.process
