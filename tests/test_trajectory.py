@@ -25,7 +25,7 @@ def paper():
 def test_paper_path_has_its_length_and_ends() -> None:
     geometry = paper()
     steps = np.linalg.norm(np.diff(geometry.source, axis=0), axis=1)
-    # chords are a little shorter than the arcs: 3.085 mm by DESIGN.md, 1227.66 mm in all
+    # chords are a little shorter than the arcs: 3.085 mm by docs/paper.md, 1227.66 mm in all
     assert steps.mean() == pytest.approx(1227.66 / 398, abs=2e-4)
     assert np.ptp(steps) < 1e-3
     np.testing.assert_allclose(np.linalg.norm(geometry.source, axis=1), 300)

@@ -1,10 +1,12 @@
-"""Believed poses: the distribution of DESIGN.md, keyed by seed and view alone."""
+"""Believed poses: the distribution of docs/paper.md, keyed by seed and view alone."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from scipy.stats import truncnorm
+from scipy.stats import chi, norm, truncnorm
 
 from twinct.geometry import Pose
 from twinct.scenario import Uncertainty
@@ -25,6 +27,21 @@ def test_noise_is_the_truncated_normal_of_the_paper() -> None:
     # 24,000 draws: the standard error of the spread is 0.4 %, of the mean 0.0005 mm
     assert draws.std() == pytest.approx(law.std(), rel=0.02)
     assert abs(draws.mean()) < 0.002
+
+
+def test_what_the_page_says_of_the_noise() -> None:
+    """Redrawing narrows each axis; distances still pass the cut-off, which is one of each axis."""
+    cut = 1.5  # sigmas
+    per_axis = truncnorm(-cut, cut, scale=0.1).std()
+    # The ball of the cut-off's radius lies inside its cube, where the density is the normal one.
+    inside_cube = (norm.cdf(cut) - norm.cdf(-cut)) ** 3
+    beyond = 1 - chi(3).cdf(cut) / inside_cube
+    page = (Path(__file__).parents[1] / "docs" / "paper.md").read_text(encoding="utf-8")
+    assert f"{per_axis:.3f} mm" in page
+    assert f"{100 * beyond:.0f} %" in page
+    distances = np.linalg.norm(offsets(2, range(4000)), axis=-1).ravel()
+    # 8,000 draws: the standard error of the share is 0.005
+    assert (distances > 0.15).mean() == pytest.approx(beyond, abs=0.02)
 
 
 def test_a_draw_depends_on_seed_and_view_alone() -> None:
