@@ -36,7 +36,7 @@ ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
 PHOTONS, SEED = 1e4, 1
 ARC = "trajectory={kind: arc, views: 100, longitude_range_deg: 212}"
-ALGORITHMS: dict[str, Callable[..., np.ndarray]] = {
+ALGORITHMS: dict[str, Callable[..., Volume]] = {
     "sart, 5 iterations of 0.3": lambda A, p: sart(
         A, p, iterations=5, relaxation=0.3, nonnegative=True
     ),

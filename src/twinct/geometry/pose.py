@@ -50,9 +50,9 @@ class Pose:
     @classmethod
     def from_euler(cls, position: ArrayLike, degrees: ArrayLike) -> Pose:
         """Build from an origin in mm and extrinsic x, y, z rotations in degrees."""
-        return cls(
-            np.asarray(position), Rotation.from_euler("xyz", degrees, degrees=True).as_quat()
-        )
+        angles = np.asarray(degrees, dtype=np.float64)
+        turned = Rotation.from_euler("xyz", angles, degrees=True)
+        return cls(np.asarray(position), turned.as_quat())
 
     @classmethod
     def from_metres(cls, position_m: ArrayLike, quat: ArrayLike) -> Pose:

@@ -21,6 +21,6 @@ BUILT_IN: dict[str, Algorithm[Any]] = {
 
 
 @cache
-def algorithms() -> Offers[Algorithm]:
+def algorithms() -> Offers[Algorithm[Any]]:
     """Those that a scenario can name; looked up once in each process."""
     return offers("twinct.algorithms", Algorithm, BUILT_IN)

@@ -192,7 +192,7 @@ class ScanStore:
                 "finish it with 'twinct run --resume'"
             )
         objects = self._array("executed/object")[:], self._array("executed/object_quat")[:]
-        exposure = self._array(EXPOSURE)[:].tolist() if EXPOSURE in self._group else []
+        exposure: Any = self._array(EXPOSURE)[:].tolist() if EXPOSURE in self._group else []
         return Scan(
             scenario=self.scenario,
             transmission=self._array("transmission")[:],
@@ -204,7 +204,7 @@ class ScanStore:
             joints=self._array("joints")[:],
             simulated_s=self._array("simulated_s")[:],
             clearance_mm=self._array("clearance_mm")[:],
-            exposure=tuple(tuple(Instant(*map(tuple, i)) for i in view) for view in exposure),
+            exposure=tuple(_instants(view) for view in exposure),
         )
 
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
@@ -258,6 +258,11 @@ class ScanStore:
 def _kept_digests(scenario: Scenario) -> dict[str, str]:
     digests = stage_digests(scenario)
     return {"images": digests["images"], "believed": digests["believed"]}
+
+
+def _instants(view: Any) -> tuple[Instant, ...]:
+    """Of nested lists of numbers, (instants, 3, 7)."""
+    return tuple(Instant(*(tuple(pose) for pose in triple)) for triple in view)
 
 
 def _chunk(index: int, dimensions: int) -> str:

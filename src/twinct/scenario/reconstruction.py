@@ -138,7 +138,7 @@ def own_keys(section: type[Section]) -> list[str]:
     return [key for key in section.model_fields if key not in Reconstruction.model_fields]
 
 
-def _with_settings(algorithm: Algorithm) -> type[Reconstruction]:
+def _with_settings(algorithm: Algorithm[Any]) -> type[Reconstruction]:
     settings = algorithm.settings
     common = set(settings.model_fields) & set(Reconstruction.model_fields) - {"algorithm"}
     if common:

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
+from twinct.volume import Volume
 
 
 class Landweber(AlgorithmSettings):
@@ -17,13 +18,13 @@ class Landweber(AlgorithmSettings):
     steps: int = Field(default=2, ge=1, description="Number of steps.")
 
 
-def _solve(problem: Problem, settings: Landweber) -> np.ndarray:
+def _solve(problem: Problem, settings: Landweber) -> Volume:
     A, p = problem.projector, problem.line_integrals
     x = np.load(settings.path)
     step = np.float32(1 / A.T(A(np.ones_like(x))).max())
     for _ in range(settings.steps):
         x = x + step * A.T(p - A(x))
-    return x
+    return Volume(x, A.grid)
 
 
 LANDWEBER = Algorithm(Landweber, _solve, volumes=3, projections=2)
