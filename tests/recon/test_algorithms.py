@@ -1,6 +1,7 @@
 """What all algorithms have in common: masks, restarts, threads, callbacks, bad input."""
 
 from functools import partial
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from twinct.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, cgls, fdk, fista_tv, os_sart, sart, sirt
+from twinct.recon import Problem, Projector, cgls, fdk, fista_tv, os_sart, sart, sirt
 
 RUNS = {
     "sart": partial(sart, iterations=2, relaxation=0.5),
@@ -148,3 +149,19 @@ def test_wrong_projections_and_masks(name, change, message, scan):
     A, p = scan
     with pytest.raises(InputError, match=message):
         RUNS[name](A, **({"line_integrals": p} | change))
+
+
+def test_the_algorithm_of_the_page_works(scan):
+    page = (Path(__file__).parents[2] / "docs" / "reconstruction.md").read_text(encoding="utf-8")
+    code = page.split("## An algorithm of your own")[1].split("```python\n")[1].split("```")[0]
+    found = {"__name__": "own"}
+    exec(compile(code, "docs/reconstruction.md", "exec", dont_inherit=True), found)
+    own = found["LANDWEBER"]
+    A, p = scan
+    problem = Problem(projector=A, line_integrals=p, transmission=np.exp(-p))
+    residuals = [
+        own.solve(problem, own.settings(iterations=n)).extras["residual"] for n in (1, 5, 10)
+    ]
+    assert own.name == "landweber"
+    assert residuals == sorted(residuals, reverse=True)
+    assert residuals[-1] < 0.5 * np.linalg.norm(p)

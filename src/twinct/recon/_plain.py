@@ -1,4 +1,4 @@
-"""The plain engine: every kernel as its formula says it, in float64, one sample at a time.
+"""The plain engine: every kernel as its formula says it, one sample at a time, rays in float64.
 
 The reference for the vector engine, and the engine where that one does not compile. What it does is
 said in ``engine``; the forward model is Joseph's, see ``projector``.
@@ -112,19 +112,7 @@ def chords(rays, shape, out):
 
 @njit(**OPTIONS)
 def ratio(measured, estimate, length, relaxation, shortest, image, counts, missing):
-    """Relaxation * (measured - estimate) / length of the rays that count, with a border.
-
-    Args:
-        measured: p_i, (rows, columns).
-        estimate: A_i x, (rows, columns).
-        length: L_i, (rows, columns), mm.
-        relaxation: factor.
-        shortest: rays with a shorter length do not count, mm.
-        image: (rows + 2, columns + 2), overwritten; 0 where a ray does not count.
-        counts: same shape, overwritten: 1 where a ray counts, else 0.
-        missing: (rows + 3, columns + 3), overwritten: [r, c] is the number of pixels above and left
-            of it that do not count.
-    """
+    """The residual over the length of the rays that count, with a border of one pixel."""
     rows, columns = measured.shape
     missing[0] = 0
     for row in range(rows + 2):
@@ -173,17 +161,7 @@ def update(x, matrix, image, counts, missing, floor):
 
 @njit(parallel=True, **OPTIONS)
 def back_project(images, matrices, scales, out):
-    """Add scale / depth^2 times what each image holds where a voxel projects to ``out`` (z, y, x).
-
-    Bilinear between pixel centres; border pixels are held over their outer half, beside the panel
-    there is nothing. A voxel takes the views in their order: threads do not change the last bit.
-
-    Args:
-        images: (views, rows, columns).
-        matrices: (views, 3, 4) float64: voxel index (i, j, k, 1) to (column, row, 1) times depth.
-        scales: (views,), mm^2.
-        out: changed in place.
-    """
+    """Bilinear; border pixels are held over their outer half, beside the panel is nothing."""
     nz, ny, nx = out.shape
     views, rows, columns = images.shape
     half, zero = np.float32(0.5), np.float32(0.0)
@@ -223,16 +201,7 @@ def back_project(images, matrices, scales, out):
 
 @njit(parallel=True, **OPTIONS)
 def primal(z, q, dual, inverse, floor, out):
-    """Write max(z - (gradient^T dual) / q, floor) to ``out``.
-
-    Args:
-        z: (z, y, x).
-        q: weights, same shape, positive.
-        dual: (3, z, y, x): components along x, y, z; 0 where the difference leaves the grid.
-        inverse: 1 / voxel edge along x, y, z, 1/mm.
-        floor: lowest value.
-        out: same shape as ``z``, overwritten.
-    """
+    """max(z - (gradient^T dual) / q, floor), gradients by forward differences."""
     nz, ny, nx = z.shape
     wx, wy, wz = np.float32(inverse[0]), np.float32(inverse[1]), np.float32(inverse[2])
     for k in prange(nz):
@@ -255,16 +224,7 @@ def primal(z, q, dual, inverse, floor, out):
 
 @njit(parallel=True, **OPTIONS)
 def ascend(x, q, inverse, radius, step, dual):
-    """One projected gradient step of the dual: along the gradient of x, into the ball of a radius.
-
-    Args:
-        x: (z, y, x), what ``primal`` gave.
-        q: weights, same shape.
-        inverse: 1 / voxel edge along x, y, z, 1/mm.
-        radius: of the ball, for each voxel's vector.
-        step: factor on the inverse of the dual Hessian's largest row sum, below 2.
-        dual: (3, z, y, x), changed in place.
-    """
+    """Along the gradient of x, with a step for each voxel, then into the ball of the radius."""
     nz, ny, nx = x.shape
     wx, wy, wz = np.float32(inverse[0]), np.float32(inverse[1]), np.float32(inverse[2])
     zero, one = np.float32(0.0), np.float32(1.0)

@@ -128,7 +128,7 @@ def fdk(
 
 
 def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats]:
-    """Of the columns (views, columns) and rows (views, rows) from the centre's projection, mm."""
+    """Distances of columns and rows from the centre's projection, (views, n) each, mm."""
     panel = geometry.panel
     column, row = geometry.project(circle.centre)[:, 0].T
     across = (np.arange(panel.columns) - column[:, None]) * panel.pitch_u

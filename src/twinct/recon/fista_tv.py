@@ -24,7 +24,7 @@ LEAST_WEIGHT = 0.05
 """Smallest curvature taken for a voxel, share of the mean: larger ones make smaller, safe steps."""
 
 DUAL_STEP = 1.8
-"""Of 2, at which the dual iteration would cease to converge."""
+"""Step of the dual iteration, which ceases to converge at 2."""
 
 
 class FistaTv(AlgorithmSettings):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from twinct.xray.hardening import Hardening
 
 RELAXATION = 0.3
-"""Of the first volume, where the algorithm itself has none."""
+"""Relaxation of the first volume, where the algorithm itself has none."""
 
 _KEY = "reconstruction.beam_hardening"
 

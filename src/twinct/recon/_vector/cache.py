@@ -73,7 +73,7 @@ def _own_cache() -> Path:
 
 
 def _digest() -> str:
-    """Of all that compiled kernels depend on."""
+    """Digest of everything that compiled kernels depend on."""
     sources = sorted([*_HERE.glob("*.py"), _HERE.parent / "_plain.py"])
     parts = [source.read_bytes() for source in sources]
     # numba tells sources apart by their place too.
