@@ -68,7 +68,7 @@ class Volume:
         from matplotlib.colors import Normalize
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(10.4, 3.4), layout="constrained")
+        figure: Any = Figure(figsize=(10.4, 3.4), layout="constrained")
         x, y, z = self.grid.axes()
         nz, ny, nx = (n // 2 for n in self.grid.shape)
         greys = ScalarMappable(
@@ -87,7 +87,8 @@ class Volume:
             axes.set(title=f"{name} = {at:.4g} mm", xlabel=f"{across} / mm", ylabel=f"{up} / mm")
         figure.colorbar(greys, ax=figure.axes, shrink=0.8)
         picture = io.BytesIO()
-        FigureCanvasAgg(figure).print_png(picture)
+        canvas: Any = FigureCanvasAgg(figure)
+        canvas.print_png(picture)
         return picture.getvalue()
 
     def write(self, path: Path, note: str = "") -> None:
@@ -106,7 +107,7 @@ class Volume:
         image.set_qform(affine, code="scanner")
         image.set_sform(affine, code="scanner")
         with complete(path) as draft:
-            nibabel.save(image, draft)
+            image.to_filename(draft)
 
     @classmethod
     def read(cls, path: Path) -> Volume:

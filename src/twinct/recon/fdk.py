@@ -6,7 +6,7 @@ import math
 from typing import Any, Literal, get_args
 
 import numpy as np
-import scipy.fft
+import scipy.fft as scipy_fft
 from numpy.typing import ArrayLike
 from pydantic import Field
 
@@ -21,6 +21,8 @@ from twinct.recon.projector import Projector
 from twinct.recon.settings import Nonnegative
 from twinct.recon.steps import Callback, Listener
 from twinct.volume import Volume
+
+fft: Any = scipy_fft  # it comes without types
 
 Window = Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"]
 
@@ -186,7 +188,7 @@ def _response(columns: int, window: str) -> Singles:
     kernel[0] = 0.25
     odd = n % 2 == 1
     kernel[odd] = -1 / (math.pi * n[odd]) ** 2
-    f = scipy.fft.rfftfreq(size)
+    f: Floats = fft.rfftfreq(size)
     shapes = {
         "ramp": np.ones_like(f),
         "shepp_logan": np.sinc(f),
@@ -194,26 +196,26 @@ def _response(columns: int, window: str) -> Singles:
         "hamming": 0.54 + 0.46 * np.cos(2 * math.pi * f),
         "hann": 0.5 + 0.5 * np.cos(2 * math.pi * f),
     }
-    spectrum: Any = scipy.fft.rfft(kernel)
-    return (spectrum.real * shapes[window]).astype(np.float32)
+    return np.multiply(fft.rfft(kernel).real, shapes[window]).astype(np.float32)
 
 
 def _padded(columns: int) -> int:
     """Length at which no end of a row, led to zero, reaches the other."""
-    length: Any = scipy.fft.next_fast_len(4 * columns, real=True)
-    return length
+    return int(fft.next_fast_len(4 * columns, real=True))
 
 
 def _filtered(image: Singles, response: Singles) -> Singles:
     """Rows led to zero at both ends, filtered, and cut again."""
     columns = image.shape[1]
     reach = columns // 2
-    fade = (0.5 + 0.5 * np.cos(math.pi * np.arange(1, reach + 1) / (reach + 1))).astype(np.float32)
+    fade = (0.5 + 0.5 * np.cos(math.pi * np.arange(1.0, reach + 1) / (reach + 1))).astype(
+        np.float32
+    )
     padded = np.concatenate([image[:, :1] * fade[::-1], image, image[:, -1:] * fade], axis=1)
     size = _padded(columns)
-    spectrum: Any = scipy.fft.rfft(padded, n=size, axis=1, workers=-1)
+    spectrum = fft.rfft(padded, n=size, axis=1, workers=-1)
     spectrum *= response
-    rows: Any = scipy.fft.irfft(spectrum, n=size, axis=1, workers=-1)
+    rows = fft.irfft(spectrum, n=size, axis=1, workers=-1)
     return rows[:, reach : reach + columns]
 
 
@@ -222,13 +224,13 @@ def _complete(image: Singles, mask: Mask | None, view: int) -> Singles:
     if mask is None:
         return image
     good = mask_of(mask, view)
-    columns = np.arange(image.shape[1])
+    columns = np.arange(float(image.shape[1]))
     some = np.flatnonzero(good.any(axis=1))
     for row in some:
         if not good[row].all():
             image[row] = np.interp(columns, columns[good[row]], image[row, good[row]])
     if len(some) < len(image):
-        for column in columns:
+        for column in range(image.shape[1]):
             image[:, column] = np.interp(np.arange(len(image)), some, image[some, column])
     return image
 

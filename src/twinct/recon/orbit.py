@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
@@ -72,7 +73,8 @@ def fit_circle(geometry: ScanGeometry) -> Circle:
     e2 = np.cross(normal, e1)
     x, y = (s - mean) @ e1, (s - mean) @ e2
     equations = np.stack([2 * x, 2 * y, np.ones_like(x)], axis=1)
-    (cx, cy, c), *_, rank, _ = np.linalg.lstsq(equations, x * x + y * y, rcond=1e-10)
+    solution = cast(Any, np.linalg.lstsq(equations, x * x + y * y, rcond=1e-10))
+    (cx, cy, c), rank = solution[0].tolist(), int(solution[2])
     square = c + cx * cx + cy * cy
     if rank < 3 or square <= 0:
         raise InputError("the sources lie on a line: fdk needs a circular scan")

@@ -84,7 +84,7 @@ class Projector:
 
     def __getitem__(self, views: Any) -> Projector:
         """The operator of a slice, a list of indices, a mask, or one view."""
-        if isinstance(views, (int, np.integer)):
+        if np.ndim(views) == 0 and not isinstance(views, slice):
             views = [int(views)]
         part = copy(self)
         part.geometry = self.geometry[views]

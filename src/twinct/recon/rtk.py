@@ -1,11 +1,9 @@
 """RTK's SART on the CPU, an independent implementation to compare with."""
 
-# itk makes its names when it is imported, so the type checker finds none of them.
-# pyright: reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
@@ -76,9 +74,10 @@ def rtk_sart(
     views = view_order(checks, geometry, order, rng)
     checks.done()
     try:
-        import itk
-        from itk import RTK
-    except ImportError as error:
+        # It makes its names when it is imported, so the type checker would find none of them.
+        itk: Any = import_module("itk")
+        RTK: Any = itk.RTK
+    except (ImportError, AttributeError) as error:
         raise MissingExtraError("itk-rtk", "rtk") from error
 
     x = np.zeros(grid.shape, np.float32) if x0 is None else np.array(x0, np.float32, order="C")

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
+from scipy import ndimage as scipy_ndimage
 
 from twinct.errors import InputError
-from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
+
+ndimage: Any = scipy_ndimage  # it comes without types
 
 
 def without_surroundings(
@@ -174,10 +176,10 @@ def _interpolated(volume: Singles, coarse: VolumeGrid, grid: VolumeGrid) -> Sing
         for own, edge, n in zip(grid.axes()[::-1], coarse.voxel[::-1], coarse.shape, strict=True)
     )
     fine = np.empty(grid.shape, np.float32)
-    rows, columns = np.meshgrid(y, x, indexing="ij")
+    places = cast(list[Floats], np.meshgrid(y, x, indexing="ij"))
     for plane, height in zip(fine, z, strict=True):
         below = min(int(height), coarse.shape[0] - 2)
         share = np.float32(height - below)
         slab = volume[below] + share * (volume[below + 1] - volume[below])
-        map_coordinates(slab, [rows, columns], output=plane, order=1, mode="nearest")
+        ndimage.map_coordinates(slab, places, output=plane, order=1, mode="nearest")
     return fine
