@@ -193,6 +193,22 @@ def test_error_window_is_a_round_number(value, expected):
     assert figures._nice(value) == pytest.approx(expected)
 
 
+def test_figures_are_named_after_their_material(report, undrawn) -> None:
+    text = render_report(replace(report, reference="aluminium"), undrawn)
+    assert "RMSE near aluminium" in text and "μ(aluminium)" in text
+    assert "near bone" not in text and "μ(bone)" not in text
+
+
+@pytest.mark.parametrize(
+    ("densest", "end"), [(0.5, 1.0), (1.0, 1.0), (1.6, 1.6), (4.0, 2.0)], ids=str
+)
+def test_metal_is_white_and_leaves_the_rest_grey(report, densest: float, end: float) -> None:
+    section, mu = report.slices["axial"], report.mu_reference
+    sections = {"axial": section._replace(truth=np.full_like(section.truth, densest * mu))}
+    window = figures._grey_window(sections, mu)
+    assert (window.vmin, window.vmax) == pytest.approx((-0.1 * end * mu, 1.2 * end * mu))
+
+
 def test_the_nearest_bodies_are_named(report, undrawn) -> None:
     assert "nearest are" not in render_report(report)
     named = replace(report, nearest=("table", "source_forearm"))

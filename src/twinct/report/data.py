@@ -48,7 +48,9 @@ class ReportData:
         clearance_mm: smallest gap during the move to each view, (views,), mm.
         projections: a few views, (view, transmission (row, col)).
         slices: cross-sections by name, see ``cross_sections``.
-        mu_reference: mu(bone), 1/mm; the largest true value where None.
+        mu_reference: attenuation that figures are relative to, 1/mm; the largest true value where
+            None.
+        reference: name of the material whose attenuation that is.
         room_png: picture of the robot cell, or None.
         nearest: the two bodies that the plan brings nearest to each other; empty: not known.
     """
@@ -63,6 +65,7 @@ class ReportData:
     projections: Sequence[tuple[int, NDArray[np.floating]]] = ()
     slices: Mapping[str, CrossSection] = field(default_factory=dict)
     mu_reference: float | None = None
+    reference: str = "bone"
     room_png: bytes | None = None
     nearest: tuple[str, ...] = ()
 

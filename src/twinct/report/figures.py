@@ -29,7 +29,7 @@ LIMIT_COLOUR, REGION_COLOUR, INK = "#6b7280", "#f2a33a", "#1f2933"
 SPHERE_TOLERANCE = 0.01
 """Largest relative spread of the sources' distances that still counts as a path on a sphere."""
 
-DARKEST = 1e-7
+DARKEST_DRAWN = 1e-7
 """Transmission shown for anything darker: its line integral is 16.1."""
 
 _STYLE: dict[Any, Any] = {
@@ -314,8 +314,7 @@ def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float
     Reconstruction and truth share one grey window; the error has its own, symmetric about 0. The
     outline is the boundary of the region that every view sees.
     """
-    highest = max([mu_reference, *(float(s.truth.max()) for s in sections.values())])
-    grey = Normalize(-0.1 * highest, 1.2 * highest)
+    grey = _grey_window(sections, mu_reference)
     worst = _nice(max(_typical_worst(s) for s in sections.values()) or 0.1 * mu_reference)
     diverging = mpl.colormaps["RdBu_r"].resampled(63)  # odd, so that 0 is white; noise packs better
     with mpl.rc_context(_STYLE):
@@ -377,6 +376,17 @@ def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float
         return _png(figure, 150)
 
 
+BRIGHTEST = 2.0
+"""Where the grey window ends at most, in attenuations of the reference: metal beyond it is white
+and does not leave bone or aluminium black."""
+
+
+def _grey_window(sections: Mapping[str, CrossSection], mu_reference: float) -> Normalize:
+    densest = max(float(section.truth.max()) for section in sections.values())
+    end = min(max(densest, mu_reference), BRIGHTEST * mu_reference)
+    return Normalize(-0.1 * end, 1.2 * end)
+
+
 def _tighten(figure: Figure) -> None:
     engine: Any = figure.get_layout_engine()
     engine.set(w_pad=0.03, h_pad=0.06, wspace=0.0, hspace=0.0)
@@ -430,7 +440,7 @@ def projection_strip(
         panel: the pixel lattice.
     """
     integrals = [
-        -np.log(np.clip(image.astype(np.float64), DARKEST, None)) for _, image in projections
+        -np.log(np.clip(image.astype(np.float64), DARKEST_DRAWN, None)) for _, image in projections
     ]
     norm = Normalize(0, max(float(np.percentile(np.stack(integrals), 99.9)), 1e-6))
     width, height = panel.size_mm

@@ -35,7 +35,7 @@ PAPER_TABLE_1 = {
 
 
 class _Figure(NamedTuple):
-    """How one image figure is shown."""
+    """How one image figure is shown; {0} stands for the material that figures are relative to."""
 
     key: str
     title: str
@@ -46,13 +46,13 @@ class _Figure(NamedTuple):
 
 
 _IMAGE_FIGURES = (
-    _Figure("rmse_rel", "RMSE", 100, 1, "%", "of μ(bone), over the region"),
-    _Figure("rmse_bone_rel", "RMSE near bone", 100, 1, "%", "of μ(bone), within 3 mm of bone"),
-    _Figure("psnr_db", "PSNR", 1, 1, "dB", "peak is μ(bone)"),
+    _Figure("rmse_rel", "RMSE", 100, 1, "%", "of μ({0}), over the region"),
+    _Figure("rmse_bone_rel", "RMSE near {0}", 100, 1, "%", "of μ({0}), within 3 mm of {0}"),
+    _Figure("psnr_db", "PSNR", 1, 1, "dB", "peak is μ({0})"),
     _Figure("ssim", "SSIM", 1, 3, "", "3-D, windows of 7³ voxels inside the region; 1 is best"),
-    _Figure("mean_bone_rel", "mean bone", 100, 1, "%", "of μ(bone), voxels entirely in bone"),
+    _Figure("mean_bone_rel", "mean {0}", 100, 1, "%", "of μ({0}), voxels entirely in {0}"),
     _Figure("roi_fraction", "region", 100, 1, "%", "of the grid, seen by every view"),
-    _Figure("roi_bone_fraction", "bone in the region", 100, 1, "%", "of the region's voxels"),
+    _Figure("roi_bone_fraction", "{0} in the region", 100, 1, "%", "of the region's voxels"),
 )
 
 Pictures = dict[str, Picture | None]
@@ -103,7 +103,14 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         paper=PAPER,
         paper_table=PAPER_TABLE_1,
         pictures=draw_pictures(report) if pictures is None else pictures,
-        image_figures=_IMAGE_FIGURES,
+        reference=report.reference,
+        image_figures=[
+            figure._replace(
+                title=figure.title.format(report.reference),
+                meaning=figure.meaning.format(report.reference),
+            )
+            for figure in _IMAGE_FIGURES
+        ],
         image_columns=metrics.get("image_by_geometry")
         or {scenario.reconstruction.geometries[0]: metrics["image"]},
         stages=_stages(metrics["seconds"]),

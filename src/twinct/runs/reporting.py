@@ -105,6 +105,7 @@ def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData
             scenario.reconstruction.grid.volume_grid,
         ),
         mu_reference=truth.mu_reference,
+        reference=workshop.specimen.reference_part.material.name,
         room_png=_room(workshop),
         nearest=workshop.plan.nearest[int(workshop.plan.clearance_mm.argmin())],
     )
