@@ -15,6 +15,7 @@ from unittest.mock import patch
 
 import numpy as np
 import trimesh
+from bench_xray import shell
 
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.scenario import Detector, Source
@@ -55,17 +56,6 @@ def fastest(work: Callable[[], object], repeats: int = 20) -> float:
         work()
         best = min(best, time.perf_counter() - start)
     return best
-
-
-def shell() -> trimesh.Trimesh:
-    """A bumpy hollow shell of skull size, 400 k triangles."""
-    outer = trimesh.creation.icosphere(subdivisions=7, radius=1.0)
-    bumps = 1 + 0.02 * np.sin(9 * outer.vertices).sum(axis=1, keepdims=True)
-    outer.vertices *= bumps * [90, 72, 67]
-    inner = trimesh.creation.icosphere(subdivisions=6, radius=1.0)
-    inner.vertices *= [80, 62, 57]
-    inner.invert()
-    return trimesh.util.concatenate([outer, inner])
 
 
 def view_s(

@@ -128,27 +128,29 @@ class _Part:
 
 
 @dataclass(frozen=True)
-class _Shell:
-    """A bumpy hollow shell of skull size."""
-
+class _Parts:
     parts: tuple[_Part, ...]
 
-    @classmethod
-    def build(cls) -> _Shell:
-        outer = trimesh.creation.icosphere(subdivisions=7, radius=1.0)
-        bumps = 1 + 0.02 * np.sin(9 * outer.vertices).sum(axis=1, keepdims=True)
-        outer.vertices *= bumps * [90, 72, 67]
-        inner = trimesh.creation.icosphere(subdivisions=6, radius=1.0)
-        inner.vertices *= [80, 62, 57]
-        inner.invert()
-        mesh = trimesh.util.concatenate([outer, inner])
-        assert isinstance(mesh, trimesh.Trimesh)
-        return cls((_Part("shell", mesh, _Material(0.043)),))
+
+def shell() -> trimesh.Trimesh:
+    """A bumpy hollow shell of skull size, 400 k triangles."""
+    outer = trimesh.creation.icosphere(subdivisions=7, radius=1.0)
+    bumps = 1 + 0.02 * np.sin(9 * outer.vertices).sum(axis=1, keepdims=True)
+    outer.vertices *= bumps * [90, 72, 67]
+    inner = trimesh.creation.icosphere(subdivisions=6, radius=1.0)
+    inner.vertices *= [80, 62, 57]
+    inner.invert()
+    mesh = trimesh.util.concatenate([outer, inner])
+    assert isinstance(mesh, trimesh.Trimesh)
+    return mesh
 
 
 def _run(task: tuple[str, int, str | None, int, int]) -> tuple[list[float], float]:
     loop, views, path, columns, rows = task
-    detector, specimen = Detector(columns=columns, rows=rows), _Shell.build()
+    detector, specimen = (
+        Detector(columns=columns, rows=rows),
+        _Parts((_Part("shell", shell(), _Material(0.043)),)),
+    )
     if path is not None:
         from twinct.specimen import build_specimen
 
