@@ -10,7 +10,7 @@ is said, and how much more gVXR has to render.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from unittest.mock import patch
 
 import numpy as np
@@ -59,18 +59,19 @@ def fastest(work: Callable[[], object], repeats: int = 20) -> float:
 
 
 def view_s(
-    source: dict[str, object],
-    detector: dict[str, object],
+    source: Mapping[str, object],
+    detector: Mapping[str, object],
     *parts: BuiltPart,
     rendered: bool = True,
 ) -> float:
     """Seconds of one view; not ``rendered``: of what comes behind its path lengths."""
     panel = Panel(480, 640, 0.5, 0.5)
-    view = ScanGeometry([[300, 0, 0]], [[-300, 0, 0]], [[0, 1, 0]], [[0, 0, 1]], panel)
+    x, y, z = np.eye(3)
+    view = ScanGeometry(300 * x[None], -300 * x[None], y[None], z[None], panel)
     at = view, Pose.identity()
     with Imager(
         Source.model_validate(source),
-        Detector.model_validate(PANEL | detector),
+        Detector.model_validate({**PANEL, **detector}),
         BuiltSpecimen(parts, Pose.identity()),
     ) as imager:
         if rendered:

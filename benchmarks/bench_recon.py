@@ -26,7 +26,9 @@ import re
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -60,7 +62,7 @@ def shells(grid):
 def shell_integrals(geometry):
     """Exact line integrals through the shell, (views, rows, columns)."""
     images = np.empty((len(geometry), *geometry.panel.shape), np.float32)
-    for view, image in enumerate(images):
+    for view in range(len(geometry)):
         ray = geometry.pixel_centres(view) - geometry.source[view]
         length = np.linalg.norm(ray, axis=-1)
         chords = []
@@ -68,7 +70,7 @@ def shell_integrals(geometry):
             s, d = geometry.source[view] / axes, ray / axes
             a, b, c = (d * d).sum(-1), d @ s, s @ s - 1
             chords.append(2 * np.sqrt(np.maximum(b * b - a * c, 0)) / a * length)
-        image[:] = MU_BONE * (chords[0] - chords[1])
+        images[view] = MU_BONE * (chords[0] - chords[1])
     return images
 
 
@@ -77,9 +79,8 @@ class Rtk:
 
     def __init__(self, geometry, grid):
         # Not for the process that measures the memory of ours.
-        import itk
-        from itk import RTK
-
+        itk: Any = import_module("itk")
+        RTK: Any = itk.RTK
         self.itk, self.rtk = itk, RTK
         numbers = (grid.world_from_grid.inverse() @ geometry).to_rtk()
         self.kind = itk.Image[itk.F, 3]
@@ -142,7 +143,9 @@ def _peak_mb(size, threads):
     sart(Projector(geometry, grid), p, iterations=1, relaxation=0.3, callback=_two_updates)
     # Not ru_maxrss, which a process inherits from the one that started it.
     status = Path("/proc/self/status").read_text()
-    return int(re.search(r"VmHWM:\s+(\d+)", status)[1]) / 1024
+    found = re.search(r"VmHWM:\s+(\d+)", status)
+    assert found is not None
+    return int(found[1]) / 1024
 
 
 def _two_updates(step):
@@ -186,6 +189,7 @@ def measure(size, views, rounds, threads):
         t["rtk_adjoint"].append(seconds(theirs.back, np.zeros_like(truth), p[[view]]))
     t["adjoint"] = [seconds(A.T, p) / views]
     t |= {"sart": [], "rtk_sart": []}
+    ours = theirs = None
     for _ in range(rounds):
         ours, some = updates(sart, A, p)
         t["sart"] += some
@@ -203,7 +207,8 @@ def apart(ours, theirs, geometry, grid):
     """RMS near bone of the difference and of their error, relative to the RMS of theirs."""
     truth, ours, theirs = shells(grid), np.asarray(ours), np.asarray(theirs)
     reach = max(1, round(3.0 / grid.voxel[0]))
-    near = binary_dilation(truth > 0, iterations=reach) & region_of_interest(geometry, grid)
+    bone: Any = binary_dilation(truth > 0, iterations=reach)
+    near = bone & region_of_interest(geometry, grid)
     size = float(np.sqrt(np.mean(theirs[near] ** 2)))
     return [float(np.sqrt(np.mean((theirs - x)[near] ** 2))) / size for x in (ours, truth)]
 

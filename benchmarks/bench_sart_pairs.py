@@ -56,18 +56,20 @@ class Runner:
             text=True,
             env=os.environ | {"PYTHONPATH": str(Path(checkout) / "src")},
         )
-        if self.process.stdout.readline() != "ready\n":
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.told, self.heard = self.process.stdin, self.process.stdout
+        if self.heard.readline() != "ready\n":
             sys.exit(f"{checkout} does not run")
 
     def run(self):
         """Wall seconds, processor seconds, digest of the volume."""
-        self.process.stdin.write("go\n")
-        self.process.stdin.flush()
-        wall, processor, digest = self.process.stdout.readline().split()
+        self.told.write("go\n")
+        self.told.flush()
+        wall, processor, digest = self.heard.readline().split()
         return float(wall), float(processor), digest
 
     def close(self):
-        self.process.stdin.close()
+        self.told.close()
         self.process.wait()
 
 

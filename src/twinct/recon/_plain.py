@@ -4,6 +4,8 @@ The reference for the vector engine, and the engine where that one does not comp
 said in ``engine``; the forward model is Joseph's, see ``projector``.
 """
 
+# numba cannot be typed: what is compiled takes whatever is numeric.
+# pyright: basic
 from __future__ import annotations
 
 import numpy as np

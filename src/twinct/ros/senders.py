@@ -7,7 +7,7 @@ has both. So messages are taken there; the functions and structures are those of
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 
 from twinct.errors import LinkError
 
@@ -114,9 +113,7 @@ def participant_of(publisher: Publisher) -> str:
 class SenderExecutor(SingleThreadedExecutor):
     """Calls subscriptions with the message and its ``Sender``."""
 
-    def _take_subscription(
-        self, sub: Subscription
-    ) -> Callable[[], Coroutine[Any, Any, None]] | None:
+    def _take_subscription(self, sub: Any) -> Any:
         origin, content, allocator = _Origin(), _Bytes(), _default_allocator()
         _init(ctypes.byref(content), 0, ctypes.byref(allocator))
         try:
