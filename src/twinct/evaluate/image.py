@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -15,6 +14,7 @@ from skimage.metrics import structural_similarity
 
 from twinct.errors import InputError, TwinctError
 from twinct.geometry import VolumeGrid
+from twinct.threads import threads
 
 BONE_SHARE = 0.5
 """A voxel counts as bone where its true value is at least this share of mu(bone)."""
@@ -126,7 +126,7 @@ def image_figures(
 
     # scipy's filters let go of the interpreter lock. The sums are added in the order of the slabs:
     # the number of threads does not change the last bit.
-    with ThreadPoolExecutor(min(4, len(os.sched_getaffinity(0)))) as pool:
+    with ThreadPoolExecutor(min(4, threads())) as pool:
         sums = _Sums.total(pool.map(judge, _slabs(box[0])))
 
     rmse_rel = math.sqrt(sums.square / sums.voxels) / mu_reference

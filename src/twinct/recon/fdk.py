@@ -20,6 +20,7 @@ from twinct.recon.orbit import Circle, fit_circle
 from twinct.recon.projector import Projector
 from twinct.recon.settings import Nonnegative
 from twinct.recon.steps import Callback, Listener
+from twinct.threads import threads
 from twinct.volume import Volume
 
 fft: Any = scipy_fft  # it comes without types
@@ -213,9 +214,9 @@ def _filtered(image: Singles, response: Singles) -> Singles:
     )
     padded = np.concatenate([image[:, :1] * fade[::-1], image, image[:, -1:] * fade], axis=1)
     size = _padded(columns)
-    spectrum = fft.rfft(padded, n=size, axis=1, workers=-1)
+    spectrum = fft.rfft(padded, n=size, axis=1, workers=threads())
     spectrum *= response
-    rows = fft.irfft(spectrum, n=size, axis=1, workers=-1)
+    rows = fft.irfft(spectrum, n=size, axis=1, workers=threads())
     return rows[:, reach : reach + columns]
 
 

@@ -5,6 +5,7 @@ from twinct.runs.checks import check_physics, check_sight, findings, require_ext
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, report_again, run
 from twinct.runs.judgement import Truth, judge, truth_of
+from twinct.runs.needs import Need, needs
 from twinct.runs.volumes import (
     line_integrals,
     reconstruct,
@@ -13,6 +14,7 @@ from twinct.runs.volumes import (
 
 __all__ = [
     "Folder",
+    "Need",
     "Run",
     "Truth",
     "acquire_to_store",
@@ -22,6 +24,7 @@ __all__ = [
     "judge",
     "line_integrals",
     "machine_frames",
+    "needs",
     "reconstruct",
     "report_again",
     "require_extras",

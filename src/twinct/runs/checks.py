@@ -9,10 +9,11 @@ from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
 from twinct.scan import Workshop
 from twinct.scenario import Scenario, stage_digests
+from twinct.specimen.size import SpecimenSize, specimen_size
 
 
 def check_sight(workshop: Workshop) -> list[str]:
-    """Make sure that the commanded views see the specimen, before anything is planned.
+    """Make sure that the commanded views see the specimen, and that its unit can be right.
 
     Returns:
         What a user should know of a scan that can be run.
@@ -48,12 +49,19 @@ def check_sight(workshop: Workshop) -> list[str]:
     warnings: list[str] = []
     if seen.blind:
         warnings.append(f"{_views(seen.blind)} of {seen.views} in all see nothing of {where}")
+    warnings += _size(workshop).warnings
     if not seen.in_region:
         warnings.append(
             f"{where} lies outside the voxels that every view sees: the image figures will say "
             "nothing of it"
         )
     return warnings
+
+
+def _size(workshop: Workshop) -> SpecimenSize:
+    scenario = workshop.scenario
+    grid = scenario.reconstruction.grid.volume_grid
+    return specimen_size(scenario.specimen, workshop.specimen, workshop.commanded, grid)
 
 
 def _views(views: tuple[int, ...]) -> str:
@@ -101,6 +109,7 @@ def findings(workshop: Workshop) -> dict[str, str]:
         "views": f"{len(workshop.targets)}, {scenario.trajectory.kind}",
         **{name.lower(): words for name, words in physics.items()},
         "specimen": ", ".join(parts),
+        "specimen size": str(_size(workshop)),
         "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
         f"at view {worst}, between {' and '.join(plan.nearest[worst])}",
         "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
