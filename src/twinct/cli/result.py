@@ -13,10 +13,11 @@ if TYPE_CHECKING:
 def say_result(run: Run) -> None:
     """The main figures in two lines."""
     image, pose = run.figures["image"], run.figures["pose_error"]
+    material = run.figures.get("reference_material", "bone")  # older runs do not say
     TerminalProgress().say(
         f"{run.figures['reached']} of {run.figures['views']} views; "
-        f"RMSE {_percent(image['rmse_rel'])} of mu(bone), "
-        f"{_percent(image['rmse_bone_rel'])} near bone; "
+        f"RMSE {_percent(image['rmse_rel'])} of mu({material}), "
+        f"{_percent(image['rmse_bone_rel'])} near {material}; "
         f"pose error {pose['source']['position_mm']['mean']:.2f} mm source, "
         f"{pose['detector']['position_mm']['mean']:.2f} mm detector\n"
         f"report: {run.paths.report}"

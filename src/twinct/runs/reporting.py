@@ -80,6 +80,7 @@ def write_results(
         scenario_digest=digests["images"],
         reconstruction_digest=digests["volume"],
         residuals=results.residuals,
+        reference_material=workshop.specimen.reference_part.material.name,
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)
