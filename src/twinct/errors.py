@@ -57,8 +57,8 @@ class MissingExtraError(InputError):
         """Name the package that is missing and the extra that brings it."""
         tail = f"; {advice}" if advice else ""
         super().__init__(
-            f"{package} is not installed: it comes with the extra {extra}, which 'pip install "
-            f".[{extra}]' in the folder of twinct's sources brings{tail}"
+            f"{package} is not installed: it comes with twinct[{extra}], "
+            f"'pip install .[{extra}]' in the folder of twinct's sources{tail}"
         )
         self.package = package
         self.extra = extra

@@ -268,7 +268,7 @@ def test_bad_trajectories_are_named_before_anything_moves(capfd, tmp_path: Path)
 def test_ros_without_rclpy_names_extra_and_way_out(capfd, monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "rclpy", None)
     stderr = bad(capfd, "run", DEMO, "--out", str(tmp_path / "out"), *TINY)
-    assert "extra ros" in stderr and "--link local" in stderr
+    assert "twinct[ros]" in stderr and "--link local" in stderr
     assert not (tmp_path / "out").exists()
 
 

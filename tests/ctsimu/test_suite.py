@@ -10,9 +10,9 @@ from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify, samples
 from twinct.ctsimu.suite.cases import WEDGE_PANEL_MM, WEDGE_PITCH_MM, cases
 from twinct.ctsimu.suite.verdicts import verdicts
 from twinct.errors import InputError
+from twinct.files.meshes import open_edges
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import material
-from twinct.specimen.surface import open_edges
 from twinct.xray.paths import Body, PathRenderer
 
 ALUMINIUM = material("aluminium")

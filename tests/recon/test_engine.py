@@ -125,6 +125,7 @@ def test_plain_is_taken_where_vector_does_not_compile(monkeypatch, caplog):
         engine.kernels("vector")
 
 
+@pytest.mark.process
 def test_settings_of_algorithms_need_no_compiler():
     code = (
         "import sys, twinct.scenario, twinct.recon.algorithms\n"
@@ -139,7 +140,7 @@ import hashlib
 import numpy as np
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fdk, fista_tv, os_sart, sart, sirt, cgls
-from twinct.scenario import CircleTrajectory
+from twinct.trajectory import CircleTrajectory
 from twinct.trajectory import commanded_views
 circle = CircleTrajectory(kind="circle", views=12, sod_mm=200, sdd_mm=400)
 A = Projector(commanded_views(circle, Panel(29, 31, 3.0, 3.0)), VolumeGrid((20, 22, 21), 2.0))
@@ -158,6 +159,7 @@ for volume in (
 """
 
 
+@pytest.mark.process
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["vector", "plain"])
 def test_the_process_that_compiles_gives_the_bits_of_later_ones(name, tmp_path):

@@ -31,8 +31,8 @@ def test_missing_rclpy_is_named(use):
         [sys.executable, "-c", SCRIPT.replace("USE", use)], capture_output=True, text=True
     )
     assert done.stdout == (
-        "rclpy is not installed: it comes with the extra ros, which 'pip install .[ros]' in the "
-        "folder of twinct's sources brings; or use --link local\n"
+        "rclpy is not installed: it comes with twinct[ros], 'pip install .[ros]' in the folder of "
+        "twinct's sources; or use --link local\n"
     ), done.stderr
 
 

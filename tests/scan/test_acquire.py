@@ -6,7 +6,7 @@ import numpy as np
 
 from twinct.scan import View, acquire
 from twinct.scenario import parse_scenario
-from twinct.views import Reached, Target
+from twinct.views import Instant, Reached, Target
 
 
 class Still:
@@ -15,9 +15,7 @@ class Still:
     def move(self, view: int, target: Target) -> Reached:
         nothing = np.zeros(1)
         return Reached(
-            target.source_m,
-            (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-            target.detector_m,
+            Instant(target.source_m, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), target.detector_m),
             ("source_a",),
             *(nothing, nothing, nothing, nothing),
             time_s=view,
@@ -42,7 +40,7 @@ def believed(seed: int, of_noise: int | None) -> list[tuple[float, ...]]:
     )
     target = Target((0.3, 0, 0, 0, 0, 0, 1), (-0.3, 0, 0, 0, 0, 0, 1))
     views: list[View] = []
-    acquire(Still(), scenario, [target] * 2, lambda _, view, __: views.append(view))
+    acquire(Still(), scenario, [target] * 2, lambda _, view: views.append(view))
     return [tuple(pose.position) for view in views for pose in view.believed]
 
 

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from twinct.geometry import Panel, VolumeGrid
-from twinct.scenario import CircleTrajectory, Specimen
+from twinct.scenario import Specimen
 from twinct.specimen import build_specimen, specimen_size
-from twinct.trajectory import commanded_views
+from twinct.trajectory import CircleTrajectory, commanded_views
 
 PANEL = Panel(480, 640, 0.5, 0.5)
 
