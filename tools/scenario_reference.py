@@ -164,8 +164,9 @@ def _write(
     rows = [f"## {title}\n", f"{(model.__doc__ or '').strip()}\n"]
     rows += ["| key | value | unit | default | meaning | source |", "|---|---|---|---|---|---|"]
     inner: list[tuple[type[BaseModel], str]] = []
-    one = model is not Reconstruction and issubclass(model, Reconstruction)
-    own = own_keys(model) if one else list(model.model_fields)
+    own = list(model.model_fields)
+    if model is not Reconstruction and issubclass(model, Reconstruction):
+        own = own_keys(model)
     for name in own:
         info = model.model_fields[name]
         models = _models(info.annotation)
