@@ -173,3 +173,12 @@ def test_hardening_takes_what_is_told(scan, kind, large):
     # Half of the spare bytes would hide a volume or the projections: they are larger here.
     needed = told - memory.SPARE_BYTES
     assert peak > 0.6 * needed
+
+
+def test_an_engine_that_is_none_is_refused_before_any_work(monkeypatch):
+    scenario = settings()
+    views = commanded_views(scenario.trajectory, scenario.detector.panel)
+    require_feasible(scenario, views)
+    monkeypatch.setenv("TWINCT_ENGINE", "fast")
+    with pytest.raises(InputError, match="TWINCT_ENGINE is 'fast': vector or plain needed"):
+        require_feasible(scenario, views)

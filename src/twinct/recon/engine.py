@@ -156,16 +156,26 @@ def kernels(name: str | None = None) -> Kernels:
     Raises:
         InputError: no such engine; or ``vector`` was asked for and does not compile.
     """
-    chosen = name or os.environ.get(ENGINE_VARIABLE)
-    if not chosen:
+    chosen = asked_for(name)
+    if chosen is None:
         return _best()
-    if chosen not in get_args(EngineName):
-        place = "engine" if name else ENGINE_VARIABLE
-        raise InputError(f"{place} is {chosen!r}: {' or '.join(get_args(EngineName))} needed")
     try:
         return _imported(chosen)
     except Exception as error:  # a compiler may fail in whatever way it likes
         raise InputError(f"engine {chosen} does not compile here: {error}: use plain") from error
+
+
+def asked_for(name: str | None = None) -> str | None:
+    """The engine that an argument or the environment names; None leaves the choice.
+
+    Raises:
+        InputError: no such engine.
+    """
+    chosen = name or os.environ.get(ENGINE_VARIABLE)
+    if chosen and chosen not in get_args(EngineName):
+        place = "engine" if name else ENGINE_VARIABLE
+        raise InputError(f"{place} is {chosen!r}: {' or '.join(get_args(EngineName))} needed")
+    return chosen or None
 
 
 @cache

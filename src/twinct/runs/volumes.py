@@ -21,6 +21,7 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.progress import SILENT, Progress
 from twinct.recon.algorithm import Problem
 from twinct.recon.algorithms import algorithms
+from twinct.recon.engine import asked_for
 from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.steps import Step
@@ -164,9 +165,10 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
         commanded: the views that the trajectory asks for.
 
     Raises:
-        InputError: a grid behind a source, or no circular scan for fdk; or too little memory, with
-            what is needed and there.
+        InputError: an engine that is none, a grid behind a source, or no circular scan for fdk; or
+            too little memory, with what is needed and there.
     """
+    asked_for()
     algorithm = algorithms()[scenario.reconstruction.algorithm]
     grid = scenario.reconstruction.grid.volume_grid
     check_grid(commanded, grid)
