@@ -16,7 +16,7 @@ from trimesh import Trimesh
 
 from twinct.ctsimu.scene import Sample
 from twinct.errors import SpecimenError
-from twinct.files.meshes import open_edges
+from twinct.files.meshes import open_edges, read_triangles
 from twinct.geometry import Floats, Pose
 from twinct.specimen.surface import subtract, surface
 from twinct.xray._placement import corners, longest_edge, split
@@ -124,14 +124,7 @@ class Solids:
 
 
 def _read(sample: Sample) -> Trimesh:
-    try:
-        loaded = trimesh.load(sample.file, force="mesh")
-    except Exception as error:  # each reader of trimesh has its own errors
-        raise SpecimenError(
-            f"sample '{sample.name}': {sample.file} cannot be read: {error}"
-        ) from None
-    if not isinstance(loaded, Trimesh) or not len(loaded.faces):
-        raise SpecimenError(f"sample '{sample.name}': {sample.file} holds no triangles")
+    loaded = read_triangles(sample.file, f"sample '{sample.name}': {sample.file}")
     loaded.merge_vertices()
     vertices = np.asarray(loaded.vertices, dtype=np.float64)
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
