@@ -134,6 +134,7 @@ def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) 
     assert "LandweberReconstruction" in schema["$defs"] and "Zigzag" in schema["$defs"]
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 @pytest.mark.ros
 def test_the_nodes_find_it_too(installed: Path, scenario: Path) -> None:

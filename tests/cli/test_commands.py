@@ -97,7 +97,10 @@ def test_a_finished_run_is_neither_touched_nor_done_again(finished: Path) -> Non
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("moment", ["first view", "some views", "reconstruction"])
+@pytest.mark.parametrize(
+    "moment",
+    ["first view", pytest.param("some views", marks=pytest.mark.tutorial), "reconstruction"],
+)
 def test_resume_after_a_kill_ends_with_the_same_bytes(
     finished: Path, tmp_path: Path, moment: str
 ) -> None:

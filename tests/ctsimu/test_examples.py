@@ -42,6 +42,7 @@ def test_simple_scans_frame_by_frame(figure, tmp_path, name):
     assert off.max() < 0.0005
 
 
+@pytest.mark.tutorial
 def test_full_example(figure, tmp_path):
     # Spectrum, scintillator curves, spot, noise, deviations, flat and dark. Asked for: 1.5 %.
     name, source = "01_full_example", tmp_path / "files"

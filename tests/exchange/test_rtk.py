@@ -70,6 +70,7 @@ def test_rtk_projects_the_volume_to_the_images_of_the_files(
     assert np.sqrt(np.mean(difference**2)) < PROJECTION * asked.max()
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 def test_rtk_reconstructs_what_we_reconstruct(folder, bundle, grid, corner_object) -> None:
     """From the files, in a process of its own, as a user does."""

@@ -159,6 +159,7 @@ for volume in (
 """
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["vector", "plain"])

@@ -94,6 +94,7 @@ def test_another_process_in_the_folder_is_named(finished: Run) -> None:
         run(other, finished.paths.path, link="local")
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 def test_two_runs_at_once_leave_one_good_scan(tmp_path: Path) -> None:
     out = tmp_path / "out"

@@ -26,6 +26,7 @@ print(json.dumps([told, 1024 * int(peak[1])]))
 """
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 def test_a_run_stays_below_its_needs_and_comes_near_them(tmp_path: Path) -> None:
     result = subprocess.run(
