@@ -75,3 +75,25 @@ def test_what_single_libraries_were_told_stays_unless_a_bound_is_asked_for(
     monkeypatch.setenv("TWINCT_THREADS", "1")
     limit_threads()
     assert os.environ["LP_NUM_THREADS"] == os.environ["BLOSC_NTHREADS"] == "1"
+
+
+LATE = """
+import os
+os.environ.pop("TWINCT_THREADS", None)
+import numba, numpy, threadpoolctl
+from twinct.threads import limit_threads
+numba.set_num_threads(1)
+limit_threads()
+print(numba.get_num_threads(), max(p["num_threads"] for p in threadpoolctl.threadpool_info()))
+"""
+
+
+@pytest.mark.process
+def test_libraries_told_by_their_user_are_left_alone_unless_a_bound_is_asked_for() -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", LATE],
+        env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert result.stdout.split() == ["1", "1"], result.stderr

@@ -73,6 +73,8 @@ def limit_threads(number: int | None = None) -> int:
             os.environ[name] = str(bound)
         else:
             os.environ.setdefault(name, str(bound))
+    if not asked:
+        return bound
     if loaded:
         import numba
         from numba.core import config
