@@ -372,25 +372,24 @@ def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200m", "tmpfs", str(disk)])
     if mounted.returncode:
         pytest.skip("this machine lets no one mount a small disk")
+    out = disk / "out"
+    arguments = ["run", DEMO, "--out", str(out), "--link", "local", *TINY]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twinct", *arguments, "--set", "trajectory.views=200"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
-        out = disk / "out"
-        arguments = ["run", DEMO, "--out", str(out), "--link", "local", *TINY]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "twinct", *arguments, "--set", "trajectory.views=200"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
         give_up = time.monotonic() + 120
         while not (out / "scan.zarr" / "status" / "c.3").exists():
             assert process.poll() is None and time.monotonic() < give_up
             time.sleep(0.01)
         filler = disk / "filler"
-        with filler.open("wb") as stream:
+        with filler.open("wb", buffering=0) as stream:
             try:
                 while True:
                     stream.write(b"0" * 2**16)
-                    stream.flush()
             except OSError:
                 pass
         _, stderr = process.communicate(timeout=120)
@@ -404,6 +403,8 @@ def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
 
         assert ScanStore(out / "scan.zarr").acquired >= kept - 1
     finally:
+        process.kill()
+        process.wait()
         subprocess.run(["umount", str(disk)], check=False)
 
 
