@@ -90,12 +90,7 @@ def test_reaches_the_minimum(problem, weighted):
     assert least < 0.95 * cost(nnls(M * np.sqrt(w)[:, None], b * np.sqrt(w))[0])
     # Ordered subsets come near it in a few passes; measured 0.4 % above.
     fast = fista_tv(
-        A,
-        p,
-        iterations=12,
-        regularisation=0.05,
-        subsets=2,
-        weights=weights if weighted else None,
+        A, p, iterations=12, regularisation=0.05, subsets=2, weights=weights if weighted else None
     ).array
     assert cost(fast.ravel().astype(float)) < 1.01 * least
 

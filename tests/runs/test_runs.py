@@ -241,8 +241,7 @@ def test_what_cannot_be_done_is_refused_before_work(scenario: Scenario, workshop
     with pytest.raises(InputError, match="behind the source"):
         require_feasible(changed("reconstruction.grid.voxel_mm=30"), views)
     large = changed(
-        "reconstruction.algorithm=fista_tv",
-        "reconstruction.grid={voxels: 512, voxel_mm: 0.31}",
+        "reconstruction.algorithm=fista_tv", "reconstruction.grid={voxels: 512, voxel_mm: 0.31}"
     )
     limits = resource.getrlimit(resource.RLIMIT_AS)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])

@@ -155,11 +155,7 @@ def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Singles:
 
 
 def remainder(
-    A: Projector,
-    x: Singles,
-    p: NDArray[Any],
-    views: Iterable[int],
-    mask: Mask | None,
+    A: Projector, x: Singles, p: NDArray[Any], views: Iterable[int], mask: Mask | None
 ) -> Singles:
     """The line integrals of some views less A x, the operator of these views."""
     rest = A(x)

@@ -126,13 +126,7 @@ class Kernels(Protocol):
         ...
 
     def ascend(
-        self,
-        x: Singles,
-        q: Singles,
-        inverse: Floats,
-        radius: float,
-        step: float,
-        dual: Singles,
+        self, x: Singles, q: Singles, inverse: Floats, radius: float, step: float, dual: Singles
     ) -> None:
         """One projected gradient step of the dual: along the gradient of x, into a ball.
 

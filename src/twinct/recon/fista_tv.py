@@ -202,10 +202,4 @@ def _updates(settings: FistaTv, views: int) -> int:
     return subset_number(settings.subsets, views)
 
 
-FISTA_TV = Algorithm(
-    FistaTv,
-    _solve,
-    volumes=8,
-    projections=2,
-    updates=_updates,
-)
+FISTA_TV = Algorithm(FistaTv, _solve, volumes=8, projections=2, updates=_updates)

@@ -127,10 +127,4 @@ def _updates(settings: OsSart, views: int) -> int:
     return subset_number(settings.subsets, views)
 
 
-OS_SART = Algorithm(
-    OsSart,
-    _solve,
-    volumes=3,
-    resumes=True,
-    updates=_updates,
-)
+OS_SART = Algorithm(OsSart, _solve, volumes=3, resumes=True, updates=_updates)

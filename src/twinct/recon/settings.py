@@ -35,7 +35,6 @@ Ordering = Annotated[
     ),
 ]
 Subsets = Annotated[
-    int | None,
-    Field(ge=1, description="Groups of views; one for each 10 views by default."),
+    int | None, Field(ge=1, description="Groups of views; one for each 10 views by default.")
 ]
 Nonnegative = Annotated[bool, Field(description="Whether no voxel falls below 0.")]

@@ -6,11 +6,7 @@ from twinct.runs.folder import Folder
 from twinct.runs.job import Run, report_again, run
 from twinct.runs.judgement import Truth, judge, truth_of
 from twinct.runs.needs import Need, needs
-from twinct.runs.volumes import (
-    line_integrals,
-    reconstruct,
-    require_feasible,
-)
+from twinct.runs.volumes import line_integrals, reconstruct, require_feasible
 
 __all__ = [
     "Folder",

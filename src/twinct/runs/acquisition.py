@@ -102,10 +102,7 @@ def acquire_to_store(
                 )
             store.write(index, view)
             log.info(
-                "view %d: t %.3f s, clearance %.1f mm",
-                index,
-                reached.time_s,
-                reached.clearance_mm,
+                "view %d: t %.3f s, clearance %.1f mm", index, reached.time_s, reached.clearance_mm
             )
             step()
 

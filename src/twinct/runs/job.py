@@ -240,12 +240,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, progress
 
 
 def _judged(
-    which: str,
-    scan: Scan,
-    volume: Volume,
-    truth: Truth,
-    seconds: Seconds,
-    progress: Progress,
+    which: str, scan: Scan, volume: Volume, truth: Truth, seconds: Seconds, progress: Progress
 ) -> ImageFigures:
     with seconds.stage("judge"), progress.stage(f"judge, {which} geometry", 1) as step:
         figures = judge(scan, volume, truth)

@@ -11,13 +11,7 @@ import numpy as np
 
 from twinct.evaluate import ImageFigures, pose_errors
 from twinct.files.writing import write_json
-from twinct.report import (
-    ReportData,
-    build_metrics,
-    cross_sections,
-    draw_pictures,
-    write_report,
-)
+from twinct.report import ReportData, build_metrics, cross_sections, draw_pictures, write_report
 from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.judgement import Truth
 from twinct.runs.seconds import Seconds, Timing
