@@ -6,8 +6,9 @@ entry points of the group ``twinct.algorithms``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from inspect import signature
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -50,15 +51,6 @@ class Problem:
     callback: Callback | None = None
 
 
-def _one_update(settings: AlgorithmSettings, views: int) -> int:
-    """All views at once."""
-    return 1
-
-
-def _anything(geometry: ScanGeometry) -> None:
-    """Any views will do."""
-
-
 SettingsT = TypeVar("SettingsT", bound=AlgorithmSettings)
 
 
@@ -83,8 +75,8 @@ class Algorithm(Generic[SettingsT]):
     projections: float = 0.0
     resumes: bool = False
     masks: bool = True
-    updates: Callable[[SettingsT, int], int] = _one_update
-    check: Callable[[ScanGeometry], object] = _anything
+    updates: Callable[[SettingsT, int], int] = field(default=lambda settings, views: 1)
+    check: Callable[[ScanGeometry], object] = field(default=lambda geometry: None)
 
     @property
     def name(self) -> str:
@@ -92,4 +84,11 @@ class Algorithm(Generic[SettingsT]):
         return str(self.settings.model_fields["algorithm"].default)
 
 
-Registry = Mapping[str, Algorithm[Any]]
+def solve_by(
+    function: Callable[..., Volume], problem: Problem, settings: AlgorithmSettings, **others: Any
+) -> Volume:
+    """Call an algorithm's function: its arguments are named as the keys, or as what there is."""
+    A = problem.projector
+    given = {**vars(problem), **vars(settings), "A": A, "geometry": A.geometry, "grid": A.grid}
+    given |= others
+    return function(**{name: given[name] for name in signature(function).parameters})

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, counting_rays, masked_image, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
@@ -51,20 +52,17 @@ def cgls(
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: steps, at least 1.
         x0: start, (z, y, x); zero if not given.
-        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool; what the
-            others hold, even NaN, has no influence.
+        mask: as in ``sart``.
         callback: called after each step; see ``Step``. True stops.
 
     Returns:
         The volume. Fewer steps are taken where the gradient vanishes before.
 
     Raises:
-        InputError: an argument is out of range, has another shape, or is not finite; or the memory
-            does not suffice.
+        InputError: as in ``sart``.
     """
     checks = Checks(A.range_shape)
-    pixels = checks.mask(mask)
-    p = checks.projections(line_integrals, pixels)
+    p, pixels = checks.projections(line_integrals, mask)
     iterations = checks.count("iterations", iterations)
     x0 = checks.start(x0, A.domain_shape)
     checks.done()
@@ -108,15 +106,4 @@ def _add(to: Singles, factor: np.float32, values: Singles) -> None:
         part += factor * other
 
 
-def _solve(problem: Problem, settings: Cgls) -> Volume:
-    return cgls(
-        problem.projector,
-        problem.line_integrals,
-        iterations=settings.iterations,
-        x0=problem.x0,
-        mask=problem.mask,
-        callback=problem.callback,
-    )
-
-
-CGLS = Algorithm(Cgls, _solve, volumes=3, projections=2.25)
+CGLS = Algorithm(Cgls, partial(solve_by, cgls), volumes=3, projections=2.25)

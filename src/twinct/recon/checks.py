@@ -28,63 +28,59 @@ class Checks:
         self.problems: list[str] = []
 
     def done(self) -> None:
-        """Raise what was found.
-
-        Raises:
-            InputError: one sentence for each problem.
-        """
+        """Raise InputError with one sentence for each problem that was found."""
         if self.problems:
             raise InputError(self.problems)
 
-    def mask(self, mask: ArrayLike | None) -> Mask | None:
+    def _mask(self, mask: ArrayLike | None) -> Mask | None:
         """True where a pixel counts, (rows, columns) or (views, rows, columns)."""
         if mask is None:
             return None
         array = np.asarray(mask)
         allowed = (self.range_shape[1:], self.range_shape)
         if array.dtype != np.bool_:
-            self.problems.append(
-                f"the mask holds {array.dtype}: bool needed, True where a pixel counts"
-            )
+            problem = f"the mask holds {array.dtype}: bool needed, True where a pixel counts"
         elif array.shape not in allowed:
-            self.problems.append(
+            problem = (
                 f"the mask has shape {array.shape}: {allowed[0]} (rows, columns) or {allowed[1]} "
                 "(views, rows, columns) needed"
             )
         elif not array.any():
-            self.problems.append("the mask is False everywhere: no pixel would count")
+            problem = "the mask is False everywhere: no pixel would count"
         else:
             return array
+        self.problems.append(problem)
         return None
 
-    def projections(self, line_integrals: ArrayLike, mask: Mask | None = None) -> NDArray[Any]:
-        """Line integrals, finite wherever a pixel counts."""
-        p = np.asarray(line_integrals)
+    def projections(
+        self, line_integrals: ArrayLike, mask: ArrayLike | None
+    ) -> tuple[NDArray[Any], Mask | None]:
+        """Line integrals, finite wherever a pixel counts, and the mask that says where."""
+        pixels, p = self._mask(mask), np.asarray(line_integrals)
         if p.shape != self.range_shape:
             self.problems.append(
                 f"the projections have shape {p.shape}: the geometry needs {self.range_shape} "
                 "(views, rows, columns)"
             )
-            return p
-        for view in range(len(p)):
-            bad = ~np.isfinite(p[view])
-            if mask is not None:
-                bad &= mask_of(mask, view)
-            count = int(np.count_nonzero(bad))
-            if count:
+            return p, pixels
+        for view, image in enumerate(p):
+            bad = ~np.isfinite(image)
+            if pixels is not None:
+                bad &= mask_of(pixels, view)
+            if count := int(np.count_nonzero(bad)):
                 self.problems.append(
                     f"view {view} of the projections has {count} pixels that are NaN or infinite: "
                     "all must be finite, or left out by the mask"
                 )
                 break
-        return p
+        return p, pixels
 
     def weights(self, weights: ArrayLike | None, mask: Mask | None) -> NDArray[Any] | None:
         """Weights of the pixels, 0 or more, finite wherever a pixel counts."""
         if weights is None:
             return None
         before = len(self.problems)
-        w = self.projections(weights, mask)
+        w, _ = self.projections(weights, mask)
         if len(self.problems) > before:
             self.problems[-1] = self.problems[-1].replace("projections", "weights")
         elif (w < 0).any() or not (w > 0).any():
@@ -149,9 +145,7 @@ def mask_of(mask: Mask | None, view: int) -> Mask | None:
 def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Singles:
     """Line integrals of one view, float32, 0 where a pixel does not count."""
     image = np.ascontiguousarray(p[view], dtype=np.float32)
-    if mask is None:
-        return image
-    return np.where(mask_of(mask, view), image, np.float32(0.0))
+    return image if mask is None else np.where(mask_of(mask, view), image, np.float32(0.0))
 
 
 def remainder(
@@ -165,13 +159,7 @@ def remainder(
 
 
 def counting_rays(A: Projector, mask: Mask | None) -> tuple[Mask, Singles]:
-    """Which rays count, and their length inside the grid, mm.
-
-    Rays shorter than the smallest voxel edge count as missing the grid.
-
-    Returns:
-        Two arrays (views, rows, columns); the length is 0 where a ray does not count.
-    """
+    """Which rays count, not shorter than a voxel, and their length in the grid, mm; 0 if not."""
     lengths = A.chords()
     counts = lengths >= np.float32(A.grid.voxel.min())
     if mask is not None:

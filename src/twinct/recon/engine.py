@@ -60,15 +60,12 @@ class Kernels(Protocol):
 
     def forward(self, x: Singles, rays: Floats, out: Singles) -> None:
         """Line integrals of ``x`` (z, y, x) into ``out`` (rows, columns), overwritten."""
-        ...
 
     def adjoint(self, y: Singles, rays: Floats, out: Singles) -> None:
         """Add the exact transpose of ``forward`` applied to ``y`` (rows, columns) to ``out``."""
-        ...
 
     def chords(self, rays: Floats, shape: tuple[int, ...], out: Singles) -> None:
         """Length of each ray inside a volume of a shape into ``out`` (rows, columns), mm."""
-        ...
 
     def ratio(
         self,
@@ -82,7 +79,6 @@ class Kernels(Protocol):
         missing: NDArray[np.int32],
     ) -> None:
         """Overwrite the last three, see ``Ratio``; rays of a length below ``shortest`` are out."""
-        ...
 
     def update(
         self,
@@ -98,11 +94,9 @@ class Kernels(Protocol):
         Bilinear between pixel centres, a mean of the pixels that count; voxels whose pixels count
         less than 0.001, or that project beside the panel, are left alone.
         """
-        ...
 
     def back_project(self, images: Singles, pixels: Floats, scales: Floats, out: Singles) -> None:
         """Add scale / depth^2 times each image (views, rows, columns), where a voxel projects."""
-        ...
 
     def primal(
         self,
@@ -113,39 +107,24 @@ class Kernels(Protocol):
         floor: np.float32,
         out: Singles,
     ) -> None:
-        """Write max(z - (gradient^T dual) / q, floor) to ``out``.
+        """Write max(z - (gradient^T dual) / q, floor) to ``out``, all (z, y, x); q is positive.
 
-        Args:
-            z: (z, y, x).
-            q: weights, same shape, positive.
-            dual: (3, z, y, x): components along x, y, z; 0 where the difference leaves the grid.
-            inverse: 1 / voxel edge along x, y, z, 1/mm.
-            floor: lowest value.
-            out: same shape as ``z``.
+        ``dual`` is (3, z, y, x): components along x, y, z, 0 where the difference leaves the grid;
+        ``inverse`` is 1 / voxel edge along x, y, z, 1/mm.
         """
-        ...
 
     def ascend(
         self, x: Singles, q: Singles, inverse: Floats, radius: float, step: float, dual: Singles
     ) -> None:
-        """One projected gradient step of the dual: along the gradient of x, into a ball.
+        """One projected gradient step of ``primal``'s dual: along the gradient of x, into a ball.
 
-        Args:
-            x: (z, y, x), what ``primal`` gave.
-            q: weights, same shape.
-            inverse: 1 / voxel edge along x, y, z, 1/mm.
-            radius: of the ball, for each voxel's vector.
-            step: factor on the inverse of the dual Hessian's largest row sum, below 2.
-            dual: (3, z, y, x), changed in place.
+        The ball of ``radius`` is for each voxel's vector; ``step``, below 2, is a factor on the
+        inverse of the dual Hessian's largest row sum.
         """
-        ...
 
 
 def kernels(name: str | None = None) -> Kernels:
-    """The kernels of an engine, compiled or read from disk by the first call.
-
-    Args:
-        name: ``vector`` or ``plain``; None leaves it to the environment.
+    """The kernels of an engine by name, or of the environment's; the first call compiles them.
 
     Raises:
         InputError: no such engine; or ``vector`` was asked for and does not compile.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,7 +13,7 @@ from pydantic import Field
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, ScanGeometry
-from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
@@ -83,12 +84,10 @@ def fdk(
         The volume; among the extras the ``circle`` that was found.
 
     Raises:
-        InputError: no circle, too short an arc; an argument of another shape, or not finite; or the
-            memory does not suffice.
+        InputError: no circle, too short an arc; or as in ``sart``.
     """
     checks = Checks(A.range_shape)
-    pixels = checks.mask(mask)
-    p = checks.projections(line_integrals, pixels)
+    p, pixels = checks.projections(line_integrals, mask)
     if window not in get_args(Window):
         checks.problems.append(f"window is {window!r}: {', '.join(get_args(Window))} needed")
     if pixels is not None and pixels.ndim == 3 and not pixels.any(axis=(1, 2)).all():
@@ -209,9 +208,8 @@ def _filtered(image: Singles, response: Singles) -> Singles:
     """Rows led to zero at both ends, filtered, and cut again."""
     columns = image.shape[1]
     reach = columns // 2
-    fade = (0.5 + 0.5 * np.cos(math.pi * np.arange(1.0, reach + 1) / (reach + 1))).astype(
-        np.float32
-    )
+    angle = math.pi * np.arange(1.0, reach + 1) / (reach + 1)
+    fade = (0.5 + 0.5 * np.cos(angle)).astype(np.float32)
     padded = np.concatenate([image[:, :1] * fade[::-1], image, image[:, -1:] * fade], axis=1)
     size = _padded(columns)
     spectrum = fft.rfft(padded, n=size, axis=1, workers=threads())
@@ -236,19 +234,6 @@ def _complete(image: Singles, mask: Mask | None, view: int) -> Singles:
     return image
 
 
-def _solve(problem: Problem, settings: Fdk) -> Volume:
-    return fdk(
-        problem.projector,
-        problem.line_integrals,
-        window=settings.window,
-        nonnegative=settings.nonnegative,
-        mask=problem.mask,
-        callback=problem.callback,
-    )
-
-
-def _blocks(settings: Fdk, views: int) -> int:
-    return -(-views // BLOCK)
-
-
-FDK = Algorithm(Fdk, _solve, volumes=1, updates=_blocks, check=circular)
+FDK = Algorithm(
+    Fdk, partial(solve_by, fdk), volumes=1, updates=lambda _, n: -(-n // BLOCK), check=circular
+)

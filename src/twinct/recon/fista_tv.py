@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, counting_rays, remainder, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
@@ -94,20 +94,14 @@ def fista_tv(
             counts, such as the transmission. 1 if not given.
         x0: start, (z, y, x); zero if not given.
         nonnegative: x >= 0.
-        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool; what the
-            others hold, even NaN, has no influence.
+        mask: as in ``sart``.
         callback: called after each update; see ``Step``. True stops.
 
-    Returns:
-        The volume.
-
     Raises:
-        InputError: an argument is out of range, has another shape, or is not finite; or the memory
-            does not suffice.
+        InputError: as in ``sart``.
     """
     checks = Checks(A.range_shape)
-    pixels = checks.mask(mask)
-    p = checks.projections(line_integrals, pixels)
+    p, pixels = checks.projections(line_integrals, mask)
     iterations = checks.count("iterations", iterations)
     radius = checks.not_negative("regularisation", regularisation)
     subsets = checks.count("subsets", subset_number(subsets, len(A)), at_most=len(A))
@@ -183,23 +177,10 @@ def _curvature(parts: list[tuple[Projector, list[int]]], trust: Singles) -> Sing
 
 
 def _solve(problem: Problem, settings: FistaTv) -> Volume:
-    return fista_tv(
-        problem.projector,
-        problem.line_integrals,
-        iterations=settings.iterations,
-        regularisation=settings.regularisation,
-        subsets=settings.subsets,
-        tv_steps=settings.tv_steps,
-        weights=problem.transmission if settings.weighting == "counts" else None,
-        nonnegative=settings.nonnegative,
-        x0=problem.x0,
-        mask=problem.mask,
-        callback=problem.callback,
-    )
+    weights = problem.transmission if settings.weighting == "counts" else None
+    return solve_by(fista_tv, problem, settings, weights=weights)
 
 
-def _updates(settings: FistaTv, views: int) -> int:
-    return subset_number(settings.subsets, views)
-
-
-FISTA_TV = Algorithm(FistaTv, _solve, volumes=8, projections=2, updates=_updates)
+FISTA_TV = Algorithm(
+    FistaTv, _solve, volumes=8, projections=2, updates=lambda own, n: subset_number(own.subsets, n)
+)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import resource
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,15 +22,8 @@ _CGROUPS = Path("/sys/fs/cgroup")
 
 
 def peak_bytes(algorithm: Algorithm[Any], voxels: int, pixels: int) -> int:
-    """Bytes that an algorithm takes beside what it is given.
-
-    Args:
-        algorithm: it says how many volumes and projections.
-        voxels: of the grid.
-        pixels: of all views together.
-    """
-    own = algorithm.volumes * voxels + algorithm.projections * pixels
-    return int(4 * own) + SPARE_BYTES
+    """Bytes that an algorithm takes beside what it is given; pixels of all views together."""
+    return int(4 * (algorithm.volumes * voxels + algorithm.projections * pixels)) + SPARE_BYTES
 
 
 def available_bytes() -> tuple[float, str]:
@@ -62,25 +56,17 @@ def _kilobytes(path: Path, name: str) -> int | None:
 
 
 def _number(path: Path, name: str = "") -> int | None:
-    """The number in a file, or the one in its line that starts with a name."""
+    """The number that begins a line of a file, after a name if given."""
     try:
-        lines = path.read_text(encoding="ascii").splitlines()
+        text = path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):
         return None
-    for words in (line.split() for line in lines):
-        if not name and words and words[0].isdigit():
-            return int(words[0])
-        if name and words[:1] == [name] and words[1].isdigit():
-            return int(words[1])
-    return None
+    found = re.search(rf"^{re.escape(name)}\s*(\d+)\b", text, re.MULTILINE)
+    return int(found[1]) if found else None
 
 
 def refuse_if_short(needed: int, what: str, advice: str) -> None:
-    """Raise where a job cannot fit.
-
-    Raises:
-        MemoryShortageError: with what is needed, what is there, and what to change.
-    """
+    """Raise MemoryShortageError, with what is needed and there and what to change."""
     available, limit = available_bytes()
     if needed > available:
         raise MemoryShortageError(
@@ -90,11 +76,7 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
 
 
 def require_memory(algorithm: Algorithm[Any], A: Projector) -> None:
-    """Refuse to start what cannot fit, beside what is in memory already.
-
-    Raises:
-        MemoryShortageError: with what is needed, what is there, and what to change.
-    """
+    """Refuse to start what cannot fit, beside what is in memory already."""
     voxels, pixels = math.prod(A.domain_shape), math.prod(A.range_shape)
     parts = f"{algorithm.volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
     if algorithm.projections:

@@ -84,19 +84,18 @@ def view_order(checks: Checks, geometry: ScanGeometry, order: Order, rng: Rng | 
         "golden": lambda: spread_order(views),
         "sequential": lambda: np.arange(views),
         "weighted_distance": lambda: weighted_distance(geometry),
+        "random": lambda: np.random.default_rng(rng).permutation(views),
     }
     if isinstance(order, str):
-        if order == "random":
-            if rng is None:
-                checks.problems.append("order 'random' needs rng: a numpy Generator or a seed")
-                return []
-            return random_order(views, rng).tolist()
         if order not in named:
             checks.problems.append(
-                f"order is {order!r}: {', '.join((*named, 'random'))} or a permutation needed"
+                f"order is {order!r}: {', '.join(named)} or a permutation needed"
             )
-            return []
-        return named[order]().tolist()
+        elif order == "random" and rng is None:
+            checks.problems.append("order 'random' needs rng: a numpy Generator or a seed")
+        else:
+            return named[order]().tolist()
+        return []
     given = [int(view) for view in order]
     if sorted(given) != list(range(views)):
         checks.problems.append(f"order is not a permutation of the views 0 to {views - 1}")

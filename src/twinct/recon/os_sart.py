@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number, subsets_of
@@ -59,23 +59,16 @@ def os_sart(
         iterations: passes over all views, at least 1.
         relaxation: between 0 and 2, both excluded; stable as in ``sart``.
         subsets: from 1 to the number of views.
-        x0: start, (z, y, x); zero if not given. n iterations and then m from their result are, to
-            the last bit, n + m iterations.
+        x0: start, as in ``sart``; n iterations and then m from their result are n + m.
         nonnegative: clip at zero after every update (and ``x0`` before the first).
-        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool; what the
-            others hold, even NaN, has no influence.
+        mask: as in ``sart``.
         callback: called after each update; see ``Step``. True stops.
 
-    Returns:
-        The volume.
-
     Raises:
-        InputError: an argument is out of range, has another shape, or is not finite; or the memory
-            does not suffice.
+        InputError: as in ``sart``.
     """
     checks = Checks(A.range_shape)
-    pixels = checks.mask(mask)
-    p = checks.projections(line_integrals, pixels)
+    p, pixels = checks.projections(line_integrals, mask)
     iterations = checks.count("iterations", iterations)
     relaxation = checks.relaxation(relaxation)
     subsets = checks.count("subsets", subsets, at_most=len(A))
@@ -110,21 +103,10 @@ def os_sart(
 
 
 def _solve(problem: Problem, settings: OsSart) -> Volume:
-    return os_sart(
-        problem.projector,
-        problem.line_integrals,
-        iterations=settings.iterations,
-        relaxation=settings.relaxation,
-        subsets=subset_number(settings.subsets, len(problem.projector)),
-        nonnegative=settings.nonnegative,
-        x0=problem.x0,
-        mask=problem.mask,
-        callback=problem.callback,
-    )
+    subsets = subset_number(settings.subsets, len(problem.projector))
+    return solve_by(os_sart, problem, settings, subsets=subsets)
 
 
-def _updates(settings: OsSart, views: int) -> int:
-    return subset_number(settings.subsets, views)
-
-
-OS_SART = Algorithm(OsSart, _solve, volumes=3, resumes=True, updates=_updates)
+OS_SART = Algorithm(
+    OsSart, _solve, volumes=3, resumes=True, updates=lambda own, n: subset_number(own.subsets, n)
+)

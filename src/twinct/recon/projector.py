@@ -28,39 +28,28 @@ class Projector:
         grid: the voxels, anywhere in the world.
         domain_shape: (nz, ny, nx).
         range_shape: (views, rows, columns).
-        engine: its name, where one was asked for.
-        kernels: what the engine does.
+        engine: ``vector`` or ``plain``, where one was asked for; ``kernels``: what it does.
     """
 
     def __init__(self, geometry: ScanGeometry, grid: VolumeGrid, engine: str | None = None) -> None:
         """Express the views in voxel indices of the grid.
 
-        Args:
-            geometry: the views.
-            grid: the voxels.
-            engine: ``vector`` or ``plain``; see ``engine``.
-
         Raises:
             InputError: the grid cannot be projected, see ``check_grid``; or an unknown engine.
         """
         check_grid(geometry, grid)
-        self.geometry = geometry
-        self.grid = grid
-        self.domain_shape = grid.shape
-        self.range_shape = (len(geometry), *geometry.panel.shape)
+        self.geometry, self.grid = geometry, grid
+        self.domain_shape, self.range_shape = grid.shape, (len(geometry), *geometry.panel.shape)
         local = grid.world_from_grid.inverse() @ geometry
         self._rays = _index_rays(local, grid)
         self._pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
         self._room: tuple[Singles, Singles, Ratio] | None = None
-        self.engine = engine
-        self.kernels = kernels(engine)
+        self.engine, self.kernels = engine, kernels(engine)
 
     def __call__(self, x: ArrayLike, out: Singles | None = None) -> Singles:
         """Line integrals (views, rows, columns), mm times the unit of ``x`` (z, y, x).
 
-        Args:
-            x: the volume.
-            out: receives them, float32 in C order; a new array if not given.
+        They are written to ``out``, float32 in C order, if it is given.
         """
         x = _readable(x, self.domain_shape, "the volume")
         y = _writable(out, self.range_shape)
@@ -69,11 +58,9 @@ class Projector:
         return y
 
     def T(self, y: ArrayLike, out: Singles | None = None) -> Singles:  # noqa: N802 - its usual name
-        """The exact adjoint: <A(x), y> = <x, A.T(y)>, (z, y, x).
+        """The exact adjoint: <A(x), y> = <x, A.T(y)>, (z, y, x), of ``y`` (views, rows, columns).
 
-        Args:
-            y: projections, (views, rows, columns).
-            out: receives the volume, float32 in C order; a new array if not given.
+        It is written to ``out``, float32 in C order, if it is given.
         """
         y = _readable(y, self.range_shape, "the projections")
         x = _writable(out, self.domain_shape)
@@ -89,9 +76,7 @@ class Projector:
         part = copy(self)
         part.geometry = self.geometry[views]
         part.range_shape = (len(part.geometry), *self.range_shape[1:])
-        part._rays = self._rays[views]
-        part._pixels = self._pixels[views]
-        part._room = None
+        part._rays, part._pixels, part._room = self._rays[views], self._pixels[views], None
         return part
 
     def on(self, grid: VolumeGrid, geometry: ScanGeometry | None = None) -> Projector:
@@ -202,10 +187,8 @@ def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:
         )
     local = grid.world_from_grid.inverse() @ geometry
     pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
-    ends = np.array([(-0.5, n - 0.5) for n in grid.shape_xyz])
-    depth = pixels[:, 2, 3] + np.minimum(
-        pixels[:, 2, :3] * ends[:, 0], pixels[:, 2, :3] * ends[:, 1]
-    ).sum(axis=1)
+    ends = pixels[:, None, 2, :3] * np.array([np.full(3, -0.5), np.array(grid.shape_xyz) - 0.5])
+    depth = pixels[:, 2, 3] + ends.min(axis=1).sum(axis=1)
     if (depth <= 0).any():
         view = int(depth.argmin())
         raise InputError(
@@ -237,12 +220,8 @@ class _Unlocked:
 def _writable(out: Singles | None, shape: tuple[int, ...]) -> Singles:
     if out is None:
         return np.empty(shape, np.float32)
-    flags = out.flags
-    if (
-        out.shape != shape
-        or out.dtype != np.float32
-        or not (flags.c_contiguous and flags.writeable)
-    ):
+    kind, flags = (out.shape, out.dtype), out.flags
+    if kind != (shape, np.float32) or not (flags.c_contiguous and flags.writeable):
         raise InputError(
             f"out is {out.dtype} of shape {out.shape}: writable float32 of shape {shape} in C "
             "order needed"

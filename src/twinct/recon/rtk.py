@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from importlib import import_module
 from typing import Any, Literal
 
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry, VolumeGrid
-from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks
 from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.settings import Iterations, Nonnegative, Ordering, Relaxation
@@ -59,15 +60,12 @@ def rtk_sart(
         rng: generator or seed of the random order.
         callback: called after each update, with NaN for the residual; True stops.
 
-    Returns:
-        The volume.
-
     Raises:
         MissingExtraError: itk-rtk is not installed.
         InputError: an argument is out of range, has another shape, or is not finite.
     """
     checks = Checks((len(geometry), *geometry.panel.shape))
-    p = checks.projections(line_integrals)
+    p, _ = checks.projections(line_integrals, None)
     iterations = checks.count("iterations", iterations)
     relaxation = checks.relaxation(relaxation)
     x0 = checks.start(x0, grid.shape)
@@ -122,23 +120,6 @@ def _geometry(itk: Any, RTK: Any, numbers: dict[str, Any]) -> Any:
     return geometry
 
 
-def _solve(problem: Problem, settings: RtkSart) -> Volume:
-    return rtk_sart(
-        problem.line_integrals,
-        problem.projector.geometry,
-        problem.projector.grid,
-        iterations=settings.iterations,
-        relaxation=settings.relaxation,
-        order=settings.order,
-        nonnegative=settings.nonnegative,
-        x0=problem.x0,
-        rng=problem.rng,
-        callback=problem.callback,
-    )
-
-
-def _updates(settings: RtkSart, views: int) -> int:
-    return views
-
-
-RTK_SART = Algorithm(RtkSart, _solve, volumes=4, masks=False, updates=_updates)
+RTK_SART = Algorithm(
+    RtkSart, partial(solve_by, rtk_sart), volumes=4, masks=False, updates=lambda _, views: views
+)

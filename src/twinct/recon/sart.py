@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal
 
 from numpy.typing import ArrayLike
 
-from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.order import Order, Rng, view_order
@@ -73,16 +74,12 @@ def sart(
         rng: generator or seed of the random order.
         callback: called after each update; see ``Step``. True stops.
 
-    Returns:
-        The volume.
-
     Raises:
         InputError: an argument is out of range, has another shape, or is not finite; or the memory
             does not suffice.
     """
     checks = Checks(A.range_shape)
-    pixels = checks.mask(mask)
-    p = checks.projections(line_integrals, pixels)
+    p, pixels = checks.projections(line_integrals, mask)
     iterations = checks.count("iterations", iterations)
     relaxation = checks.relaxation(relaxation)
     x0 = checks.start(x0, A.domain_shape)
@@ -105,23 +102,6 @@ def sart(
     return Volume(x, A.grid)
 
 
-def _solve(problem: Problem, settings: Sart) -> Volume:
-    return sart(
-        problem.projector,
-        problem.line_integrals,
-        iterations=settings.iterations,
-        relaxation=settings.relaxation,
-        order=settings.order,
-        nonnegative=settings.nonnegative,
-        x0=problem.x0,
-        mask=problem.mask,
-        rng=problem.rng,
-        callback=problem.callback,
-    )
-
-
-def _updates(settings: Sart, views: int) -> int:
-    return views
-
-
-SART = Algorithm(Sart, _solve, volumes=1, resumes=True, updates=_updates)
+SART = Algorithm(
+    Sart, partial(solve_by, sart), volumes=1, resumes=True, updates=lambda _, views: views
+)

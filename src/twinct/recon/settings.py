@@ -9,14 +9,10 @@ from pydantic import Field
 from twinct.recon.order import OrderName
 from twinct.settings import facts
 
+_PAPER = facts(source="the paper")
+
 Iterations = Annotated[
-    int,
-    Field(
-        ge=1,
-        le=10_000,
-        description="Passes over all views.",
-        json_schema_extra=facts(source="the paper"),
-    ),
+    int, Field(ge=1, le=10_000, description="Passes over all views.", json_schema_extra=_PAPER)
 ]
 Relaxation = Annotated[
     float,
@@ -24,7 +20,7 @@ Relaxation = Annotated[
         gt=0,
         lt=2,
         description="Share of the residual that an update takes up.",
-        json_schema_extra=facts(source="the paper"),
+        json_schema_extra=_PAPER,
     ),
 ]
 Ordering = Annotated[

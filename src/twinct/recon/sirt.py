@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.projector import Projector
@@ -54,23 +55,16 @@ def sirt(
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: passes over all views, at least 1.
         relaxation: between 0 and 2, both excluded.
-        x0: start, (z, y, x); zero if not given. n iterations and then m from their result are, to
-            the last bit, n + m iterations.
+        x0: start, as in ``sart``; n iterations and then m from their result are n + m.
         nonnegative: clip at zero after every update (and ``x0`` before the first).
-        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool; what the
-            others hold, even NaN, has no influence.
+        mask: as in ``sart``.
         callback: called after each iteration; see ``Step``. True stops.
 
-    Returns:
-        The volume.
-
     Raises:
-        InputError: an argument is out of range, has another shape, or is not finite; or the memory
-            does not suffice.
+        InputError: as in ``sart``.
     """
     checks = Checks(A.range_shape)
-    pixels = checks.mask(mask)
-    p = checks.projections(line_integrals, pixels)
+    p, pixels = checks.projections(line_integrals, mask)
     iterations = checks.count("iterations", iterations)
     relaxation = checks.relaxation(relaxation)
     x0 = checks.start(x0, A.domain_shape)
@@ -105,17 +99,4 @@ def sirt(
     return Volume(x, A.grid)
 
 
-def _solve(problem: Problem, settings: Sirt) -> Volume:
-    return sirt(
-        problem.projector,
-        problem.line_integrals,
-        iterations=settings.iterations,
-        relaxation=settings.relaxation,
-        nonnegative=settings.nonnegative,
-        x0=problem.x0,
-        mask=problem.mask,
-        callback=problem.callback,
-    )
-
-
-SIRT = Algorithm(Sirt, _solve, volumes=3, projections=2.25, resumes=True)
+SIRT = Algorithm(Sirt, partial(solve_by, sirt), volumes=3, projections=2.25, resumes=True)

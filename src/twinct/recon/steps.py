@@ -40,14 +40,9 @@ class Listener:
     """Calls a callback, if there is one, with what it needs."""
 
     def __init__(self, callback: Callback | None, updates: int = 1) -> None:
-        """Keep the callback; ``updates`` is the number of updates in each iteration."""
-        self.callback = callback
-        self.updates = updates
-
-    @property
-    def wanted(self) -> bool:
-        """Whether anybody listens: residuals need not be worked out otherwise."""
-        return self.callback is not None
+        """Residuals need not be worked out where none are ``wanted``; ``updates``: see ``Step``."""
+        self.callback, self.updates = callback, updates
+        self.wanted = callback is not None
 
     def __call__(self, iteration: int, update: int, square: float, rays: int, x: Singles) -> bool:
         """Tell of an update with the sum of squared residuals; whether to stop."""
@@ -56,8 +51,7 @@ class Listener:
         view = x.view()
         view.flags.writeable = False
         residual = math.sqrt(square / rays) if rays else 0.0
-        step = Step(iteration, update, self.updates, residual, rays, view)
-        return bool(self.callback(step))
+        return bool(self.callback(Step(iteration, update, self.updates, residual, rays, view)))
 
 
 def sum_of_squares(values: NDArray[Any]) -> float:

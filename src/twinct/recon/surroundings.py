@@ -68,13 +68,11 @@ def without_surroundings(
         (views, rows, columns), float32; 0 where the mask is False.
 
     Raises:
-        InputError: an argument is out of range, has another shape, or is not finite; the coarse
-            grid reaches behind a source; or the memory does not suffice.
+        InputError: the coarse grid reaches behind a source; or as in ``sart``.
     """
     geometry, grid = A.geometry, A.grid
     checks = Checks(A.range_shape)
-    pixels = checks.mask(mask)
-    p = checks.projections(line_integrals, pixels)
+    p, pixels = checks.projections(line_integrals, mask)
     for name, value in (("margin_mm", margin_mm), ("voxel_mm", voxel_mm)):
         if not (value > 0 and math.isfinite(value)):
             checks.problems.append(f"{name} is {value!r}: a finite number above 0 needed")
