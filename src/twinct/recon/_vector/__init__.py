@@ -10,11 +10,22 @@ from numba import get_num_threads
 from twinct.recon._vector.cache import kernels_from_disk
 
 with kernels_from_disk():
+    from twinct.recon import _plain
     from twinct.recon._vector import adjoint as _adjoint
     from twinct.recon._vector.forward import forward
+    from twinct.recon._vector.options import CUBE, IMAGE, MATRICES, STACK, kernel
     from twinct.recon._vector.rays import chords
-    from twinct.recon._vector.readable import ascend, back_project, primal, ratio
     from twinct.recon._vector.update import update
+
+    # Fast as the plain engine has them: here with fast mathematics.
+    ratio = kernel(
+        f"({IMAGE}, {IMAGE}, {IMAGE}, f4, f4, {IMAGE}, {IMAGE}, i4[:, ::1])", parallel=False
+    )(_plain.ratio.py_func)
+    back_project = kernel(f"({STACK}, {MATRICES}, f8[::1], {CUBE})")(_plain.back_project.py_func)
+    primal = kernel(f"({CUBE}, {CUBE}, f4[:, :, :, ::1], f8[::1], f4, {CUBE})")(
+        _plain.primal.py_func
+    )
+    ascend = kernel(f"({CUBE}, {CUBE}, f8[::1], f8, f8, f4[:, :, :, ::1])")(_plain.ascend.py_func)
 
 __all__ = ["adjoint", "ascend", "back_project", "chords", "forward", "primal", "ratio", "update"]
 

@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from numba import njit, prange
 
-from twinct.recon._vector.brick import fits, in_brick, in_volume, put, take
-from twinct.recon._vector.groups import (
-    TILE_COLUMNS,
-    TILE_ROWS,
-    box_of,
-    load,
-    planes_of,
-    room,
-    spans,
-)
+from twinct.recon._vector.brick import fits, in_brick, in_volume, move
+from twinct.recon._vector.groups import TILE_COLUMNS, TILE_ROWS, box_of, load, room, slab_of
 from twinct.recon._vector.march import BLOCK, VALUE, add_along, add_guarded, add_pairs_along
 from twinct.recon._vector.options import CUBE, IMAGE, OPTIONS, RAYS, kernel
 from twinct.recon._vector.vectors import LANES
@@ -32,20 +24,8 @@ def _weigh(y, rays, pixels, steps, groups):
             rays[slot // LANES * BLOCK + VALUE + slot % LANES] = value
 
 
-@njit(**OPTIONS)
-def _add_slab(x, lattice, start, end, rays, ranges, groups):
-    """Spread the rays' values over the voxels of the planes from start to end."""
-    for group in range(groups):
-        first, lo, hi, last = spans(ranges[group], start, end)
-        if first > last:
-            continue
-        block = group * BLOCK
-        add_guarded(x, rays, block, first, lo - 1, lattice)
-        if lattice[6] == 1:
-            add_pairs_along(x, rays, block, lo, hi, lattice)
-        else:
-            add_along(x, rays, block, lo, hi, lattice)
-        add_guarded(x, rays, block, hi + 1, last, lattice)
+_add_slab = slab_of(add_along, add_pairs_along, add_guarded)
+"""Spread the rays' values over the voxels of the planes from start to end."""
 
 
 @kernel(f"({IMAGE}, {RAYS}, {CUBE}, i8)")
@@ -59,7 +39,7 @@ def adjoint(y, view, out, parts):
     rows, columns = y.shape
     shape, flat = out.shape, out.reshape(-1)
     for axis in range(3):
-        planes = planes_of(axis, shape)
+        planes = shape[2 - axis]
         slabs = (planes + PLANES - 1) // PLANES
         for part in prange(parts):
             scratch = room()
@@ -78,10 +58,10 @@ def adjoint(y, view, out, parts):
                         if box[1] == 0:
                             continue
                         if fits(box):
-                            take(flat, shape, axis, box, brick)
+                            move(flat, shape, axis, box, brick, False)
                             lattice = in_brick(box, axis, shape)
                             _add_slab(brick, lattice, start, end, rays, bounds, groups)
-                            put(brick, shape, axis, box, flat)
+                            move(flat, shape, axis, box, brick, True)
                         else:
                             lattice = in_volume(axis, shape)
                             _add_slab(flat, lattice, start, end, rays, bounds, groups)

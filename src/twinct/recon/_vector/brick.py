@@ -18,7 +18,7 @@ from numba import njit, types
 from numba.core import cgutils
 
 from twinct.recon._vector.options import OPTIONS
-from twinct.recon._vector.vectors import I64, LANES, array_data, intrinsic, transposed, vector_at
+from twinct.recon._vector.vectors import I64, LANES, arguments, intrinsic, transposed, vector_at
 
 ROOM = 65536
 """Voxels that a brick can hold: a quarter of a MB, so that it stays in the L2 cache."""
@@ -30,10 +30,7 @@ def _transpose(typingctx, source, at, step, target, to, stride):
     n, void = types.int64, types.void
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        source, at, step, target, to, stride = (
-            array_data(context, builder, kind, value) if isinstance(kind, types.Array) else value
-            for kind, value in zip(signature.args, args, strict=True)
-        )
+        source, at, step, target, to, stride = arguments(context, builder, signature, args)
 
         def lines(data: Any, first: Any, distance: Any) -> list[Any]:
             offsets = (builder.mul(distance, ir.Constant(I64, n)) for n in range(LANES))
@@ -53,10 +50,7 @@ def _copy_line(typingctx, source, at, target, to, count):
     n, void = types.int64, types.void
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        source, at, target, to, count = (
-            array_data(context, builder, kind, value) if isinstance(kind, types.Array) else value
-            for kind, value in zip(signature.args, args, strict=True)
-        )
+        source, at, target, to, count = arguments(context, builder, signature, args)
         begin, end = builder.gep(target, [to]), builder.gep(source, [at])
         cgutils.raw_memcpy(builder, begin, end, count, 4)
         return context.get_dummy_value()
@@ -69,14 +63,8 @@ def _copy(source, source_at, source_stride, target, target_at, target_stride, ro
     """target[n, m] = source[m, n], of rows m and columns n, each at its place in a flat array."""
     for m in range(0, rows - LANES + 1, LANES):
         for n in range(0, columns - LANES + 1, LANES):
-            _transpose(
-                source,
-                source_at + m * source_stride + n,
-                source_stride,
-                target,
-                target_at + n * target_stride + m,
-                target_stride,
-            )
+            at, to = source_at + m * source_stride + n, target_at + n * target_stride + m
+            _transpose(source, at, source_stride, target, to, target_stride)
     whole_rows, whole_columns = rows // LANES * LANES, columns // LANES * LANES
     for m in range(rows):
         for n in range(0 if m >= whole_rows else whole_columns, columns):
@@ -84,37 +72,26 @@ def _copy(source, source_at, source_stride, target, target_at, target_stride, ro
 
 
 @njit(**OPTIONS)
-def take(x, shape, axis, box, brick):
-    """Copy a box of the volume ``x`` (flat) into the brick (flat): (plane, c, b)."""
+def move(x, shape, axis, box, brick, back):
+    """Copy a box of the volume ``x`` (flat) into the brick (flat): (plane, c, b); or back."""
     _, ny, nx = shape
     start, planes, c0, nc, b0, nb = box
     if axis == 0:
         for c in range(nc):
             at = ((c0 + c) * ny + b0) * nx + start
-            _copy(x, at, nx, brick, c * nb, nc * nb, nb, planes)
+            if back:
+                _copy(brick, c * nb, nc * nb, x, at, nx, planes, nb)
+            else:
+                _copy(x, at, nx, brick, c * nb, nc * nb, nb, planes)
         return
     for p in range(planes):
         for c in range(nc):
             k, j = (c0 + c, start + p) if axis == 1 else (start + p, c0 + c)
             at, to = (k * ny + j) * nx + b0, (p * nc + c) * nb
-            _copy_line(x, at, brick, to, nb)
-
-
-@njit(**OPTIONS)
-def put(brick, shape, axis, box, x):
-    """Copy a brick back to where ``take`` had it from."""
-    _, ny, nx = shape
-    start, planes, c0, nc, b0, nb = box
-    if axis == 0:
-        for c in range(nc):
-            at = ((c0 + c) * ny + b0) * nx + start
-            _copy(brick, c * nb, nc * nb, x, at, nx, planes, nb)
-        return
-    for p in range(planes):
-        for c in range(nc):
-            k, j = (c0 + c, start + p) if axis == 1 else (start + p, c0 + c)
-            at, to = (k * ny + j) * nx + b0, (p * nc + c) * nb
-            _copy_line(brick, to, x, at, nb)
+            if back:
+                _copy_line(brick, to, x, at, nb)
+            else:
+                _copy_line(x, at, brick, to, nb)
 
 
 @njit(inline="always", **OPTIONS)
@@ -127,10 +104,8 @@ def fits(box):
 def in_brick(box, axis, shape):
     """The lattice (see ``march``) of a brick."""
     start, _, c0, nc, b0, nb = box
-    middle = np.float32(0.5 * (shape[2 - axis] - 1))
-    stride = nc * nb
-    offset = -start * stride
-    return middle, np.float32(b0), np.float32(c0), offset, nb - 1, nc - 1, 1, nb, stride
+    middle, stride = np.float32(0.5 * (shape[2 - axis] - 1)), nc * nb
+    return middle, np.float32(b0), np.float32(c0), -start * stride, nb - 1, nc - 1, 1, nb, stride
 
 
 @njit(inline="always", **OPTIONS)

@@ -54,7 +54,11 @@ def kernels_from_disk() -> Iterator[None]:
 def _folder() -> Path:
     """Where the kernels are; afterwards they are there."""
     name = f"kernels-{_digest()}"
-    places = [Path(config.CACHE_DIR)] if config.CACHE_DIR else [_HERE / "__pycache__", _own_cache()]
+    if config.CACHE_DIR:
+        places = [Path(config.CACHE_DIR)]
+    else:
+        own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        places = [_HERE / "__pycache__", own / "twinct"]
     for place in places:
         if (place / name).is_dir():
             return place / name
@@ -66,10 +70,6 @@ def _folder() -> Path:
     passing = Path(tempfile.mkdtemp(prefix="twinct-"))
     atexit.register(shutil.rmtree, passing, ignore_errors=True)
     return _compiled(Path(tempfile.mkdtemp(dir=passing)), passing / name)
-
-
-def _own_cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twinct"
 
 
 def _digest() -> str:

@@ -2,40 +2,20 @@
 
 from __future__ import annotations
 
-from numba import njit, prange
+from numba import prange
 
-from twinct.recon._vector.brick import fits, in_brick, in_volume, take
-from twinct.recon._vector.groups import (
-    TILE_COLUMNS,
-    TILE_ROWS,
-    box_of,
-    load,
-    planes_of,
-    room,
-    spans,
-)
+from twinct.recon._vector.brick import fits, in_brick, in_volume, move
+from twinct.recon._vector.groups import TILE_COLUMNS, TILE_ROWS, box_of, load, room, slab_of
 from twinct.recon._vector.march import BLOCK, VALUE, read_along, read_guarded, read_pairs_along
-from twinct.recon._vector.options import CUBE, IMAGE, OPTIONS, RAYS, kernel
+from twinct.recon._vector.options import CUBE, IMAGE, RAYS, kernel
 from twinct.recon._vector.vectors import LANES
 
 PLANES = 16
 """Planes of a slab, through which all rays of a tile go before any goes on."""
 
 
-@njit(**OPTIONS)
-def _sum_slab(x, lattice, start, end, rays, ranges, groups):
-    """Add up the samples of the planes from start to end."""
-    for group in range(groups):
-        first, lo, hi, last = spans(ranges[group], start, end)
-        if first > last:
-            continue
-        block = group * BLOCK
-        read_guarded(x, rays, block, first, lo - 1, lattice)
-        if lattice[6] == 1:
-            read_pairs_along(x, rays, block, lo, hi, lattice)
-        else:
-            read_along(x, rays, block, lo, hi, lattice)
-        read_guarded(x, rays, block, hi + 1, last, lattice)
+_sum_slab = slab_of(read_along, read_pairs_along, read_guarded)
+"""Add up the samples of the planes from start to end."""
 
 
 @kernel(f"({CUBE}, {RAYS}, {IMAGE})")
@@ -54,13 +34,12 @@ def forward(x, view, out):
         for axis in range(3):
             if groups[axis] == 0:
                 continue
-            planes = planes_of(axis, shape)
-            rays, bounds = blocks[axis], ranges[axis]
+            planes, rays, bounds = shape[2 - axis], blocks[axis], ranges[axis]
             for start in range(0, planes, PLANES):
                 end = min(start + PLANES, planes) - 1
                 box = box_of(rays, bounds, groups[axis], axis, shape, start, end)
                 if fits(box):
-                    take(flat, shape, axis, box, brick)
+                    move(flat, shape, axis, box, brick, False)
                     lattice = in_brick(box, axis, shape)
                     _sum_slab(brick, lattice, start, end, rays, bounds, groups[axis])
                 else:

@@ -47,12 +47,6 @@ def room():
 
 
 @njit(inline="always", **OPTIONS)
-def planes_of(axis, shape):
-    """Number of planes across an axis (0, 1, 2 for x, y, z) of a volume (z, y, x)."""
-    return shape[2 - axis]
-
-
-@njit(inline="always", **OPTIONS)
 def cells_of(axis, shape):
     """Cells between voxel centres in a plane along b and c, the other axes in the order x, y, z."""
     nz, ny, nx = shape
@@ -79,17 +73,11 @@ def _clear(lo, hi, at_middle, slope, middle, cells):
 def load(view, shape, rows, columns, apart, room):
     """Sort the rays of a tile; rays that miss the volume are left out.
 
-    Args:
-        view: see ``projector``.
-        shape: of the volume.
-        rows: first row of pixels and the one after the last.
-        columns: likewise.
-        apart: the rays of a group lie far from each other in their row, so that they do not share
-            voxels; else they are neighbours.
-        room: receives, for each axis: blocks with value 0; ranges, the first and last plane that
-            any ray of a group crosses and the first and last in which all are clear of the border;
-            pixels (row * 65536 + column, -1 where a lane is empty); mm per plane; and the number of
-            groups.
+    ``rows`` and ``columns`` are the first and the one after the last. The rays of a group are
+    neighbours in their row or, if ``apart``, so far from each other that they share no voxels.
+    ``room`` receives, for each axis: blocks with value 0; ranges, the first and last plane that any
+    ray of a group crosses and the first and last in which all are clear of the border; pixels
+    (row * 65536 + column, -1 where a lane is empty); mm per plane; and the number of groups.
     """
     blocks, ranges, pixels, steps, groups, found, _ = room
     nz, ny, nx = shape
@@ -110,7 +98,7 @@ def load(view, shape, rows, columns, apart, room):
             count = counts[axis]
             here = (count + LANES - 1) // LANES
             b_cells, c_cells = cells_of(axis, shape)
-            middle = 0.5 * (planes_of(axis, shape) - 1)
+            middle = 0.5 * (shape[2 - axis] - 1)
             for q in range(here):
                 group = groups[axis] + q
                 near, far, lo, hi = 1e9, -1e9, -1e9, 1e9
@@ -118,12 +106,8 @@ def load(view, shape, rows, columns, apart, room):
                     n = lane * here + q if apart else q * LANES + lane
                     ray = found[axis, min(n, count - 1)]
                     at = group * BLOCK + lane
-                    blocks[axis, at + B_MIDDLE] = ray[0]
-                    blocks[axis, at + B_SLOPE] = ray[1]
-                    blocks[axis, at + C_MIDDLE] = ray[2]
-                    blocks[axis, at + C_SLOPE] = ray[3]
-                    blocks[axis, at + FIRST] = ray[4]
-                    blocks[axis, at + LAST] = ray[5]
+                    for kind in range(6):  # from B_MIDDLE to LAST
+                        blocks[axis, at + kind * LANES] = ray[kind]
                     blocks[axis, at + VALUE] = 0.0
                     near, far = min(near, ray[4]), max(far, ray[5])
                     lo, hi = max(lo, ray[4]), min(hi, ray[5])
@@ -145,7 +129,7 @@ def box_of(rays, ranges, groups, axis, shape, start, end):
     It has no planes where they read none.
     """
     b_cells, c_cells = cells_of(axis, shape)
-    middle = np.float32(0.5 * (planes_of(axis, shape) - 1))
+    middle = np.float32(0.5 * (shape[2 - axis] - 1))
     far = np.float32(1e9)
     b_low, b_high, c_low, c_high = far, -far, far, -far
     for group in range(groups):
@@ -179,11 +163,25 @@ def _below(lowest, cells):
     return min(max(int(max(lowest, np.float32(0.0))) - 1, 0), cells - 1)
 
 
-@njit(inline="always", **OPTIONS)
-def spans(bounds, start, end):
-    """Planes of a slab that a group crosses: first, first and last that are clear, last."""
-    first, last = max(start, bounds[0]), min(end, bounds[1])
-    lo, hi = max(first, bounds[2]), min(last, bounds[3])
-    if lo > hi:
-        lo, hi = last + 1, last
-    return first, lo, hi, last
+def slab_of(along, pairs_along, guarded):
+    """Takes groups through the planes of a slab, from start to end, by functions of ``march``."""
+
+    @njit(**OPTIONS)
+    def slab(x, lattice, start, end, rays, ranges, groups):
+        for group in range(groups):
+            bounds, block = ranges[group], group * BLOCK
+            first, last = max(start, bounds[0]), min(end, bounds[1])
+            if first > last:
+                continue
+            # Those in which all rays are clear of the border.
+            lo, hi = max(first, bounds[2]), min(last, bounds[3])
+            if lo > hi:
+                lo, hi = last + 1, last
+            guarded(x, rays, block, first, lo - 1, lattice)
+            if lattice[6] == 1:
+                pairs_along(x, rays, block, lo, hi, lattice)
+            else:
+                along(x, rays, block, lo, hi, lattice)
+            guarded(x, rays, block, hi + 1, last, lattice)
+
+    return slab

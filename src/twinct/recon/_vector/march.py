@@ -20,34 +20,20 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from twinct.recon._vector.vectors import (
-    F32,
-    I32,
-    I64,
-    INTS,
-    LANES,
-    VECTOR,
-    add_pairs,
-    add_single,
-    array_data,
-    intrinsic,
-    lanes_of,
-    mix,
-    read_pairs,
-    read_single,
-    splat,
-    vector_at,
-)
+from twinct.recon._vector import vectors as vec
 
-B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE = (n * LANES for n in range(7))
+B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE = (n * vec.LANES for n in range(7))
 """Places of the eight numbers of each kind in a block; FIRST and LAST are planes."""
 
-BLOCK = 7 * LANES
+BLOCK = 7 * vec.LANES
 """Length of a block."""
 
-_ZEROS = ir.Constant(VECTOR, [0.0] * LANES)
-_ONES = ir.Constant(VECTOR, [1.0] * LANES)
+_ZEROS = ir.Constant(vec.VECTOR, [0.0] * vec.LANES)
+_ONES = ir.Constant(vec.VECTOR, [1.0] * vec.LANES)
 _FAST = ["fast"]
+
+_KINDS = (False, False), (True, False), (False, True)
+"""Adjacent and guarded, see ``_emit``."""
 
 # Takes the builder, the two lines of voxels (one in c, the next), the distance to the next in b,
 # the places in them, the weights of the next in b and c, and what the rays carry; returns that.
@@ -70,30 +56,27 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
     """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        x, rays, block, first, last, lattice = (
-            array_data(context, builder, kind, value) if isinstance(kind, types.Array) else value
-            for kind, value in zip(signature.args, args, strict=True)
-        )
+        x, rays, block, first, last, lattice = vec.arguments(context, builder, signature, args)
         middle, b_from, c_from, offset, b_cells, c_cells, near, far, stride = (
             builder.extract_value(lattice, n) for n in range(9)
         )
 
         def of_rays(place: int) -> Any:
-            offset = builder.add(block, ir.Constant(I64, place))
-            return vector_at(builder, rays, offset)
+            offset = builder.add(block, ir.Constant(vec.I64, place))
+            return vec.vector_at(builder, rays, offset)
 
         b_middle, b_slope, c_middle, c_slope, firsts, lasts, values = (
             builder.load(of_rays(place), align=4)
             for place in (B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE)
         )
-        near_lanes = splat(builder, builder.trunc(near, I32))
-        far_lanes = splat(builder, builder.trunc(far, I32))
-        middles = splat(builder, middle)
-        b_middle = builder.fsub(b_middle, splat(builder, b_from))
-        c_middle = builder.fsub(c_middle, splat(builder, c_from))
-        tops = [splat(builder, builder.sitofp(cells, F32)) for cells in (b_cells, c_cells)]
-        int_ones = ir.Constant(INTS, [1] * LANES)
-        plane_start = splat(builder, builder.sitofp(first, F32))
+        near_lanes = vec.splat(builder, builder.trunc(near, vec.I32))
+        far_lanes = vec.splat(builder, builder.trunc(far, vec.I32))
+        middles = vec.splat(builder, middle)
+        b_middle = builder.fsub(b_middle, vec.splat(builder, b_from))
+        c_middle = builder.fsub(c_middle, vec.splat(builder, c_from))
+        tops = [vec.splat(builder, builder.sitofp(cells, vec.F32)) for cells in (b_cells, c_cells)]
+        int_ones = ir.Constant(vec.INTS, [1] * vec.LANES)
+        plane_start = vec.splat(builder, builder.sitofp(first, vec.F32))
         start = builder.add(offset, builder.mul(first, stride))
         low_start = builder.gep(x, [start])
         high_start = builder.gep(low_start, [far])
@@ -103,7 +86,7 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
         after = builder.append_basic_block("after")
         builder.cbranch(builder.icmp_signed("<=", first, last), loop, after)
         builder.position_at_end(loop)
-        index, plane, carried = builder.phi(I64), builder.phi(VECTOR), builder.phi(VECTOR)
+        index, plane, carried = (builder.phi(kind) for kind in (vec.I64, vec.VECTOR, vec.VECTOR))
         low, high = builder.phi(low_start.type), builder.phi(low_start.type)
         m = builder.fsub(plane, middles, flags=_FAST)
 
@@ -111,18 +94,18 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
             at = builder.fadd(at_middle, builder.fmul(m, slope, flags=_FAST), flags=_FAST)
             if guarded:
                 at = _clamp(builder, at, top)
-            whole = builder.fptosi(at, INTS)
+            whole = builder.fptosi(at, vec.INTS)
             if guarded:
-                highest = builder.sub(builder.fptosi(top, INTS), int_ones)
+                highest = builder.sub(builder.fptosi(top, vec.INTS), int_ones)
                 below = builder.icmp_signed("<", whole, highest)
                 whole = builder.select(below, whole, highest)
-            return whole, builder.fsub(at, builder.sitofp(whole, VECTOR), flags=_FAST)
+            return whole, builder.fsub(at, builder.sitofp(whole, vec.VECTOR), flags=_FAST)
 
         i, f = cell(b_middle, b_slope, tops[0])
         k, g = cell(c_middle, c_slope, tops[1])
         if not adjacent:
             i = builder.mul(i, near_lanes, flags=["nsw"])
-        places = lanes_of(builder, builder.add(i, builder.mul(k, far_lanes), flags=["nsw"]))
+        places = vec.lanes_of(builder, builder.add(i, builder.mul(k, far_lanes), flags=["nsw"]))
         inside: Any = None
         if guarded:
             inside = builder.and_(
@@ -132,7 +115,7 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
         result = body(builder, (low, high), near, places, f, g, used)
         if adds_up and guarded:
             result = builder.select(inside, result, carried)
-        following = builder.add(index, ir.Constant(I64, 1))
+        following = builder.add(index, ir.Constant(vec.I64, 1))
         for phi, start, step in (
             (index, first, following),
             (plane, plane_start, builder.fadd(plane, _ONES)),
@@ -146,7 +129,7 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
 
         builder.position_at_end(after)
         if adds_up:
-            sums = builder.phi(VECTOR)
+            sums = builder.phi(vec.VECTOR)
             sums.add_incoming(values, before)
             sums.add_incoming(result, loop)
             builder.store(sums, of_rays(VALUE), align=4)
@@ -156,84 +139,48 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
 
 
 def _gather(adjacent: bool) -> _Body:
-    def body(
-        builder: Any,
-        lines: tuple[Any, Any],
-        near: Any,
-        places: list[Any],
-        f: Any,
-        g: Any,
-        sums: Any,
-    ) -> Any:
+    def body(builder: Any, lines: Any, near: Any, places: Any, f: Any, g: Any, sums: Any) -> Any:
         rows = []
         for line in lines:
             if adjacent:
-                left, right = read_pairs(builder, line, places)
+                left, right = vec.read_pairs(builder, line, places)
             else:
-                left = read_single(builder, line, places)
-                right = read_single(builder, builder.gep(line, [near]), places)
-            rows.append(mix(builder, left, right, f))
+                left = vec.read_single(builder, line, places)
+                right = vec.read_single(builder, builder.gep(line, [near]), places)
+            rows.append(vec.mix(builder, left, right, f))
         low, high = rows
-        return builder.fadd(sums, mix(builder, low, high, g), flags=_FAST)
+        return builder.fadd(sums, vec.mix(builder, low, high, g), flags=_FAST)
 
     return body
 
 
 def _scatter(adjacent: bool) -> _Body:
-    def body(
-        builder: Any, lines: tuple[Any, Any], near: Any, places: Any, f: Any, g: Any, y: Any
-    ) -> Any:
+    def body(builder: Any, lines: Any, near: Any, places: Any, f: Any, g: Any, y: Any) -> Any:
         upper = builder.fmul(y, g, flags=_FAST)
         for line, share in zip(lines, (builder.fsub(y, upper, flags=_FAST), upper), strict=True):
             right = builder.fmul(share, f, flags=_FAST)
             left = builder.fsub(share, right, flags=_FAST)
             if adjacent:
-                add_pairs(builder, line, places, left, right)
+                vec.add_pairs(builder, line, places, left, right)
             else:
-                add_single(builder, line, places, left)
-                add_single(builder, builder.gep(line, [near]), places, right)
+                vec.add_single(builder, line, places, left)
+                vec.add_single(builder, builder.gep(line, [near]), places, right)
         return y
 
     return body
 
 
-def _signature(x: Any, rays: Any, lattice: Any) -> Any:
-    n = types.int64
-    void: Any = types.void
-    return void(x, rays, n, n, n, lattice)
+def _along(adjacent: bool, guarded: bool, adds_up: bool) -> Any:
+    def typed(typingctx, x, rays, block, first, last, lattice):
+        n, void = types.int64, types.void
+        body = _gather(adjacent) if adds_up else _scatter(adjacent)
+        return void(x, rays, n, n, n, lattice), _emit(adjacent, guarded, adds_up, body)
+
+    return vec.intrinsic(typed)
 
 
-@intrinsic
-def read_pairs_along(typingctx, x, rays, block, first, last, lattice):
-    """As ``read_along``, where ``near`` is 1."""
-    return _signature(x, rays, lattice), _emit(True, False, True, _gather(True))
+read_along, read_pairs_along, read_guarded = (_along(*kind, True) for kind in _KINDS)
+"""Add to the eight values the samples of the planes; pairs: where ``near`` is 1."""
 
-
-@intrinsic
-def read_along(typingctx, x, rays, block, first, last, lattice):
-    """Add to the eight values the samples of the planes from first to last."""
-    return _signature(x, rays, lattice), _emit(False, False, True, _gather(False))
-
-
-@intrinsic
-def read_guarded(typingctx, x, rays, block, first, last, lattice):
-    """As ``read_along``, for any ray."""
-    return _signature(x, rays, lattice), _emit(False, True, True, _gather(False))
-
-
-@intrinsic
-def add_pairs_along(typingctx, x, rays, block, first, last, lattice):
-    """As ``add_along``, where ``near`` is 1."""
-    return _signature(x, rays, lattice), _emit(True, False, False, _scatter(True))
-
-
-@intrinsic
-def add_along(typingctx, x, rays, block, first, last, lattice):
-    """Add the eight values, weighted, to the voxels of the planes from first to last."""
-    return _signature(x, rays, lattice), _emit(False, False, False, _scatter(False))
-
-
-@intrinsic
-def add_guarded(typingctx, x, rays, block, first, last, lattice):
-    """As ``add_along``, for any ray."""
-    return _signature(x, rays, lattice), _emit(False, True, False, _scatter(False))
+add_along, add_pairs_along, add_guarded = (_along(*kind, False) for kind in _KINDS)
+"""Add the eight values, weighted, to the voxels of the planes; guarded: for any ray."""

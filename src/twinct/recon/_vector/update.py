@@ -50,10 +50,9 @@ def _missing(missing, first_column, last_column, first_row, last_row):
 
 
 @njit(**OPTIONS)
-def _update_line(
-    line, first, last, image, mask, missing, width, a, e, d, a1, e1, d1, floor, values, weights
-):
+def _update_line(line, first, last, image, mask, missing, starts, slopes, floor, values, weights):
     """line[i] <- max(line[i] + mean of the counting pixels around the voxel's, bilinear, floor)."""
+    (a, e, d), (a1, e1, d1), width = starts, slopes, image.shape[1]
     one, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
     for start in range(first, last + 1, CHUNK):
         end = min(start + CHUNK, last + 1)
@@ -93,22 +92,9 @@ def update(x, matrix, image, mask, missing, floor):
             first, last = _shadow(a, e, d, a1, e1, d1, columns, rows, nx)
             if last < first:
                 continue
+            # In the framed image columns and rows count from one.
+            starts = np.float32(a + d), np.float32(e + d), np.float32(d)
+            slopes = np.float32(a1 + d1), np.float32(e1 + d1), np.float32(d1)
             _update_line(
-                x[k, j],
-                first,
-                last,
-                image,
-                mask,
-                missing,
-                columns + 2,
-                # In the framed image columns and rows count from one.
-                np.float32(a + d),
-                np.float32(e + d),
-                np.float32(d),
-                np.float32(a1 + d1),
-                np.float32(e1 + d1),
-                np.float32(d1),
-                floor,
-                values,
-                weights,
+                x[k, j], first, last, image, mask, missing, starts, slopes, floor, values, weights
             )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
+from numba import types
 from numba.extending import intrinsic as numba_intrinsic
 
 # A call leaves out the typing context that the function takes, so the type checker may not look.
@@ -30,9 +31,11 @@ def _mask(lanes: Any) -> ir.Constant:
     return ir.Constant(ir.VectorType(I32, len(lanes)), list(lanes))
 
 
-def array_data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
-    """Pointer to an array's first element."""
-    return context.make_array(kind)(context, builder, array).data
+def arguments(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    """What an intrinsic is called with; of an array, the pointer to its first element."""
+    for kind, value in zip(signature.args, args, strict=True):
+        is_array = isinstance(kind, types.Array)
+        yield context.make_array(kind)(context, builder, value).data if is_array else value
 
 
 def vector_at(builder: Any, data: Any, first: Any) -> Any:
@@ -107,11 +110,8 @@ def transposed(builder: Any, lines: list[Any]) -> list[Any]:
     """Eight vectors, of which the n-th holds lane n of each of the given ones."""
 
     def stage(order: list[tuple[int, int]], masks: Any, given: list[Any]) -> list[Any]:
-        return [
-            builder.shuffle_vector(given[a], given[b], _mask(mask))
-            for a, b in order
-            for mask in masks
-        ]
+        pairs = ((given[a], given[b], _mask(mask)) for a, b in order for mask in masks)
+        return [builder.shuffle_vector(*pair) for pair in pairs]
 
     once = stage([(0, 1), (2, 3), (4, 5), (6, 7)], _INTERLEAVED, lines)
     twice = stage([(0, 2), (1, 3), (4, 6), (5, 7)], _PAIRED, once)
