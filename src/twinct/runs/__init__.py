@@ -4,8 +4,8 @@ from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
 from twinct.runs.checks import check_physics, check_sight, findings, require_extras
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, report_again, run
-from twinct.runs.judgement import Truth, judge, truth_of
 from twinct.runs.needs import Need, needs
+from twinct.runs.reporting import Truth, judge, truth_of
 from twinct.runs.volumes import line_integrals, reconstruct, require_feasible
 
 __all__ = [

@@ -1,12 +1,12 @@
-"""Acquires a scan, in memory or into its store."""
+"""Acquires a scan, in memory or into its store; starts what takes the views."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,33 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+Link = Literal["ros2", "local"]
 RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
 """Of a scenario's parts, the first view to take, and the simulator's state before it, if any."""
+
+
+@contextmanager
+def rig_factory(link: Link, logs: Path, progress: Progress) -> Generator[RigFactory, None, None]:
+    """What starts the simulations; whatever can be missing for that is missed here.
+
+    The ROS domain is taken and said at once, so that who wants to follow the scan joins in time.
+    What the nodes say goes to the folder ``logs``.
+
+    Raises:
+        InputError: the link's extra, or the ROS domain asked for, cannot be used.
+    """
+    if link == "local":
+        from twinct.xray import prepare_engine
+
+        prepare_engine()
+        yield local_rig
+        return
+    from twinct.ros import Domain, require_ros, ros_rigs
+
+    require_ros()
+    with closing(Domain()) as domain:
+        progress.say(f"ROS 2: domain {domain.id} (ROS_DOMAIN_ID)")
+        yield ros_rigs(logs, domain)
 
 
 def simulate(
@@ -32,10 +57,7 @@ def simulate(
 ) -> Scan:
     """Plan, move and expose every view in this process, without files and without ROS.
 
-    Args:
-        scenario: what to scan and how.
-        workshop: parts already built of this scenario.
-        progress: told of each view.
+    A workshop holds parts already built of this scenario.
 
     Raises:
         InputError: a file or material of the source or the detector that cannot be used.
@@ -67,13 +89,7 @@ def acquire_to_store(
 ) -> ScanStore:
     """Take the views that the store lacks; each is on disk before the next is requested.
 
-    Args:
-        workshop: the scenario's parts.
-        path: the store.
-        make_rig: gives a rig for the first view to take and the simulator's state before it.
-        resume: go on with a store that is there.
-        watch: counts the seconds of this call.
-        progress: told of each view.
+    ``watch`` counts the seconds of this call alone.
 
     Raises:
         ScanExistsError: there is a scan and ``resume`` is false, or it is another scenario's.
@@ -93,13 +109,8 @@ def acquire_to_store(
             nonlocal store
             reached = view.reached
             if store is None:
-                store = ScanStore.create(
-                    path,
-                    scenario,
-                    workshop.commanded_poses,
-                    reached.joint_names,
-                    len(reached.state),
-                )
+                robots = reached.joint_names, len(reached.state)
+                store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
             store.write(index, view)
             log.info(
                 "view %d: t %.3f s, clearance %.1f mm", index, reached.time_s, reached.clearance_mm
@@ -115,11 +126,6 @@ def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iter
     """Raw, flat and dark images of views of a scan, rendered again from the executed poses.
 
     A scan stores transmission only; these are the images that it came from, to the last bit.
-
-    Args:
-        scan: with its executed poses.
-        workshop: the scenario's parts.
-        views: their indices.
 
     Raises:
         InputError: an ideal source and detector, which have no such images; or lag together with

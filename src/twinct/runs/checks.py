@@ -13,10 +13,7 @@ from twinct.specimen.size import SpecimenSize, specimen_size
 
 
 def check_sight(workshop: Workshop) -> list[str]:
-    """Make sure that the commanded views see the specimen, and that its unit can be right.
-
-    Returns:
-        What a user should know of a scan that can be run.
+    """Make sure that the views see the specimen; return what else a user should know.
 
     Raises:
         TrajectoryError: no view sees the specimen, it stands behind a panel, or no voxel is seen by

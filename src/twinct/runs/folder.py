@@ -14,82 +14,67 @@ from twinct.files.writing import check_folder, draft_of
 from twinct.scenario import Scenario, stage_digests
 
 
+class _Below:
+    """A path below the folder, by its name."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, folder: Folder, owner: type[Folder]) -> Path:
+        return folder.path / self.name
+
+
 @dataclass(frozen=True)
 class Folder:
-    """Where a run keeps what, below its ``--out``."""
+    """Where a run keeps what, below its ``--out``.
+
+    Attributes:
+        path: the folder itself.
+        scan: the scan store.
+        volume: the reconstruction.
+        metrics: the figures.
+        report: the report.
+        checkpoints: reconstructions that are under way.
+        scenario: as it was run, defaults included.
+        seconds: of a run that is under way.
+        logs: what the nodes of the ROS 2 link said.
+        log: what happened.
+        lock: held by the process that works here.
+    """
 
     path: Path
+    scan = _Below("scan.zarr")
+    volume = _Below("volume.nii")
+    metrics = _Below("metrics.json")
+    report = _Below("report.html")
+    checkpoints = _Below("checkpoints")
+    scenario = _Below("scenario.yaml")
+    seconds = _Below("seconds.json")
+    logs = _Below("log")
+    log = _Below("twinct.log")
+    lock = _Below("twinct.lock")
 
     @property
-    def scan(self) -> Path:
-        """The scan store."""
-        return self.path / "scan.zarr"
-
-    @property
-    def volume(self) -> Path:
-        """The reconstruction."""
-        return self.path / "volume.nii"
-
-    @property
-    def metrics(self) -> Path:
-        """The figures."""
-        return self.path / "metrics.json"
-
-    @property
-    def report(self) -> Path:
-        """The report."""
-        return self.path / "report.html"
-
-    @property
-    def checkpoints(self) -> Path:
-        """Reconstructions that are under way."""
-        return self.path / "checkpoints"
-
-    @property
-    def scenario(self) -> Path:
-        """The scenario as it was run, defaults included."""
-        return self.path / "scenario.yaml"
-
-    @property
-    def seconds(self) -> Path:
-        """Seconds of a run that is under way."""
-        return self.path / "seconds.json"
-
-    @property
-    def logs(self) -> Path:
-        """What the nodes of the ROS 2 link said."""
-        return self.path / "log"
-
-    @property
-    def log(self) -> Path:
-        """What happened."""
-        return self.path / "twinct.log"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the process that works here."""
-        return self.path / "twinct.lock"
+    def results(self) -> tuple[Path, ...]:
+        """What a finished run leaves."""
+        return self.scan, self.volume, self.metrics, self.report
 
     def finished(self, scenario: Scenario) -> bool:
         """Whether everything of this very scenario is there."""
-        if not all(p.exists() for p in (self.scan, self.volume, self.metrics, self.report)):
+        if not all(p.exists() for p in self.results):
             return False
         digest = stage_digests(scenario)["volume"]
         return read_metrics(self.metrics).get("reconstruction_digest") == digest
 
     def refuse_others(self) -> None:
         """Raise where something else than a run of before is in the way."""
-        own = (
-            *(self.scan, self.volume, self.metrics, self.report, self.checkpoints, self.scenario),
-            *(self.seconds, self.logs, self.log, self.lock, self.scan.with_name("scan.zarr.new")),
-        )
-        names = {name for p in own for name in (p.name, draft_of(p).name)}
-        check_folder(self.path, names)
+        own = [part.name for part in vars(Folder).values() if isinstance(part, _Below)]
+        drafts = [draft_of(self.path / name).name for name in (*own, "scan.zarr.new")]
+        check_folder(self.path, {*own, "scan.zarr.new", *drafts})
 
     def refuse_if_taken(self) -> None:
         """Raise where a run of before must not be touched."""
-        taken = [p.name for p in (self.scan, self.volume, self.metrics, self.report) if p.exists()]
-        if taken:
+        if taken := [p.name for p in self.results if p.exists()]:
             raise ScanExistsError(
                 f"{self.path} already holds {', '.join(taken)}: "
                 "choose another --out, or go on with --resume"
@@ -109,8 +94,8 @@ def read_metrics(path: Path) -> dict[str, Any]:
     """
     try:
         metrics = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(metrics, dict):
+            raise ValueError("no mapping of names to values")
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: not readable figures of a run: {error}") from None
-    if not isinstance(metrics, dict):
-        raise InputError(f"{path}: not readable figures of a run: no mapping of names to values")
     return cast(dict[str, Any], metrics)

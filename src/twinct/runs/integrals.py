@@ -31,13 +31,10 @@ def hardening_corrected(
     A: Projector,
     mask: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """Line integrals at one energy, where the scenario asks for it.
+    """Polychromatic line integrals at one energy, where the scenario asks for it.
 
-    Args:
-        scenario: source, detector, materials.
-        integrals: polychromatic ones, (views, rows, columns).
-        A: with which the volume that two materials need is reconstructed.
-        mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
+    Integrals are (views, rows, columns), the mask may lack the views; ``A`` and the mask are for
+    the volume that two materials need.
     """
     section = scenario.reconstruction.beam_hardening
     if section is None:
@@ -82,13 +79,7 @@ def _each(hardening: Hardening, integrals: NDArray[np.float32]) -> NDArray[np.fl
 
 
 def hardening_bytes(section: BeamHardening, voxels: int, pixels: int) -> int:
-    """Bytes that ``hardening_corrected`` takes beside the line integrals that it is given.
-
-    Args:
-        section: for how many materials.
-        voxels: of the grid.
-        pixels: of all views together.
-    """
+    """Bytes that ``hardening_corrected`` takes beside what it is given; pixels of all views."""
     volumes = 0 if section.kind == "one_material" else 2
     return 4 * (pixels + volumes * voxels) + SPARE_BYTES
 

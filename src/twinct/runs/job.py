@@ -21,12 +21,10 @@ from twinct.files.lock import sole_owner
 from twinct.files.writing import storage_errors, write_text
 from twinct.progress import SILENT, Progress
 from twinct.report import physics_in_words
-from twinct.runs.acquisition import acquire_to_store
+from twinct.runs.acquisition import Link, RigFactory, acquire_to_store, rig_factory
 from twinct.runs.checks import check_physics, check_sight, require_extras
 from twinct.runs.folder import Folder, as_yaml, read_metrics
-from twinct.runs.judgement import Truth, judge, truth_of
-from twinct.runs.links import Link, RigFactory, rig_factory
-from twinct.runs.reporting import Results, write_results
+from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space
@@ -39,12 +37,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run; what is on disk is read when it is first asked for.
-
-    Attributes:
-        scenario: what was run.
-        paths: where everything lies.
-    """
+    """A finished run; what is on disk, below ``paths``, is read when it is first asked for."""
 
     scenario: Scenario
     paths: Folder
@@ -231,21 +224,14 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, progress
             kept = volume
             with seconds.stage("storing"):
                 volume.write(folder.volume, _note_of(scenario))
-        figures[which] = _judged(which, scan, volume, truth, seconds, progress)
+        with seconds.stage("judge"), progress.stage(f"judge, {which} geometry", 1) as step:
+            figures[which] = judge(scan, volume, truth)
+            step()
         del volume
     assert kept is not None
     write_results(folder, workshop, scan, Results(kept, truth, figures, residuals), seconds)
     shutil.rmtree(folder.checkpoints, ignore_errors=True)
     folder.seconds.unlink(missing_ok=True)
-
-
-def _judged(
-    which: str, scan: Scan, volume: Volume, truth: Truth, seconds: Seconds, progress: Progress
-) -> ImageFigures:
-    with seconds.stage("judge"), progress.stage(f"judge, {which} geometry", 1) as step:
-        figures = judge(scan, volume, truth)
-        step()
-    return figures
 
 
 def _note_of(scenario: Scenario) -> str:

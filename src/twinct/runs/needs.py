@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from twinct.runs.links import Link
+from twinct.runs.acquisition import Link
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Workshop
 from twinct.scenario import CtVolume, MeshFile, Scenario, Skull
@@ -52,10 +52,6 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
 
     The figures of the engines were measured with software OpenGL; specimens from files are told by
     the size of the files.
-
-    Args:
-        scenario: what would be run.
-        link: how its two simulations would be started.
 
     Returns:
         In the order of the stages: ``specimen``, ``plan``, ``views``, ``truth``, ``reconstruction``

@@ -1,19 +1,21 @@
-"""The figures and the report of a run, written into its folder."""
+"""What a run is judged against, and its figures and report, written into its folder."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twinct.evaluate import ImageFigures, pose_errors
+from twinct.evaluate import ImageFigures, image_figures, pose_errors, region_of_interest
 from twinct.files.writing import write_json
+from twinct.progress import SILENT, Progress
 from twinct.report import ReportData, build_metrics, cross_sections, draw_pictures, write_report
 from twinct.runs.folder import Folder, as_yaml
-from twinct.runs.judgement import Truth
 from twinct.runs.seconds import Seconds, Timing
 from twinct.scan import Scan, Workshop
 from twinct.scenario import stage_digests
@@ -21,6 +23,44 @@ from twinct.volume import Volume
 
 _SHOWN_VIEWS = 4
 """Projections shown in the report."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a reconstruction is judged against.
+
+    Attributes:
+        volume: attenuation of the specimen, (z, y, x), 1/mm, float32.
+        region: voxels that every view sees, (z, y, x), bool.
+        mu_reference: attenuation to which figures are relative, 1/mm.
+    """
+
+    volume: NDArray[np.float32]
+    region: NDArray[np.bool_]
+    mu_reference: float
+
+
+def truth_of(scan: Scan, workshop: Workshop, progress: Progress = SILENT) -> Truth:
+    """The truth of a scan, where the specimen really was, and the region every view sees."""
+    from twinct.xray.build import effective_energy_kev
+
+    scenario = scan.scenario
+    grid = scenario.reconstruction.grid.volume_grid
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    # The specimen stands still: any view's pose would do, but for rounding.
+    stands = scan.executed_object[len(scan) // 2]
+    with progress.stage("truth", 2) as step:
+        volume = workshop.specimen.truth(grid, energy, stands)
+        step()
+        region = region_of_interest(scan.executed.geometry(scenario.detector.panel), grid)
+        step()
+    return Truth(volume, region, workshop.specimen.reference_mu(energy))
+
+
+def judge(scan: Scan, volume: Volume, truth: Truth) -> ImageFigures:
+    """The image figures of a reconstruction."""
+    grid = scan.scenario.reconstruction.grid.volume_grid
+    return image_figures(volume.array, truth.volume, truth.region, truth.mu_reference, grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,22 +85,14 @@ def write_results(
 ) -> None:
     """Write report.html and metrics.json, each complete or not at all.
 
-    Args:
-        folder: where.
-        workshop: the scenario's parts.
-        scan: what was taken.
-        results: what became of it.
-        timing: of this run, still counting, or of the run that is reported again.
+    The timing is of this run, still counting, or of the run that is reported again.
     """
     scenario = workshop.scenario
-    if isinstance(timing, Seconds):
-        with timing.stage("report"):
-            data = _report_data(scan, workshop, results)
-            pictures = draw_pictures(data)
-        timing = timing.finished()
-    else:
+    with timing.stage("report") if isinstance(timing, Seconds) else nullcontext():
         data = _report_data(scan, workshop, results)
         pictures = draw_pictures(data)
+    if isinstance(timing, Seconds):
+        timing = timing.finished()
     digests = stage_digests(scenario)
     metrics = build_metrics(
         views=len(workshop.targets),
@@ -83,6 +115,7 @@ def write_results(
 def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData:
     """All that a report shows but the figures."""
     scenario, truth = workshop.scenario, results.truth
+    grid = scenario.reconstruction.grid.volume_grid
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
     return ReportData(
         scenario=scenario,
@@ -93,12 +126,7 @@ def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData
         panel=scenario.detector.panel,
         clearance_mm=scan.clearance_mm,
         projections=[(int(view), scan.transmission[view]) for view in shown],
-        slices=cross_sections(
-            results.volume.array,
-            truth.volume,
-            truth.region,
-            scenario.reconstruction.grid.volume_grid,
-        ),
+        slices=cross_sections(results.volume.array, truth.volume, truth.region, grid),
         mu_reference=truth.mu_reference,
         reference=workshop.specimen.reference_part.material.name,
         room_png=_room(workshop),

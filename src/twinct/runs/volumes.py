@@ -28,7 +28,7 @@ from twinct.recon.steps import Step
 from twinct.recon.surroundings import surroundings_bytes, without_surroundings
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.scan import Scan
-from twinct.scenario import Scenario, Surroundings, stage_digests
+from twinct.scenario import Scenario, stage_digests
 from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
@@ -95,8 +95,11 @@ def reconstruct(
         return Volume(x0, grid)
     A = Projector(poses, grid)
     integrals = hardening_corrected(scenario, line_integrals(scan.transmission), A, pixels)
-    if section.surroundings is not None:
-        integrals = _without_surroundings(A, integrals, section.surroundings, pixels, progress)
+    if around := section.surroundings:
+        with progress.stage("surroundings", around.iterations * len(A)) as tick:
+            integrals = without_surroundings(
+                A, integrals, **dict(around), mask=pixels, callback=lambda _: tick()
+            )
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
     updates = algorithm.updates(section, len(scan))
@@ -114,33 +117,8 @@ def reconstruct(
         return algorithm.solve(problem, section)
 
 
-def _without_surroundings(
-    A: Projector,
-    integrals: NDArray[np.float32],
-    around: Surroundings,
-    mask: NDArray[np.bool_] | None,
-    progress: Progress,
-) -> NDArray[np.float32]:
-    with progress.stage("surroundings", around.iterations * len(A)) as tick:
-        return without_surroundings(
-            A,
-            integrals,
-            margin_mm=around.margin_mm,
-            voxel_mm=around.voxel_mm,
-            iterations=around.iterations,
-            relaxation=around.relaxation,
-            mask=mask,
-            callback=lambda _: tick(),
-        )
-
-
 def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
-    """Bytes that each stage of a reconstruction takes at its peak, and what a run holds beside it.
-
-    Args:
-        scenario: what will be reconstructed, and how.
-        views: the views of the scan.
-    """
+    """Bytes of each stage of a reconstruction at its peak, with what a run holds beside it."""
     section = scenario.reconstruction
     algorithm = algorithms()[section.algorithm]
     grid = section.grid.volume_grid
@@ -159,10 +137,6 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
 
 def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     """Refuse before any work what the algorithm cannot do, or what does not fit into memory.
-
-    Args:
-        scenario: what will be reconstructed, and how.
-        commanded: the views that the trajectory asks for.
 
     Raises:
         InputError: an engine that is none, a grid behind a source, or no circular scan for fdk; or
