@@ -46,7 +46,7 @@ def threads() -> int:
 
 
 def limit_threads(number: int | None = None) -> int:
-    """Bound the threads of numba, BLAS, Blosc and the software renderer, here and in children.
+    """Bound the threads of numba, BLAS, Blosc and the renderer, here and in children; return it.
 
     Libraries read their variables when they are loaded: call this first. Those that are loaded
     already are told, as far as they listen; gVXR's renderer takes what it found when it started.
@@ -54,9 +54,6 @@ def limit_threads(number: int | None = None) -> int:
     Args:
         number: threads; None for ``TWINCT_THREADS``, or what the machine gives. What the
             environment says of single libraries stays unless a number was asked for.
-
-    Returns:
-        The bound.
 
     Raises:
         InputError: not a whole number from 1.
@@ -67,12 +64,9 @@ def limit_threads(number: int | None = None) -> int:
     bound = threads()
     loaded = "numba" in sys.modules
     for name in _ENVIRONMENT:
-        if loaded and name == "NUMBA_NUM_THREADS":
-            continue  # numba looks again, and refuses another number once its threads are there
-        if asked:
-            os.environ[name] = str(bound)
-        else:
-            os.environ.setdefault(name, str(bound))
+        # numba looks again, and refuses another number once its threads are there.
+        if not (loaded and name == "NUMBA_NUM_THREADS"):
+            os.environ[name] = str(bound) if asked else os.environ.get(name, str(bound))
     if not asked:
         return bound
     if loaded:

@@ -27,6 +27,16 @@ def from_seven(numbers: Sequence[float]) -> Pose:
     return Pose.from_metres(numbers[:3], numbers[3:])
 
 
+class _InMm:
+    """As a pose, mm, what a field of this name has in wire form."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, of: object, owner: type) -> Pose:
+        return from_seven(getattr(of, self.name))
+
+
 @dataclass(frozen=True)
 class Target:
     """Where the end-effectors shall go.
@@ -34,25 +44,19 @@ class Target:
     Attributes:
         source_m: commanded ``world_from_source``.
         detector_m: commanded ``world_from_detector``.
+        source: the same, mm.
+        detector: the same, mm.
     """
 
     source_m: SevenNumbers
     detector_m: SevenNumbers
+    source = _InMm("source_m")
+    detector = _InMm("detector_m")
 
     @classmethod
     def from_poses(cls, source: Pose, detector: Pose) -> Target:
         """Build from two poses."""
         return cls(to_seven(source), to_seven(detector))
-
-    @property
-    def source(self) -> Pose:
-        """``world_from_source``, mm."""
-        return from_seven(self.source_m)
-
-    @property
-    def detector(self) -> Pose:
-        """``world_from_detector``, mm."""
-        return from_seven(self.detector_m)
 
 
 class Instant(NamedTuple):
@@ -62,26 +66,15 @@ class Instant(NamedTuple):
         source_m: executed ``world_from_source``.
         object_m: executed ``world_from_object``: the specimen.
         detector_m: executed ``world_from_detector``.
+        source: the same, mm; so ``object`` and ``detector``.
     """
 
     source_m: SevenNumbers
     object_m: SevenNumbers
     detector_m: SevenNumbers
-
-    @property
-    def source(self) -> Pose:
-        """``world_from_source``, mm."""
-        return from_seven(self.source_m)
-
-    @property
-    def object(self) -> Pose:
-        """``world_from_object``, mm."""
-        return from_seven(self.object_m)
-
-    @property
-    def detector(self) -> Pose:
-        """``world_from_detector``, mm."""
-        return from_seven(self.detector_m)
+    source = _InMm("source_m")
+    object = _InMm("object_m")
+    detector = _InMm("detector_m")
 
     def placed(self, panel: Panel) -> tuple[ScanGeometry, Pose]:
         """Source and panel as one view, and ``world_from_object``.

@@ -94,9 +94,7 @@ class Volume:
     def write(self, path: Path, note: str = "") -> None:
         """Write a NIfTI file, which appears under its name only when it is complete.
 
-        Args:
-            path: file to write, ``.nii``.
-            note: at most 79 characters for the header's description.
+        Of the note, at most 79 characters are for the header's description.
         """
         import nibabel
 
