@@ -73,10 +73,7 @@ def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Descri
         "type": "ideal",
         "columns": quantity(panel.columns, "px"),
         "rows": quantity(panel.rows, "px"),
-        "pixel_pitch": {
-            "u": quantity(panel.pitch_u, "mm"),
-            "v": quantity(panel.pitch_v, "mm"),
-        },
+        "pixel_pitch": {"u": quantity(panel.pitch_u, "mm"), "v": quantity(panel.pitch_v, "mm")},
         "bit_depth": quantity(16),
         "integration_time": quantity(source.exposure_ms, "ms"),
         "gray_value": {"imax": quantity(FREE_BEAM), "imin": quantity(0)},

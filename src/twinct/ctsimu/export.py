@@ -18,14 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twinct.ctsimu.describe import describe, refuse_unsaid, render_options
-from twinct.ctsimu.writing import (
-    Json,
-    as_material,
-    header,
-    make_folder,
-    quantity,
-    vector,
-)
+from twinct.ctsimu.writing import Json, as_material, header, make_folder, quantity, vector
 from twinct.errors import ScanExistsError
 from twinct.exchange.openct import openct_json
 from twinct.files.images import write_tiff
@@ -119,11 +112,7 @@ def _scenario(scan: Scan, specimen: BuiltSpecimen, folder: Path, name: str, idea
     return {
         "file": header(scan.scenario.name, "Scan of a twin robotic CT system, by twinct"),
         "environment": {"material_id": None},
-        "geometry": {
-            "detector": detector,
-            "source": {"type": "cone"} | source,
-            "stage": still,
-        },
+        "geometry": {"detector": detector, "source": {"type": "cone"} | source, "stage": still},
         "detector": description.detector,
         "source": description.source,
         "samples": samples,

@@ -89,10 +89,7 @@ def openct_json(
             "mirrorDetectorAxis": "",
             "skipAngle": 0,
             "totalAngle": None,
-            "objectBoundingBox": {
-                "centerXYZ": [0.0, 0.0, 0.0],
-                "sizeXYZ": grid.size_mm.tolist(),
-            },
+            "objectBoundingBox": {"centerXYZ": [0.0, 0.0, 0.0], "sizeXYZ": grid.size_mm.tolist()},
         },
         "corrections": None,
     }

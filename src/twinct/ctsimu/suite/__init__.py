@@ -24,10 +24,7 @@ __all__ = ["NOT_TAKEN", "TESTS", "Verdict", "qualify"]
 
 
 def qualify(
-    folder: Path,
-    tests: Sequence[str] = TESTS,
-    *,
-    step: Callable[[str], None] = lambda name: None,
+    folder: Path, tests: Sequence[str] = TESTS, *, step: Callable[[str], None] = lambda name: None
 ) -> list[Verdict]:
     """Build the samples, render, and let the toolbox judge.
 

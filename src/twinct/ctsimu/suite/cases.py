@@ -203,7 +203,7 @@ def _spots() -> list[Case]:
     return [
         Case(
             "2D-WE-1", key, 1001, 1001, 0.008, 1000.0, 150.0,
-            parts=[_edge()], spot_mm=sigma_mm, spot_points=100,
+            parts=[_edge()], spot_mm=sigma_mm, spot_points=100
         )
         for key, sigma_mm in (("spot1", 0.008), ("spot2", 0.024))
     ]  # fmt: skip
@@ -213,7 +213,7 @@ def _coverage() -> list[Case]:
     return [
         Case(
             "2D-WE-2", "", 1001, 1001, 0.008, 1000.0, 50.0,
-            monochromatic=True, parts=[_edge()], samples=COVERAGE_SAMPLES,
+            monochromatic=True, parts=[_edge()], samples=COVERAGE_SAMPLES
         )
     ]  # fmt: skip
 
@@ -225,7 +225,7 @@ def _wires() -> list[Case]:
     return [
         Case(
             "2D-DW-1", key, 2000, 1000, pitch, 1000.0, 220.0,
-            copper_mm=2.0, parts=[part], resolution_mm=resolution_mm, samples=4,
+            copper_mm=2.0, parts=[part], resolution_mm=resolution_mm, samples=4
         )
         for key, resolution_mm in (("SR75", 0.075), ("SR150", 0.15))
     ]  # fmt: skip
@@ -246,17 +246,12 @@ def _wedge_case(test: str, key: str, parts: list[Piece], voltage_kv: float, **mo
 
 
 def _scintillators() -> list[Case]:
-    detectors = (
-        ("D1", None),
-        ("D2", ("CsI", 0.2)),
-        ("D3", ("CsI", 0.5)),
-        ("D4", ("Gd2O2S", 0.5)),
-    )
+    detectors = (("D1", None), ("D2", ("CsI", 0.2)), ("D3", ("CsI", 0.5)), ("D4", ("Gd2O2S", 0.5)))
     beams = (("Al", 50, True), ("Al", 120, False), ("Fe", 100, True), ("Fe", 200, False))
     return [
         _wedge_case(
             "2D-SW-1", f"{detector}_{of}_{voltage}", [_wedge("wedge", of)], float(voltage),
-            monochromatic=mono, scintillator=layer, samples=1,
+            monochromatic=mono, scintillator=layer, samples=1
         )
         for detector, layer in detectors
         for of, voltage, mono in beams
@@ -267,7 +262,7 @@ def _filters() -> list[Case]:
     return [
         _wedge_case(
             "2D-SW-2", f"{of}{'Cu' if copper else ''}", [_wedge("wedge", of)], 200.0,
-            copper_mm=copper, samples=1,
+            copper_mm=copper, samples=1
         )
         for of in ("Al", "Fe")
         for copper in (0.0, 2.0)
@@ -284,7 +279,7 @@ def _overlaps() -> list[Case]:
         _wedge_case(
             "2D-SW-3", f"Al_{of}",
             [_wedge("left", "Al", right=lambda y: joint), _wedge("right", of, left=bevel)],
-            80.0, monochromatic=True, samples=4,
+            80.0, monochromatic=True, samples=4
         )
         for of in ("Al", "Ti")
     ]  # fmt: skip
