@@ -26,27 +26,16 @@ class ArmErrors:
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Mean, standard deviation (ddof 0) and maximum over the views, for each of the two."""
+        figures = {"mean": np.mean, "std": np.std, "max": np.max}
         return {
-            name: {
-                "mean": float(np.mean(values)),
-                "std": float(np.std(values)),
-                "max": float(np.max(values)),
-            }
-            for name, values in (
-                ("position_mm", self.position_mm),
-                ("rotation_deg", self.rotation_deg),
-            )
+            name: {figure: float(of(values)) for figure, of in figures.items()}
+            for name, values in vars(self).items()
         }
 
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """Pose errors of both end-effectors.
-
-    Attributes:
-        source: of the focal spot's frame.
-        detector: of the panel's frame.
-    """
+    """Pose errors of both end-effectors: of the focal spot's frame and of the panel's."""
 
     source: ArmErrors
     detector: ArmErrors
@@ -57,11 +46,7 @@ class PoseErrors:
 
 
 def pose_errors(commanded: PosePairs, executed: PosePairs) -> PoseErrors:
-    """Compare two sets of poses view by view.
-
-    Args:
-        commanded: what the trajectory asked for.
-        executed: where source and detector were at exposure, the same views in the same order.
+    """Compare two sets of poses view by view, executed against commanded.
 
     Raises:
         ValueError: no views, or not the same number of them.
@@ -71,15 +56,12 @@ def pose_errors(commanded: PosePairs, executed: PosePairs) -> PoseErrors:
             f"{len(commanded)} commanded and {len(executed)} executed views: "
             "errors need the same views, at least one"
         )
-    return PoseErrors(
-        _arm_errors(commanded.source, executed.source),
-        _arm_errors(commanded.detector, executed.detector),
-    )
+    source = _arm_errors(commanded.source, executed.source)
+    return PoseErrors(source, _arm_errors(commanded.detector, executed.detector))
 
 
 def _arm_errors(wanted: Sequence[Pose], actual: Sequence[Pose]) -> ArmErrors:
     shift = np.array([a.position - w.position for w, a in zip(wanted, actual, strict=True)])
-    turn = Rotation.from_quat([w.quat for w in wanted]).inv() * Rotation.from_quat(
-        [a.quat for a in actual]
-    )
+    before, after = (Rotation.from_quat([p.quat for p in poses]) for poses in (wanted, actual))
+    turn = before.inv() * after
     return ArmErrors(np.linalg.norm(shift, axis=1), np.degrees(turn.magnitude()))

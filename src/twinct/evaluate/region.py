@@ -28,13 +28,8 @@ def region_of_interest(
     g . (S - p0(y, z)) / (g . e), which is affine in y and z. That costs rows x half-spaces instead
     of voxels x views.
 
-    Args:
-        executed: where source and panel really were.
-        grid: the voxel lattice.
-        margin_px: distance from the edge of the panel, pixels.
-
     Returns:
-        (z, y, x), True where every view sees the voxel centre.
+        (z, y, x), True where every view of the executed geometry sees the voxel centre.
     """
     normals, offsets = _half_spaces(executed, margin_px)
     x, y, z = grid.axes()
@@ -43,8 +38,7 @@ def region_of_interest(
     # Half-space: slope_x x + slope_y y + slope_z z <= room, in the coordinates of the grid.
     room = offsets - normals @ origin
 
-    lower = np.full((len(z), len(y)), -np.inf)
-    upper = np.full((len(z), len(y)), np.inf)
+    lower, upper = (np.full((len(z), len(y)), end) for end in (-np.inf, np.inf))
     for sx, sy, sz, r in zip(slope_x, slope_y, slope_z, room, strict=True):
         if sx > 0:
             np.minimum(upper, ((r - sz * z) / sx)[:, None] - sy / sx * y, out=upper)
@@ -69,10 +63,8 @@ def _half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Floa
 
     and it lies in front of the source where r . n < 0. Hence column >= low is
     (reach u - a n) . r <= 0 with a = (D - S) . u + (low - (columns - 1) / 2) pitch_u, and likewise
-    for the other three edges.
-
-    Returns:
-        Normals g (half-spaces, 3) of unit length and offsets (half-spaces,), mm: g . p <= offset.
+    for the other three edges. Returned are unit normals g (half-spaces, 3) and offsets
+    (half-spaces,), mm: g . p <= offset.
     """
     panel, n = geometry.panel, geometry.normal
     to_panel = geometry.detector - geometry.source

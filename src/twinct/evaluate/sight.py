@@ -19,7 +19,6 @@ class Sight:
     """What can be seen.
 
     Attributes:
-        views: number of views.
         blind: views that see nothing of the specimen.
         from_behind: views in which it stands, or reaches, behind the panel that it shadows.
         region_empty: no voxel of the grid is seen by every view.
@@ -34,34 +33,24 @@ class Sight:
 
 
 def sight(geometry: ScanGeometry, points: ArrayLike, grid: VolumeGrid) -> Sight:
-    """Look at a specimen through every view.
+    """Look at a specimen through every commanded view.
 
-    Args:
-        geometry: the commanded views.
-        points: corners of the specimen's convex hull where it stands, (n, 3), mm.
-        grid: the voxels of the reconstruction.
+    The points are the corners of its convex hull where it stands, (n, 3), mm; the grid is that of
+    the reconstruction.
     """
     corners = np.atleast_2d(np.asarray(points, dtype=np.float64))
-    blind: list[int] = []
-    behind: list[int] = []
-    for view in range(len(geometry)):
-        one = geometry[view]
-        before = (corners - one.detector[0]) @ one.normal[0] > 0
-        if not _on_panel(one, corners[before]):
-            blind.append(view)
-        if _on_panel(one, corners[~before]):
-            behind.append(view)
+    views = [geometry[view] for view in range(len(geometry))]
+    fronts = [(corners - view.detector[0]) @ view.normal[0] > 0 for view in views]
+    before = [_on_panel(view, corners[front]) for view, front in zip(views, fronts, strict=True)]
+    beyond = [_on_panel(view, corners[~front]) for view, front in zip(views, fronts, strict=True)]
     lattice = _coarse(grid)
     region = region_of_interest(geometry, lattice)
     if not region.any():  # what is thinner than a coarse voxel needs the fine ones
         lattice, region = grid, region_of_interest(geometry, grid)
-    return Sight(
-        len(geometry),
-        tuple(blind),
-        tuple(behind),
-        not region.any(),
-        _bounds_meet(corners, lattice, region),
-    )
+    meet = _bounds_meet(corners, lattice, region)
+    blind = tuple(view for view, seen in enumerate(before) if not seen)
+    behind = tuple(view for view, seen in enumerate(beyond) if seen)
+    return Sight(len(geometry), blind, behind, not region.any(), meet)
 
 
 def _on_panel(view: ScanGeometry, points: Floats) -> bool:
@@ -85,9 +74,8 @@ def _bounds_meet(points: Floats, grid: VolumeGrid, region: NDArray[np.bool_]) ->
     )
     local = grid.world_from_grid.inverse().apply(points)
     half = grid.voxel / 2
-    return bool(
-        (local.min(axis=0) <= high + half).all() and (local.max(axis=0) >= low - half).all()
-    )
+    below, above = local.min(axis=0) <= high + half, local.max(axis=0) >= low - half
+    return bool((below & above).all())
 
 
 def _coarse(grid: VolumeGrid) -> VolumeGrid:

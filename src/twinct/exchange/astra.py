@@ -13,10 +13,6 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 def astra_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
     """What ``astra.create_proj_geom`` and ``astra.create_vol_geom`` take.
 
-    Args:
-        geometry: the views, in the grid's own frame.
-        grid: the voxels.
-
     Returns:
         ``vectors`` (views, 12): S, D, pitch_u u, pitch_v v; ``detector`` (rows, columns);
         ``volume`` (y, x, z) voxels; ``window`` min and max of x, y and z, mm.

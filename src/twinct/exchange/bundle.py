@@ -28,20 +28,10 @@ Toolkit = Literal["rtk", "astra", "leap", "cil", "tigre", "openct"]
 TOOLKITS: tuple[Toolkit, ...] = get_args(Toolkit)
 
 Arrays = dict[str, NDArray[Any]]
-_ARRAYS: dict[str, Callable[[ScanGeometry, VolumeGrid], Arrays]] = {
-    "astra": astra_arrays,
-    "leap": leap_arrays,
-    "cil": cil_arrays,
-    "tigre": tigre_arrays,
-}
-_NAMES = {
-    "rtk": "RTK",
-    "astra": "the ASTRA Toolbox",
-    "leap": "LEAP",
-    "cil": "CIL",
-    "tigre": "TIGRE",
-    "openct": "readers of OpenCT",
-}
+_ARRAYS: dict[str, Callable[[ScanGeometry, VolumeGrid], Arrays]] = dict(
+    astra=astra_arrays, leap=leap_arrays, cil=cil_arrays, tigre=tigre_arrays
+)
+_NAMES = {"astra": "the ASTRA Toolbox", "openct": "readers of OpenCT"}
 Values = Literal["line-integrals", "transmission"]
 _MEANING = {
     "line-integrals": "line integrals -ln(I/I0), mm times 1/mm",
@@ -81,11 +71,6 @@ def bundle_bytes(geometry: ScanGeometry) -> int:
 def write_bundle(folder: Path, toolkit: Toolkit, bundle: Bundle) -> None:
     """Write a bundle; the folder appears under its name only when it is complete.
 
-    Args:
-        folder: must not exist.
-        toolkit: for whom.
-        bundle: what to write.
-
     Raises:
         ScanExistsError: the folder exists; it is not touched.
         InputError: the toolkit cannot take the grid or a view; nothing is written then.
@@ -121,13 +106,9 @@ def _contents(toolkit: Toolkit, bundle: Bundle) -> dict[str, Callable[[Path], ob
         }
     if toolkit == "openct":
         names = [f"{view:04d}.raw" for view in range(views)]
+        scan, transmission = bundle.origin.get("scan", ""), bundle.values == "transmission"
         words = openct_json(
-            local,
-            bundle.grid,
-            bundle.origin.get("scan", ""),
-            files=names,
-            file_type="RAW",
-            transmission=bundle.values == "transmission",
+            local, bundle.grid, scan, files=names, file_type="RAW", transmission=transmission
         )
         return {
             "openct.json": lambda path: path.write_text(json.dumps(words, indent=1) + "\n"),
@@ -170,7 +151,7 @@ geometry.npz     one array for each argument, by the toolkit's own names"""
 def _readme(toolkit: Toolkit, bundle: Bundle) -> str:
     panel = bundle.geometry.panel
     origin = "".join(f"{name}: {value}\n" for name, value in bundle.origin.items())
-    return f"""A CT scan for {_NAMES[toolkit]}, written by twinct
+    return f"""A CT scan for {_NAMES.get(toolkit, toolkit.upper())}, written by twinct
 
 {origin}pixels: {_MEANING[bundle.values]}, {len(bundle.geometry)} views of \
 {panel.rows} x {panel.columns} (rows x columns)

@@ -15,10 +15,6 @@ def cil_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[An
 
     The panel's origin is bottom-left: pixel (0, 0) at the -u, -v corner.
 
-    Args:
-        geometry: the views, in the grid's own frame.
-        grid: the voxels.
-
     Returns:
         ``source_position_set``, ``detector_position_set``, ``detector_direction_x_set``,
         ``detector_direction_y_set``, (views, 3); ``num_pixels`` (columns, rows); ``pixel_size``

@@ -16,10 +16,6 @@ def leap_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[A
 
     LEAP's row vector points along increasing rows, so it is v, and its column vector is u.
 
-    Args:
-        geometry: the views, in the grid's own frame.
-        grid: the voxels; LEAP has one edge for x and y.
-
     Returns:
         ``sourcePositions``, ``moduleCenters``, ``rowVectors``, ``colVectors``, (views, 3);
         ``detector`` (rows, columns); ``pixel`` (height, width), mm; ``volume`` (x, y, z) voxels;

@@ -44,13 +44,8 @@ def openct_json(
 ) -> dict[str, Any]:
     """The description of a scan whose images lie in ``projections``, first row on top.
 
-    Args:
-        geometry: the views, in the grid's own frame.
-        grid: the voxels; the format takes the box around them, not their number.
-        name: of the volume.
-        files: names of the images, one for each view, float32.
-        file_type: of these files.
-        transmission: pixels hold I/I0, not line integrals.
+    The name is the volume's; the format takes the box around the voxels, not their number. There is
+    one file for each view, float32, of transmission I/I0 or of line integrals.
     """
     panel = geometry.panel
     to_source = np.einsum("ij,ij->i", geometry.normal, geometry.source)

@@ -28,9 +28,8 @@ def rtk_parameters(geometry: ScanGeometry) -> dict[str, Floats]:
     rows = np.stack([geometry.u, geometry.v, geometry.normal], axis=1)
     source = np.einsum("ijk,ik->ij", rows, geometry.source)
     detector = np.einsum("ijk,ik->ij", rows, geometry.detector)
-    with (
-        warnings.catch_warnings()
-    ):  # at 90 degrees out of plane, one angle is free and becomes zero
+    with warnings.catch_warnings():
+        # At 90 degrees out of plane, one angle is free and becomes zero.
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = -Rotation.from_matrix(rows).as_euler("ZXY", degrees=True) % 360
     return {
@@ -53,14 +52,7 @@ def rtk_matrices(geometry: ScanGeometry) -> NDArray[np.float64]:
 
 
 def rtk_geometry_xml(geometry: ScanGeometry) -> str:
-    """The geometry file.
-
-    Args:
-        geometry: the views, in the grid's own frame.
-
-    Returns:
-        XML that ``ThreeDCircularProjectionGeometryXMLFileReader`` and all of RTK's programs read.
-    """
+    """XML that ``ThreeDCircularProjectionGeometryXMLFileReader`` and all of RTK's programs read."""
     root = ElementTree.Element("RTKThreeDCircularGeometry", version=str(VERSION))
     parameters = rtk_parameters(geometry)
     for view, matrix in enumerate(rtk_matrices(geometry)):

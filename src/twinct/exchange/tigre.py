@@ -31,10 +31,6 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 def tigre_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
     """The attributes of TIGRE's ``geometry`` and its ``angles``, in the order of its Python side.
 
-    Args:
-        geometry: the views, in the grid's own frame.
-        grid: the voxels.
-
     Returns:
         ``angles`` (views, 3): ZYZ, rad; ``DSO`` and ``DSD`` (views,), ``offOrigin`` (views, 3) as
         (z, y, x), ``offDetector`` (views, 2) as (v, u), mm; ``rotDetector`` (views, 3) as (yaw,

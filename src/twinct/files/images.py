@@ -18,12 +18,8 @@ from twinct.files.writing import complete
 class RawImage:
     """Bare numbers in a file, row by row.
 
-    Attributes:
-        path: the file.
-        kind: numpy's name of the number type, byte order included.
-        columns: 0 where it is not known.
-        rows: 0 where it is not known.
-        header: bytes to skip.
+    ``kind`` is numpy's name of the number type, byte order included; columns and rows are 0 where
+    they are not known; the header's bytes are skipped.
     """
 
     path: Path
@@ -38,10 +34,7 @@ def read_image(
 ) -> NDArray[np.float64]:
     """One grey image, (rows, columns): raw, .npy, or a picture.
 
-    Args:
-        file: where it is.
-        what: it shows, for messages.
-        shape: rows and columns that it must have; a raw one is read by it.
+    ``what`` it shows is for messages; it must have the ``shape``, by which a raw one is read.
 
     Raises:
         InputError: it cannot be read, or has another shape; names the file.

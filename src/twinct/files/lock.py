@@ -18,10 +18,7 @@ def sole_owner(path: Path) -> Iterator[None]:
     """Hold a lock file while the block runs; it is removed afterwards.
 
     The lock is the kernel's (``flock``), so that a dead owner's is free at once; its text only
-    says who holds it.
-
-    Args:
-        path: the lock file, in a folder that exists.
+    says who holds it. Its folder must exist.
 
     Raises:
         FolderInUseError: another process holds it, with its number and host.

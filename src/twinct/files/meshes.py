@@ -13,11 +13,7 @@ _KNOWN = "STL, PLY and OBJ files are known"
 
 
 def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
-    """The triangles of a file, in its own unit, as they stand there.
-
-    Args:
-        path: an STL, PLY or OBJ file.
-        where: what messages call it.
+    """The triangles of an STL, PLY or OBJ file, in its own unit; messages call it ``where``.
 
     Raises:
         SpecimenError: the file cannot be read, or holds no triangles of finite corners.
@@ -31,9 +27,8 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
     except ImportError:  # trimesh looks for a guesser of encodings where text is none it knows
         raise SpecimenError(f"{where} is no mesh: {_KNOWN}") from None
     except Exception as error:  # trimesh's readers raise whatever their format brings
-        raise SpecimenError(
-            f"{where} cannot be read ({type(error).__name__}: {error}); {_KNOWN}"
-        ) from None
+        why = f"{type(error).__name__}: {error}"
+        raise SpecimenError(f"{where} cannot be read ({why}); {_KNOWN}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise SpecimenError(f"{where} holds no triangles")
     if not np.isfinite(mesh.vertices).all():
@@ -45,10 +40,6 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
     """The closed surface that a file holds, in its own unit, mended where that is trivial.
 
     Equal vertices are merged, collapsed and repeated triangles dropped, normals turned outwards.
-
-    Args:
-        path: an STL, PLY or OBJ file.
-        where: what messages call it.
 
     Raises:
         SpecimenError: as ``read_triangles``, or the surface is open, or has no inside.

@@ -14,12 +14,8 @@ from twinct.files.reading import reason
 def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.float64]:
     """Columns of finite numbers from a text file, (columns, rows); ``#`` starts a comment.
 
-    Blanks, commas or semicolons stand between them.
-
-    Args:
-        path: the file.
-        columns: how many there are. Another number is refused: nobody can tell which are meant.
-        more: others may follow, and are left out.
+    Blanks, commas or semicolons stand between them. Another number of columns is refused, as nobody
+    can tell which are meant, unless ``more`` may follow, which are left out.
 
     Raises:
         InputError: it cannot be read; names the file.

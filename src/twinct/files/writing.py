@@ -18,11 +18,7 @@ _SPARE_BYTES = 64 * 2**20
 
 @contextlib.contextmanager
 def complete(path: Path) -> Iterator[Path]:
-    """A draft beside a file, which takes its name when the block ends well.
-
-    Args:
-        path: the file; what it held before stays until then.
-    """
+    """A draft beside a file, which takes its place when the block ends well."""
     draft = draft_of(path)
     try:
         yield draft
@@ -49,12 +45,7 @@ def write_json(path: Path, data: object) -> None:
 
 @contextlib.contextmanager
 def storage_errors(path: Path, left: str = "what was written before is kept") -> Iterator[None]:
-    """Turn a full disk or a missing permission into one clear message.
-
-    Args:
-        path: what is being written.
-        left: what a full disk leaves of it.
-    """
+    """Turn a full disk, and what is ``left`` then, or no permission into one clear message."""
     try:
         yield
     except OSError as error:
@@ -68,12 +59,9 @@ def storage_errors(path: Path, left: str = "what was written before is kept") ->
 
 
 def require_space(folder: Path, size: int, what: str) -> None:
-    """Refuse to start what the disk cannot hold.
+    """Refuse to start what the disk cannot hold: bytes in a folder that need not exist yet.
 
-    Args:
-        folder: where it shall go; need not exist yet.
-        size: bytes to write.
-        what: subject and verb of the message, such as "the scan needs".
+    ``what`` is subject and verb of the message, such as "the scan needs".
 
     Raises:
         StorageError: with the bytes needed and the bytes free.
@@ -90,10 +78,8 @@ def require_space(folder: Path, size: int, what: str) -> None:
 def check_folder(path: Path, own: Collection[str] | None = None) -> None:
     """Refuse what cannot become the folder of a command's results.
 
-    Args:
-        path: what ``--out`` names.
-        own: names of what the command may leave there; any other content is somebody else's, and is
-            refused. None: whatever is in the folder may stay beside the results.
+    Content by other names than its ``own`` is somebody else's, and is refused; None: whatever is in
+    the folder may stay beside the results.
 
     Raises:
         InputError: it is a file, or holds something else.

@@ -31,9 +31,8 @@ def load():
         volume_centre_position=[0, 0, 0],
         units="mm",
     )
-    views.set_panel(
-        words["num_pixels"].tolist(), words["pixel_size"].tolist(), origin="bottom-left"
-    )
+    pixels, pitch = words["num_pixels"].tolist(), words["pixel_size"].tolist()
+    views.set_panel(pixels, pitch, origin="bottom-left")
     # CIL's own order of axes is the one of the file: view, vertical, horizontal.
     data = AcquisitionData(images, deep_copy=False, geometry=views)
     data.reorder("astra")

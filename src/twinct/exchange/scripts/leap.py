@@ -21,17 +21,9 @@ def load():
 
     images, words = arrays()
     model = tomographicModels()
-    rows, columns = words["detector"].tolist()
-    done = model.set_modularbeam(
-        len(images),
-        rows,
-        columns,
-        *words["pixel"].tolist(),
-        words["sourcePositions"],
-        words["moduleCenters"],
-        words["rowVectors"],
-        words["colVectors"],
-    )
+    sizes = *words["detector"].tolist(), *words["pixel"].tolist()
+    vectors = (words[k] for k in ("sourcePositions", "moduleCenters", "rowVectors", "colVectors"))
+    done = model.set_modularbeam(len(images), *sizes, *vectors)
     done = done and model.set_volume(*words["volume"].tolist(), *words["voxel"].tolist())
     if not done:
         raise SystemExit("LEAP refused the geometry; what it printed above says why")
