@@ -39,12 +39,10 @@ class ReportData:
     """Everything a report shows.
 
     Attributes:
-        scenario: what was run.
         scenario_yaml: the scenario as text.
         metrics: what ``build_metrics`` gave.
         commanded: poses the trajectory asked for.
         executed: poses at exposure, the same views.
-        panel: the pixel lattice.
         clearance_mm: smallest gap during the move to each view, (views,), mm.
         projections: a few views, (view, transmission (row, col)).
         slices: cross-sections by name, see ``cross_sections``.
@@ -103,15 +101,10 @@ def cross_sections(
             for axis in (right, up)
             for end, side in ((0, -1), (-1, 1))
         )
-        cut = [np.take(array, index, axis=normal).copy() for array in arrays]
-        sections[name] = CrossSection(
-            cut[0],
-            cut[1],
-            cut[2].astype(np.bool_),
-            (left, right_edge, bottom, top),
-            (names[right], names[up]),
-            f"{names[normal]} = {centres[normal][index]:.1f} mm",
-        )
+        values, true, seen = (np.take(array, index, axis=normal).copy() for array in arrays)
+        extent, axes = (left, right_edge, bottom, top), (names[right], names[up])
+        where = f"{names[normal]} = {centres[normal][index]:.1f} mm"
+        sections[name] = CrossSection(values, true, seen.astype(np.bool_), extent, axes, where)
     return sections
 
 

@@ -34,21 +34,14 @@ DARKEST_DRAWN = 1e-7
 
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9,
     "axes.edgecolor": "#9aa5b1",
-    "axes.labelcolor": INK,
     "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.frameon": False,
+    "axes.titlesize": 9.5,
     "legend.fontsize": 8.5,
+    **dict.fromkeys(("font.size", "axes.labelsize"), 9),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize"), 8),
+    **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.color", "ytick.color"), INK),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
     "svg.hashsalt": "twinct",  # the same data gives the same bytes
 }
 _WIDTH = 10.4
@@ -57,12 +50,7 @@ _WIDTH = 10.4
 
 @dataclass(frozen=True)
 class Picture:
-    """An image with its type.
-
-    Attributes:
-        content: the file.
-        media_type: such as "image/png".
-    """
+    """An image with its type, such as "image/png"."""
 
     content: bytes
     media_type: str
@@ -92,25 +80,19 @@ def _svg(figure: Figure) -> Picture:
 def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Picture:
     """The source's path on a grey sphere about the isocentre, as in the paper's figure 3, left.
 
-    The sphere is left out where the path is not on one.
-
-    Args:
-        commanded: focal spots asked for, (views, 3), mm.
-        executed: focal spots at exposure, (views, 3), mm.
-        isocentre: (3,), mm.
+    The sphere is left out where the path is not on one. The focal spots, asked for and at exposure,
+    are (views, 3), mm.
     """
     distance = np.linalg.norm(commanded - isocentre, axis=1)
     radius = float(distance.mean())
     on_sphere = radius > 0 and np.ptp(distance) <= SPHERE_TOLERANCE * radius
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(5.6, 4.7))
-        axes: Any = figure.add_axes(
-            (-0.05, 0.0, 0.94, 1.02), projection="3d", computed_zorder=False
-        )
+        frame = (-0.05, 0.0, 0.94, 1.02)
+        axes: Any = figure.add_axes(frame, projection="3d", computed_zorder=False)
         axes.set_proj_type("ortho")
         middle = commanded[len(commanded) // 2] - isocentre
-        azimuth = math.degrees(math.atan2(middle[1], middle[0])) - 22
-        elevation = 22.0
+        azimuth, elevation = math.degrees(math.atan2(middle[1], middle[0])) - 22, 22.0
         axes.view_init(elev=elevation, azim=azimuth)
         a, e = math.radians(azimuth), math.radians(elevation)
         viewer = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
@@ -121,36 +103,22 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
         # What lies behind the sphere is drawn on it, faintly: an opaque sphere has no seams.
         path = isocentre + _fine(commanded - isocentre) if on_sphere else commanded
         ahead, front = ((points - isocentre) @ viewer >= 0 for points in (path, commanded))
+        dot = next(s for s, most in ((24, 30), (11, 150), (6, math.inf)) if len(commanded) <= most)
         for along, part, order, faint in ((~ahead, ~front, 4, on_sphere), (ahead, front, 6, False)):
             line = np.where(along[:, None], path, np.nan)
             axes.plot(*line.T, color=INK, lw=0.9, alpha=0.5 if faint else 1.0, zorder=order + 1)
-            axes.scatter(
-                *executed[part].T,
-                c=colours[part],
-                s=(24 if len(commanded) <= 30 else 11 if len(commanded) <= 150 else 6)
-                * (0.8 if faint else 1.0),
-                alpha=0.45 if faint else 1.0,
-                depthshade=False,
-                linewidths=0,
-                zorder=order,
-            )
+            style = {"s": 0.8 * dot, "alpha": 0.45} if faint else {"s": dot, "alpha": 1.0}
+            style |= {"c": colours[part], "depthshade": False, "linewidths": 0, "zorder": order}
+            axes.scatter(*executed[part].T, **style)
         for index, label in ((0, "first"), (-1, "last")):
             point = isocentre + 1.13 * (commanded[index] - isocentre)
             axes.text(*point, label, fontsize=8.5, ha="center", va="bottom", zorder=9)
         axes.scatter(*isocentre, marker="+", s=60, c="#111111", lw=1.3, zorder=8)
-        axes.text(
-            *isocentre,
-            "  isocentre (inside)" if on_sphere else "  isocentre",
-            fontsize=8.5,
-            va="center",
-            zorder=8,
-        )
+        name = "  isocentre (inside)" if on_sphere else "  isocentre"
+        axes.text(*isocentre, name, fontsize=8.5, va="center", zorder=8)
         _equal_box(axes, np.vstack([commanded, executed, isocentre[None]]), isocentre, on_sphere)
-        bar = figure.colorbar(
-            ScalarMappable(Normalize(0, max(len(commanded) - 1, 1)), ListedColormap(colours)),
-            ax=axes,
-            cax=figure.add_axes((0.885, 0.27, 0.022, 0.46)),
-        )
+        views = ScalarMappable(Normalize(0, max(len(commanded) - 1, 1)), ListedColormap(colours))
+        bar = figure.colorbar(views, ax=axes, cax=figure.add_axes((0.885, 0.27, 0.022, 0.46)))
         bar.set_label("view")
         bar.locator = MaxNLocator(5, integer=True)
         bar.outline.set_visible(False)
@@ -182,16 +150,10 @@ def _sphere(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
     ball = _on_ball(*np.meshgrid(np.linspace(-180, 180, 121), np.linspace(-90, 90, 61)))
     lit = np.clip(np.einsum("kij,k->ij", ball, light), 0, 1)
     grey = (0.66 + 0.27 * lit)[..., None]
-    axes.plot_surface(
-        *(centre[:, None, None] + radius * ball),
-        facecolors=np.concatenate([grey, grey, np.minimum(grey + 0.012, 1)], axis=-1),
-        shade=False,
-        rcount=121,
-        ccount=121,
-        linewidth=0,
-        antialiased=False,
-        zorder=2,
-    )
+    colours = np.concatenate([grey, grey, np.minimum(grey + 0.012, 1)], axis=-1)
+    style = {"shade": False, "rcount": 121, "ccount": 121, "linewidth": 0, "antialiased": False}
+    shell = centre[:, None, None] + radius * ball
+    axes.plot_surface(*shell, facecolors=colours, zorder=2, **style)
     turn = np.linspace(-180, 180, 361)
     for latitude in (-60, -30, 0, 30, 60):
         ring = _on_ball(turn, np.full_like(turn, latitude))
@@ -213,10 +175,8 @@ def _equal_box(axes: Any, points: Floats, centre: Floats, on_sphere: bool) -> No
     for name, middle, reach in zip("xyz", centre, half, strict=True):
         getattr(axes, f"set_{name}lim")(middle - reach, middle + reach)
         getattr(axes, f"set_{name}label")(f"{name} / mm", labelpad=1)
-        axis = getattr(axes, f"{name}axis")
-        ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(
-            middle - 0.85 * reach, middle + 0.85 * reach
-        )
+        axis, locator = getattr(axes, f"{name}axis"), MaxNLocator(5, steps=[1, 2, 5, 10])
+        ticks = locator.tick_values(middle - 0.85 * reach, middle + 0.85 * reach)
         axis.set_ticks(ticks[np.abs(ticks - middle) < 0.95 * reach])
         axis.pane.set_facecolor("white")
         axis.pane.set_edgecolor("#d5dae0")
@@ -230,40 +190,31 @@ def pose_errors_over_views(
 ) -> Picture:
     """Position error, rotation error and clearance, one below the other, over the views.
 
-    Args:
-        errors: executed against commanded.
-        clearance_mm: (views,), mm.
-        tolerance_mm: distance at which a target counts as reached.
-        clearance_limit_mm: smallest gap that a plan may have.
+    The tolerance is the distance at which a target counts as reached, the limit the smallest gap
+    that a plan may have.
     """
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH, 5.6), layout="constrained")
         position, rotation, clearance = figure.subplots(3, 1, sharex=True)
         views = np.arange(len(errors.source.position_mm))
         style = {"lw": 1.1, "marker": "o", "ms": 2.2 if len(views) <= 150 else 0}
-        for arm, label, colour in (
-            (errors.source, "source", SOURCE_COLOUR),
-            (errors.detector, "detector", DETECTOR_COLOUR),
-        ):
+        for label, colour in (("source", SOURCE_COLOUR), ("detector", DETECTOR_COLOUR)):
+            arm = getattr(errors, label)
             position.plot(views, arm.position_mm, color=colour, label=label, **style)
             rotation.plot(views, arm.rotation_deg, color=colour, label=label, **style)
         clearance.plot(np.arange(len(clearance_mm)), clearance_mm, color="#3d7a4d", **style)
         _limit(position, tolerance_mm, f"tolerance {tolerance_mm:g} mm")
         _limit(clearance, clearance_limit_mm, f"planned at least {clearance_limit_mm:g} mm")
-        for axes, label in (
-            (position, "position error / mm"),
-            (rotation, "rotation error / deg"),
-            (clearance, "clearance / mm"),
-        ):
+        labels = "position error / mm", "rotation error / deg", "clearance / mm"
+        for axes, label in zip((position, rotation, clearance), labels, strict=True):
             axes.set_ylabel(label)
             axes.set_ylim(bottom=0)
             axes.margins(x=0.01)
             axes.grid(axis="y", color="#e4e7eb", lw=0.7)
             axes.set_axisbelow(True)
         # Above the data and the limit, wherever those are.
-        figure.legend(
-            *position.get_legend_handles_labels(), loc="outside upper right", ncols=2, borderpad=0
-        )
+        named = position.get_legend_handles_labels()
+        figure.legend(*named, loc="outside upper right", ncols=2, borderpad=0)
         clearance.set_xlabel("view")
         clearance.xaxis.set_major_locator(MaxNLocator(10, integer=True))
         figure.align_ylabels()
@@ -271,17 +222,12 @@ def pose_errors_over_views(
 
 
 def convergence(residuals: Mapping[str, Sequence[float]]) -> Picture:
-    """Residual over the iterations, one line for each geometry.
-
-    Args:
-        residuals: by geometry, root mean square of p - A x in each iteration.
-    """
+    """Residual, root mean square of p - A x, over the iterations, one line for each geometry."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(5.6, 2.6), layout="constrained")
         axes: Any = figure.subplots()
-        for (geometry, course), colour in zip(
-            residuals.items(), (SOURCE_COLOUR, DETECTOR_COLOUR, LIMIT_COLOUR), strict=False
-        ):
+        colours = SOURCE_COLOUR, DETECTOR_COLOUR, LIMIT_COLOUR
+        for (geometry, course), colour in zip(residuals.items(), colours, strict=False):
             numbers = np.arange(1, len(course) + 1)
             axes.semilogy(numbers, course, color=colour, marker="o", ms=3, lw=1.1, label=geometry)
         axes.set_xlabel("iteration")
@@ -295,16 +241,8 @@ def convergence(residuals: Mapping[str, Sequence[float]]) -> Picture:
 
 def _limit(axes: Any, value: float, label: str) -> None:
     axes.axhline(value, color=LIMIT_COLOUR, lw=1, ls=(0, (4, 3)))
-    axes.annotate(
-        label,
-        (0.004, value),
-        xycoords=("axes fraction", "data"),
-        xytext=(0, 2),
-        textcoords="offset points",
-        va="bottom",
-        fontsize=8,
-        color=LIMIT_COLOUR,
-    )
+    shift = {"xycoords": ("axes fraction", "data"), "xytext": (0, 2), "textcoords": "offset points"}
+    axes.annotate(label, (0.004, value), **shift, va="bottom", fontsize=8, color=LIMIT_COLOUR)
     axes.set_ylim(top=max(axes.get_ylim()[1], 1.2 * value))
 
 
@@ -317,23 +255,19 @@ def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float
     grey = _grey_window(sections, mu_reference)
     worst = _nice(max(_typical_worst(s) for s in sections.values()) or 0.1 * mu_reference)
     diverging = mpl.colormaps["RdBu_r"].resampled(63)  # odd, so that 0 is white; noise packs better
+    bounds = (section.extent_mm for section in sections.values())
+    shares = [(top - bottom) / (right - left) for left, right, bottom, top in bounds]
     with mpl.rc_context(_STYLE):
         rows = len(sections)
-        shares = [_height(s) for s in sections.values()]
-        figure = Figure(
-            figsize=(_WIDTH, 2.9 * sum(shares) + 0.42 * rows + 0.75), layout="constrained"
-        )
+        height = 2.9 * sum(shares) + 0.42 * rows + 0.75
+        figure = Figure(figsize=(_WIDTH, height), layout="constrained")
         grid = figure.subplots(rows, 3, squeeze=False, height_ratios=shares)
-        _tighten(figure)
+        _pad(figure, w_pad=0.03, h_pad=0.06, wspace=0.0, hspace=0.0)
         for line, (name, section) in zip(grid, sections.items(), strict=True):
             error = section.reconstruction.astype(np.float64) - section.truth
-            for axes, image, cmap, norm in zip(
-                line,
-                (section.reconstruction, section.truth, error),
-                ("gray", "gray", diverging),
-                (grey, grey, Normalize(-worst, worst)),
-                strict=True,
-            ):
+            images = section.reconstruction, section.truth, error
+            looks = ("gray", grey), ("gray", grey), (diverging, Normalize(-worst, worst))
+            for axes, image, (cmap, norm) in zip(line, images, looks, strict=True):
                 axes.imshow(image, cmap=cmap, norm=norm, origin="lower", extent=section.extent_mm)
                 _outline(axes, section, REGION_COLOUR if cmap == "gray" else INK)
                 axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -342,35 +276,19 @@ def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float
                 if axes is not line[0]:
                     axes.tick_params(left=False, labelleft=False)
             line[0].set_ylabel(f"{section.axes[1]} / mm".lstrip(" /"), labelpad=1)
-            line[0].text(
-                -0.24,
-                0.5,
-                f"{name}, {section.position}".rstrip(", "),
-                transform=line[0].transAxes,
-                rotation=90,
-                ha="center",
-                va="center",
-                weight="bold",
-            )
-        for axes, title in zip(
-            grid[0], ("reconstruction", "truth", "reconstruction − truth"), strict=True
-        ):
+            plane = f"{name}, {section.position}".rstrip(", ")
+            style = {"rotation": 90, "ha": "center", "va": "center", "weight": "bold"}
+            line[0].text(-0.24, 0.5, plane, transform=line[0].transAxes, **style)
+        titles = "reconstruction", "truth", "reconstruction − truth"
+        for axes, title in zip(grid[0], titles, strict=True):
             axes.set_title(title, weight="bold")
-        for columns, cmap, norm in (
-            (grid[:, :2], "gray", grey),
-            (grid[:, 2:], diverging, Normalize(-worst, worst)),
+        for columns, cmap, norm, shrink, aspect, label in (
+            (grid[:, :2], "gray", grey, 0.5, 34, "attenuation / mm⁻¹"),
+            (grid[:, 2:], diverging, Normalize(-worst, worst), 0.9, 30, "error / mm⁻¹"),
         ):
-            bar = figure.colorbar(
-                ScalarMappable(norm, cmap),
-                ax=columns,
-                location="bottom",
-                shrink=0.5 if columns.shape[1] == 2 else 0.9,
-                aspect=34 if columns.shape[1] == 2 else 30,
-                extend="both",
-            )
-            bar.set_label(
-                "attenuation / mm⁻¹" if columns.shape[1] == 2 else "error / mm⁻¹", labelpad=2
-            )
+            style = {"location": "bottom", "shrink": shrink, "aspect": aspect, "extend": "both"}
+            bar = figure.colorbar(ScalarMappable(norm, cmap), ax=columns, **style)
+            bar.set_label(label, labelpad=2)
             bar.locator = MaxNLocator(5)
             bar.outline.set_linewidth(0.5)
         return _png(figure, 150)
@@ -387,14 +305,9 @@ def _grey_window(sections: Mapping[str, CrossSection], mu_reference: float) -> N
     return Normalize(-0.1 * end, 1.2 * end)
 
 
-def _tighten(figure: Figure) -> None:
+def _pad(figure: Figure, **pads: float) -> None:
     engine: Any = figure.get_layout_engine()
-    engine.set(w_pad=0.03, h_pad=0.06, wspace=0.0, hspace=0.0)
-
-
-def _height(section: CrossSection) -> float:
-    left, right, bottom, top = section.extent_mm
-    return (top - bottom) / (right - left)
+    engine.set(**pads)
 
 
 def _typical_worst(section: CrossSection) -> float:
@@ -418,14 +331,9 @@ def _outline(axes: Any, section: CrossSection, colour: str) -> None:
     left, right, bottom, top = section.extent_mm
     rows, columns = section.roi.shape
     dx, dy = (right - left) / columns, (top - bottom) / rows
-    axes.contour(
-        left + (np.arange(columns + 2) - 0.5) * dx,
-        bottom + (np.arange(rows + 2) - 0.5) * dy,
-        roi,
-        levels=[0.5],
-        colors=[colour],
-        linewidths=1.0,
-    )
+    x = left + (np.arange(columns + 2) - 0.5) * dx
+    y = bottom + (np.arange(rows + 2) - 0.5) * dy
+    axes.contour(x, y, roi, levels=[0.5], colors=[colour], linewidths=1.0)
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
 
@@ -435,36 +343,25 @@ def projection_strip(
 ) -> Picture:
     """A few projections as line integrals -ln(I/I0), in one grey window, seen from the source.
 
-    Args:
-        projections: (view, transmission (row, col)); row 0 is drawn at the bottom, v points up.
-        panel: the pixel lattice.
+    They are (view, transmission (row, col)); row 0 is drawn at the bottom, v points up.
     """
-    integrals = [
-        -np.log(np.clip(image.astype(np.float64), DARKEST_DRAWN, None)) for _, image in projections
-    ]
+    transmissions = [image.astype(np.float64) for _, image in projections]
+    integrals = [-np.log(np.clip(image, DARKEST_DRAWN, None)) for image in transmissions]
     norm = Normalize(0, max(float(np.percentile(np.stack(integrals), 99.9)), 1e-6))
     width, height = panel.size_mm
+    extent = (-width / 2, width / 2, -height / 2, height / 2)
     per_row = min(4, len(projections)) if len(projections) != 6 else 3
     rows = -(-len(projections) // per_row)
     with mpl.rc_context(_STYLE):
         cell = (_WIDTH - 0.9) / per_row
-        figure = Figure(
-            figsize=(_WIDTH, rows * (0.88 * cell * height / width + 0.3) + 0.3),
-            layout="constrained",
-        )
-        engine: Any = figure.get_layout_engine()
-        engine.set(h_pad=0.08)  # titles must not touch the edge
+        size = _WIDTH, rows * (0.88 * cell * height / width + 0.3) + 0.3
+        figure = Figure(figsize=size, layout="constrained")
+        _pad(figure, h_pad=0.08)  # titles must not touch the edge
         grid = figure.subplots(rows, per_row, squeeze=False, sharex=True, sharey=True)
         for axes in grid.flat[len(projections) :]:
             axes.set_visible(False)
         for axes, (view, _), image in zip(grid.flat, projections, integrals, strict=False):
-            axes.imshow(
-                image,
-                cmap="gray",
-                norm=norm,
-                origin="lower",
-                extent=(-width / 2, width / 2, -height / 2, height / 2),
-            )
+            axes.imshow(image, cmap="gray", norm=norm, origin="lower", extent=extent)
             axes.set_title(f"view {view}", loc="left")
             axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 4, 5, 10]))
             axes.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 4, 5, 10]))
@@ -472,9 +369,8 @@ def projection_strip(
             axes.set_xlabel("u / mm", labelpad=1)
         for axes in grid[:, 0]:
             axes.set_ylabel("v / mm", labelpad=1)
-        bar = figure.colorbar(
-            ScalarMappable(norm, "gray"), ax=grid, aspect=22 * rows, pad=0.01, extend="max"
-        )
+        scale = ScalarMappable(norm, "gray")
+        bar = figure.colorbar(scale, ax=grid, aspect=22 * rows, pad=0.01, extend="max")
         bar.set_label("−ln(I / I₀)")
         bar.outline.set_linewidth(0.5)
         return _png(figure, 150)

@@ -51,8 +51,7 @@ def build_metrics(
     Raises:
         ValueError: a stage is missing, there are no image figures, or an extra key is taken.
     """
-    missing = [stage for stage in STAGES if stage not in seconds]
-    if missing:
+    if missing := [stage for stage in STAGES if stage not in seconds]:
         raise ValueError(f"seconds lacks {', '.join(missing)}")
     by_geometry = {"": image} if isinstance(image, ImageFigures) else dict(image)
     if not by_geometry:
@@ -73,11 +72,8 @@ def build_metrics(
         "real_time_factor": real_time_factor,
     }
     if len(by_geometry) > 1:
-        metrics["image_by_geometry"] = {
-            name: figures.as_dict() for name, figures in by_geometry.items()
-        }
-    taken = sorted(metrics.keys() & extra.keys())
-    if taken:
+        metrics["image_by_geometry"] = {name: of.as_dict() for name, of in by_geometry.items()}
+    if taken := sorted(metrics.keys() & extra.keys()):
         raise ValueError(f"extra keys {', '.join(taken)} are taken")
     return _plain(metrics | extra)
 

@@ -11,7 +11,6 @@ from jinja2 import Environment, StrictUndefined
 
 from twinct.evaluate import pose_errors
 from twinct.files.writing import write_text
-from twinct.geometry import Floats
 from twinct.report import figures
 from twinct.report.data import ReportData
 from twinct.report.figures import Picture
@@ -74,13 +73,7 @@ _STAGES = {
 
 
 def write_report(path: Path, report: ReportData, pictures: Pictures | None = None) -> None:
-    """Write a report; the file is complete or not there.
-
-    Args:
-        path: the HTML file.
-        report: what it shows.
-        pictures: what ``draw_pictures`` made of it; drawn here where None.
-    """
+    """Write a report, its pictures drawn here where None; the file is complete or not there."""
     write_text(path, render_report(report, pictures))
 
 
@@ -90,12 +83,13 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["fixed"] = _fixed
-    environment.filters["duration"] = _duration
-    template = environment.from_string(
-        resources.files("twinct.report").joinpath("report.html").read_text(encoding="utf-8")
-    )
-    return template.render(
+    environment.filters |= {"fixed": _fixed, "duration": _duration}
+    text = resources.files("twinct.report").joinpath("report.html").read_text(encoding="utf-8")
+    of = report.reference
+    shown = [
+        f._replace(title=f.title.format(of), meaning=f.meaning.format(of)) for f in _IMAGE_FIGURES
+    ]
+    return environment.from_string(text).render(
         name=scenario.name,
         description=scenario.description,
         setting=_setting(report),
@@ -104,13 +98,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         paper_table=PAPER_TABLE_1,
         pictures=draw_pictures(report) if pictures is None else pictures,
         reference=report.reference,
-        image_figures=[
-            figure._replace(
-                title=figure.title.format(report.reference),
-                meaning=figure.meaning.format(report.reference),
-            )
-            for figure in _IMAGE_FIGURES
-        ],
+        image_figures=shown,
         image_columns=metrics.get("image_by_geometry")
         or {scenario.reconstruction.geometries[0]: metrics["image"]},
         stages=_stages(metrics["seconds"]),
@@ -128,12 +116,14 @@ def draw_pictures(report: ReportData) -> Pictures:
         np.array([pose.position for pose in poses.source])
         for poses in (report.commanded, report.executed)
     )
+    # A file of views turns about the world's origin.
+    isocentre = np.array(getattr(scenario.trajectory, "isocentre_mm", (0.0, 0.0, 0.0)))
     mu = report.mu_reference
     if mu is None and report.slices:
         mu = max(float(section.truth.max()) for section in report.slices.values())
     return {
         "room": Picture(report.room_png, "image/png") if report.room_png else None,
-        "path": figures.source_path(commanded, executed, _isocentre(report)),
+        "path": figures.source_path(commanded, executed, isocentre),
         "errors": figures.pose_errors_over_views(
             pose_errors(report.commanded, report.executed),
             np.asarray(report.clearance_mm, dtype=np.float64),
@@ -150,16 +140,10 @@ def draw_pictures(report: ReportData) -> Pictures:
     }
 
 
-def _isocentre(report: ReportData) -> Floats:
-    """Of the trajectory; a file of views turns about the world's origin."""
-    return np.array(getattr(report.scenario.trajectory, "isocentre_mm", (0.0, 0.0, 0.0)))
-
-
 def _setting(report: ReportData) -> dict[str, str]:
     """The experiment in a few lines."""
     scenario = report.scenario
     grid = scenario.reconstruction.grid.volume_grid
-    reconstruction = scenario.reconstruction
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
     return {
         "Specimen": ", ".join(
@@ -170,7 +154,7 @@ def _setting(report: ReportData) -> dict[str, str]:
         "Arms": f"{scenario.cell.source_arm.model} (source), "
         f"{scenario.cell.detector_arm.model} (detector)",
         **physics_in_words(scenario, report.commanded.source[0], report.commanded.detector[0]),
-        "Reconstruction": reconstruction.in_words,
+        "Reconstruction": scenario.reconstruction.in_words,
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
     }
 

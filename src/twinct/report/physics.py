@@ -14,10 +14,7 @@ from twinct.xray.build import build_spectrum, effective_energy_kev
 def physics_in_words(scenario: Scenario, source: Pose, panel: Pose) -> dict[str, str]:
     """One line each for source and detector, for the report and the log.
 
-    Args:
-        scenario: what was run.
-        source: pose of the focal spot in one view.
-        panel: pose of the panel in the same view; the photons at its middle are counted.
+    The photons are counted at the panel's middle, in the view of these two poses.
 
     Raises:
         InputError: a file that cannot be used any more.
@@ -31,10 +28,8 @@ def physics_in_words(scenario: Scenario, source: Pose, panel: Pose) -> dict[str,
     if photons is not None:
         words.append(f"{photons:.3g} photons per pixel in the free beam")
     lattice, n = scenario.detector.panel, scenario.detector.binning
-    size = (
-        f"{lattice.columns} × {lattice.rows} px of {lattice.pitch_u:g} × {lattice.pitch_v:g} mm"
-        + (f", each of {n} × {n}" if n > 1 else "")
-    )
+    size = f"{lattice.columns} × {lattice.rows} px of {lattice.pitch_u:g} × {lattice.pitch_v:g} mm"
+    size += f", each of {n} × {n}" if n > 1 else ""
     return {
         "Source": "; ".join(words),
         "Detector": "; ".join([size, *_signal(scenario.detector), *_raw(scenario.detector)]),
