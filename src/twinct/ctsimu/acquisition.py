@@ -13,16 +13,9 @@ FORMAT = (1, 2)
 """Newest version of the file format that is understood; older ones down to 1.0 are subsets."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
-    """How many images.
-
-    Attributes:
-        frames: number of projections.
-        average: frames averaged for each projection.
-        dark: dark images.
-        flat: flat images.
-    """
+    """Numbers of projections, of frames averaged for each, and of dark and flat images."""
 
     frames: int
     average: int
@@ -36,9 +29,8 @@ def check_header(section: JsonSection) -> None:
     version = section.section("version")
     version.skip("major", "minor")
     kind = section.text("file_type")
-    if kind is None and not section.has("file_type"):
-        section.missing("file_type")
-    elif kind is not None and kind != "CTSimU Scenario":
+    section.require("file_type")
+    if kind is not None and kind != "CTSimU Scenario":
         section.problem("file_type", f"{short(kind)} is not 'CTSimU Scenario'")
     found = section.section("file_format_version", needed=True)
     number = found.whole("major", 0), found.whole("minor", 0)
@@ -48,20 +40,13 @@ def check_header(section: JsonSection) -> None:
 
 def read_plan(section: JsonSection) -> Plan:
     """Number of images in the section ``acquisition``; 1 where it is wrong."""
-    if not section.has("number_of_projections"):
-        section.missing("number_of_projections")
+    section.require("number_of_projections")
     frames = section.whole("number_of_projections", 1, "", COUNT)
     average = section.whole("frame_average", 1, "", COUNT)
     dark, flat = (_fields(section.section(f"{kind}_field")) for kind in ("dark", "flat"))
     if flat.correction and not flat.number:
         section.problem("flat_field.correction", "needs flat_field.number of at least 1")
     return Plan(frames, average, dark, flat)
-
-
-def read_binning(section: JsonSection) -> tuple[int, int]:
-    """Pixels put together along (u, v), in the section ``acquisition``."""
-    binning = section.section("pixel_binning")
-    return binning.whole("u", 1, "", COUNT), binning.whole("v", 1, "", COUNT)
 
 
 def read_turn(section: JsonSection) -> float:

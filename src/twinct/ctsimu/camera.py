@@ -50,11 +50,8 @@ class Camera:
     def expose(self, frame: Frame, *, samples_in: bool = True) -> NDArray[np.float64]:
         """Energy in J that each pixel collects, (rows, columns) in our order of rows.
 
-        A monochromatic source has no known number of photons: its energies are relative.
-
-        Args:
-            frame: everything about it.
-            samples_in: whether the samples stand in the beam.
+        A monochromatic source has no known number of photons: its energies are relative. The beam
+        is free unless ``samples_in``.
 
         Raises:
             InputError: a file that does not hold what the scenario says; names it.
@@ -88,18 +85,15 @@ class Camera:
         self._renderer, self._uploaded = None, None
 
     def __enter__(self) -> Self:
-        """Use as a context."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close, whatever happened."""
         self.close()
 
     def _sampling(self, frame: Frame) -> Sampling:
-        if self._plan is None or self._plan[0] != frame.spot:
-            pixels = max(frame.panel.shape)
-            plan = sampling(frame.spot, self._samples, self._spot_points, pixels)
-            self._plan = frame.spot, plan
+        spot, pixels = frame.spot, max(frame.panel.shape)
+        if self._plan is None or self._plan[0] != spot:
+            self._plan = spot, sampling(spot, self._samples, self._spot_points, pixels)
         return self._plan[1]
 
     def _open(
@@ -117,18 +111,14 @@ class Camera:
     def _response(self, frame: Frame, media: tuple[Material, ...]) -> tuple[Signal, bool]:
         key = frame.tube, frame.response, media
         if self._signal is None or self._signal[0] != key:
-            spectrum = spectrum_of(frame.tube)
-            signal = Signal(spectrum, media, response_of(frame.response))
+            spectrum = _spectrum(frame.tube)
+            signal = Signal(spectrum, media, _photon_response(frame.response))
             self._signal = key, signal, spectrum.absolute
         return self._signal[1:]
 
 
-def spectrum_of(tube: Tube) -> PhotonSpectrum:
-    """The spectrum behind all filters, photons per mm^2 at 1 m and mAs where that is known.
-
-    Raises:
-        InputError: a file that is no spectrum; names it.
-    """
+def _spectrum(tube: Tube) -> PhotonSpectrum:
+    """The spectrum behind all filters, photons per mm^2 at 1 m and mAs where that is known."""
     if tube.monochromatic:
         spectrum = PhotonSpectrum.monochromatic(tube.voltage_kv)
     elif tube.spectrum is not None:
@@ -144,12 +134,8 @@ def spectrum_of(tube: Tube) -> PhotonSpectrum:
     return _behind(spectrum, tube.filters)
 
 
-def response_of(detector: scene.PanelResponse) -> PhotonResponse:
-    """What the detector collects of a photon, by energy.
-
-    Raises:
-        InputError: an efficiency file that is none; names it.
-    """
+def _photon_response(detector: scene.PanelResponse) -> PhotonResponse:
+    """What the detector collects of a photon, by energy."""
     response = PhotonResponse.integrating()
     if detector.real and detector.efficiency is not None:
         response = PhotonResponse.efficiency(*read_curve(detector.efficiency))
@@ -170,17 +156,12 @@ def _behind(spectrum: PhotonSpectrum, layers: tuple[Layer, ...]) -> PhotonSpectr
 def _shifted(frame: Frame, start: Floats, shift: Floats) -> ScanGeometry:
     """The view from one point of the focal spot to one place in the pixels."""
     view, panel = frame.view, frame.panel
-    return ScanGeometry(
-        view.source + start @ frame.source_axes,
-        view.detector + shift[0] * panel.pitch_u * view.u + shift[1] * panel.pitch_v * view.v,
-        view.u,
-        view.v,
-        panel,
-    )
+    source = view.source + start @ frame.source_axes
+    middle = view.detector + shift[0] * panel.pitch_u * view.u + shift[1] * panel.pitch_v * view.v
+    return replace(view, source=source, detector=middle)
 
 
 def _ray_lengths(view: ScanGeometry, samples: int) -> NDArray[np.float32]:
     """From the source to each sample, mm."""
-    fine = replace(view, panel=view.panel.divided(samples))
-    places = fine.pixel_centres(0)
+    places = replace(view, panel=view.panel.divided(samples)).pixel_centres(0)
     return np.linalg.norm(places - view.source[0], axis=-1).astype(np.float32)

@@ -22,14 +22,7 @@ FREE_BEAM = 60000
 
 @dataclass(frozen=True)
 class Description:
-    """Sections of a CTSimU file.
-
-    Attributes:
-        source: the section ``source``.
-        detector: the section ``detector``.
-        acquisition: binning, dark and flat images of the section ``acquisition``.
-        materials: those that these name.
-    """
+    """Sections of a CTSimU file; ``acquisition`` holds binning, dark and flat images alone."""
 
     source: Json
     detector: Json
@@ -38,12 +31,23 @@ class Description:
 
 
 def refuse_unsaid(scenario: Scenario) -> None:
-    """Refuse what CTSimU has no words for.
-
-    Raises:
-        InputError: names every key.
-    """
-    problems = [f"{key}: CTSimU cannot say this" for key in _unsaid(scenario)]
+    """Refuse what CTSimU has no words for, with an ``InputError`` that names every key."""
+    # ``photons_per_mm2_mas`` of a monochromatic source and photon counting at one energy have no
+    # words either; without quantum noise they change no transmission.
+    source, detector = scenario.source, scenario.detector
+    spot, counting = source.focal_spot, isinstance(detector.response, sections.CountingResponse)
+    table = {
+        "source.focal_spot": spot is not None and not isinstance(spot, sections.GaussianSpot),
+        "source.motion_samples": source.motion_samples > 1,
+        "detector.response": source.spectrum is not None and counting,
+        "detector.noise": isinstance(detector.noise, sections.QuantumNoise),
+        "detector.readout": detector.readout is not None,
+        "detector.bad_pixels": detector.bad_pixels is not None,
+        # There it goes on from image to image, here from one into the next alone.
+        "detector.lag": detector.lag > 0,
+        "detector.scatter": detector.scatter is not None,
+    }
+    problems = [f"{key}: CTSimU cannot say this" for key, wrong in table.items() if wrong]
     if problems:
         raise InputError([*problems, "--ideal exports an ideal source and detector instead"])
 
@@ -57,15 +61,10 @@ def render_options(scenario: Scenario) -> str:
 
 
 def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Description:
-    """Describe source and detector; their curves become files in the folder.
+    """Describe source and detector; their curves become files in the folder that start with a name.
 
-    What ``refuse_unsaid`` refuses must not be there, unless it shall be ideal.
-
-    Args:
-        scenario: of ours.
-        folder: where the curves go.
-        name: start of their names.
-        ideal: a monochromatic point and an ideal panel, whatever the scenario says.
+    What ``refuse_unsaid`` refuses must not be there, unless ``ideal`` asks for a monochromatic
+    point and an ideal panel, whatever the scenario says.
     """
     source, detector = scenario.source, scenario.detector
     panel = physical_panel(detector)
@@ -107,33 +106,13 @@ def _fields(frames: int, without_noise: int) -> Json:
     return {"number": number, "frame_average": max(frames, 1), "ideal": not frames}
 
 
-def _unsaid(scenario: Scenario) -> list[str]:
-    # ``photons_per_mm2_mas`` of a monochromatic source and photon counting at one energy have no
-    # words either; without quantum noise they change no transmission.
-    source, detector = scenario.source, scenario.detector
-    spot, response = source.focal_spot, detector.response
-    table = {
-        "source.focal_spot": spot is not None and not isinstance(spot, sections.GaussianSpot),
-        "source.motion_samples": source.motion_samples > 1,
-        "detector.response": source.spectrum is not None
-        and isinstance(response, sections.CountingResponse),
-        "detector.noise": isinstance(detector.noise, sections.QuantumNoise),
-        "detector.readout": detector.readout is not None,
-        "detector.bad_pixels": detector.bad_pixels is not None,
-        # There it goes on from image to image, here from one into the next alone.
-        "detector.lag": detector.lag > 0,
-        "detector.scatter": detector.scatter is not None,
-    }
-    return [key for key, wrong in table.items() if wrong]
-
-
 def _beam(source: sections.Source, folder: Path, name: str) -> Json:
     found: Json = {}
     if source.spectrum is not None:
         spectrum = build_spectrum(source)
-        file = folder / f"{name}_spectrum.tsv"
-        _write_table(file, spectrum.energies_kev, spectrum.photons * MM2_AT_1M_PER_SR)
-        found["spectrum"] = {"monochromatic": False, "file": {"value": file.name}}
+        photons = spectrum.photons * MM2_AT_1M_PER_SR
+        file = _table(folder / f"{name}_spectrum.tsv", spectrum.energies_kev, photons)
+        found["spectrum"] = {"monochromatic": False, "file": file}
         found["voltage"] = quantity(float(spectrum.energies_kev[-1]), "kV")
     if isinstance(source.focal_spot, sections.GaussianSpot):
         sigma = source.focal_spot.sigma_mm
@@ -154,10 +133,9 @@ def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, l
         found["type"] = "real"
         found["scintillator"] = {"material_id": layer.name, "thickness": thickness}
     elif isinstance(response, sections.FileResponse):
-        file = folder / f"{name}_efficiency.tsv"
-        _write_table(file, *read_columns(response.path, 2))
+        file = _table(folder / f"{name}_efficiency.tsv", *read_columns(response.path, 2))
         found["type"] = "real"
-        found["gray_value"] = {"efficiency_characteristics_file": {"value": file.name}}
+        found["gray_value"] = {"efficiency_characteristics_file": file}
     if isinstance(spread, sections.GaussianSpread):
         panel = physical_panel(detector)
         pixel = panel.pitch_u * panel.pitch_v / 12
@@ -165,9 +143,8 @@ def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, l
         resolution = float(np.sqrt(2 * (spread.sigma_mm**2 + pixel)))
         found["unsharpness"] = {"basic_spatial_resolution": quantity(resolution, "mm")}
     elif isinstance(spread, sections.FileSpread):
-        file = folder / f"{name}_mtf.tsv"
-        _write_table(file, *read_columns(spread.path, 2))
-        found["unsharpness"] = {"mtf": {"value": file.name}}
+        file = _table(folder / f"{name}_mtf.tsv", *read_columns(spread.path, 2))
+        found["unsharpness"] = {"mtf": file}
     if isinstance(detector.noise, sections.SnrNoise):
         # Of a physical pixel: the mean of n x n of them has n times its SNR.
         found["noise"] = {"snr_at_imax": quantity(detector.noise.snr / detector.binning)}
@@ -181,6 +158,8 @@ def _substance(of: str | sections.Composition) -> Material:
     return material(of)
 
 
-def _write_table(path: Path, first: Floats, second: Floats) -> None:
+def _table(path: Path, first: Floats, second: Floats) -> Json:
+    """Write two columns; what refers to them."""
     lines = [f"{a:.12g}\t{b:.12g}\n" for a, b in zip(first, second, strict=True)]
     path.write_text("".join(lines), encoding="utf-8")
+    return {"value": path.name}

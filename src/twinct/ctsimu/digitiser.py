@@ -26,12 +26,9 @@ MTF_REACH_MM = 5.0
 
 @dataclass(frozen=True)
 class Digitiser:
-    """A detector that is ready to take images.
+    """A detector that is ready to take images; its pixels are not binned.
 
-    Attributes:
-        response: what the file says.
-        panel: its pixels, not binned.
-        free_beam_j: energy in the brightest pixel of the free beam in frame 0.
+    ``free_beam_j`` is the energy in the brightest pixel of the free beam in frame 0.
     """
 
     response: PanelResponse
@@ -91,9 +88,8 @@ class Digitiser:
 
     def _spread(self) -> PointSpreadFunction | None:
         if self.response.mtf is not None:
-            return PointSpreadFunction.tabulated(
-                *read_curve(self.response.mtf), reach_mm=MTF_REACH_MM
-            )
+            frequencies, contrast = read_curve(self.response.mtf)
+            return PointSpreadFunction.tabulated(frequencies, contrast, reach_mm=MTF_REACH_MM)
         sigma_mm = self._sigma_mm()
         return PointSpreadFunction.gaussian(sigma_mm) if sigma_mm > 0 else None
 

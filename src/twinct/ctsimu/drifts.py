@@ -12,21 +12,14 @@ from twinct.files.reading import reason
 
 
 def drift_values(drift: Mapping[str, Any], folder: Path, *, as_text: bool) -> list[Any]:
-    """What a drift says at its moments; empty where it says nothing.
-
-    Args:
-        drift: the object of the file.
-        folder: names of files are relative to it.
-        as_text: texts instead of numbers.
+    """What a drift says at its moments, numbers or texts; empty where it says nothing.
 
     Raises:
         ValueError: no such values; says why, in one sentence.
     """
     value, file = drift.get("value"), drift.get("file")
-    if value is None and file is not None and file != "":
-        return _column(file, folder, as_text)
     if value is None:
-        return []
+        return [] if file is None or file == "" else _column(file, folder, as_text)
     values = value if isinstance(value, list) else [value]
     kind = str if as_text else (int, float)
     if not values or any(isinstance(v, bool) or not isinstance(v, kind) for v in values):

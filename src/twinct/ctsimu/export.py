@@ -9,7 +9,6 @@ The OpenCT file is that of ``twinct.exchange``: the believed geometry, in the fr
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twinct.ctsimu.describe import describe, refuse_unsaid, render_options
-from twinct.ctsimu.writing import Json, as_material, header, make_folder, quantity, vector
+from twinct.ctsimu.writing import (
+    Json,
+    as_material,
+    header,
+    make_folder,
+    placed,
+    quantity,
+    sample,
+    write_mesh,
+)
 from twinct.errors import ScanExistsError
 from twinct.exchange.openct import openct_json
 from twinct.files.images import write_tiff
@@ -32,10 +40,7 @@ from twinct.specimen import BuiltSpecimen
 class Exported:
     """What was written.
 
-    Attributes:
-        scenario: the CTSimU scenario.
-        trajectory: the OpenCT free trajectory.
-        options: of ``twinct ctsimu render``, to get the scan's own images; empty for ideal ones.
+    ``options`` of ``twinct ctsimu render`` give the scan's own images; empty for ideal ones.
     """
 
     scenario: Path
@@ -46,13 +51,9 @@ class Exported:
 def export_scan(
     scan: Scan, specimen: BuiltSpecimen, folder: Path, *, ideal: bool = False
 ) -> Exported:
-    """Write scenario, trajectory, meshes and projections.
+    """Write scenario, trajectory, meshes and projections to a folder, made if it is missing.
 
-    Args:
-        scan: what was acquired.
-        specimen: what was scanned.
-        folder: where to; made if it is missing.
-        ideal: write an ideal source and detector, whatever the scan's were.
+    Source and detector are written as they were, or as ideal ones.
 
     Raises:
         InputError: source or detector do something that CTSimU cannot say; names it.
@@ -62,8 +63,7 @@ def export_scan(
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scan.scenario.name)
     options = "" if ideal else render_options(scan.scenario)
     files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json", options)
-    taken = [p.name for p in (files.scenario, files.trajectory) if p.exists()]
-    if taken:
+    if taken := [p.name for p in (files.scenario, files.trajectory) if p.exists()]:
         raise ScanExistsError(f"{folder} already holds {', '.join(taken)}: choose another --out")
     if not ideal:
         refuse_unsaid(scan.scenario)
@@ -89,21 +89,12 @@ def _scenario(scan: Scan, specimen: BuiltSpecimen, folder: Path, name: str, idea
     substances: list[Json] = []
     samples = []
     for index, part in enumerate(specimen.parts):
-        middle = np.asarray(part.mesh.bounds).mean(axis=0)
         file = folder / f"{name}_{index}_{part.name}.obj"
-        part.mesh.copy().apply_translation(-middle).export(file, digits=12)
+        middle = write_mesh(part.mesh, file)
         shift = Pose(middle, np.array([0.0, 0.0, 0.0, 1.0]))
         poses = [pose @ shift for pose in scan.executed_object]
-        samples.append(
-            {
-                "name": part.name,
-                "file": {"value": os.path.basename(file)},
-                "unit": "mm",
-                "scaling_factor": {axis: quantity(1.0) for axis in "rst"},
-                "material_id": _listed(as_material(part.material), substances),
-                "position": _moving(poses, poses, "rt"),
-            }
-        )
+        substance = _listed(as_material(part.material), substances)
+        samples.append(sample(part.name, file, substance, _moving(poses, poses, "rt")))
     views = len(scan)
     description = describe(scan.scenario, folder, name, ideal)
     for substance in description.materials:  # the scintillator's, or none
@@ -147,25 +138,17 @@ def _listed(substance: Json, substances: list[Json]) -> str:
 def _moving(believed: Sequence[Pose], executed: Sequence[Pose], keys: str = "uw") -> Json:
     """A part of the world that moves by drifts from where it is believed to be in view 0."""
     first = believed[0]
-    axes = first.rotation
     known = np.array([p.position - first.position for p in believed])
-    unknown = np.array([e.position - b.position for b, e in zip(believed, executed, strict=True)])
-    centre = vector(first.position, unit="mm")
+    pairs = list(zip(believed, executed, strict=True))
+    unknown = np.array([e.position - b.position for b, e in pairs])
+    part = placed(first.position, first.rotation[:, 0], first.rotation[:, 2], keys)
     for axis, letter in enumerate("xyz"):
         drifts = [_drift(known[:, axis], "mm", True), _drift(unknown[:, axis], "mm", False)]
-        centre[letter]["drifts"] = [drift for drift in drifts if drift]
+        part["center"][letter]["drifts"] = [drift for drift in drifts if drift]
     start = Rotation.from_quat(first.quat)
     to_believed = [Rotation.from_quat(p.quat) * start.inv() for p in believed]
-    to_executed = [
-        Rotation.from_quat(e.quat) * Rotation.from_quat(b.quat).inv()
-        for b, e in zip(believed, executed, strict=True)
-    ]
-    return {
-        "center": centre,
-        f"vector_{keys[0]}": vector(axes[:, 0]),
-        f"vector_{keys[1]}": vector(axes[:, 2]),
-        "deviations": [*_turns(to_believed, True), *_turns(to_executed, False)],
-    }
+    to_executed = [Rotation.from_quat(e.quat) * Rotation.from_quat(b.quat).inv() for b, e in pairs]
+    return part | {"deviations": [*_turns(to_believed, True), *_turns(to_executed, False)]}
 
 
 def _turns(rotations: Sequence[Rotation], known: bool) -> list[Json]:
@@ -176,14 +159,8 @@ def _turns(rotations: Sequence[Rotation], known: bool) -> list[Json]:
         drift = _drift(angles[:, axis], "rad", known)
         if drift:
             amount = quantity(0.0, "rad") | {"drifts": [drift | {"known_to_reconstruction": True}]}
-            found.append(
-                {
-                    "type": "rotation",
-                    "axis": letter,
-                    "amount": amount,
-                    "known_to_reconstruction": known,
-                }
-            )
+            turn = {"type": "rotation", "axis": letter, "amount": amount}
+            found.append(turn | {"known_to_reconstruction": known})
     return found
 
 
@@ -196,11 +173,6 @@ def _drift(values: Floats, unit: str, known: bool) -> Json | None:
 def _trajectory(scan: Scan, name: str) -> Json:
     grid = scan.scenario.reconstruction.grid.volume_grid
     geometry = scan.believed.geometry(scan.scenario.detector.panel)
-    return openct_json(
-        grid.world_from_grid.inverse() @ geometry,
-        grid,
-        f"{name}.img",
-        files=[f"{name}_{view:04d}.tif" for view in range(len(scan))],
-        file_type="TIFF",
-        transmission=True,
-    )
+    local = grid.world_from_grid.inverse() @ geometry
+    files = [f"{name}_{view:04d}.tif" for view in range(len(scan))]
+    return openct_json(local, grid, f"{name}.img", files=files, file_type="TIFF", transmission=True)

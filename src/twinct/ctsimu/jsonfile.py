@@ -11,18 +11,14 @@ from twinct.errors import ScenarioError
 from twinct.files.reading import reason
 
 
-class _Repeating(dict[str, Any]):
-    """An object in which keys are given twice."""
+class _Object(dict[str, Any]):
+    """An object, and its keys that are given twice."""
 
     repeated: tuple[str, ...] = ()
 
 
 def read_json(path: Path, skipped: str) -> dict[str, Any]:
-    """Read the JSON object in a file.
-
-    Args:
-        path: the file.
-        skipped: key of the section that may hold anything.
+    """Read the JSON object in a file; the section ``skipped`` may hold anything.
 
     Raises:
         ScenarioError: not readable, no JSON object, or keys given twice; says where.
@@ -51,20 +47,17 @@ def read_json(path: Path, skipped: str) -> dict[str, Any]:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    data = dict(pairs)
-    if len(data) == len(pairs):
-        return data
-    keys = [key for key, _ in pairs]
-    found = _Repeating(data)
-    found.repeated = tuple(key for key in data if keys.count(key) > 1)
-    return found
+    data = _Object(pairs)
+    if len(data) < len(pairs):
+        keys = [key for key, _ in pairs]
+        data.repeated = tuple(key for key in data if keys.count(key) > 1)
+    return data
 
 
 def _repeated(value: Any, place: str, skipped: str) -> Iterator[str]:
-    if isinstance(value, dict):
+    if isinstance(value, _Object):
         dot = f"{place}." if place else ""
-        if isinstance(value, _Repeating):
-            yield from (f"{dot}{key}" for key in value.repeated)
+        yield from (f"{dot}{key}" for key in value.repeated)
         for key, inner in value.items():
             if place or key != skipped:
                 yield from _repeated(inner, f"{dot}{key}", skipped)

@@ -22,8 +22,7 @@ def read_materials(root: JsonSection) -> Materials:
     found: Materials = {}
     for section in root.sections("materials"):
         name = section.text("id")
-        if name is None and not section.has("id"):
-            section.missing("id")
+        section.require("id")
         if name in found:
             section.problem("id", f"{short(name)} is the id of an earlier material too")
         section.skip("name")
@@ -40,8 +39,7 @@ def _read(section: JsonSection, name: str) -> Material | None:
     if not density > 0:
         return None  # vacuum, or noted already
     if not parts:
-        if not section.has("composition"):
-            section.missing("composition")
+        section.require("composition")
         return None
     weights = [1.0 if weight is None else weight for _, _, weight in parts]
     shares: dict[str, float] = {}

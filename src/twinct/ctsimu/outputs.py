@@ -10,7 +10,9 @@ from typing import Any
 from twinct.ctsimu.acquisition import FORMAT
 from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.ctsimu.scene import FieldImages, Frame
+from twinct.ctsimu.writing import quantity
 from twinct.files.writing import write_json
+from twinct.version import __version__
 
 
 @dataclass(frozen=True)
@@ -58,27 +60,17 @@ class Files:
 def write_metadata(
     files: Files, scenario: CtsimuScenario, options: Options, frame: Frame, brightest: float
 ) -> None:
-    """Write it; it holds no clock times.
+    """Write what was rendered, and how, without clock times.
 
-    Args:
-        files: what was written.
-        scenario: what was rendered.
-        options: how.
-        frame: the first frame.
-        brightest: grey value of the brightest pixel of the free beam.
+    ``frame`` is the first; ``brightest`` the grey value of the brightest pixel of the free beam.
     """
-    from twinct.version import __version__
-
     about = scenario.data.get("file") or {}
     across, down = frame.binning
     panel = frame.panel.binned(down, across)
     data = {
         "file": {
             "name": scenario.name,
-            "description": about.get("description"),
-            "contact": about.get("contact"),
-            "date_created": about.get("date_created"),
-            "date_changed": about.get("date_changed"),
+            **{k: about.get(k) for k in ("description", "contact", "date_created", "date_changed")},
             "file_type": "CTSimU Metadata",
             "file_format_version": {"major": FORMAT[0], "minor": FORMAT[1]},
         },
@@ -93,13 +85,10 @@ def write_metadata(
                 "datatype": "uint16",
                 "byteorder": "little",
                 "headersize": {"file": 0, "image": 0},
-                "dimensions": {
-                    "x": {"value": panel.columns, "unit": "px"},
-                    "y": {"value": panel.rows, "unit": "px"},
-                },
+                "dimensions": {"x": quantity(panel.columns, "px"), "y": quantity(panel.rows, "px")},
                 "pixelsize": {
-                    "x": {"value": panel.pitch_u, "unit": "mm"},
-                    "y": {"value": panel.pitch_v, "unit": "mm"},
+                    "x": quantity(panel.pitch_u, "mm"),
+                    "y": quantity(panel.pitch_v, "mm"),
                 },
                 "dark_field": _field(scenario.name, "dark", scenario.dark),
                 "flat_field": _field(scenario.name, "flat", scenario.flat),

@@ -8,8 +8,6 @@ BAM's own loader for aRTist.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -25,27 +23,14 @@ ORTHOGONAL = 1e-3
 """Largest cosine between u and w that counts as a right angle: four digits still pass."""
 
 
-@dataclass(frozen=True)
-class PartPose:
-    """A part in its outer frame.
-
-    Attributes:
-        outer_from_part: columns of its rotation are u, v, w (or r, s, t).
-        on_stage: the outer frame is the stage, not the world.
-    """
-
-    outer_from_part: Pose
-    on_stage: bool
-
-
 def place(
     section: JsonSection,
     *,
     turn_deg: float = 0.0,
     world_from_stage: Pose | None = None,
     vectors: tuple[str, str] = ("vector_u", "vector_w"),
-) -> PartPose:
-    """Place a part at the section's moment.
+) -> Pose:
+    """Where a part is in the world at the section's moment; its axes are u, v, w (or r, s, t).
 
     Args:
         section: with ``center``, the two vectors and ``deviations``.
@@ -53,9 +38,8 @@ def place(
         world_from_stage: allows a sample to stand on the stage.
         vectors: keys of the first and the third axis.
     """
-    inner = section.section("center", needed=True)
-    on_stage = world_from_stage is not None and inner.has("u")
-    axes = LOCAL if on_stage else WORLD
+    stage = world_from_stage if section.section("center", needed=True).has("u") else None
+    axes = WORLD if stage is None else LOCAL
     centre, drift = _vector(section, "center", axes, "mm")
     centre = np.nan_to_num(centre)  # noted already
     first, first_drift = _vector(section, vectors[0], axes)
@@ -64,20 +48,20 @@ def place(
     basis = basis @ Rotation.from_rotvec([0, 0, turn_deg], degrees=True).as_matrix()
     pose = Pose.from_matrix(centre, basis)
     for deviation in section.sections("deviations"):
-        pose = _deviate(pose, deviation, world_from_stage if on_stage else None)
+        pose = _deviate(pose, deviation, stage)
     if first_drift.any() or third_drift.any():
         # They drift from unit vectors, whatever length they were given.
         axes_now = pose.rotation
         basis = _basis(section, vectors, axes_now[:, 0] + first_drift, axes_now[:, 2] + third_drift)
         pose = Pose.from_matrix(pose.position, basis)
-    return PartPose(Pose(pose.position + drift, pose.quat), on_stage)
+    pose = Pose(pose.position + drift, pose.quat)
+    return pose if stage is None else stage @ pose
 
 
 def _deviate(pose: Pose, deviation: JsonSection, world_from_stage: Pose | None) -> Pose:
     """One translation or rotation; the pose is in the stage where one is given, else the world."""
     kind = deviation.text("type", ("translation", "rotation"))
-    if not deviation.has("type"):
-        deviation.missing("type")
+    deviation.require("type")
     known = deviation.flag("known_to_reconstruction", True)
     axis = _turned(deviation, "axis", pose, world_from_stage)
     pivot = _pivot(deviation, pose, world_from_stage)
@@ -105,24 +89,20 @@ def _turned(section: JsonSection, key: str, pose: Pose, world_from_stage: Pose |
         section.skip(key)
         for names in (WORLD, LOCAL, SAMPLE):
             if value in names:
-                return _seen(np.eye(3)[names.index(value)], names, pose, world_from_stage)
+                axis = np.eye(3)[names.index(value)]
+                return _frame(names, pose, world_from_stage).rotate(axis)
         section.problem(key, f"{short(value)} is no axis; allowed: x y z u v w r s t or a vector")
         return np.full(3, np.nan)
     names = _names(section.section(key, needed=True))
     direction, drift = _vector(section, key, names)
-    return _seen(direction + drift, names, pose, world_from_stage)
+    return _frame(names, pose, world_from_stage).rotate(direction + drift)
 
 
-def _seen(
-    direction: Floats, names: tuple[str, ...], pose: Pose, world_from_stage: Pose | None
-) -> Floats:
+def _frame(names: tuple[str, ...], pose: Pose, world_from_stage: Pose | None) -> Pose:
+    """Of some axes, in the frame that the pose is in."""
     if names is WORLD:
-        if world_from_stage is None:
-            return direction
-        return world_from_stage.inverse().rotate(direction)
-    if names is LOCAL and world_from_stage is not None:
-        return direction
-    return pose.rotate(direction)
+        return Pose.identity() if world_from_stage is None else world_from_stage.inverse()
+    return Pose.identity() if names is LOCAL and world_from_stage is not None else pose
 
 
 def _pivot(section: JsonSection, pose: Pose, world_from_stage: Pose | None) -> Floats:
@@ -131,19 +111,11 @@ def _pivot(section: JsonSection, pose: Pose, world_from_stage: Pose | None) -> F
         return pose.position
     names = _names(section.section("pivot"))
     point, drift = _vector(section, "pivot", names, "mm")
-    point = point + drift
-    if names is WORLD:
-        return point if world_from_stage is None else world_from_stage.inverse().apply(point)
-    if names is LOCAL and world_from_stage is not None:
-        return point
-    return pose.apply(point)
+    return _frame(names, pose, world_from_stage).apply(point + drift)
 
 
 def _names(section: JsonSection) -> tuple[str, ...]:
-    for names in (LOCAL, SAMPLE):
-        if names[0] in section.data:
-            return names
-    return WORLD
+    return next((names for names in (LOCAL, SAMPLE) if names[0] in section.data), WORLD)
 
 
 def _vector(
@@ -163,16 +135,15 @@ def _basis(section: JsonSection, keys: tuple[str, str], first: Floats, third: Fl
     lengths = np.linalg.norm(first), np.linalg.norm(third)
     if not np.isfinite(lengths).all():
         return np.eye(3)  # noted already
+    both = ", ".join(keys)
     if min(lengths) == 0:
-        section.problem(f"{keys[0]}, {keys[1]}", "one of them has no length")
+        section.problem(both, "one of them has no length")
         return np.eye(3)
     first, third = first / lengths[0], third / lengths[1]
     cosine = float(first @ third)
     if abs(cosine) > ORTHOGONAL:
         angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-        section.problem(
-            f"{keys[0]}, {keys[1]}", f"must be orthogonal, their angle is {angle:.4f} deg"
-        )
+        section.problem(both, f"must be orthogonal, their angle is {angle:.4f} deg")
         return np.eye(3)
     first = first - (first @ third) * third
     first /= np.linalg.norm(first)

@@ -8,14 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from ``low`` to ``high``.
-
-    Attributes:
-        low: smallest number.
-        high: largest number.
-        above: leaves ``low`` itself out.
-        below: leaves ``high`` itself out.
-    """
+    """Numbers from ``low`` to ``high``; ``above`` and ``below`` leave these two out."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -23,13 +16,11 @@ class Range:
     below: bool = False
 
     def __contains__(self, value: float) -> bool:
-        """Whether a number is one of them."""
         left = value > self.low if self.above else value >= self.low
         right = value < self.high if self.below else value <= self.high
         return left and right
 
     def __str__(self) -> str:
-        """As in "must be above 0"."""
         if math.isfinite(self.low) and math.isfinite(self.high) and not self.above | self.below:
             return f"from {self.low:g} to {self.high:g}"
         left = f"{'above' if self.above else 'at least'} {self.low:g}"

@@ -42,13 +42,7 @@ _DRIFT_KEYS = {"value", "file", "unit", "known_to_reconstruction", "comment"}
 
 @dataclass(frozen=True)
 class Moment:
-    """Which frame, and whose view of it.
-
-    Attributes:
-        frame: counted from 0; fractions lie between two frames.
-        frames: number of frames of the scan.
-        believed: leave out what is not known to the reconstruction.
-    """
+    """Which frame, from 0 and with fractions between two; executed, or as it is believed to be."""
 
     frame: float
     frames: int
@@ -61,9 +55,9 @@ class JsonSection:
 
     Attributes:
         data: the object.
-        place: dotted key of the object, for messages.
+        place: its dotted key, for messages.
         moment: when.
-        folder: where the file lies; names of other files are relative to it.
+        folder: names of other files are relative to it.
         problems: collects one sentence for each thing that is wrong or not supported.
     """
 
@@ -84,15 +78,13 @@ class JsonSection:
     def section(self, key: str, *, needed: bool = False) -> JsonSection:
         """The object below a key; an empty one where it is missing or null.
 
-        Args:
-            key: of the object.
-            needed: it must be there; one that is missing says nothing of its own keys.
+        A needed one that is missing says nothing of its own keys.
         """
         self._read.add(key)
         value = self.data.get(key)
         quiet = value is None and needed
         if quiet:
-            self.missing(key)
+            self.require(key)
         elif value is not None and not isinstance(value, Mapping):
             self.problem(key, f"{short(value)} is no object")
             value, quiet = None, True
@@ -138,8 +130,7 @@ class JsonSection:
     def needed(self, key: str, unit: str = "", allowed: Range = ANY) -> float:
         """A number that must be there; NaN after noting that it is missing or wrong."""
         value = self.number(key, unit, allowed)
-        if value is None and not self.has(key):
-            self.missing(key)
+        self.require(key)
         return math.nan if value is None else value
 
     def whole(self, key: str, default: int, unit: str = "", allowed: Range = ANY) -> int:
@@ -156,8 +147,6 @@ class JsonSection:
         """True or false."""
         self._read.add(key)
         value = self.data.get(key)
-        if value is None:
-            return default
         if isinstance(value, Mapping):
             self._only(key, value, _PARAMETER_KEYS)
             value = value.get("value")
@@ -215,10 +204,9 @@ class JsonSection:
         if message not in self.problems:
             self.problems.append(message)
 
-    def missing(self, key: str) -> None:
-        """Note that a key is needed; ``finish`` says so, unless it finds the key misspelt."""
-        if key not in self._missing:
-            self._missing.append(key)
+    def require(self, *keys: str) -> None:
+        """Note keys that are needed; ``finish`` says which say nothing, unless one is misspelt."""
+        self._missing += [k for k in keys if k not in self._missing and not self.has(k)]
 
     def finish(self) -> None:
         """Note every key that is missing, and every one that nobody read, here and below."""
@@ -230,7 +218,7 @@ class JsonSection:
                 self.problem(key, "is missing")
         for key in unread:
             if key in near:
-                self.problem(key, f"unknown key{_did_you_mean(near[key])}")
+                self.problem(key, _unknown(near[key]))
             elif self.has(key):
                 self.problem(key, "is not supported here")
         for inner in self._inner.values():
@@ -240,12 +228,9 @@ class JsonSection:
         return ".".join(part for part in (self.place, key) if part)
 
     def _below(self, key: str, data: Mapping[str, Any], *, quiet: bool = False) -> JsonSection:
-        if key not in self._inner:
-            problems = [] if quiet else self.problems
-            self._inner[key] = JsonSection(
-                data, self._place_of(key), self.moment, self.folder, problems
-            )
-        return self._inner[key]
+        place, problems = self._place_of(key), [] if quiet else self.problems
+        below = JsonSection(data, place, self.moment, self.folder, problems)
+        return self._inner.setdefault(key, below)
 
     def _parameter(self, key: str, unit: str) -> tuple[Any, list[Mapping[str, Any]], float] | None:
         """Value, drifts that count at this moment, and the scale of the unit."""
@@ -263,11 +248,10 @@ class JsonSection:
             drifts = []
         for drift in drifts:
             self._only(f"{key}.drifts", drift, _DRIFT_KEYS)
-            if not isinstance(drift.get("known_to_reconstruction"), bool | None):
-                self.problem(
-                    f"{key}.drifts.known_to_reconstruction",
-                    f"{short(drift['known_to_reconstruction'])} is neither true nor false",
-                )
+            known = drift.get("known_to_reconstruction")
+            if not isinstance(known, bool | None):
+                where = f"{key}.drifts.known_to_reconstruction"
+                self.problem(where, f"{short(known)} is neither true nor false")
         if self.moment.believed:
             drifts = [d for d in drifts if d.get("known_to_reconstruction") is not False]
         value = data.get("value")
@@ -310,16 +294,15 @@ class JsonSection:
     def _only(self, key: str, data: Mapping[str, Any], known: set[str]) -> None:
         for name in data:
             if name not in known:
-                near = _nearest(name, known)
-                self.problem(f"{key}.{name}", f"unknown key{_did_you_mean(near)}")
+                self.problem(f"{key}.{name}", _unknown(_nearest(name, known)))
 
 
 def _nearest(key: str, known: set[str]) -> str | None:
     return next(iter(difflib.get_close_matches(key, sorted(known), n=1, cutoff=0.6)), None)
 
 
-def _did_you_mean(key: str | None) -> str:
-    return f"; did you mean {key!r}?" if key else ""
+def _unknown(nearest: str | None) -> str:
+    return f"unknown key; did you mean {nearest!r}?" if nearest else "unknown key"
 
 
 def _says_nothing(value: Any) -> bool:

@@ -46,7 +46,7 @@ def render(
 
     Args:
         scenario: what to render.
-        folder: where to; made if it is missing.
+        folder: made if it is missing.
         options: what the scenario leaves open.
         resume: go on with a rendering that was interrupted.
         step: called after each projection, also one that was there.
@@ -56,8 +56,7 @@ def render(
         InputError: a file that does not hold what the scenario says; names it.
         StorageError: the images cannot be written.
     """
-    options = options or Options()
-    files = Files(folder, scenario.name)
+    options, files = options or Options(), Files(folder, scenario.name)
     with storage_errors(folder):
         _claim(files, _identity(scenario, options), resume)
         with Camera(options.samples, options.spot_points) as camera:
@@ -71,13 +70,13 @@ class _Run:
     def __init__(
         self, scenario: CtsimuScenario, files: Files, options: Options, camera: Camera
     ) -> None:
-        self.scenario, self.files, self.options = scenario, files, options
-        self.camera = camera
+        self.scenario, self.files, self.options, self.camera = scenario, files, options, camera
         self.first = scenario.frame(0)
         free = camera.expose(self.first, samples_in=False)
         self.free_beam_j = float(free.max())
         self.free = self._mean(self.first, free)
-        self._check_range()
+        if not self.free_beam_j > 0:
+            raise ScenarioError(f"{scenario.path}: no radiation reaches the detector")
 
     def all(self, step: Callable[[], None]) -> None:
         """Whatever is not there yet."""
@@ -166,10 +165,6 @@ class _Run:
             stored = stored / np.where(base > 0, base, 1.0) * detector.brightest
         return detector.stored(stored)
 
-    def _check_range(self) -> None:
-        if not self.free_beam_j > 0:
-            raise ScenarioError(f"{self.scenario.path}: no radiation reaches the detector")
-
 
 def _claim(files: Files, identity: str, resume: bool) -> None:
     """Make sure that the folder is free, or holds this very rendering."""
@@ -178,22 +173,18 @@ def _claim(files: Files, identity: str, resume: bool) -> None:
     own = re.compile(re.escape(files.name) + r"_(\d{4,}|(dark|flat)(_\d{4,})?)\.tif")
     images = any(own.fullmatch(path.name) for path in files.folder.iterdir())
     # A rendering that failed before its first image has claimed nothing.
-    if files.key.exists() and (images or files.metadata.exists()):
-        if not resume:
-            raise ScanExistsError(
-                f"{files.folder} already holds images of {files.name}: choose another --out, or "
-                "go on with --resume"
-            )
-        if _digest(files.key) != identity:
-            raise ScanExistsError(
-                f"{files.folder} holds {files.name} rendered from other files or with other "
-                "options: choose another --out"
-            )
-    elif images:
-        raise ScanExistsError(
-            f"{files.folder} holds images of {files.name} from elsewhere: choose another --out"
-        )
-    files.key.write_text(json.dumps({"digest": identity}) + "\n")
+    claimed = files.key.exists() and (images or files.metadata.exists())
+    name, other = files.name, "choose another --out"
+    if claimed and not resume:
+        problem = f"already holds images of {name}: {other}, or go on with --resume"
+    elif claimed and _digest(files.key) != identity:
+        problem = f"holds {name} rendered from other files or with other options: {other}"
+    elif images and not claimed:
+        problem = f"holds images of {name} from elsewhere: {other}"
+    else:
+        files.key.write_text(json.dumps({"digest": identity}) + "\n")
+        return
+    raise ScanExistsError(f"{files.folder} {problem}")
 
 
 def _digest(key: Path) -> str | None:

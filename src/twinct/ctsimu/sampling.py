@@ -43,21 +43,21 @@ def sampling(spot: FocalSpot, samples: int, spot_points: int, pixels: int) -> Sa
     """Passes for a focal spot.
 
     Args:
-        spot: point, Gaussian, or image.
+        spot: point, Gaussian, or image with intensity.
         samples: rays along each pixel edge, for a point; they are spread over several passes
             where one would be too large.
         spot_points: passes for a spot with extent.
         pixels: along the longer edge of the panel.
-
-    Raises:
-        InputError: an image without intensity.
     """
     if spot.is_point:
-        inner = max(n for n in _divisors(samples) if n == 1 or pixels * n <= LARGEST_TILE)
+        divisors = [n for n in range(1, samples + 1) if samples % n == 0]
+        inner = max(n for n in divisors if n == 1 or pixels * n <= LARGEST_TILE)
         steps = (np.arange(samples // inner) + 0.5) / samples - 0.5 / inner
         shift = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         return Sampling(np.zeros_like(shift), shift, inner)
-    cube = _low_discrepancy(spot_points, 4)
+    points = qmc.Halton(4, scramble=False).random(spot_points + SKIPPED)[SKIPPED:]
+    # One in each of equally many strata of every axis.
+    cube = (points.argsort(axis=0).argsort(axis=0) + 0.5) / spot_points
     inner = 2 if 2 * pixels <= LARGEST_TILE else 1
     if spot.image is not None:
         weights = read_image(spot.image, "a focal spot")
@@ -65,13 +65,3 @@ def sampling(spot: FocalSpot, samples: int, spot_points: int, pixels: int) -> Sa
     else:
         points = gaussian_spot(*spot.sigma_mm, cube[:, :2])
     return Sampling(points, (cube[:, 2:] - 0.5) / inner, inner)
-
-
-def _divisors(number: int) -> list[int]:
-    return [n for n in range(1, number + 1) if number % n == 0]
-
-
-def _low_discrepancy(count: int, dimensions: int) -> Floats:
-    """One point in each of ``count`` equal strata of every axis."""
-    points = qmc.Halton(dimensions, scramble=False).random(count + SKIPPED)[SKIPPED:]
-    return (points.argsort(axis=0).argsort(axis=0) + 0.5) / count

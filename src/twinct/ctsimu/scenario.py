@@ -1,43 +1,36 @@
-"""A CTSimU scenario: read, checked, and given frame by frame."""
+"""A CTSimU scenario: read, checked, and given frame by frame.
+
+The curves and pictures that it refers to are read once, before anything is rendered. Meshes are
+left to the rendering: they take long, and a broken one is named before its first image.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twinct.ctsimu.acquisition import read_plan
+from twinct.ctsimu.acquisition import Plan, read_plan
 from twinct.ctsimu.jsonfile import read_json
 from twinct.ctsimu.reader import JsonSection, Moment
-from twinct.ctsimu.references import wrong_references
-from twinct.ctsimu.scene import FieldImages, Frame
+from twinct.ctsimu.scene import Frame
 from twinct.ctsimu.sections import read_frame
-from twinct.errors import ScenarioError
+from twinct.errors import InputError, ScenarioError
+from twinct.files.images import read_image
+from twinct.files.tables import read_curve
 from twinct.geometry import ScanGeometry
 
 
 @dataclass(frozen=True, eq=False)
-class CtsimuScenario:
-    """A scenario file that was read and is supported in full.
-
-    Attributes:
-        path: the file.
-        data: its content.
-        frames: number of projections.
-        average: frames averaged for each projection.
-        dark: dark images.
-        flat: flat images.
-    """
+class CtsimuScenario(Plan):
+    """A scenario file that was read and is supported in full, with its content."""
 
     path: Path
     data: Mapping[str, Any]
-    frames: int
-    average: int
-    dark: FieldImages
-    flat: FieldImages
 
     @property
     def name(self) -> str:
@@ -45,11 +38,9 @@ class CtsimuScenario:
         return self.path.stem
 
     def frame(self, index: float, believed: bool = False) -> Frame:
-        """All of one frame.
+        """All of one frame, counted from 0.
 
-        Args:
-            index: counted from 0.
-            believed: as reconstruction is told: without unknown deviations and drifts.
+        As believed, it is what reconstruction is told: without unknown deviations and drifts.
 
         Raises:
             ScenarioError: what only this frame says is wrong or not supported.
@@ -61,11 +52,7 @@ class CtsimuScenario:
         return frame
 
     def geometry(self, believed: bool = False) -> ScanGeometry:
-        """All views in the frame of the stage, where the reconstructed volume is at rest.
-
-        Args:
-            believed: as reconstruction is told; otherwise as executed.
-        """
+        """All views, executed or believed, in the frame of the stage, where the volume rests."""
         frames = [self.frame(i, believed) for i in range(self.frames)]
         views = [frame.world_from_stage.inverse() @ frame.view for frame in frames]
         arrays = {
@@ -88,15 +75,45 @@ def load_ctsimu(path: str | Path) -> CtsimuScenario:
     data = read_json(path, skipped="simulation")
     # What is wrong with the plan is told with all else that is wrong in frame 0.
     plan = read_plan(JsonSection(data, "", Moment(0, 1), path.parent, []).section("acquisition"))
-    scenario = CtsimuScenario(path, data, plan.frames, plan.average, plan.dark, plan.flat)
+    scenario = CtsimuScenario(**vars(plan), path=path, data=data)
     seen: set[object] = set()
     for index in range(plan.frames):
         problems: list[str] = []
         frame = read_frame(scenario._root(Moment(index, plan.frames), problems))
         if frame is not None:
-            problems += wrong_references(frame, seen)
+            problems += _wrong_references(frame, seen)
         if problems:
             # Later frames repeat what is wrong in this one, with other numbers.
             when = f" (frame {index})" if index else ""
             raise ScenarioError(f"{path}: {problem}{when}" for problem in problems)
     return scenario
+
+
+def _wrong_references(frame: Frame, seen: set[object]) -> list[str]:
+    """One sentence for each file that does not hold what it should; read ones are added to seen."""
+    response = frame.response
+    reads: dict[str, tuple[object, Callable[[], object]]] = {}
+    for key, path in (
+        ("source.spectrum.file", frame.tube.spectrum),
+        ("detector.gray_value.intensity_characteristics_file", response.curve),
+        ("detector.gray_value.efficiency_characteristics_file", response.efficiency),
+        ("detector.noise.noise_characteristics_file", response.noise),
+        ("detector.unsharpness.mtf", response.mtf),
+    ):
+        if path is not None:
+            reads[key] = path, partial(read_curve, path)
+    if (spot := frame.spot.image) is not None:
+        what = "a focal spot"
+        reads["source.spot.intensity_map.file"] = spot, partial(read_image, spot, what)
+    if (bad := response.bad_pixels) is not None:
+        shape = frame.panel.shape
+        reads["detector.bad_pixel_map.file"] = bad, partial(read_image, bad, "bad pixels", shape)
+    problems = []
+    for key, (file, read) in reads.items():
+        if (key, file) not in seen:
+            seen.add((key, file))
+            try:
+                read()
+            except InputError as error:
+                problems.extend(f"{key}: {problem}" for problem in error.problems)
+    return problems

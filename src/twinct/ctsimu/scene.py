@@ -12,12 +12,7 @@ from twinct.specimen import Material
 
 @dataclass(frozen=True)
 class Layer:
-    """A plane absorber: window, filter or scintillator.
-
-    Attributes:
-        material: what it is made of.
-        thickness_mm: along the beam.
-    """
+    """A plane absorber: window, filter or scintillator."""
 
     material: Material
     thickness_mm: float
@@ -49,12 +44,8 @@ class Tube:
 
     Attributes:
         voltage_kv: tube voltage; the energy in keV where monochromatic.
-        current_ma: tube current.
-        monochromatic: one energy only.
         spectrum: file of energy in keV and photons in 1/(s sr mA), behind the window.
-        window: filters a spectrum that is calculated here.
-        filters: filter every spectrum.
-        target: element symbol of the target; where a spectrum is calculated.
+        window: filters a spectrum that is calculated here; ``filters`` are for every spectrum.
         take_off_deg: between target surface and central ray.
     """
 
@@ -64,7 +55,6 @@ class Tube:
     spectrum: Path | None
     window: tuple[Layer, ...]
     filters: tuple[Layer, ...]
-    target: str | None
     take_off_deg: float | None
 
 
@@ -74,15 +64,13 @@ class PanelResponse:
 
     Attributes:
         real: the scintillator or the efficiency file counts; else all energy does.
-        scintillator: what absorbs.
-        front: layers before it.
+        front: layers before the scintillator.
         efficiency: file of energy in keV and share of photons that count.
         imin: grey value without radiation.
         imax: largest grey value of the free beam in frame 0.
         factor: grey values for each J in a pixel, or None.
         offset: grey value at 0 J, or None.
         curve: file of J in a pixel and grey value, or None.
-        bits: depth of the image.
         snr: signal to noise at ``imax``, one frame; None for no noise.
         noise: file of grey value and SNR, or None.
         resolution_mm: basic spatial resolution; 0 for none.
@@ -111,13 +99,10 @@ class PanelResponse:
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample in one frame.
+    """A sample in one frame, of vacuum where it has no material.
 
     Attributes:
-        name: for messages.
-        file: its surface.
         scale: mm for each unit of the file, along its x, y and z.
-        material: what it is made of; None for vacuum.
         world_from_sample: axes r, s, t and the centre of the mesh's bounding box.
     """
 
@@ -136,13 +121,8 @@ class Frame:
         view: source and panel in the world, in our convention.
         upside_down: row 0 of a CTSimU image is our last row.
         source_axes: u and v of the source, (2, 3): the focal spot's plane.
-        spot: the focal spot.
-        world_from_stage: the sample stage.
         samples: where two overlap the later one counts.
         environment: fills the room, or None.
-        tube: what leaves the source.
-        response: the detector.
-        exposure_s: integration time of one frame.
         binning: pixels put together along (u, v).
     """
 
@@ -166,14 +146,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class FieldImages:
-    """Dark or flat images.
-
-    Attributes:
-        number: how many.
-        average: frames averaged for each.
-        ideal: without noise.
-        correction: whether projections come out corrected by them.
-    """
+    """Dark or flat images: ideal ones have no noise; projections may come out corrected by them."""
 
     number: int
     average: int

@@ -6,23 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.ctsimu.acquisition import check_header, read_binning, read_plan, read_turn
+from twinct.ctsimu import ranges
+from twinct.ctsimu.acquisition import check_header, read_plan, read_turn
 from twinct.ctsimu.drifts import short
 from twinct.ctsimu.materials import Materials, read_materials
 from twinct.ctsimu.placement import place
-from twinct.ctsimu.ranges import (
-    BITS,
-    EDGE,
-    GREY,
-    GREY_PER_J,
-    LAG,
-    LENGTH,
-    NOT_NEGATIVE,
-    PIXELS,
-    POSITIVE,
-    TAKE_OFF,
-    VOLTAGE,
-)
 from twinct.ctsimu.reader import UNITS, JsonSection
 from twinct.ctsimu.scene import FocalSpot, Frame, Layer, PanelResponse, Sample, Tube
 from twinct.files.images import RawImage
@@ -45,7 +33,8 @@ def read_frame(root: JsonSection) -> Frame | None:
     check_header(root.section("file", needed=True))
     acquisition = root.section("acquisition", needed=True)
     read_plan(acquisition)
-    turn, binned = read_turn(acquisition), read_binning(acquisition)
+    turn, binning = read_turn(acquisition), acquisition.section("pixel_binning")
+    binned = binning.whole("u", 1, "", ranges.COUNT), binning.whole("v", 1, "", ranges.COUNT)
     if acquisition.flag("scattering", False):
         acquisition.problem("scattering", "true is not supported: no scattered radiation here")
     geometry, materials = root.section("geometry", needed=True), read_materials(root)
@@ -55,10 +44,10 @@ def read_frame(root: JsonSection) -> Frame | None:
     divergence = source_section.section("beam_divergence")
     if divergence.number("u", "deg") or divergence.number("v", "deg"):
         source_section.problem("beam_divergence", "is not supported: a cone has none")
-    stage = place(geometry.section("stage", needed=True), turn_deg=turn).outer_from_part
-    detector = place(geometry.section("detector", needed=True)).outer_from_part
+    stage = place(geometry.section("stage", needed=True), turn_deg=turn)
+    detector = place(geometry.section("detector", needed=True))
     panel_section = root.section("detector", needed=True)
-    exposure = panel_section.number("integration_time", "s", POSITIVE)
+    exposure_s = panel_section.number("integration_time", "s", ranges.POSITIVE) or 1.0
     panel = _panel(panel_section, binned)
     response = _response(panel_section, materials)
     tube, spot = _tube(root.section("source", needed=True), materials)
@@ -69,57 +58,38 @@ def read_frame(root: JsonSection) -> Frame | None:
             "a grey value for an energy in J needs a source whose number of photons is known, and "
             "a monochromatic one has none: give imin and imax",
         )
-    samples = [_sample(s, stage, materials) for s in root.sections("samples")]
-    environment = _environment(root.section("environment"), materials)
-    source_pose = source.outer_from_part
+    found = [_sample(s, stage, materials) for s in root.sections("samples")]
+    samples = tuple(sample for sample in found if sample is not None)
+    room = _environment(root.section("environment"), materials)
     u, v_down, w = detector.rotation.T
-    distance_mm = float(w @ (source_pose.position - detector.position))
+    distance_mm = float(w @ (source.position - detector.position))
     root.finish()
     if not root.problems and abs(distance_mm) < IN_PLANE_MM:
         geometry.problem("detector", "the source lies in the plane of the panel")
     if root.problems or panel is None:
         return None
     upside_down = distance_mm < 0
-    view = ScanGeometry(
-        source_pose.position[None],
-        detector.position[None],
-        u[None],
-        -v_down[None] if upside_down else v_down[None],
-        panel,
-    )
+    v = -v_down if upside_down else v_down
+    view = ScanGeometry(source.position[None], detector.position[None], u[None], v[None], panel)
+    axes = source.rotation[:, :2].T.copy()
     return Frame(
-        view,
-        upside_down,
-        source_pose.rotation[:, :2].T.copy(),
-        spot,
-        stage,
-        tuple(sample for sample in samples if sample is not None),
-        environment,
-        tube,
-        response,
-        1.0 if exposure is None else exposure,
-        binned,
+        view, upside_down, axes, spot, stage, samples, room, tube, response, exposure_s, binned
     )
 
 
 def _panel(section: JsonSection, binning: tuple[int, int]) -> Panel | None:
-    for key in ("columns", "rows"):
-        if not section.has(key):
-            section.missing(key)
-    columns = section.whole("columns", 0, "px", PIXELS)
-    rows = section.whole("rows", 0, "px", PIXELS)
+    section.require("columns", "rows")
+    columns = section.whole("columns", 0, "px", ranges.PIXELS)
+    rows = section.whole("rows", 0, "px", ranges.PIXELS)
     pitch = section.section("pixel_pitch", needed=True)
-    pitch_u, pitch_v = pitch.needed("u", "mm", EDGE), pitch.needed("v", "mm", EDGE)
+    pitch_u, pitch_v = pitch.needed("u", "mm", ranges.EDGE), pitch.needed("v", "mm", ranges.EDGE)
     if min(columns, rows) < 1 or not (pitch_u > 0 and pitch_v > 0):
         return None  # noted already
+    size = f"{columns} x {rows}"
     if columns * rows > MAX_PIXELS:
-        section.problem(
-            "columns, rows", f"{columns} x {rows} pixels are more than the {MAX_PIXELS} allowed"
-        )
+        section.problem("columns, rows", f"{size} pixels are more than the {MAX_PIXELS} allowed")
     if columns % binning[0] or rows % binning[1]:
-        section.problem(
-            "columns, rows", f"{columns} x {rows} cannot be binned {binning[0]} x {binning[1]}"
-        )
+        section.problem("columns, rows", f"{size} cannot be binned {binning[0]} x {binning[1]}")
     return Panel(rows, columns, pitch_u, pitch_v)
 
 
@@ -138,11 +108,12 @@ def _response(section: JsonSection, materials: Materials) -> PanelResponse:
     efficiency = grey.file("efficiency_characteristics_file")
     if kind == "real" and scintillator is None and efficiency is None:
         section.problem("scintillator", "a real detector needs one, or an efficiency file")
-    factor, offset = grey.number("factor", "1/J", GREY_PER_J), grey.number("offset", "", GREY)
+    factor = grey.number("factor", "1/J", ranges.GREY_PER_J)
+    offset = grey.number("offset", "", ranges.GREY)
     curve = grey.file("intensity_characteristics_file")
     if (factor is None) != (offset is None) and grey.has("factor") != grey.has("offset"):
         grey.problem("factor, offset", "one of them is missing")
-    imin, imax = grey.number("imin", "", GREY), grey.number("imax", "", GREY)
+    imin, imax = grey.number("imin", "", ranges.GREY), grey.number("imax", "", ranges.GREY)
     imin, imax = 0.0 if imin is None else imin, 60000.0 if imax is None else imax
     if not imax > imin:
         grey.problem("imax", f"{imax:g} must be above imin, {imin:g}")
@@ -156,12 +127,12 @@ def _response(section: JsonSection, materials: Materials) -> PanelResponse:
         factor,
         offset,
         curve,
-        section.whole("bit_depth", 16, "", BITS),
-        noise.number("snr_at_imax", "", POSITIVE),
+        section.whole("bit_depth", 16, "", ranges.BITS),
+        noise.number("snr_at_imax", "", ranges.POSITIVE),
         noise.file("noise_characteristics_file"),
-        blur.number("basic_spatial_resolution", "mm", LENGTH) or 0.0,
+        blur.number("basic_spatial_resolution", "mm", ranges.LENGTH) or 0.0,
         blur.file("mtf"),
-        section.number("image_lag", "", LAG) or 0.0,
+        section.number("image_lag", "", ranges.LAG) or 0.0,
         _image(section.section("bad_pixel_map"), (0, 0)),
     )
 
@@ -174,14 +145,12 @@ def _tube(section: JsonSection, materials: Materials) -> tuple[Tube, FocalSpot]:
         if spectrum.flag(name, True) is False and not monochromatic and file is None:
             spectrum.problem(name, "false is not supported: a tube emits both")
     symbol, angle = target.text("material_id"), target.section("angle")
-    take_off, kind = angle.number("emission", "deg", TAKE_OFF), target.text("type", TARGETS)
-    if symbol is not None:
-        _of(target, materials)
+    take_off, kind = angle.number("emission", "deg", ranges.TAKE_OFF), target.text("type", TARGETS)
+    made_of = _of(target, materials) if symbol is not None else None
     for inner, key, unit in ((angle, "incidence", "deg"), (target, "thickness", "mm")):
         inner.number(key, unit)  # documentation, but with the right unit
     if not monochromatic and file is None:
-        target_material = materials.get(symbol or "")
-        elements = list(target_material.mass_fractions) if target_material else []
+        elements = list(made_of.mass_fractions) if made_of else []
         if elements != ["W"] or kind == "transmission":
             section.problem(
                 "target",
@@ -189,19 +158,17 @@ def _tube(section: JsonSection, materials: Materials) -> tuple[Tube, FocalSpot]:
                 "spectrum.file",
             )
     tube = Tube(
-        section.needed("voltage", "kV", VOLTAGE),
-        section.number("current", "mA", NOT_NEGATIVE) or 0.0,
+        section.needed("voltage", "kV", ranges.VOLTAGE),
+        section.number("current", "mA", ranges.NOT_NEGATIVE) or 0.0,
         monochromatic and file is None,
         file,
         tuple(_layers(section, "window", materials)),
         tuple(_layers(section, "filters", materials)),
-        symbol,
         take_off,
     )
     if not tube.monochromatic and tube.current_ma == 0:
-        if not section.has("current"):
-            section.missing("current")
-        elif section.number("current", "mA") == 0:
+        section.require("current")
+        if section.number("current", "mA") == 0:
             section.problem("current", "0 mA gives no radiation")
     return tube, _spot(section.section("spot"))
 
@@ -213,24 +180,25 @@ def _spot(section: JsonSection) -> FocalSpot:
     picture = section.section("intensity_map")
     if picture.whole("dim_z", 0) > 1:
         picture.problem("dim_z", "a focal spot with depth is not supported")
-    shape = picture.whole("dim_x", 0, "", NOT_NEGATIVE), picture.whole("dim_y", 0, "", NOT_NEGATIVE)
-    profile = FocalSpot(
-        (size.number("u", "mm", LENGTH) or 0.0, size.number("v", "mm", LENGTH) or 0.0),
-        (sigma.number("u", "mm", LENGTH) or 0.0, sigma.number("v", "mm", LENGTH) or 0.0),
-        _image(picture, shape),
-    )
-    if isinstance(profile.image, RawImage) and min(shape) < 1:
+    across, down = (picture.whole(k, 0, "", ranges.NOT_NEGATIVE) for k in ("dim_x", "dim_y"))
+    profile = FocalSpot(_lengths(size), _lengths(sigma), _image(picture, (across, down)))
+    if isinstance(profile.image, RawImage) and min(across, down) < 1:
         picture.problem("dim_x, dim_y", "a raw file needs both")
     if profile.image is not None and min(profile.size_mm) <= 0:
         section.problem("size", "an intensity_map needs the size of its rectangle")
     return profile
 
 
+def _lengths(section: JsonSection) -> tuple[float, float]:
+    u, v = (section.number(axis, "mm", ranges.LENGTH) or 0.0 for axis in "uv")
+    return u, v
+
+
 def _image(section: JsonSection, shape: tuple[int, int]) -> Path | RawImage | None:
     path = section.file("file")
     kind = section.text("type", RAW_KINDS) or "uint16"
     endian = section.text("endian", ("little", "big")) or "little"
-    header = section.whole("headersize", 0, "", NOT_NEGATIVE)
+    header = section.whole("headersize", 0, "", ranges.NOT_NEGATIVE)
     if path is None or kind not in RAW_KINDS:
         return None
     if path.suffix.lower() in (".tif", ".tiff"):
@@ -245,14 +213,12 @@ def _sample(section: JsonSection, stage: Pose, materials: Materials) -> Sample |
     if unit not in UNITS["mm"]:
         section.problem("unit", f"{short(unit)} is not one of {', '.join(map(str, UNITS['mm']))}")
     factors = section.section("scaling_factor")
-    scale = [1.0 if (f := factors.number(axis, "", EDGE)) is None else f for axis in "rst"]
+    scale = [factors.number(axis, "", ranges.EDGE) or 1.0 for axis in "rst"]
     position = section.section("position", needed=True)
-    placed = place(position, world_from_stage=stage, vectors=("vector_r", "vector_t"))
-    pose = stage @ placed.outer_from_part if placed.on_stage else placed.outer_from_part
+    pose = place(position, world_from_stage=stage, vectors=("vector_r", "vector_t"))
     material = _of(section, materials)
+    section.require("file")
     if file is None:
-        if not section.has("file"):
-            section.missing("file")
         return None
     mm = UNITS["mm"].get(unit, 1.0)
     return Sample(name, file, (mm * scale[0], mm * scale[1], mm * scale[2]), material, pose)
@@ -270,22 +236,19 @@ def _layers(section: JsonSection, key: str, materials: Materials) -> list[Layer]
 
 
 def _layer(section: JsonSection, materials: Materials) -> Layer | None:
-    thickness = section.number("thickness", "mm", LENGTH)
+    thickness = section.number("thickness", "mm", ranges.LENGTH)
     if not section.has("material_id") and not thickness:
         section.may_be_empty("material_id")
         return None
     material = _of(section, materials)
-    if not section.has("thickness"):
-        section.missing("thickness")
+    section.require("thickness")
     return Layer(material, thickness) if material and thickness else None
 
 
 def _of(section: JsonSection, materials: Materials) -> Material | None:
     name = section.text("material_id")
-    if name is None:
-        if not section.has("material_id"):
-            section.missing("material_id")
-    elif name not in materials:
+    section.require("material_id")
+    if name is not None and name not in materials:
         known = ", ".join(materials) or "none"
         section.problem("material_id", f"{short(name)} is not among the materials: {known}")
     return materials.get(name or "")

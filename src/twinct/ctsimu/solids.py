@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import trimesh
-from trimesh import Trimesh
+from trimesh import Trimesh, transform_points
 
 from twinct.ctsimu.scene import Sample
 from twinct.errors import SpecimenError
@@ -49,9 +48,7 @@ class Solids:
     def of(self, samples: Sequence[Sample], source: Floats) -> list[tuple[Sample, Trimesh]]:
         """The samples that are not vacuum, and what each of them is in its own frame.
 
-        Args:
-            samples: of one frame.
-            source: the focal spot in the world, (3,), mm.
+        The focal spot is in the world, (3,), mm.
 
         Raises:
             SpecimenError: a file that is no closed surface, or a sample that is too near to the
@@ -105,10 +102,7 @@ class Solids:
                 self._fine.clear()
             # Rounded as in the key: the frame that comes first must not matter.
             tools = [
-                surface(
-                    trimesh.transform_points(shape.vertices, np.round(pose.matrix, 9)),
-                    np.asarray(shape.faces),
-                )
+                surface(transform_points(shape.vertices, np.round(pose.matrix, 9)), shape.faces)
                 for _, pose, shape in near
             ]
             left = subtract(mesh, tools, sample.name)
@@ -117,25 +111,20 @@ class Solids:
         return self._cut[key]
 
     def _mesh(self, sample: Sample) -> Trimesh:
-        key = sample.file, sample.scale
-        if key not in self._meshes:
-            self._meshes[key] = _read(sample)
+        key, where = (sample.file, sample.scale), f"sample '{sample.name}': {sample.file}"
+        if key in self._meshes:
+            return self._meshes[key]
+        loaded = read_triangles(sample.file, where)
+        loaded.merge_vertices()
+        vertices = np.asarray(loaded.vertices, dtype=np.float64)
+        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        mesh = surface((vertices - middle) * sample.scale, loaded.faces)
+        if gaps := open_edges(mesh):
+            what = f"{gaps} of its edges do not join exactly two triangles"
+            raise SpecimenError(f"{where} is no closed surface: {what}")
+        inside_out = mesh.volume < 0
+        self._meshes[key] = surface(mesh.vertices, mesh.faces[:, ::-1]) if inside_out else mesh
         return self._meshes[key]
-
-
-def _read(sample: Sample) -> Trimesh:
-    loaded = read_triangles(sample.file, f"sample '{sample.name}': {sample.file}")
-    loaded.merge_vertices()
-    vertices = np.asarray(loaded.vertices, dtype=np.float64)
-    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    mesh = surface((vertices - middle) * sample.scale, np.asarray(loaded.faces))
-    gaps = open_edges(mesh)
-    if gaps:
-        raise SpecimenError(
-            f"sample '{sample.name}': {sample.file} is no closed surface: {gaps} of its edges "
-            "do not join exactly two triangles"
-        )
-    return surface(mesh.vertices, mesh.faces[:, ::-1]) if mesh.volume < 0 else mesh
 
 
 def _near(mesh: Trimesh, pose: Pose, other: Trimesh) -> bool:

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from trimesh import Trimesh
 
 from twinct.ctsimu.acquisition import FORMAT
 from twinct.errors import StorageError
 from twinct.files.reading import reason
+from twinct.geometry import Floats
 from twinct.specimen import Material
 
 Json = dict[str, Any]
@@ -37,6 +39,26 @@ def placed(
         f"vector_{keys[0]}": vector(first),
         f"vector_{keys[1]}": vector(third),
         "deviations": [],
+    }
+
+
+def write_mesh(mesh: Trimesh, file: Path) -> Floats:
+    """Write a mesh with its middle at the origin; where that was, (3,), mm."""
+    middle = np.asarray(mesh.bounds).mean(axis=0)
+    # Single floats, as in STL, would open the seams.
+    mesh.copy().apply_translation(-middle).export(file, digits=12)
+    return middle
+
+
+def sample(name: str, file: Path, material_id: str, position: Json) -> Json:
+    """A sample whose mesh is in mm."""
+    return {
+        "name": name,
+        "file": {"value": file.name},
+        "unit": "mm",
+        "scaling_factor": {axis: quantity(1.0) for axis in "rst"},
+        "material_id": material_id,
+        "position": position,
     }
 
 
@@ -69,11 +91,7 @@ def header(name: str, description: str) -> Json:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for what is written, unless it is there.
-
-    Raises:
-        StorageError: it is a file, or the system refuses; says why.
-    """
+    """Make a folder for what is written, unless it is there; a ``StorageError`` says why not."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:

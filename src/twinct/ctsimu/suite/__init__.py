@@ -14,7 +14,7 @@ from typing import Any
 from twinct.ctsimu.outputs import Files, Options
 from twinct.ctsimu.render import render
 from twinct.ctsimu.scenario import load_ctsimu
-from twinct.ctsimu.suite.cases import NOT_TAKEN, TESTS, Case, cases
+from twinct.ctsimu.suite.cases import NOT_TAKEN, TESTS, cases
 from twinct.ctsimu.suite.verdicts import Verdict, verdicts
 from twinct.ctsimu.writing import make_folder
 from twinct.errors import InputError, MissingExtraError
@@ -28,12 +28,9 @@ def qualify(
 ) -> list[Verdict]:
     """Build the samples, render, and let the toolbox judge.
 
-    Images that are there already are judged again, not rendered again.
-
-    Args:
-        folder: each test gets a folder below it; figures go to ``qualification.json``.
-        tests: names of the tests.
-        step: called with the name of each rendering before it starts.
+    Images that are there already are judged again, not rendered again. Each test gets a folder of
+    its own; figures go to ``qualification.json``. ``step`` is called with the name of each
+    rendering before it starts.
 
     Raises:
         InputError: a test that does not exist.
@@ -43,11 +40,10 @@ def qualify(
     unknown = [name for name in tests if name not in TESTS]
     if unknown:
         left_out = [
-            f"{name} is not taken: {why}" for name, why in NOT_TAKEN.items() if name in tests
+            f"{name} is not taken: {NOT_TAKEN[name]}" for name in NOT_TAKEN if name in tests
         ]
-        raise InputError(
-            [f"unknown tests {', '.join(unknown)}; there are {', '.join(TESTS)}", *left_out]
-        )
+        wrong = f"unknown tests {', '.join(unknown)}; there are {', '.join(TESTS)}"
+        raise InputError([wrong, *left_out])
     _toolbox()
     make_folder(folder)
     found: list[Verdict] = []
@@ -55,19 +51,13 @@ def qualify(
         place = folder / test
         for case in cases([test]):
             step(case.name)
-            _render(case, place)
+            scenario = load_ctsimu(case.write(place))
+            options = Options(case.samples, case.spot_points)
+            render(scenario, place, options, resume=Files(place, case.name).key.exists())
         found += _judged(test, place)
-        write_json(
-            folder / "qualification.json",
-            {"figures": [asdict(v) for v in found], "not_taken": NOT_TAKEN},
-        )
+        figures = {"figures": [asdict(v) for v in found], "not_taken": NOT_TAKEN}
+        write_json(folder / "qualification.json", figures)
     return found
-
-
-def _render(case: Case, folder: Path) -> None:
-    scenario = load_ctsimu(case.write(folder))
-    options = Options(case.samples, case.spot_points)
-    render(scenario, folder, options, resume=Files(folder, case.name).key.exists())
 
 
 def _judged(test: str, folder: Path) -> list[Verdict]:
@@ -80,7 +70,7 @@ def _judged(test: str, folder: Path) -> list[Verdict]:
         (folder / "toolbox.log").open("w") as log,
         contextlib.redirect_stdout(log),
         warnings.catch_warnings(),
-        _true_rotation() if test == SHEARED else contextlib.nullcontext(),
+        _true_rotation() if test == "2D-WE-2" else contextlib.nullcontext(),
     ):
         warnings.simplefilter("ignore")
         if "" in renderings:
@@ -90,16 +80,13 @@ def _judged(test: str, folder: Path) -> list[Verdict]:
     return verdicts(test, results)
 
 
-SHEARED = "2D-WE-2"
-"""The one test whose figures hang on the reference edge that ``_true_rotation`` mends."""
-
-
 @contextlib.contextmanager
 def _true_rotation() -> Iterator[None]:
     """Make the toolbox turn its reference edge, which version 1.7 shears.
 
     Its ``Vector.rotate_2D_xy`` computes y from the x that was turned already: the edge of 3 deg
-    comes out as 3.008 deg on one side and 2.996 deg on the other, 0.07 pixels off at its ends.
+    comes out as 3.008 deg on one side and 2.996 deg on the other, 0.07 pixels off at its ends. The
+    figures of 2D-WE-2 alone hang on it.
     """
     from ctsimu.primitives import Vector
 

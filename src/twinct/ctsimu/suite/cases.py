@@ -7,27 +7,19 @@ of BAM are not public: ours are SpekPy's, for the same voltage and window.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from trimesh import Trimesh
 
 from twinct.ctsimu.suite import samples
-from twinct.ctsimu.writing import Json, header, material_entry, placed, quantity
+from twinct.ctsimu.writing import Json, header, material_entry, placed, quantity, sample, write_mesh
 from twinct.files.writing import write_json
 
-DENSITY_G_CM3 = {
-    "Al": 2.6989,
-    "Fe": 7.874,
-    "Ti": 4.54,
-    "Cu": 8.92,
-    "Pt": 21.45,
-    "W": 19.25,
-    "CsI": 4.51,
-    "Gd2O2S": 7.34,
-}
+DENSITY_G_CM3 = dict(
+    Al=2.6989, Fe=7.874, Ti=4.54, Cu=8.92, Pt=21.45, W=19.25, CsI=4.51, Gd2O2S=7.34
+)
 OPAQUE = "opaque"
 OPAQUE_G_CM3 = 1e7
 """Of tungsten so dense that 0.01 mm of it lets nothing through."""
@@ -53,23 +45,15 @@ class Case:
     """One rendering that a test wants.
 
     Attributes:
-        test: name of the test, such as 2D-FB-1.
         key: what the toolbox calls the sub-test; empty where there is only one.
-        columns: of the panel.
-        rows: of the panel.
-        pitch_mm: of its pixels.
         panel_mm: from the source to the panel.
         voltage_kv: of the tube; the energy where monochromatic.
-        monochromatic: one energy only.
         copper_mm: filter.
         parts: the samples; a later one counts where they overlap.
         scintillator: material and thickness in mm of a real detector.
         snr: of one frame in the free beam.
-        resolution_mm: basic spatial resolution.
         spot_mm: sigma of a Gaussian focal spot.
-        flat: whether a flat image belongs to it.
         samples: rays along each pixel edge.
-        spot_points: points of the focal spot.
     """
 
     test: str
@@ -89,32 +73,20 @@ class Case:
     flat: bool = True
     samples: int = 3
     spot_points: int = 32
-    name: str = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Name it."""
-        object.__setattr__(self, "name", f"{self.test}_{self.key}" if self.key else self.test)
+    @property
+    def name(self) -> str:
+        """Of the files."""
+        return f"{self.test}_{self.key}" if self.key else self.test
 
     def write(self, folder: Path) -> Path:
         """Write the samples and the scenario file; its path."""
         folder.mkdir(parents=True, exist_ok=True)
         entries = []
         for part in self.parts:
-            mesh = part.mesh()
-            middle = np.asarray(mesh.bounds).mean(axis=0)
-            # Single floats, as in STL, would open the seams.
             file = folder / f"{self.name}_{part.name}.obj"
-            mesh.copy().apply_translation(-middle).export(file, digits=12)
-            entries.append(
-                {
-                    "name": part.name,
-                    "file": {"value": file.name},
-                    "unit": "mm",
-                    "scaling_factor": {axis: quantity(1.0) for axis in "rst"},
-                    "material_id": part.material,
-                    "position": placed(middle, (1, 0, 0), (0, 0, 1), "rt"),
-                }
-            )
+            position = placed(write_mesh(part.mesh(), file), (1, 0, 0), (0, 0, 1), "rt")
+            entries.append(sample(part.name, file, part.material, position))
         path = folder / f"{self.name}.json"
         write_json(path, self._scenario(entries))
         return path

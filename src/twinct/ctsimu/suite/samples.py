@@ -20,6 +20,8 @@ from twinct.specimen.surface import from_manifold, surface
 TILT_RAD = np.radians(3.0)
 """By how much edge and wires are turned, clockwise in the image."""
 
+EDGE_MM, EDGE_THICKNESS_MM = 5.0, 0.01
+
 WEDGE_PANEL_PX = 1000
 WEDGE_STEPS_MM = (41.0, 35.89, 30.79, 25.68, 20.58, 15.47, 10.36, 5.26, 0.15)
 """Thickness of each step; step 1 is the lowest."""
@@ -31,6 +33,8 @@ WEDGE_LEFT_PX, WEDGE_RIGHT_PX, WEDGE_JOINT_PX = 90.0, 900.0, 500.0
 WEDGE_RADIUS_MM = 400.0
 """Inner radius of the shells around the focal spot."""
 
+FACET_PX = 4.0
+"""Size of the wedge's facets."""
 APART_PX = 1e-5
 """The steps are solids of their own: what touches would share edges."""
 
@@ -42,19 +46,16 @@ WIRE_APART_MM = 2.8
 WIRE_SIDES = 96
 
 
-def edge(distance_mm: float, thickness_mm: float = 0.01, size_mm: float = 5.0) -> trimesh.Trimesh:
+def edge(distance_mm: float) -> trimesh.Trimesh:
     """A square sheet whose upper right corner lies on the x axis; it lies below and left of it.
 
-    Args:
-        distance_mm: from the source to the sheet's middle.
-        thickness_mm: along x.
-        size_mm: of the square.
+    The distance is that of its middle from the source.
     """
-    corners = size_mm * np.array([[0, 0], [0, 1], [-1, 1], [-1, 0]])  # x right, y down
+    corners = EDGE_MM * np.array([[0, 0], [0, 1], [-1, 1], [-1, 0]])  # x right, y down
     turned = corners @ _clockwise(TILT_RAD).T
     near, far = (
         np.column_stack([np.full(4, distance_mm + d), -turned])
-        for d in (-thickness_mm / 2, thickness_mm / 2)
+        for d in (-EDGE_THICKNESS_MM / 2, EDGE_THICKNESS_MM / 2)
     )
     return _hull(np.concatenate([near, far]))
 
@@ -99,7 +100,6 @@ def wedge(
     left: Callable[[float], float] = lambda y: WEDGE_LEFT_PX,
     right: Callable[[float], float] = lambda y: WEDGE_RIGHT_PX,
     steps_mm: Sequence[float] = WEDGE_STEPS_MM,
-    grid_px: float = 4.0,
 ) -> trimesh.Trimesh:
     """Nine shells around the focal spot: every ray of a step crosses the same thickness.
 
@@ -109,25 +109,18 @@ def wedge(
         left: x of the left end by y.
         right: x of the right end by y.
         steps_mm: thickness of each step, the lowest first.
-        grid_px: size of the facets.
     """
-
-    def directions(x: Floats, y: Floats) -> Floats:
-        middle = WEDGE_PANEL_PX / 2
-        rays = np.stack(
-            [np.full_like(x, panel_mm), (middle - x) * pitch_mm, (middle - y) * pitch_mm], axis=-1
-        )
-        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-
-    parts = []
+    parts, middle = [], WEDGE_PANEL_PX / 2
     for step, thickness in enumerate(steps_mm):
         top, bottom = ((len(steps_mm) - step + k) * WEDGE_PANEL_PX / 11 for k in (0, 1))
         top, bottom = top + APART_PX, bottom - APART_PX
-        ys = np.linspace(top, bottom, int(np.ceil((bottom - top) / grid_px)) + 1)
-        columns = int(np.ceil((WEDGE_RIGHT_PX - WEDGE_LEFT_PX) / grid_px)) + 1
+        ys = np.linspace(top, bottom, int(np.ceil((bottom - top) / FACET_PX)) + 1)
+        columns = int(np.ceil((WEDGE_RIGHT_PX - WEDGE_LEFT_PX) / FACET_PX)) + 1
         share = np.linspace(0, 1, columns)
         xs = np.array([left(y) + share * (right(y) - left(y)) for y in ys])
-        rays = directions(xs, np.repeat(ys[:, None], columns, axis=1))
+        down = np.repeat((middle - ys[:, None]) * pitch_mm, columns, axis=1)
+        rays = np.stack([np.full_like(xs, panel_mm), (middle - xs) * pitch_mm, down], axis=-1)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         inner, outer = WEDGE_RADIUS_MM * rays, (WEDGE_RADIUS_MM + thickness) * rays
         parts.append(_slab(inner, outer))
     return _together(parts)

@@ -14,15 +14,7 @@ from twinct.ctsimu.suite.cases import COVERAGE_SAMPLES
 
 @dataclass(frozen=True)
 class Verdict:
-    """One figure.
-
-    Attributes:
-        test: name of the test.
-        what: which figure.
-        asked: what it must be.
-        measured: what it is.
-        passed: whether it is; None for a figure that is only reported.
-    """
+    """One figure of a test; ``passed`` is None where it is only reported."""
 
     test: str
     what: str
@@ -32,12 +24,7 @@ class Verdict:
 
 
 def verdicts(test: str, results: Path) -> list[Verdict]:
-    """Read the results of a test.
-
-    Args:
-        test: its name.
-        results: folder that the toolbox wrote them to.
-    """
+    """Read the results of a test from the folder that the toolbox wrote them to."""
     return _READERS[test](results)
 
 
@@ -130,8 +117,7 @@ def _scintillators(results: Path) -> list[Verdict]:
 def _filters(results: Path) -> list[Verdict]:
     found = []
     for key in ("Al", "AlCu", "Fe", "FeCu"):
-        table = np.loadtxt(results / f"2D-SW-2_{key}_ratios.txt")
-        worst = float(np.abs(table[:, 6]).max())
+        worst = np.abs(np.loadtxt(results / f"2D-SW-2_{key}_ratios.txt")[:, 6]).max()
         measured = f"largest deviation {100 * worst:.2f} %"
         found.append(Verdict("2D-SW-2", f"{key}: step ratios, primary", "reported", measured, None))
     return found
