@@ -16,12 +16,4 @@ from twinct.geometry.panel import Panel
 from twinct.geometry.pose import MM_PER_M, Pose
 from twinct.geometry.scan import ScanGeometry
 
-__all__ = [
-    "MM_PER_M",
-    "UNIT_TOLERANCE",
-    "Floats",
-    "Panel",
-    "Pose",
-    "ScanGeometry",
-    "VolumeGrid",
-]
+__all__ = ["MM_PER_M", "UNIT_TOLERANCE", "Floats", "Panel", "Pose", "ScanGeometry", "VolumeGrid"]

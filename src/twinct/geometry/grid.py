@@ -30,10 +30,7 @@ class VolumeGrid:
     world_from_grid: Pose
 
     def __init__(
-        self,
-        shape: Sequence[int],
-        voxel: float | ArrayLike,
-        world_from_grid: Pose | None = None,
+        self, shape: Sequence[int], voxel: float | ArrayLike, world_from_grid: Pose | None = None
     ) -> None:
         """Take one voxel edge for a cubic voxel, or three (x, y, z).
 

@@ -148,7 +148,7 @@ def depth_buffer(points, triangles, depth, owner, weights):
     for t in range(len(triangles)):
         a, b, c = triangles[t]
         ax, ay, bx, by, cx, cy = (
-            points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1],
+            points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
         )  # fmt: skip
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if abs(area) < 1e-12:

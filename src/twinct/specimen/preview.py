@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 from twinct.specimen import _kernels
 from twinct.specimen.build import BuiltSpecimen
 
-VIEWS = {
-    "front": (0.0, 0.0),
-    "three-quarter": (35.0, 12.0),
-    "side": (90.0, 0.0),
-}
+VIEWS = {"front": (0.0, 0.0), "three-quarter": (35.0, 12.0), "side": (90.0, 0.0)}
 """Where the onlooker stands: degrees from +y (the face) towards +x, and degrees above the
 horizon."""
 
@@ -112,7 +108,7 @@ def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str =
         panel.plot([-half[0], -half[0] + bar], [-half[1]] * 2, "k", lw=3, clip_on=False)
         panel.annotate(
             f"{bar:g} mm", (-half[0] + bar / 2, -half[1]), (0, -5), ha="center", va="top",
-            textcoords="offset points", annotation_clip=False,
+            textcoords="offset points", annotation_clip=False
         )  # fmt: skip
         panel.set_title(name)
         panel.set_axis_off()

@@ -111,10 +111,7 @@ class _Body:
     """A signed distance function with the box that holds its inside."""
 
     def __init__(
-        self,
-        distance: Callable[[Field, Field, Field], Field],
-        low: ArrayLike,
-        high: ArrayLike,
+        self, distance: Callable[[Field, Field, Field], Field], low: ArrayLike, high: ArrayLike
     ) -> None:
         self.distance = distance
         self.low = np.asarray(low, dtype=float)
@@ -267,9 +264,7 @@ def wall(
     low_z = float(np.min(table[0] - table[1]))
     high_z = float(np.max(table[0] + table[1]))
     return _Body(
-        distance,
-        [*(corners.min(axis=0) - reach), low_z],
-        [*(corners.max(axis=0) + reach), high_z],
+        distance, [*(corners.min(axis=0) - reach), low_z], [*(corners.max(axis=0) + reach), high_z]
     )
 
 
@@ -381,10 +376,7 @@ def _face(head: _Canvas) -> None:
     a, b = UPPER_ARCH
     angles = np.radians(np.linspace(0, 95, 20))
     path = [(a * np.sin(t), ARCH_Y + b * np.cos(t)) for t in angles]
-    head.add(
-        wall(path, np.full(20, -79.0), np.full(20, 9.5), np.full(20, 5.5), 3.5),
-        6,
-    )
+    head.add(wall(path, np.full(20, -79.0), np.full(20, 9.5), np.full(20, 5.5), 3.5), 6)
     head.add(ellipsoid((0, 87, -71), (5, 5, 5)), 5)
 
 
@@ -410,9 +402,7 @@ def _openings(head: _Canvas) -> None:
     # Nasal cavity: a pear in front, room behind it, choanae at the back.
     pear = chain([(0, 100, -43), (2.8, 100, -55), (6.5, 100, -64.5)], [4.0, 5.8, 6.6])
     front = _Body(
-        lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y,
-        (-14, 66, -75),
-        (14, 110, -38),
+        lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y, (-14, 66, -75), (14, 110, -38)
     )
     slab = block((0, 90, -55), (20, 26, 30), 0, 1)
     head.cut(front.within(slab), 2)

@@ -72,11 +72,7 @@ class ScatterKernel:
     scale: float = 1.0
 
     def spread(
-        self,
-        scattered: NDArray[np.float32],
-        pitch_u: float,
-        pitch_v: float,
-        distance_mm: float,
+        self, scattered: NDArray[np.float32], pitch_u: float, pitch_v: float, distance_mm: float
     ) -> NDArray[np.float32]:
         """Scatter on the panel, in the unit of the argument.
 
