@@ -12,6 +12,10 @@ from twinct.xray.spread import PointSpreadFunction
 from twinct.xray.tube import tube_spectrum
 
 
+def mean_energy_kev(spectrum):
+    return spectrum.photons @ spectrum.energies_kev / spectrum.total
+
+
 def test_a_filter_attenuates_each_energy_and_rebinning_keeps_photons_and_energy():
     energies = np.arange(10.0, 121.0)
     spectrum = PhotonSpectrum(energies, np.exp(-((energies - 50) ** 2) / 900))
@@ -23,7 +27,7 @@ def test_a_filter_attenuates_each_energy_and_rebinning_keeps_photons_and_energy(
     coarse = behind.rebinned(20)
     assert len(coarse.energies_kev) <= 20
     assert coarse.total == pytest.approx(behind.total, rel=1e-12)
-    assert coarse.mean_energy_kev == pytest.approx(behind.mean_energy_kev, rel=1e-12)
+    assert mean_energy_kev(coarse) == pytest.approx(mean_energy_kev(behind), rel=1e-12)
     assert behind.rebinned(500) is behind
 
 
@@ -47,7 +51,7 @@ def test_a_tube_gives_the_kerma_and_the_half_value_layer_that_spekpy_states():
     assert spectrum.absolute
     # xraylib and SpekPy take their attenuation from different tables: 0.5 % of a filter's effect.
     assert spectrum.total == pytest.approx(own.get_flu() / 100, rel=0.01)
-    assert spectrum.mean_energy_kev == pytest.approx(own.get_emean(), rel=0.003)
+    assert mean_energy_kev(spectrum) == pytest.approx(own.get_emean(), rel=0.003)
     assert air_kerma(spectrum) == pytest.approx(own.get_kerma(), rel=0.015)
     half = spectrum.filtered(material("aluminium"), own.get_hvl1())
     assert air_kerma(half) / air_kerma(spectrum) == pytest.approx(0.5, abs=0.005)

@@ -39,12 +39,7 @@ def _add_bin(mu, mean, square, rows, bits, scale, sums):
         whole = np.floor(x + np.float32(0.5))
         f = x - whole
         bits[i] = (np.int32(whole) + np.int32(127)) << np.int32(23)
-        p = C5 + f * C6
-        p = C4 + f * p
-        p = C3 + f * p
-        p = C2 + f * p
-        p = C1 + f * p
-        work[i] = np.float32(1.0) + f * p
+        work[i] = np.float32(1.0) + f * (C1 + f * (C2 + f * (C3 + f * (C4 + f * (C5 + f * C6)))))
     for i in range(n):
         value = work[i] * scale[i]
         sums[0, i] += mean * value
@@ -53,17 +48,10 @@ def _add_bin(mu, mean, square, rows, bits, scale, sums):
 
 @njit(parallel=True, **OPTIONS)
 def sum_bins(paths, mus, means, squares, beam, samples, share, out):
-    """Add the signal of every bin to ``out``.
+    """Add the signal of every bin to ``out``: mean and mean square, (2, rows, columns).
 
-    Args:
-        paths: (materials, rows * samples, columns * samples), mm.
-        mus: (bins, materials), 1/mm.
-        means: weight of each bin in the mean, (bins,).
-        squares: weight of each bin in the mean square, (bins,).
-        beam: fall-off at each sample, (rows * samples, columns * samples).
-        samples: along each pixel edge.
-        share: weight of this exposure.
-        out: mean and mean square, (2, rows, columns).
+    ``paths`` (materials, rows * samples, columns * samples) are in mm, ``mus`` (bins, materials) in
+    1/mm; ``means`` and ``squares`` (bins,) weigh the bins, ``beam`` each sample, ``share`` it all.
     """
     rows, n = out.shape[1], paths.shape[2]
     factor = np.float32(share / (samples * samples))
@@ -86,16 +74,8 @@ def sum_bins(paths, mus, means, squares, beam, samples, share, out):
 def look_up(paths, longest, table, beam, samples, share, out):
     """The same for one material, from a table over sqrt(path / longest); linear between its nodes.
 
+    ``longest`` is the path of the last node, in mm; the table (2, nodes) has mean and mean square.
     In one thread: it takes 2 ms, and threads that wait for more work take time from gVXR's.
-
-    Args:
-        paths: (rows * samples, columns * samples), mm.
-        longest: path of the table's last node, mm.
-        table: mean and mean square at each node, (2, nodes).
-        beam: see ``sum_bins``.
-        samples: see ``sum_bins``.
-        share: see ``sum_bins``.
-        out: see ``sum_bins``.
     """
     rows, n = out.shape[1], paths.shape[1]
     last = np.int32(table.shape[1] - 1)

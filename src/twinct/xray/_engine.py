@@ -24,9 +24,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from types import ModuleType
-from typing import TypeVar
+from contextlib import contextmanager, suppress
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +36,14 @@ from twinct.geometry import Floats, Panel
 Result = TypeVar("Result")
 Upload = tuple[Floats, NDArray[np.integer], float]
 """Vertices (n, 3) in mm, triangles (m, 3) wound outwards, attenuation in 1/mm."""
+Vectors = tuple[Floats, Floats, Floats, Floats]
+"""One view: focal spot and panel centre in mm, unit vectors along +column and +row, each (3,)."""
 
 ADVICE = (
     "Install the system libraries with 'make setup' (on Debian: apt-get install libegl1 libgl1 "
     "libgl1-mesa-dri libx11-6 libxcb-composite0 libxcb-ewmh2 libxcb-icccm4 libxcb-keysyms1 "
     "libxcb-res0 libxcb-xinerama0)"
 )
-
 
 _PRIMER: Upload = (
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
@@ -62,18 +62,14 @@ class GvxrScene:
     def __init__(self) -> None:
         """Start nothing yet: gVXR is imported when the first owner comes."""
         self._thread: ThreadPoolExecutor | None = None
-        self._gvxr: ModuleType | None = None
+        self._gvxr: Any = None
         self._log = -1
         self._owned = threading.Lock()
         self._shown: int | None = None
         self._bodies = 0
 
     def prepare(self) -> None:
-        """Import gVXR and look whether it can draw, before somebody needs it.
-
-        Raises:
-            InputError: gVXR or a system library it needs is not installed.
-        """
+        """Import gVXR and look whether it can draw, before somebody needs it."""
         if self._gvxr is None:
             self._call(self._start)
 
@@ -103,27 +99,16 @@ class GvxrScene:
         finally:
             self._owned.release()
 
-    def expose(
-        self,
-        source: Floats,
-        detector: Floats,
-        u: Floats,
-        v: Floats,
-        image: NDArray[np.float32],
-        body: int | None = None,
-    ) -> None:
+    def expose(self, view: Vectors, image: NDArray[np.float32], body: int | None = None) -> None:
         """Take one view in the frame of the meshes.
 
         Args:
-            source: focal spot, (3,), mm.
-            detector: panel centre, (3,), mm.
-            u: unit vector along +column, (3,).
-            v: unit vector along +row, (3,).
+            view: source and panel.
             image: receives photons for each one that left the source, (rows, columns). gVXR writes
                 as many pixels as its panel has, whatever the size of this array.
             body: index of the one body to image; all of them where None.
         """
-        self._call(self._shoot, source, detector, u, v, image, body)
+        self._call(self._shoot, view, image, body)
 
     def _call(self, function: Callable[..., Result], *args: object) -> Result:
         if self._thread is None:
@@ -135,10 +120,7 @@ class GvxrScene:
             raise TwinctError(f"gVXR failed: {str(error).strip()}{self._complaints()}") from error
 
     def _fill(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
-        if self._gvxr is None:
-            self._start()
-        gvxr = self._gvxr
-        assert gvxr is not None
+        gvxr = self._gvxr or self._start()
         with self._quiet():
             gvxr.removePolygonMeshesFromSceneGraph()
             self._shown = None
@@ -149,39 +131,31 @@ class GvxrScene:
             gvxr.setMonoChromaticPerPixelAtSDD(energy_kev, "keV", 1)
             self._add("primer", *_PRIMER)
             x, y, z = np.eye(3)
-            self._shoot(-_BEAM_MM * x, _BEAM_MM * x, z, y, np.empty(panel.shape, np.float32))
+            self._shoot((-_BEAM_MM * x, _BEAM_MM * x, z, y), np.empty(panel.shape, np.float32))
             gvxr.removePolygonMeshesFromSceneGraph()
             # The first view on a new panel switches the filter on again, whatever was set before.
             gvxr.disableArtefactFiltering()
             for index, body in enumerate(bodies):
-                self._add(_label(index), *body)
+                self._add(f"part-{index}", *body)
         self._bodies = len(bodies)
         self._shown = None
 
-    def _shoot(
-        self,
-        source: Floats,
-        detector: Floats,
-        u: Floats,
-        v: Floats,
-        image: NDArray[np.float32],
-        body: int | None = None,
-    ) -> None:
+    def _shoot(self, view: Vectors, image: NDArray[np.float32], body: int | None = None) -> None:
         gvxr = self._gvxr
-        assert gvxr is not None
         if body != self._shown:
             # The meshes stay uploaded: this takes less than a microsecond.
             gvxr.removePolygonMeshesFromXRayRenderer()
             for index in range(self._bodies) if body is None else (body,):
-                gvxr.addPolygonMeshAsInnerSurface(_label(index))
+                gvxr.addPolygonMeshAsInnerSurface(f"part-{index}")
             self._shown = body
-        gvxr.setSourcePosition(*source.tolist(), "mm")
-        gvxr.setDetectorPosition(*detector.tolist(), "mm")
-        gvxr.setDetectorRightVector(*u.tolist())
-        gvxr.setDetectorUpVector(*v.tolist())
+        source, detector, u, v = (vector.tolist() for vector in view)
+        gvxr.setSourcePosition(*source, "mm")
+        gvxr.setDetectorPosition(*detector, "mm")
+        gvxr.setDetectorRightVector(*u)
+        gvxr.setDetectorUpVector(*v)
         gvxr.computeXRayImage(image, False)  # False: photons, not energy
 
-    def _start(self) -> None:
+    def _start(self) -> Any:
         if self._log < 0:
             self._log = os.memfd_create("gvxr-log")
         with self._quiet():
@@ -198,12 +172,12 @@ class GvxrScene:
                 f"gVXR found no OpenGL to draw with ({reason}). {ADVICE}{self._complaints()}"
             )
         self._gvxr = gvxr
+        return gvxr
 
     def _add(
         self, label: str, vertices: Floats, faces: NDArray[np.integer], mu_per_mm: float
     ) -> None:
         gvxr = self._gvxr
-        assert gvxr is not None
         gvxr.makeTriangularMesh(label, vertices.ravel().tolist(), faces.ravel().tolist(), "mm")
         gvxr.setLinearAttenuationCoefficient(label, 10.0 * mu_per_mm, "cm-1")
         gvxr.addPolygonMeshAsInnerSurface(label)
@@ -232,11 +206,7 @@ class GvxrScene:
         return "".join(f"\n{line}" for line in lines[-3:])
 
 
-def _label(body: int) -> str:
-    return f"part-{body}"
-
-
-def _import_gvxr() -> ModuleType:
+def _import_gvxr() -> Any:
     try:
         from gvxrPython3 import gvxr
     except ModuleNotFoundError as error:
@@ -263,3 +233,30 @@ def _no_display() -> Iterator[None]:
 
 ENGINE = GvxrScene()
 """The scene of this process."""
+
+
+class SceneOwner:
+    """Has the scene from where ``_open`` is set until ``close``; can be used as a context."""
+
+    _open = False
+
+    def close(self) -> None:
+        """Hand the scene over to the next one; closing twice does no harm."""
+        if self._open:
+            self._open = False
+            self._release()
+
+    def _release(self) -> None:
+        ENGINE.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        # An owner that nobody can close any more must not block the next one.
+        # When the process ends, gVXR's thread is gone already.
+        with suppress(TwinctError):
+            self.close()

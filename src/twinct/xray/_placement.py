@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from trimesh import Trimesh
 
 from twinct.errors import TwinctError
 from twinct.geometry import Floats, ScanGeometry
 from twinct.specimen.surface import refined
 
-if TYPE_CHECKING:
-    from trimesh import Trimesh
+DEPTH_MM = 0.02
+"""Error of a path that a triangle's size may make."""
 
 
 def mesh_fault(mesh: Trimesh) -> str | None:
@@ -24,10 +24,6 @@ def mesh_fault(mesh: Trimesh) -> str | None:
     if mesh.volume <= 0:
         return "is inside out: its triangles must be wound outwards"
     return None
-
-
-DEPTH_MM = 0.02
-"""Error of a path that a triangle's size may make."""
 
 
 def longest_edge(source_to_body_mm: float, depth_mm: float = DEPTH_MM) -> float:
@@ -56,12 +52,6 @@ class Placement:
 
         gVXR counts what lies behind the panel as if it lay before it, and loses what surrounds the
         source. The specimen's corners decide at once in any sensible scan.
-
-        Args:
-            view: one view, in the frame of the meshes.
-
-        Raises:
-            TwinctError: a part reaches through the panel, or the source is inside a part.
         """
         for name, mesh, box in self._parts:
             if _behind(view, box).any() and _reaches_through(view, np.asarray(mesh.vertices)):
@@ -97,11 +87,8 @@ def _encloses(triangles: Floats, point: Floats) -> bool:
     """Winding number of a closed surface about a point, from the solid angles of its triangles."""
     a, b, c = np.moveaxis(triangles - point, 1, 0)
     la, lb, lc = (np.linalg.norm(edge, axis=1) for edge in (a, b, c))
-    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
-    area = (
-        la * lb * lc
-        + np.einsum("ij,ij->i", a, b) * lc
-        + np.einsum("ij,ij->i", b, c) * la
-        + np.einsum("ij,ij->i", c, a) * lb
+    volume, ab, bc, ca = (
+        np.einsum("ij,ij->i", p, q) for p, q in ((a, np.cross(b, c)), (a, b), (b, c), (c, a))
     )
+    area = la * lb * lc + ab * lc + bc * la + ca * lb
     return abs(np.arctan2(volume, area).sum() / (2 * np.pi)) > 0.5

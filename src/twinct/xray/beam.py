@@ -14,12 +14,8 @@ def fall_off(view: ScanGeometry, samples: int = 1) -> NDArray[np.float32]:
     r is the distance from the focal spot, a the angle between ray and panel normal. Photons per
     mm^2 at 1 m, times this, are photons per mm^2 of panel.
 
-    Args:
-        view: one view.
-        samples: samples along each pixel edge.
-
     Returns:
-        (rows * samples, columns * samples).
+        (rows * samples, columns * samples), ``samples`` along each pixel edge.
     """
     panel = view.panel
     to_source = view.source[0] - view.detector[0]

@@ -1,4 +1,7 @@
-"""From the scenario's sections of source and detector to the physics they name."""
+"""From the scenario's sections of source and detector to the physics they name.
+
+A file, material or number that cannot be used is an ``InputError`` that begins with its key.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +36,7 @@ def build_spectrum(source: scenario.Source) -> PhotonSpectrum:
     """What the source emits, behind its filters.
 
     Raises:
-        InputError: a file that is no spectrum, a tube that SpekPy does not know, filters that let
-            nothing through.
-        MissingExtraError: SpekPy is not installed.
+        MissingExtraError: SpekPy is needed and not installed.
     """
     photons = source.photons_per_mm2_mas
     section = source.spectrum
@@ -81,11 +82,7 @@ def _filtered(spectrum: PhotonSpectrum, filters: Sequence[scenario.Filter]) -> P
 
 
 def build_response(detector: scenario.Detector) -> PhotonResponse:
-    """What the detector makes of a photon.
-
-    Raises:
-        InputError: a file that is no efficiency, or an unknown material.
-    """
+    """What the detector makes of a photon."""
     section = detector.response
     if isinstance(section, scenario.CountingResponse):
         return PhotonResponse.counting()
@@ -94,11 +91,9 @@ def build_response(detector: scenario.Detector) -> PhotonResponse:
     if isinstance(section, scenario.FileResponse):
         with _named("detector.response.path"):
             return PhotonResponse.read_efficiency(section.path)
-    substance: Material
-    if isinstance(section.material, str):
-        substance = material(SCINTILLATORS[section.material])
-    else:
-        substance = material(section.material, "detector.response.material")
+    layer = section.material
+    layer = SCINTILLATORS[layer] if isinstance(layer, str) else layer
+    substance = material(layer, "detector.response.material")
     return PhotonResponse.scintillator(substance, section.thickness_mm)
 
 
@@ -115,11 +110,7 @@ def effective_energy_kev(source: scenario.Source, detector: scenario.Detector) -
 
 
 def build_spot(source: scenario.Source) -> Floats:
-    """Points of the focal spot in the source frame's x and y, (points, 2), mm.
-
-    Raises:
-        InputError: an image that cannot be read.
-    """
+    """Points of the focal spot in the source frame's x and y, (points, 2), mm."""
     section = source.focal_spot
     if section is None:
         return np.zeros((1, 2))
@@ -135,11 +126,7 @@ def build_spot(source: scenario.Source) -> Floats:
 
 
 def build_spread(detector: scenario.Detector) -> PointSpreadFunction | None:
-    """The detector's point spread.
-
-    Raises:
-        InputError: a file that is no MTF, or ends where it still matters.
-    """
+    """The detector's point spread; the table of a file must not end where it still matters."""
     section = detector.point_spread
     if section is None:
         return None
@@ -154,11 +141,7 @@ def build_spread(detector: scenario.Detector) -> PointSpreadFunction | None:
 
 
 def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_]:
-    """Dead pixels, (rows, columns).
-
-    Raises:
-        InputError: a map of another shape, or without a good pixel.
-    """
+    """Dead pixels, (rows, columns)."""
     shape, section = detector.panel.shape, detector.bad_pixels
     if section is None:
         return np.zeros(shape, dtype=bool)

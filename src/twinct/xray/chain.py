@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,15 +80,11 @@ class Chain:
         """Build what the sections name.
 
         Args:
-            source: spectrum, photon number.
-            detector: everything behind the specimen.
+            source: its section of the scenario.
+            detector: its section of the scenario.
             materials: of the path lengths, in their order.
             commanded: views; the first sets the gain, and where flat images are taken once.
             seed: every random draw is keyed by it.
-
-        Raises:
-            InputError: a file or material that cannot be used.
-            MissingExtraError: SpekPy is needed and not installed.
         """
         spectrum = build_spectrum(source)
         self.spot = build_spot(source)
@@ -107,21 +104,12 @@ class Chain:
             self._compton = np.array([compton_per_mm(m, energy) for m in materials], np.float32)
         self._spread = build_spread(detector)
         self._bad = build_bad_pixels(detector, seed)
-        self._amplifier, self._electronic = self._amplifier_of(detector.readout)
-        self._flat_pattern: Image | None = None
-        self._dark: Image | None = None
-        self._first_flat: Image | None = None
-        self._first_beam: Image | None = None
-
-    def _amplifier_of(self, section: scenario.Readout | None) -> tuple[Amplifier, float]:
-        """The readout, and the electronic noise of a physical pixel in grey values."""
-        free = float(self.free[0])
-        if section is None:
-            return Amplifier(1 / free), 0.0
-        readout = Amplifier(
-            section.free_beam / free, section.offset, section.bits, section.saturation
-        )
-        return readout, section.electronic_noise * self._detector.binning
+        self._amplifier, self._electronic = Amplifier(1 / float(self.free[0])), 0.0
+        if (readout := detector.readout) is not None:
+            gain = readout.free_beam / float(self.free[0])
+            self._amplifier = Amplifier(gain, readout.offset, readout.bits, readout.saturation)
+            # Of a physical pixel, in grey values.
+            self._electronic = readout.electronic_noise * detector.binning
 
     def physical(self, view: ScanGeometry) -> ScanGeometry:
         """The same view on the physical pixels."""
@@ -141,19 +129,18 @@ class Chain:
         return np.zeros((planes, *self.panel.shape), dtype=np.float32)
 
     def add(self, paths: Image, view: ScanGeometry, out: Image, share: float = 1.0) -> None:
-        """Add one render to an exposure.
+        """Add one render to an exposure, an ``out`` from ``blank``.
 
         Args:
             paths: path lengths at the samples, (materials, ...), mm.
             view: where source and panel were, on the physical pixels.
-            out: from ``blank``.
+            out: where the exposure adds up.
             share: weight among the renders of this exposure.
         """
         beam = fall_off(view, self.samples)
         before = None if self._kernel is None else out[0].copy()
-        self._signal.add(
-            paths, beam, out[:2], samples=self.samples, share=share * float(self._scale)
-        )
+        share *= float(self._scale)
+        self._signal.add(paths, beam, out[:2], samples=self.samples, share=share)
         if before is not None:
             optical = binned(np.tensordot(self._compton, paths, axes=1), self.samples)
             out[2] += (out[0] - before) * optical
@@ -178,18 +165,19 @@ class Chain:
         rng = self._rng(index)
         signal = self._signal_of(expected, object_mm, rng)
         if before is not None:
-            lag = np.float32(self._detector.lag)
             # With the noise that it had: drawn again by its own key.
-            last = self._signal_of(*before, self._rng(index - 1))
+            last, lag = (
+                self._signal_of(*before, self._rng(index - 1)),
+                np.float32(self._detector.lag),
+            )
             signal = ((1 - lag) * signal + lag * last).astype(np.float32, copy=False)
         if self._electronic:
             signal = normal_noise(signal, self._electronic / self._amplifier.gain, rng)
         raw = self._amplifier.read(binned(signal, self._detector.binning))
-        flat, dark = self._flat(view, index), self._dark_image()
+        flat, dark = self._flat(view, index), self._dark
         transmission = correct(raw, flat, dark, self._floor())
-        bad = self._bad
-        raw = np.where(bad, np.float32(0), raw) if bad.any() else raw
-        return ViewImages(raw, flat, dark, mend_bad_pixels(transmission, bad))
+        raw = np.where(self._bad, np.float32(0), raw) if self._bad.any() else raw
+        return ViewImages(raw, flat, dark, mend_bad_pixels(transmission, self._bad))
 
     def _rng(self, index: int) -> np.random.Generator:
         # Modulo: what is imaged alone, as view 0, may still have one before it.
@@ -219,15 +207,20 @@ class Chain:
         way, commanded = self._detector.correction.flat_geometry, self._commanded
         if way == "view":
             return self._flat_at(self._free_beam(view))
-        if self._first_flat is None or self._first_beam is None:
-            self._first_beam = self._free_beam(commanded[0])
-            self._first_flat = self._flat_at(self._first_beam)
         if way == "first" or index == 0:
             return self._first_flat
         here = commanded[index] if index < len(commanded) else view
         scale = binned(self._free_beam(here) / self._first_beam, self._detector.binning)
-        dark = self._dark_image()
-        return (dark + (self._first_flat - dark) * scale).astype(np.float32, copy=False)
+        lit = self._first_flat - self._dark
+        return (self._dark + lit * scale).astype(np.float32, copy=False)
+
+    @cached_property
+    def _first_beam(self) -> Image:
+        return self._free_beam(self._commanded[0])
+
+    @cached_property
+    def _first_flat(self) -> Image:
+        return self._flat_at(self._first_beam)
 
     def _free_beam(self, view: ScanGeometry) -> Image:
         """Fall-off at each physical pixel."""
@@ -247,8 +240,6 @@ class Chain:
         if self._spread is not None:
             signal = self._spread.apply(signal, self.panel.pitch_u, self.panel.pitch_v)
         if frames:
-            if self._flat_pattern is None:
-                self._flat_pattern = self._pattern("flat noise", blurred=True)
             variance = np.zeros_like(signal)
             if isinstance(detector.noise, scenario.QuantumNoise):
                 variance = beam * factor[1]
@@ -260,34 +251,36 @@ class Chain:
             variance = variance * np.float32(1 - 2 * lag * (1 - lag) / frames)
             variance = variance + np.float32((self._electronic / self._amplifier.gain) ** 2)
             signal = signal + np.sqrt(variance / np.float32(frames)) * self._flat_pattern
-        averaged = frames == 1
-        return self._average(binned(signal, detector.binning), whole=averaged)
+        return self._average(signal, frames)
 
-    def _dark_image(self) -> Image:
-        if self._dark is None:
-            signal = np.zeros(self.panel.shape, dtype=np.float32)
-            frames = self._detector.correction.dark_frames
-            if frames and self._electronic:
-                sigma = self._electronic / self._amplifier.gain / np.sqrt(frames)
-                signal = np.float32(sigma) * self._pattern("dark noise", blurred=False)
-            self._dark = self._average(binned(signal, self._detector.binning), whole=frames == 1)
-        return self._dark
-
-    def _pattern(self, purpose: str, *, blurred: bool) -> Image:
-        """Unit normal noise of the physical pixels; the spread blurs quantum noise."""
-        rng = view_rng(self._seed, purpose, 0)
-        pattern = rng.standard_normal(self.panel.shape, dtype=np.float32)
-        quantum = isinstance(self._detector.noise, scenario.QuantumNoise)
-        if blurred and quantum and self._spread is not None:
+    @cached_property
+    def _flat_pattern(self) -> Image:
+        """The spread blurs quantum noise."""
+        pattern = self._pattern("flat noise")
+        if isinstance(self._detector.noise, scenario.QuantumNoise) and self._spread is not None:
             pattern = self._spread.apply(pattern, self.panel.pitch_u, self.panel.pitch_v)
         return pattern
 
-    def _average(self, signal: Image, *, whole: bool) -> Image:
+    @cached_property
+    def _dark(self) -> Image:
+        signal = np.zeros(self.panel.shape, dtype=np.float32)
+        frames = self._detector.correction.dark_frames
+        if frames and self._electronic:
+            sigma = self._electronic / self._amplifier.gain / np.sqrt(frames)
+            signal = np.float32(sigma) * self._pattern("dark noise")
+        return self._average(signal, frames)
+
+    def _pattern(self, purpose: str) -> Image:
+        """Unit normal noise of the physical pixels."""
+        rng = view_rng(self._seed, purpose, 0)
+        return rng.standard_normal(self.panel.shape, dtype=np.float32)
+
+    def _average(self, signal: Image, frames: int) -> Image:
         """Grey values of an average of frames: fractions, but for a single frame."""
         readout = self._amplifier
-        if not whole:
+        if frames != 1:
             readout = Amplifier(readout.gain, readout.offset, None, min(readout.largest, 3e38))
-        return readout.read(signal)
+        return readout.read(binned(signal, self._detector.binning))
 
     def _floor(self) -> float:
         """Smallest grey value above the dark image that counts as light."""

@@ -31,13 +31,7 @@ _WIDEST_SPOT = 0.25
 def check_parts(
     source: scenario.Source, detector: scenario.Detector, views: ScanGeometry, seed: int = 0
 ) -> None:
-    """Build every part of the chain once, and look whether they go together.
-
-    Args:
-        source: spectrum and focal spot.
-        detector: everything behind the specimen.
-        views: the commanded ones.
-        seed: of the scenario.
+    """Build every part of the chain once, and look whether they go with the commanded views.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.

@@ -52,16 +52,15 @@ class Hardening:
         weight = spectrum.photons * response.mean(energies)
         mus = [attenuation(material, energies) for material in materials]
         self._mu = [material.mu_per_mm(energy_kev) for material in materials]
-        two = len(materials) == 2
-        nodes = _NODES[0] if two else 1
+        nodes = _NODES[0] if len(materials) == 2 else 1
         self._dense = np.linspace(0.0, max(longest_dense_mm, 1e-6), nodes)
         top = _LARGEST_INTEGRAL / max(float(mus[0].min()), 1e-9)
         base = top * np.linspace(0, 1, 8 * _NODES[1]) ** 2  # dense where paths are short
         self._integrals = np.linspace(-_BRIGHT * _LARGEST_INTEGRAL, _LARGEST_INTEGRAL, _NODES[1])
         self._table = np.empty((nodes, _NODES[1]))
         for i, dense in enumerate(self._dense):
-            exponent = -np.multiply.outer(base, mus[0]) - (dense * mus[1] if two else 0.0)
-            passed = np.exp(exponent)
+            behind = dense * mus[1] if len(materials) == 2 else 0.0
+            passed = np.exp(-np.multiply.outer(base, mus[0]) - behind)
             p = -np.log(passed @ weight / weight.sum())
             slope = passed[0] @ (weight * mus[0]) / (passed[0] @ weight)
             # Below what the dense material alone gives, noise goes on along the tangent.
@@ -74,17 +73,13 @@ class Hardening:
     def correct(
         self, integrals: NDArray[np.float32], dense_mm: NDArray[np.float32] | None = None
     ) -> NDArray[np.float32]:
-        """Line integrals at the one energy, of the same shape.
+        """Polychromatic line integrals brought to the one energy, of the same shape.
 
-        Args:
-            integrals: polychromatic line integrals.
-            dense_mm: path in the dense material of each, where there are two.
+        ``dense_mm`` is the path of each in the dense material, where there is one.
         """
-        step = self._integrals[1] - self._integrals[0]
-        at = (integrals - self._integrals[0]) / step
+        at = (integrals - self._integrals[0]) / (self._integrals[1] - self._integrals[0])
         if dense_mm is None:
-            place = np.arange(_NODES[1])
-            base = np.interp(at, place, self._table[0])
+            base = np.interp(at, np.arange(_NODES[1]), self._table[0])
             return (self._mu[0] * base).astype(np.float32)
         dense = np.clip(dense_mm, 0.0, self._dense[-1])
         which = dense / self._dense[-1] * (_NODES[0] - 1)

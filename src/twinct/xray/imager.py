@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +10,15 @@ from numpy.typing import NDArray
 from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Detector, Source
-from twinct.xray._engine import ENGINE, Upload
+from twinct.specimen import BuiltSpecimen
+from twinct.xray._engine import ENGINE, SceneOwner, Upload
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
 from twinct.xray.build import physical_panel
 from twinct.xray.chain import Chain, ViewImages
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 
-if TYPE_CHECKING:
-    from twinct.specimen import BuiltPart, BuiltSpecimen
-
-
 Placed = tuple[ScanGeometry, Pose]
 """Where everything was at one instant: source and panel, one view, and ``world_from_object``."""
-
 
 _NEAREST_MM = 150.0
 """Distance from source to specimen where no commanded view tells it."""
@@ -39,7 +33,7 @@ def prepare_engine() -> None:
     ENGINE.prepare()
 
 
-class Imager:
+class Imager(SceneOwner):
     """Renders views of one specimen with one source and one panel.
 
     The meshes are uploaded once, in the specimen's frame; each view is expressed in that frame.
@@ -72,9 +66,7 @@ class Imager:
 
         Raises:
             SpecimenError: nothing to image, an open mesh, or an attenuation that is no number.
-            MissingExtraError: gVXR or SpekPy is not installed.
-            InputError: a system library that gVXR needs is missing, or a file of the sections
-                cannot be used.
+            InputError: gVXR, SpekPy or a system library is missing, or a file cannot be used.
             TwinctError: another imager is open in this process, or gVXR failed.
         """
         self.panel = detector.panel
@@ -82,15 +74,14 @@ class Imager:
         self._commanded = commanded
         self._paths: PathRenderer | None = None
         self._chain: Chain | None = None
-        self._open = False
         edge = longest_edge(_nearest_mm(specimen, commanded))
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
             bodies = _bodies(specimen, source.energy_kev, edge)
             self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
             ENGINE.acquire(bodies, source.energy_kev, self.panel)
         else:
-            corners = np.array([part.mesh.bounds for part in specimen.parts])
-            self._centre = (corners[:, 0].min(axis=0) + corners[:, 1].max(axis=0)) / 2
+            low, high = specimen.bounds
+            self._centre = (low + high) / 2
             self._materials = tuple(dict.fromkeys(part.material for part in specimen.parts))
             if commanded is not None:  # now, so that what is wrong with a file is said at once
                 self._chain = self._new_chain(commanded)
@@ -159,9 +150,7 @@ class Imager:
         if self._paths is None:
             raise ValueError("an ideal source and detector give a transmission and nothing else")
         middle = path[len(path) // 2][0]
-        if self._chain is None:
-            self._chain = self._new_chain(self._commanded or middle)
-        chain = self._chain
+        chain = self._chain = self._chain or self._new_chain(self._commanded or middle)
         last = None
         if self._detector.lag and before is not None:
             last = self._expected(chain, [before]), self._object_mm(*before)
@@ -174,7 +163,6 @@ class Imager:
         return float((centre - geometry.detector[0]) @ geometry.normal[0])
 
     def _expected(self, chain: Chain, path: Sequence[Placed]) -> NDArray[np.float32]:
-        """Mean and mean square of the signal, (2, rows, columns) of the physical pixels."""
         assert self._paths is not None
         expected = chain.blank()
         share = 1.0 / (len(path) * len(chain.spot))
@@ -190,38 +178,21 @@ class Imager:
         view = world_from_object.inverse() @ geometry
         self._placement.check(view)
         image = np.empty(self.panel.shape, dtype=np.float32)
-        ENGINE.expose(view.source[0], view.detector[0], view.u[0], view.v[0], image)
+        ENGINE.expose((view.source[0], view.detector[0], view.u[0], view.v[0]), image)
         return image
 
-    def close(self) -> None:
-        """Hand the scene over to the next imager; closing twice does no harm."""
-        if self._open:
-            self._open = False
-            if self._paths is not None:
-                self._paths.close()
-            else:
-                ENGINE.release()
-
-    def __enter__(self) -> Imager:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def __del__(self) -> None:
-        # An imager that nobody can close any more must not block the next one.
-        # When the process ends, gVXR's thread is gone already.
-        if getattr(self, "_open", False):
-            with suppress(TwinctError):
-                self.close()
+    def _release(self) -> None:
+        if self._paths is not None:
+            self._paths.close()
+        else:
+            super()._release()
 
 
 def _nearest_mm(specimen: BuiltSpecimen, commanded: ScanGeometry | None) -> float:
     """From the source to the nearest of the specimen, about; never 0."""
     if commanded is None or not specimen.parts:
         return _NEAREST_MM
-    corners = np.array([part.mesh.bounds for part in specimen.parts])
-    low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    low, high = specimen.bounds
     centre = specimen.world_from_specimen.apply((low + high) / 2)
     distance = float(np.linalg.norm(commanded.source[0] - centre))
     return max(distance - float(np.linalg.norm(high - low)) / 2, distance / 10)
@@ -234,7 +205,9 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) 
     bodies: list[Upload] = []
     for part in specimen.parts:
         mu_per_mm = float(part.material.mu_per_mm(energy_kev))
-        fault = _fault(part, mu_per_mm)
+        fault = mesh_fault(part.mesh)
+        if fault is None and not (np.isfinite(mu_per_mm) and mu_per_mm >= 0):
+            fault = f"has an attenuation of {mu_per_mm:g}/mm"
         if fault:
             problems.append(f"part '{part.name}' {fault}")
         else:
@@ -243,11 +216,3 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) 
     if problems:
         raise SpecimenError(problems)
     return bodies
-
-
-def _fault(part: BuiltPart, mu_per_mm: float) -> str | None:
-    if fault := mesh_fault(part.mesh):
-        return fault
-    if not (np.isfinite(mu_per_mm) and mu_per_mm >= 0):
-        return f"has an attenuation of {mu_per_mm:g}/mm"
-    return None

@@ -13,12 +13,7 @@ def quantum_noise(
 
     A scaled Poisson variable with the mean and the variance of that compound one: with q the
     signal of a photon, (E[q^2] / E[q]) Poisson(mean E[q] / E[q^2]). Exact where all photons give
-    the same signal, as in ideal counting.
-
-    Args:
-        mean: expected signal N E[q] of each pixel.
-        square: its variance N E[q^2].
-        rng: where the draws come from.
+    the same signal, as in ideal counting. ``mean`` is N E[q] of each pixel, ``square`` N E[q^2].
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         signal_of_one = np.where(mean > 0, square / mean, np.float32(0))

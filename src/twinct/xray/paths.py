@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from trimesh import Trimesh
 
 from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.specimen.materials import Material
-from twinct.xray._engine import ENGINE
+from twinct.xray._engine import ENGINE, SceneOwner
 from twinct.xray._placement import Placement, corners, mesh_fault, split
-
-if TYPE_CHECKING:
-    from trimesh import Trimesh
 
 PATH_MU = 0.05
 """Attenuation, 1/mm, at which gVXR renders a path length.
@@ -33,10 +30,7 @@ LARGEST_TILE = 2048
 
 
 class Body(NamedTuple):
-    """A closed mesh in its own frame, mm, counter-clockwise seen from outside, and its material.
-
-    Messages call it by its name.
-    """
+    """A closed mesh in its own frame, mm, counter-clockwise seen from outside, and its material."""
 
     mesh: Trimesh
     material: Material
@@ -48,7 +42,7 @@ class Body(NamedTuple):
         return self.name or self.material.name
 
 
-class PathRenderer:
+class PathRenderer(SceneOwner):
     """Renders path lengths of bodies that may each move by itself from view to view.
 
     The meshes are uploaded once. Each body is rendered by itself, in its own frame; that takes as
@@ -56,8 +50,7 @@ class PathRenderer:
     Only one renderer or imager can be open in a process.
 
     Attributes:
-        materials: the distinct materials of the bodies, in the order of their first body; the
-            order of the images.
+        materials: the distinct materials, in the order of their first body and of the images.
         panel: the pixel lattice of every view.
         samples: samples along each pixel edge.
     """
@@ -79,18 +72,14 @@ class PathRenderer:
 
         Raises:
             SpecimenError: no body, an open mesh, or one that is inside out.
-            MissingExtraError: gVXR is not installed.
-            InputError: a system library that gVXR needs is missing.
+            InputError: gVXR or a system library it needs is missing.
             TwinctError: another imager is open in this process, or gVXR failed.
         """
         if not bodies:
             raise SpecimenError("the specimen has no parts: there is nothing to image")
         if samples < 1:
             raise ValueError(f"{samples} samples along a pixel edge: at least 1 is needed")
-        faults = [
-            f"part {body.label!r} {fault}" for body in bodies if (fault := mesh_fault(body.mesh))
-        ]
-        if faults:
+        if faults := [f"part {b.label!r} {fault}" for b in bodies if (fault := mesh_fault(b.mesh))]:
             raise SpecimenError(faults)
         self.materials: tuple[Material, ...] = tuple(dict.fromkeys(b.material for b in bodies))
         self._material = [self.materials.index(body.material) for body in bodies]
@@ -102,7 +91,6 @@ class PathRenderer:
         self._tile = np.empty(tile.shape, dtype=np.float32)
         meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
         uploads = [(np.asarray(m.vertices), np.asarray(m.faces), PATH_MU) for m in meshes]
-        self._open = False
         ENGINE.acquire(uploads, ANY_KEV, tile)
         self._open = True
 
@@ -130,16 +118,13 @@ class PathRenderer:
             raise ValueError(f"render takes one view at a time, not {len(view)}")
         if view.panel != self.panel:
             raise ValueError(f"the view has {view.panel}, the renderer was made for {self.panel}")
-        count = len(self._material)
-        if isinstance(world_from_bodies, Pose):
-            world_from_bodies = [world_from_bodies] * count
-        if len(world_from_bodies) != count:
-            raise ValueError(f"{len(world_from_bodies)} poses for {count} bodies")
+        count, poses = len(self._material), world_from_bodies
+        poses = [poses] * count if isinstance(poses, Pose) else poses
+        if len(poses) != count:
+            raise ValueError(f"{len(poses)} poses for {count} bodies")
         paths = np.zeros((len(self.materials), *self._fine.shape), dtype=np.float32)
         filled = [False] * len(self.materials)
-        for body, (material, pose) in enumerate(
-            zip(self._material, world_from_bodies, strict=True)
-        ):
+        for body, (material, pose) in enumerate(zip(self._material, poses, strict=True)):
             seen = pose.inverse() @ view
             self._placements[body].check(seen)
             if _misses(seen, self._corners[body]):
@@ -159,39 +144,17 @@ class PathRenderer:
         filled: bool,
     ) -> None:
         """Render one tile; it may reach past the panel."""
-        tile, fine = self._tile, self._fine
-        row, column = start
+        tile, fine, (row, column) = self._tile, self._fine, start
         down = (row + (tile.shape[0] - fine.rows) / 2) * fine.pitch_v
         right = (column + (tile.shape[1] - fine.columns) / 2) * fine.pitch_u
         centre = view.detector[0] + right * view.u[0] + down * view.v[0]
-        ENGINE.expose(view.source[0], centre, view.u[0], view.v[0], tile, body)
+        ENGINE.expose((view.source[0], centre, view.u[0], view.v[0]), tile, body)
         np.clip(tile, _LEAST_FLOAT, 1.0, out=tile)
         np.log(tile, out=tile)
         np.multiply(tile, np.float32(-1 / PATH_MU), out=tile)
         part = out[row : row + tile.shape[0], column : column + tile.shape[1]]
-        if filled:
-            part += tile[: part.shape[0], : part.shape[1]]
-        else:
-            part[:] = tile[: part.shape[0], : part.shape[1]]
-
-    def close(self) -> None:
-        """Hand the scene over; closing twice does no harm."""
-        if self._open:
-            self._open = False
-            ENGINE.release()
-
-    def __enter__(self) -> Self:
-        """Use as a context."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close, whatever happened."""
-        self.close()
-
-    def __del__(self) -> None:
-        if getattr(self, "_open", False):
-            with suppress(TwinctError):
-                self.close()
+        seen = tile[: part.shape[0], : part.shape[1]]
+        part[:] = part + seen if filled else seen
 
 
 def _misses(view: ScanGeometry, box: Floats) -> bool:

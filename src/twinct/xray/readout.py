@@ -83,13 +83,9 @@ def correct(
 ) -> NDArray[np.float32]:
     """Transmission by flat and dark images: (raw - dark) / (flat - dark).
 
-    Args:
-        raw: grey values, (rows, columns).
-        flat: grey values of the free beam.
-        dark: grey values without beam.
-        floor: smallest difference of grey values to the dark image that counts as signal; whatever
-            is darker takes it, so that every line integral is finite. Half a grey value is what a
-            converter cannot tell from nothing.
+    ``floor`` is the smallest difference to the dark image that counts as signal; whatever is darker
+    takes it, so that every line integral is finite. Half a grey value is what a converter cannot
+    tell from nothing.
     """
     light = np.maximum(raw - dark, np.float32(floor))
     return (light / np.maximum(flat - dark, np.float32(floor))).astype(np.float32)

@@ -59,24 +59,18 @@ class PhotonResponse:
         def share(energies: Floats) -> Floats:
             return -np.expm1(-attenuation(material, energies) * thickness_mm)
 
-        return cls(
-            f"{thickness_mm:g} mm {material.name}",
-            lambda e: share(e) * e,
-            lambda e: share(e) * e**2,
-            "keV",
-        )
+        return cls._absorbing(share, f"{thickness_mm:g} mm {material.name}")
 
     @classmethod
     def efficiency(
         cls, energies_kev: Floats, shares: Floats, name: str = "efficiency"
     ) -> PhotonResponse:
         """A tabulated share of absorbed photons, each with all of its energy; linear between."""
-        return cls(
-            name,
-            lambda e: np.interp(e, energies_kev, shares) * e,
-            lambda e: np.interp(e, energies_kev, shares) * np.square(e),
-            "keV",
-        )
+        return cls._absorbing(lambda e: np.interp(e, energies_kev, shares), name)
+
+    @classmethod
+    def _absorbing(cls, share: Callable[[Floats], Floats], name: str) -> PhotonResponse:
+        return cls(name, lambda e: share(e) * e, lambda e: share(e) * np.square(e), "keV")
 
     @classmethod
     def read_efficiency(cls, path: Path) -> PhotonResponse:

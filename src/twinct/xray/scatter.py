@@ -10,10 +10,10 @@ their ray with cos^3(theta) / d^2 per mm^2, tan(theta) = r / d.
 Range of validity: photon energies above about 40 keV, where Compton scattering leads; objects small
 against their distance d to the panel; mu L up to about 2 at the middle. Scatter of higher order,
 coherent scatter (a narrow forward peak), and binding of the electrons are left out; an object is
-taken to be thin along the beam, at its middle. Against a Monte Carlo
-calculation of our own, of all orders, in a ball of water at 80 keV half-way to the panel, the ratio
-of scattered to primary energy at its middle is 11 % too low at a radius of 25 mm, 18 % at 50 mm and
-23 % at 80 mm (``tests/xray/test_scatter.py``); ``detector.scatter.scale`` makes up for it.
+taken to be thin along the beam, at its middle. Against a Monte Carlo calculation of our own, of all
+orders, in a ball of water at 80 keV half-way to the panel, the ratio of scattered to primary energy
+at its middle is 11 % too low at a radius of 25 mm, 18 % at 50 mm and 23 % at 80 mm
+(``tests/xray/test_scatter.py``); ``detector.scatter.scale`` makes up for it.
 """
 
 from __future__ import annotations
@@ -43,12 +43,7 @@ def compton_per_mm(material: Material, energy_kev: float) -> float:
 
 
 def klein_nishina(cosine: Floats, energy_kev: float) -> Floats:
-    """Share of the photons scattered once that goes into a unit solid angle, 1/sr.
-
-    Args:
-        cosine: of the scattering angle.
-        energy_kev: before scattering.
-    """
+    """Share of the photons scattered once that goes into a unit solid angle, 1/sr."""
     mu = np.linspace(-1, 1, 2001)
     total = 2 * np.pi * np.trapezoid(_unscaled(mu, energy_kev), mu)
     return _unscaled(np.asarray(cosine), energy_kev) / total
@@ -95,11 +90,9 @@ class ScatterKernel:
         full = np.asarray(fft.irfft2(product, s=shape))
         spread = full[first[0] : first[0] + cells.shape[0], first[1] : first[1] + cells.shape[1]]
         # Cell values lie at the middle of nv x nu pixels; each pixel takes its area's share.
-        at_v = (np.arange(rows) + 0.5) / nv - 0.5
-        at_u = (np.arange(columns) + 0.5) / nu - 0.5
-        fine = ndimage.map_coordinates(
-            spread, np.meshgrid(at_v, at_u, indexing="ij"), order=1, mode="nearest"
-        )
+        at = ((np.arange(rows) + 0.5) / nv - 0.5, (np.arange(columns) + 0.5) / nu - 0.5)
+        places = np.meshgrid(*at, indexing="ij")
+        fine = ndimage.map_coordinates(spread, places, order=1, mode="nearest")
         return (fine * (self.scale / (nu * nv))).astype(np.float32)
 
     def _kernel(

@@ -35,11 +35,7 @@ class Signal:
     def __init__(
         self, spectrum: PhotonSpectrum, materials: Sequence[Material], response: PhotonResponse
     ) -> None:
-        """Look the attenuation up.
-
-        Raises:
-            SpecimenError: xraylib has no data at an energy.
-        """
+        """Look the attenuation up."""
         energies = spectrum.energies_kev
         mean = spectrum.photons * response.mean(energies)
         square = spectrum.photons * response.square(energies)
@@ -74,9 +70,8 @@ class Signal:
         if len(paths) == 1:
             look_up(paths[0], self._longest, self._table, beam, samples, share, out)
         else:
-            sum_bins(
-                paths, self._mus, self._mean, self._square, beam, samples, np.float32(share), out
-            )
+            bins = self._mus, self._mean, self._square
+            sum_bins(paths, *bins, beam, samples, np.float32(share), out)
 
     def __call__(
         self, paths: NDArray[np.float32], beam: NDArray[np.float32], samples: int = 1
@@ -96,9 +91,7 @@ def _tabulate(mu: Floats, mean: Floats, square: Floats) -> tuple[float, NDArray[
     low, high = 0.0, _LONGEST_MM
     for _ in range(60):
         middle = (low + high) / 2
-        if mean @ np.exp(-middle * mu) > _DARK * mean.sum():
-            low = middle
-        else:
-            high = middle
+        seen = mean @ np.exp(-middle * mu) > _DARK * mean.sum()
+        low, high = (middle, high) if seen else (low, middle)
     passed = np.exp(-np.multiply.outer(high * np.linspace(0, 1, NODES + 1) ** 2, mu))
     return high, np.stack([passed @ mean, passed @ square]).astype(np.float32)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,10 +11,7 @@ from numpy.typing import ArrayLike
 from twinct.errors import InputError
 from twinct.files.tables import read_columns
 from twinct.geometry import Floats
-
-if TYPE_CHECKING:
-    from twinct.specimen.materials import Material
-
+from twinct.specimen.materials import Material
 
 XRAYLIB_KEV = (0.1, 800.0)
 """Energies for which xraylib has attenuation."""
@@ -57,8 +53,7 @@ class PhotonSpectrum:
             problems.append("a spectrum needs photons, all bins are empty")
         else:
             used = np.flatnonzero(counts)
-            energies = energies[used[0] : used[-1] + 1]
-            counts = counts[used[0] : used[-1] + 1]
+            energies, counts = (a[used[0] : used[-1] + 1] for a in (energies, counts))
             if energies[0] <= 0:
                 problems.append(f"photons of {energies[0]:g} keV: energies must be positive")
         if problems:
@@ -100,17 +95,10 @@ class PhotonSpectrum:
         """Sum of the photons of all bins."""
         return float(self.photons.sum())
 
-    @property
-    def mean_energy_kev(self) -> float:
-        """Mean energy of a photon."""
-        return float(self.photons @ self.energies_kev / self.total)
-
     def filtered(self, material: Material, thickness_mm: float) -> PhotonSpectrum:
         """The spectrum behind a plate that is crossed at right angles."""
-        mu = attenuation(material, self.energies_kev)
-        return PhotonSpectrum(
-            self.energies_kev, self.photons * np.exp(-mu * thickness_mm), self.absolute
-        )
+        passed = np.exp(-attenuation(material, self.energies_kev) * thickness_mm)
+        return PhotonSpectrum(self.energies_kev, self.photons * passed, self.absolute)
 
     def scaled(self, total: float) -> PhotonSpectrum:
         """The same shape with a known number of photons per mm^2 at 1 m and mAs."""
@@ -133,9 +121,5 @@ class PhotonSpectrum:
 
 
 def attenuation(material: Material, energies_kev: Floats) -> Floats:
-    """Linear attenuation coefficient at each energy, 1/mm.
-
-    Raises:
-        SpecimenError: xraylib has no data at an energy.
-    """
+    """Linear attenuation coefficient at each energy, 1/mm."""
     return np.array([material.mu_per_mm(float(energy)) for energy in energies_kev])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import special
 
@@ -69,9 +71,7 @@ def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, unit: Floa
 def moved_source(view: ScanGeometry, offset_mm: Floats) -> ScanGeometry:
     """A view whose source is moved in the source frame's x and y; the panel stays."""
     axes = view.source_poses()[0].rotation
-    return ScanGeometry(
-        view.source + offset_mm @ axes[:, :2].T, view.detector, view.u, view.v, view.panel
-    )
+    return replace(view, source=view.source + offset_mm @ axes[:, :2].T)
 
 
 def _with_variance(points: Floats, variance: Floats) -> Floats:

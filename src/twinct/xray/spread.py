@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -94,15 +95,10 @@ class PointSpreadFunction:
         raise InputError([f"{path}: {problem}" for problem in problems])
 
     def check_end(self, pitch_mm: float) -> None:
-        """Refuse a table that breaks off where it still matters.
-
-        Beyond its end the modulation is 0. What is cut off there makes an edge ring.
-
-        Args:
-            pitch_mm: of the pixels; their Nyquist frequency is 1 / (2 pitch).
+        """Refuse a table that breaks off where it still matters: what is cut off makes edges ring.
 
         Raises:
-            InputError: it ends below the Nyquist frequency, above ``CUT_OFF``.
+            InputError: it ends below the Nyquist frequency of the pitch, above ``CUT_OFF``.
         """
         nyquist = 0.5 / pitch_mm
         last = float(self.mtf(np.array(self.end_per_mm)))
@@ -115,22 +111,13 @@ class PointSpreadFunction:
     def apply(
         self, image: NDArray[np.float32], pitch_u: float, pitch_v: float
     ) -> NDArray[np.float32]:
-        """The image, spread; its sum stays but for what passes the edges.
-
-        Args:
-            image: (rows, columns), sampled at the pitch.
-            pitch_u: along the columns, mm.
-            pitch_v: along the rows, mm.
-        """
+        """The image (rows, columns), spread; its sum stays but for what passes the edges."""
         rows, columns = image.shape
         pad_v = min(int(np.ceil(self.reach_mm / pitch_v)), rows - 1)
         pad_u = min(int(np.ceil(self.reach_mm / pitch_u)), columns - 1)
         shape = _fast(rows + 2 * pad_v), _fast(columns + 2 * pad_u)
-        padded = np.pad(
-            image,
-            ((pad_v, shape[0] - rows - pad_v), (pad_u, shape[1] - columns - pad_u)),
-            mode="symmetric",
-        )
+        pads = (pad_v, shape[0] - rows - pad_v), (pad_u, shape[1] - columns - pad_u)
+        padded = np.pad(image, pads, mode="symmetric")
         spectrum = np.asarray(fft.rfft2(padded))
         spectrum *= _transfer(self, shape, pitch_u, pitch_v)
         spread = np.asarray(fft.irfft2(spectrum, s=shape, overwrite_x=True))
@@ -151,17 +138,9 @@ def _fast(length: int) -> int:
     return int(fft.next_fast_len(length, real=True) or length)
 
 
+@lru_cache(maxsize=1)  # a scan uses one filter
 def _transfer(
     spread: PointSpreadFunction, shape: tuple[int, int], pitch_u: float, pitch_v: float
 ) -> NDArray[np.float32]:
-    key = (spread, shape, pitch_u, pitch_v)
-    if key not in _LAST:
-        along_u = fft.rfftfreq(shape[1], pitch_u)
-        along_v = fft.fftfreq(shape[0], pitch_v)
-        _LAST.clear()
-        _LAST[key] = spread.mtf(np.hypot(along_v[:, None], along_u[None, :])).astype(np.float32)
-    return _LAST[key]
-
-
-_LAST: dict[tuple[PointSpreadFunction, tuple[int, int], float, float], NDArray[np.float32]] = {}
-"""The filter last used: a scan uses one."""
+    along_u, along_v = fft.rfftfreq(shape[1], pitch_u), fft.fftfreq(shape[0], pitch_v)
+    return spread.mtf(np.hypot(along_v[:, None], along_u[None, :])).astype(np.float32)
