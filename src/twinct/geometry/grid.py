@@ -16,13 +16,9 @@ from twinct.geometry.pose import Pose
 class VolumeGrid:
     """A voxel lattice centred on the origin of its own frame.
 
-    Arrays on it have shape ``shape`` = (nz, ny, nx). Voxel (k, j, i) has its centre at
-    ``world_from_grid`` applied to ((i, j, k) - (n - 1) / 2) * voxel.
-
-    Attributes:
-        shape: voxels along (z, y, x).
-        voxel: voxel edges along (x, y, z), mm.
-        world_from_grid: pose of the lattice.
+    Arrays on it have shape ``shape`` = (nz, ny, nx); ``voxel`` has the edges along (x, y, z) in mm.
+    Voxel (k, j, i) has its centre at ``world_from_grid`` applied to
+    ((i, j, k) - (n - 1) / 2) * voxel.
     """
 
     shape: tuple[int, int, int]
@@ -62,10 +58,8 @@ class VolumeGrid:
 
     def axes(self) -> tuple[Floats, Floats, Floats]:
         """Voxel centres along x, y and z of the grid's own frame, mm."""
-        x, y, z = (
-            (np.arange(n) - (n - 1) / 2) * edge
-            for n, edge in zip(self.shape_xyz, self.voxel, strict=True)
-        )
+        sizes = zip(self.shape_xyz, self.voxel, strict=True)
+        x, y, z = ((np.arange(n) - (n - 1) / 2) * edge for n, edge in sizes)
         return x, y, z
 
     @property

@@ -11,14 +11,7 @@ from twinct.geometry.arrays import Floats
 
 @dataclass(frozen=True)
 class Panel:
-    """The pixel lattice of a flat panel.
-
-    Attributes:
-        rows: pixels along v.
-        columns: pixels along u.
-        pitch_u: pixel pitch along u, mm.
-        pitch_v: pixel pitch along v, mm.
-    """
+    """The pixel lattice of a flat panel: rows along v, columns along u, pitches in mm."""
 
     rows: int
     columns: int
@@ -58,9 +51,8 @@ class Panel:
 
     def divided(self, parts: int) -> Panel:
         """The same area with each pixel cut into ``parts`` x ``parts``."""
-        return Panel(
-            self.rows * parts, self.columns * parts, self.pitch_u / parts, self.pitch_v / parts
-        )
+        rows, columns = self.rows * parts, self.columns * parts
+        return Panel(rows, columns, self.pitch_u / parts, self.pitch_v / parts)
 
     def binned(self, rows: int, columns: int) -> Panel:
         """``rows`` x ``columns`` pixels taken as one, from pixel (0, 0) on.
@@ -70,6 +62,5 @@ class Panel:
         Raises:
             ValueError: no pixel is left.
         """
-        return Panel(
-            self.rows // rows, self.columns // columns, self.pitch_u * columns, self.pitch_v * rows
-        )
+        pitches = self.pitch_u * columns, self.pitch_v * rows
+        return Panel(self.rows // rows, self.columns // columns, *pitches)

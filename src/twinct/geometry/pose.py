@@ -50,8 +50,7 @@ class Pose:
     @classmethod
     def from_euler(cls, position: ArrayLike, degrees: ArrayLike) -> Pose:
         """Build from an origin in mm and extrinsic x, y, z rotations in degrees."""
-        angles = np.asarray(degrees, dtype=np.float64)
-        turned = Rotation.from_euler("xyz", angles, degrees=True)
+        turned = Rotation.from_euler("xyz", np.asarray(degrees, dtype=np.float64), degrees=True)
         return cls(np.asarray(position), turned.as_quat())
 
     @classmethod
@@ -61,11 +60,7 @@ class Pose:
 
     @classmethod
     def exp(cls, twist: ArrayLike) -> Pose:
-        """Where a frame is after it followed a twist (v, w), (6,), mm and rad, for a unit of time.
-
-        Raises:
-            ValueError: not six finite numbers.
-        """
+        """Where a frame is after a unit of time along a twist (v, w), (6,), mm and rad."""
         v, w = np.split(frozen(twist, (6,), "twist"), 2)
         motion = RigidTransform.from_exp_coords(np.concatenate([w, v]))
         return cls(motion.translation, motion.rotation.as_quat())
@@ -109,10 +104,8 @@ class Pose:
         """Compose: ``world_from_tool @ tool_from_source`` is ``world_from_source``."""
         if type(other) is not Pose:
             return NotImplemented
-        return Pose(
-            self.apply(other.position),
-            (Rotation.from_quat(self.quat) * Rotation.from_quat(other.quat)).as_quat(),
-        )
+        turned = Rotation.from_quat(self.quat) * Rotation.from_quat(other.quat)
+        return Pose(self.apply(other.position), turned.as_quat())
 
     def inverse(self) -> Pose:
         """The transform back."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, frozen
 from twinct.geometry.panel import Panel
 from twinct.geometry.pose import Pose
+
+_VECTORS = ("source", "detector", "u", "v")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,36 +37,29 @@ class ScanGeometry:
     def __post_init__(self) -> None:
         """Copy, check and freeze the arrays."""
         views = len(np.atleast_2d(np.asarray(self.source)))
-        for name in ("source", "detector", "u", "v"):
+        for name in _VECTORS:
             object.__setattr__(self, name, frozen(getattr(self, name), (views, 3), name))
-        for name in ("u", "v"):
-            bad = np.abs(np.linalg.norm(getattr(self, name), axis=1) - 1.0) > UNIT_TOLERANCE
+        length_u, length_v = (np.linalg.norm(axis, axis=1) for axis in (self.u, self.v))
+        behind = "points away from the source: the panel would be seen from behind"
+        for what, bad, problem in (
+            ("u", np.abs(length_u - 1.0) > UNIT_TOLERANCE, "is not a unit vector"),
+            ("v", np.abs(length_v - 1.0) > UNIT_TOLERANCE, "is not a unit vector"),
+            ("u and v", np.abs(_dot(self.u, self.v)) > UNIT_TOLERANCE, "are not orthogonal"),
+            ("u x v", _dot(self.normal, self.source - self.detector) <= 0, behind),
+        ):
             if bad.any():
-                raise ValueError(f"{name} of view {int(bad.argmax())} is not a unit vector")
-        bad = np.abs(np.einsum("ij,ij->i", self.u, self.v)) > UNIT_TOLERANCE
-        if bad.any():
-            raise ValueError(f"u and v of view {int(bad.argmax())} are not orthogonal")
-        bad = np.einsum("ij,ij->i", self.normal, self.source - self.detector) <= 0
-        if bad.any():
-            raise ValueError(
-                f"u x v of view {int(bad.argmax())} points away from the source: "
-                "the panel would be seen from behind"
-            )
+                raise ValueError(f"{what} of view {int(bad.argmax())} {problem}")
 
     @classmethod
     def from_poses(
         cls, sources: Iterable[Pose], detectors: Iterable[Pose], panel: Panel
     ) -> ScanGeometry:
         """Build from ``world_from_source`` and ``world_from_detector`` of each view."""
-        sources, detectors = list(sources), list(detectors)
-        rotations = [pose.rotation for pose in detectors]
-        return cls(
-            np.array([pose.position for pose in sources]),
-            np.array([pose.position for pose in detectors]),
-            np.array([rotation[:, 0] for rotation in rotations]),
-            np.array([rotation[:, 1] for rotation in rotations]),
-            panel,
-        )
+        detectors = list(detectors)
+        rotations = np.array([pose.rotation for pose in detectors])
+        centres = np.array([pose.position for pose in detectors])
+        spots = np.array([pose.position for pose in sources])
+        return cls(spots, centres, rotations[:, :, 0], rotations[:, :, 1], panel)
 
     @property
     def normal(self) -> Floats:
@@ -82,23 +77,19 @@ class ScanGeometry:
         return np.linalg.norm(self.source - self.detector, axis=1)
 
     def depth(self, points: ArrayLike) -> Floats:
-        """How far a point, or one a view, lies in front of the source along the panel's normal.
-
-        Args:
-            points: (3,) or (views, 3), mm.
+        """How far points, (3,) or (views, 3), lie in front of the source along the panel's normal.
 
         Returns:
             (views,), mm; negative behind the plane through the source parallel to the panel.
         """
-        return np.einsum("vk,vk->v", self.source - np.asarray(points), self.normal)
+        return _dot(self.source - np.asarray(points), self.normal)
 
     @property
     def piercing_points(self) -> Floats:
         """(column, row) at which the perpendicular from the source meets the panel, (views, 2)."""
         to_panel = self.detector - self.source
         (column, row), panel = self.panel.middle, self.panel
-        across = np.einsum("vk,vk->v", to_panel, self.u) / panel.pitch_u
-        up = np.einsum("vk,vk->v", to_panel, self.v) / panel.pitch_v
+        across, up = _dot(to_panel, self.u) / panel.pitch_u, _dot(to_panel, self.v) / panel.pitch_v
         return np.stack([column - across, row - up], axis=1)
 
     def matrices(self, origin: ArrayLike = (0, 0, 0), step: ArrayLike = (1, 1, 1)) -> Floats:
@@ -118,23 +109,14 @@ class ScanGeometry:
             return reach / pitch * axis + start[:, None] * ahead
 
         columns, rows = self.piercing_points.T
-        linear = np.stack(
-            [
-                along(self.u, self.panel.pitch_u, columns),
-                along(self.v, self.panel.pitch_v, rows),
-                ahead,
-            ],
-            axis=1,
-        )
+        u, v = along(self.u, self.panel.pitch_u, columns), along(self.v, self.panel.pitch_v, rows)
+        linear = np.stack([u, v, ahead], axis=1)
         constant = np.einsum("vij,vj->vi", linear, origin - self.source)
         return np.concatenate([linear * step, constant[:, :, None]], axis=2)
 
     def source_poses(self) -> list[Pose]:
         """``world_from_source`` of each view: z towards the panel centre, x the nearest to u."""
-        return [
-            _source_pose(s, d, u)
-            for s, d, u in zip(self.source, self.detector, self.u, strict=True)
-        ]
+        return list(map(_source_pose, self.source, self.detector, self.u))
 
     def detector_poses(self) -> list[Pose]:
         """``world_from_detector`` of each view: axes (u, v, u x v)."""
@@ -161,23 +143,14 @@ class ScanGeometry:
 
     def __eq__(self, other: object) -> bool:
         """Same numbers, to the last bit."""
-        return (
-            isinstance(other, ScanGeometry)
-            and self.panel == other.panel
-            and all(
-                np.array_equal(getattr(self, n), getattr(other, n))
-                for n in ("source", "detector", "u", "v")
-            )
-        )
+        if not isinstance(other, ScanGeometry) or self.panel != other.panel:
+            return False
+        return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in _VECTORS)
 
     __hash__ = None  # type: ignore[assignment]
 
     def __rmatmul__(self, outer_from_inner: Pose) -> ScanGeometry:
         """``object_from_world @ geometry``: the same views in another frame."""
-        return self.transformed(outer_from_inner)
-
-    def transformed(self, outer_from_inner: Pose) -> ScanGeometry:
-        """The same views, seen from another frame."""
         return ScanGeometry(
             outer_from_inner.apply(self.source),
             outer_from_inner.apply(self.detector),
@@ -220,14 +193,13 @@ class ScanGeometry:
 
     def to_astra(self) -> dict[str, Any]:
         """ASTRA's ``cone_vec``, as a plain dict: (S, D, pitch_u u, pitch_v v) per row."""
-        vectors = np.hstack(
-            [self.source, self.detector, self.panel.pitch_u * self.u, self.panel.pitch_v * self.v]
-        )
+        panel = self.panel
+        steps = panel.pitch_u * self.u, panel.pitch_v * self.v
         return {
             "type": "cone_vec",
-            "DetectorRowCount": self.panel.rows,
-            "DetectorColCount": self.panel.columns,
-            "Vectors": vectors,
+            "DetectorRowCount": panel.rows,
+            "DetectorColCount": panel.columns,
+            "Vectors": np.hstack([self.source, self.detector, *steps]),
         }
 
     def to_rtk(self) -> dict[str, Any]:
@@ -252,20 +224,18 @@ class ScanGeometry:
         panel, binned = self.panel, self.panel.binned(rows, columns)
         left_u = (panel.columns - binned.columns * columns) * panel.pitch_u
         left_v = (panel.rows - binned.rows * rows) * panel.pitch_v
-        return ScanGeometry(
-            self.source,
-            self.detector - left_u / 2 * self.u - left_v / 2 * self.v,
-            self.u,
-            self.v,
-            binned,
-        )
+        centre = self.detector - left_u / 2 * self.u - left_v / 2 * self.v
+        return replace(self, detector=centre, panel=binned)
 
     def __repr__(self) -> str:
         """Evaluates to an equal geometry."""
-        vectors = ", ".join(
-            f"{name}={getattr(self, name).tolist()}" for name in ("source", "detector", "u", "v")
-        )
+        vectors = ", ".join(f"{name}={getattr(self, name).tolist()}" for name in _VECTORS)
         return f"ScanGeometry({vectors}, panel={self.panel!r})"
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Of each view, (views,)."""
+    return np.einsum("vk,vk->v", a, b)
 
 
 def _source_pose(source: Floats, detector: Floats, u: Floats) -> Pose:
