@@ -1,7 +1,5 @@
 """The specimen: bodies, materials, and the voxel truth of what is imaged."""
 
-from __future__ import annotations
-
 from twinct.specimen.build import BuiltPart, BuiltSpecimen, build_specimen
 from twinct.specimen.materials import Material, material, material_names
 from twinct.specimen.size import SpecimenSize, specimen_size

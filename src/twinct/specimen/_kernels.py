@@ -1,44 +1,32 @@
 """Numba kernels: scan conversion of closed meshes, and a z-buffer for pictures of them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit, prange
 
 UNIT = 1 << 40
-"""One in the fixed-point sums: 2^-40 of a voxel is the quantum; 2^22 crossings a row fit into
-int64."""
+"""One in the fixed-point sums: the quantum is 2^-40 voxel; 2^22 crossings a row fit into int64."""
 
 
 @njit(cache=True, nogil=True)
 def triangles_by_layer(points, triangles, layers, columns):
     """List for each z layer the triangles that a sample line of it may cross.
 
-    Args:
-        points: (points, 3) index coordinates, voxel i spans [i, i + 1].
-        triangles: (triangles, 3) int64.
-        layers: number of voxel layers along z.
-        columns: sample lines per voxel along z.
-
-    Returns:
-        ``starts`` (layers + 1,) and ``members``: layer k owns members[starts[k] : starts[k + 1]].
+    ``points`` are index coordinates in which voxel i spans [i, i + 1]; ``columns`` sample lines
+    cross a voxel along z. Returns ``starts`` (layers + 1,) and ``members``: layer k owns
+    members[starts[k] : starts[k + 1]].
     """
     count = np.zeros(layers + 1, dtype=np.int64)
     first = np.empty(len(triangles), dtype=np.int64)
     last = np.empty(len(triangles), dtype=np.int64)
     for t in range(len(triangles)):
-        low = min(
-            points[triangles[t, 0], 2], points[triangles[t, 1], 2], points[triangles[t, 2], 2]
-        )
-        high = max(
-            points[triangles[t, 0], 2], points[triangles[t, 1], 2], points[triangles[t, 2], 2]
-        )
+        p, q, r = triangles[t]
+        low = min(points[p, 2], points[q, 2], points[r, 2])
+        high = max(points[p, 2], points[q, 2], points[r, 2])
         # Row r samples at (r + 0.5) / columns and is crossed if low <= sample < high.
         a = int(np.ceil(max(low, 0.0) * columns - 0.5))
         b = int(np.ceil(min(high, float(layers)) * columns - 0.5)) - 1
         if b < a or high <= 0.0 or low >= layers:
-            first[t] = 0
-            last[t] = -1
+            first[t], last[t] = 0, -1
             continue
         first[t] = max(a, 0) // columns
         last[t] = min(b // columns, layers - 1)
@@ -137,12 +125,8 @@ def add_fractions(points, triangles, starts, members, columns, weight, out):
 def depth_buffer(points, triangles, depth, owner, weights):
     """Draw triangles into a z-buffer, nearest (largest depth) first.
 
-    Args:
-        points: (points, 3): column, row, depth towards the viewer.
-        triangles: (triangles, 3).
-        depth: (rows, columns), filled with -inf.
-        owner: (rows, columns) int64: triangle seen, -1 where none.
-        weights: (rows, columns, 3): its barycentric coordinates there.
+    ``points`` are (column, row, depth towards the viewer). ``depth`` (rows, columns) starts at
+    -inf, ``owner`` at -1 and gets the triangle seen, ``weights`` its barycentric coordinates there.
     """
     rows, columns = depth.shape
     for t in range(len(triangles)):
@@ -167,8 +151,5 @@ def depth_buffer(points, triangles, depth, owner, weights):
                     continue
                 near = wa * points[a, 2] + wb * points[b, 2] + wc * points[c, 2]
                 if near > depth[r, q]:
-                    depth[r, q] = near
-                    owner[r, q] = t
-                    weights[r, q, 0] = wa
-                    weights[r, q, 1] = wb
-                    weights[r, q, 2] = wc
+                    depth[r, q], owner[r, q] = near, t
+                    weights[r, q, 0], weights[r, q, 1], weights[r, q, 2] = wa, wb, wc

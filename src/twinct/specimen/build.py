@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -23,12 +23,9 @@ HULL_DIRECTIONS = 4000
 
 @dataclass(frozen=True, eq=False)
 class BuiltPart:
-    """One body of one material.
+    """One body of one material, which messages call by its name.
 
-    Attributes:
-        name: what messages call it.
-        material: what it is made of.
-        mesh: closed surface in the specimen's frame, mm, counter-clockwise seen from outside.
+    ``mesh`` is its closed surface in the specimen's frame, mm, counter-clockwise seen from outside.
     """
 
     name: str
@@ -45,9 +42,7 @@ class BuiltPart:
 class BuiltSpecimen:
     """A specimen ready to be imaged: image and truth come from the same closed meshes.
 
-    Attributes:
-        parts: disjoint bodies; where two overlapped in the scenario, the later one has the overlap.
-        world_from_specimen: where the specimen stands.
+    Its parts are disjoint; where two overlapped in the scenario, the later one has the overlap.
     """
 
     parts: tuple[BuiltPart, ...]
@@ -100,15 +95,10 @@ class BuiltSpecimen:
             (nz, ny, nx) float32, 1/mm.
         """
         volume = np.zeros(grid.shape, dtype=np.float32)
+        pose = world_from_specimen or self.world_from_specimen
         for part in self.parts:
-            volume_fractions(
-                part.mesh.vertices,
-                part.mesh.faces,
-                grid,
-                self.world_from_specimen if world_from_specimen is None else world_from_specimen,
-                weight=part.material.mu_per_mm(energy_kev),
-                out=volume,
-            )
+            mesh, mu_per_mm = part.mesh, part.material.mu_per_mm(energy_kev)
+            volume_fractions(mesh.vertices, mesh.faces, grid, pose, weight=mu_per_mm, out=volume)
         return volume
 
 
@@ -153,13 +143,12 @@ def _disjoint(parts: list[BuiltPart]) -> tuple[BuiltPart, ...]:
     problems: list[str] = []
     for i, part in enumerate(parts):
         mesh = subtract(part.mesh, [later.mesh for later in parts[i + 1 :]], part.name)
+        disjoint.append(replace(part, mesh=mesh))
         if not len(mesh.faces):
             problems.append(
                 f"part {part.name!r} is empty: later parts cover all of it. Where parts "
                 "overlap the later one wins; list the outer part first"
             )
-            continue
-        disjoint.append(BuiltPart(part.name, part.material, mesh))
     if problems:
         raise SpecimenError(problems)
     return tuple(disjoint)

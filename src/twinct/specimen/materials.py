@@ -12,9 +12,10 @@ with the mass attenuation coefficients of xraylib (Schoonjans et al., Spectrochi
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import xraylib
 
@@ -31,13 +32,7 @@ HEAVIEST_ELEMENT = 94
 
 @dataclass(frozen=True)
 class Material:
-    """A homogeneous material.
-
-    Attributes:
-        name: what messages and pictures call it.
-        density_g_cm3: mass density, g/cm3.
-        mass_fractions: element symbol to share of mass; the shares add up to 1.
-    """
+    """A homogeneous material; ``mass_fractions`` by element symbol add up to 1."""
 
     name: str
     density_g_cm3: float
@@ -75,10 +70,7 @@ class Material:
         return Material, (self.name, self.density_g_cm3, dict(self.mass_fractions))
 
     def mu_per_mm(self, energy_kev: float) -> float:
-        """Linear attenuation coefficient, 1/mm.
-
-        Args:
-            energy_kev: photon energy, keV.
+        """Linear attenuation coefficient at a photon energy, 1/mm.
 
         Raises:
             SpecimenError: xraylib has no data at this energy.
@@ -124,9 +116,7 @@ def material(description: str | Composition, origin: str = "material") -> Materi
     for name in xraylib.GetCompoundDataNISTList():
         if _key(name) == key:
             data = xraylib.GetCompoundDataNISTByName(name)
-            return Material(
-                name, data["density"], _by_symbol(data["Elements"], data["massFractions"])
-            )
+            return Material(name, data["density"], _by_symbol(data))
     raise SpecimenError(_unknown(wanted, origin))
 
 
@@ -146,8 +136,7 @@ def _composed(composition: Composition) -> Material:
         raise SpecimenError(
             f"formula {formula!r} cannot be read ({error}); write it like H2O or Ca10(PO4)6(OH)2"
         ) from None
-    shares = _by_symbol(data["Elements"], data["massFractions"])
-    return Material(formula, composition.density_g_cm3, shares)
+    return Material(formula, composition.density_g_cm3, _by_symbol(data))
 
 
 def _unknown(wanted: str, origin: str) -> str:
@@ -166,12 +155,10 @@ def _key(name: str) -> str:
     return "".join(c for c in name.lower() if c.isalnum() or c == ".")
 
 
-def _by_symbol(numbers: Iterable[int], shares: Iterable[float]) -> dict[str, float]:
-    return {
-        xraylib.AtomicNumberToSymbol(number): share
-        for number, share in zip(numbers, shares, strict=True)
-        if share > 0
-    }
+def _by_symbol(data: dict[str, Any]) -> dict[str, float]:
+    """Mass fractions of what xraylib tells of a compound."""
+    shares = zip(data["Elements"], data["massFractions"], strict=True)
+    return {xraylib.AtomicNumberToSymbol(z): share for z, share in shares if share > 0}
 
 
 def _atomic_number(symbol: str, name: str) -> int:

@@ -12,8 +12,7 @@ from twinct.specimen import _kernels
 from twinct.specimen.build import BuiltSpecimen
 
 VIEWS = {"front": (0.0, 0.0), "three-quarter": (35.0, 12.0), "side": (90.0, 0.0)}
-"""Where the onlooker stands: degrees from +y (the face) towards +x, and degrees above the
-horizon."""
+"""Where the onlooker stands: degrees from +y (the face) towards +x, and above the horizon."""
 
 COLOURS = ((0.90, 0.86, 0.76), (0.55, 0.63, 0.72), (0.80, 0.50, 0.40), (0.60, 0.72, 0.55))
 LIGHT = (-0.45, 0.55, 0.70)
@@ -28,30 +27,18 @@ def shaded(
     pixel_mm: float = 0.5,
     margin_mm: float = 8.0,
 ) -> NDArray[np.float32]:
-    """An orthographic picture.
-
-    Args:
-        specimen: what to show, in its own frame.
-        azimuth_deg: onlooker's direction from +y towards +x.
-        elevation_deg: onlooker's height above the horizon.
-        pixel_mm: size of a pixel.
-        margin_mm: empty border.
+    """An orthographic picture in the specimen's own frame; see ``VIEWS`` for the two angles.
 
     Returns:
-        (rows, columns, 3) in [0, 1], row 0 on top, white background.
+        (rows, columns, 3) in [0, 1], row 0 on top, white background with an empty margin.
     """
-    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
-    towards = np.array(
-        [
-            np.sin(azimuth) * np.cos(elevation),
-            np.cos(azimuth) * np.cos(elevation),
-            np.sin(elevation),
-        ]
-    )
-    right = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
+    angles = np.radians([azimuth_deg, elevation_deg])
+    (cos_a, cos_e), (sin_a, sin_e) = np.cos(angles), np.sin(angles)
+    towards = np.array([sin_a * cos_e, cos_a * cos_e, sin_e])
+    right = np.array([-cos_a, sin_a, 0.0])
     axes = np.stack([right, np.cross(towards, right), towards])
     low, high = specimen.bounds
-    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T @ axes.T
+    corners = np.array(np.meshgrid(*np.transpose([low, high]))).reshape(3, -1).T @ axes.T
     start, stop = corners.min(axis=0) - margin_mm, corners.max(axis=0) + margin_mm
     columns, rows = (int(np.ceil(n)) for n in (stop - start)[:2] / pixel_mm)
 
@@ -59,11 +46,8 @@ def shaded(
     colour = np.ones((rows, columns, 3), dtype=np.float32)
     light = np.array(LIGHT) / np.linalg.norm(LIGHT)
     for index, part in enumerate(specimen.parts):
-        seen = part.mesh.vertices @ axes.T
-        points = np.empty_like(seen)
-        points[:, 0] = (seen[:, 0] - start[0]) / pixel_mm
-        points[:, 1] = (stop[1] - seen[:, 1]) / pixel_mm
-        points[:, 2] = seen[:, 2]
+        across, up, near = (part.mesh.vertices @ axes.T).T
+        points = np.stack([(across - start[0]) / pixel_mm, (stop[1] - up) / pixel_mm, near], axis=1)
         owner = np.full((rows, columns), -1, dtype=np.int64)
         weights = np.zeros((rows, columns, 3))
         faces = np.ascontiguousarray(part.mesh.faces, dtype=np.int64)
@@ -78,13 +62,7 @@ def shaded(
 
 
 def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str = "") -> None:
-    """Write a picture from the front, three-quarter and side, with a scale in mm.
-
-    Args:
-        specimen: what to show.
-        path_png: file to write.
-        title: above the pictures.
-    """
+    """Write a picture from the front, three-quarter and side, with a scale in mm."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -131,13 +109,9 @@ def _corner_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> 
     """Normals (faces, 3 corners, 3): of the vertex where it is smooth, else of the face."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     flat = np.cross(b - a, c - a)
-    smooth = np.stack(
-        [
-            sum(np.bincount(faces[:, i], flat[:, d], len(vertices)) for i in range(3))
-            for d in range(3)
-        ],
-        axis=1,
-    )
+    smooth = np.zeros_like(vertices)
+    for i, d in np.ndindex(3, 3):
+        smooth[:, d] += np.bincount(faces[:, i], flat[:, d], len(vertices))
     smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-30)
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
     corners = smooth[faces]

@@ -25,13 +25,9 @@ CYLINDER_SECTIONS = 256
 def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
     """The closed surface of a shape in its part's frame, mm, counter-clockwise seen from outside.
 
-    Args:
-        shape: its section of the scenario.
-        name: of the part, for messages.
-
     Raises:
         SpecimenError: a file that cannot be read, an open or empty mesh, a threshold nothing
-        exceeds.
+            exceeds; the message names the part.
     """
     match shape:
         case scenario.Skull():
@@ -41,11 +37,18 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
         case scenario.Ellipsoid():
             return _sphere(shape.semi_axes_mm)
         case scenario.Cylinder():
-            return _cylinder(shape.radius_mm, shape.height_mm)
+            rod = trimesh.creation.cylinder(1.0, shape.height_mm, CYLINDER_SECTIONS)
+            fit = shape.radius_mm * math.sqrt(math.pi * shape.height_mm / rod.volume)
+            return surface(rod.vertices * (fit, fit, 1.0), rod.faces)
         case scenario.Box():
             return trimesh.creation.box(shape.size_mm)
         case scenario.MeshFile():
-            return _mesh_file(shape, name)
+            where = f"part {name!r}: mesh file {shape.path}"
+            mesh = read_mesh(shape.path, where)
+            vertices = mesh.vertices * shape.unit_mm
+            if shape.centre:
+                vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+            return joined_shells(surface(vertices, mesh.faces), where)
         case scenario.CtVolume():
             return ct_surface(shape, name)
     raise AssertionError(f"no surface for {shape!r}")
@@ -56,18 +59,3 @@ def _sphere(semi_axes: tuple[float, float, float]) -> trimesh.Trimesh:
     ball = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
     fit = (4 / 3 * math.pi / ball.volume) ** (1 / 3)
     return surface(ball.vertices * np.array(semi_axes) * fit, ball.faces)
-
-
-def _cylinder(radius: float, height: float) -> trimesh.Trimesh:
-    rod = trimesh.creation.cylinder(radius=1.0, height=height, sections=CYLINDER_SECTIONS)
-    fit = radius * math.sqrt(math.pi * height / rod.volume)
-    return surface(rod.vertices * (fit, fit, 1.0), rod.faces)
-
-
-def _mesh_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
-    where = f"part {name!r}: mesh file {shape.path}"
-    mesh = read_mesh(shape.path, where)
-    vertices = mesh.vertices * shape.unit_mm
-    if shape.centre:
-        vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    return joined_shells(surface(vertices, mesh.faces), where)

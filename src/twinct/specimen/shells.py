@@ -21,11 +21,8 @@ def joined_shells(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
     """The solid that the shells of a mesh make together.
 
     Shells turned outwards are bodies and are united; shells turned inwards are the cavities of the
-    smallest body around them. A mesh whose shells do not meet comes back as it is.
-
-    Args:
-        mesh: closed, all triangles of a shell turned the same way, mm.
-        where: what messages call it.
+    smallest body around them. A mesh whose shells do not meet comes back as it is. Messages start
+    with ``where``.
 
     Raises:
         SpecimenError: a shell turned inwards lies in no other shell, or crosses one; or a shell is
@@ -35,11 +32,12 @@ def joined_shells(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
     if len(shells) == 1:
         return mesh
     bodies = [_solid(shell, where) for shell in shells if shell.volume > 0]
-    cavities = [_solid(_turned(shell), where) for shell in shells if not shell.volume > 0]
+    turned = [surface(s.vertices, s.faces[:, ::-1]) for s in shells if not s.volume > 0]
+    cavities = [_solid(shell, where) for shell in turned]
     least = TOUCH * float(sum(body.volume() for body in bodies))
     whole, holes = _sum(bodies), _sum(cavities)
-    once = float(mesh.volume)
-    if abs((whole - holes).volume() - once) < least and abs(_excess(cavities, holes)) < least:
+    once, excess = float(mesh.volume), sum(c.volume() for c in cavities) - holes.volume()
+    if abs((whole - holes).volume() - once) < least and abs(excess) < least:
         return mesh
     for cavity in cavities:
         _carve(bodies, cavity, least, where)
@@ -47,12 +45,8 @@ def joined_shells(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
     twice = once - solid.volume()
     if twice < least:  # bodies within cavities of others
         return mesh
-    log.warning(
-        "%s: its %d shells overlap; what lies in several of them (%.3g mm^3 in all) counts once",
-        where,
-        len(shells),
-        twice,
-    )
+    told = "%s: its %d shells overlap; what lies in several of them (%.3g mm^3 in all) counts once"
+    log.warning(told, where, len(shells), twice)
     return from_manifold(solid)
 
 
@@ -68,10 +62,6 @@ def _shells(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     return shells
 
 
-def _turned(shell: trimesh.Trimesh) -> trimesh.Trimesh:
-    return surface(shell.vertices, shell.faces[:, ::-1])
-
-
 def _solid(shell: trimesh.Trimesh, where: str) -> manifold3d.Manifold:
     solid = to_manifold(shell)
     if solid.is_empty():
@@ -84,10 +74,6 @@ def _solid(shell: trimesh.Trimesh, where: str) -> manifold3d.Manifold:
 
 def _sum(solids: list[manifold3d.Manifold]) -> manifold3d.Manifold:
     return manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
-
-
-def _excess(solids: list[manifold3d.Manifold], united: manifold3d.Manifold) -> float:
-    return sum(solid.volume() for solid in solids) - united.volume()
 
 
 def _carve(

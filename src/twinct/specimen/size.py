@@ -36,23 +36,14 @@ class SpecimenSize:
     warnings: tuple[str, ...]
 
     def __str__(self) -> str:
-        return (
-            f"{_edges(self.specimen_mm)}; field of view {_edges(self.field_mm)}, "
-            f"grid {_edges(self.grid_mm)}"
-        )
+        size, field, grid = map(_edges, (self.specimen_mm, self.field_mm, self.grid_mm))
+        return f"{size}; field of view {field}, grid {grid}"
 
 
 def specimen_size(
     section: scenario.Specimen, built: BuiltSpecimen, geometry: ScanGeometry, grid: VolumeGrid
 ) -> SpecimenSize:
-    """Compare a specimen with field of view and voxels.
-
-    Args:
-        section: the specimen of the scenario.
-        built: what was built of it, part by part.
-        geometry: the commanded views.
-        grid: the voxels of the reconstruction.
-    """
+    """Compare a specimen, as built of its section, with field of view and voxels."""
     low, high = built.bounds
     field = _field_mm(geometry, built.world_from_specimen.apply((low + high) / 2))
     warnings = []
@@ -74,21 +65,14 @@ def specimen_size(
                 f"{key} is {unit_mm:g}; {UNITS_MM[name]:g} ({name}) would make it {size:.3g} mm"
             )
         warnings.append(f"part {body.name!r} measures {_edges(edges)}, {beside}: {advice}")
-    return SpecimenSize(
-        tuple((high - low).tolist()),
-        tuple(field.tolist()),
-        tuple(grid.size_mm.tolist()),
-        tuple(warnings),
-    )
+    size, seen, box = (tuple(lengths.tolist()) for lengths in (high - low, field, grid.size_mm))
+    return SpecimenSize(size, seen, box, tuple(warnings))
 
 
 def _field_mm(geometry: ScanGeometry, middle: Floats) -> Floats:
     """Width and height of the panel's image at a point, in the view where it is smallest, (2,)."""
-    normal, panel = geometry.normal, geometry.panel
-    to_point = np.einsum("vk,vk->v", geometry.source - middle, normal)
-    to_panel = np.einsum("vk,vk->v", geometry.source - geometry.detector, normal)
-    size = np.array([panel.columns * panel.pitch_u, panel.rows * panel.pitch_v])
-    return size * max(float((to_point / to_panel).min()), 0.0)
+    to_point, to_panel = geometry.depth(middle), geometry.sdd
+    return np.array(geometry.panel.size_mm) * max(float((to_point / to_panel).min()), 0.0)
 
 
 def _fitting_unit(length: float, field_mm: float) -> str:

@@ -44,13 +44,13 @@ WALL_MM = 6.3
 def _cached(scale: float, resolution_mm: float) -> trimesh.Trimesh:
     step = resolution_mm / scale
     head = _Canvas(step)
-    _build(head)
+    for add in (_braincase, _base, _face, _cheeks, _openings, _jaw, _teeth):
+        add(head)
     affine = np.diag([step, step, step, 1.0])
     affine[:3, 3] = head.origin
     affine[0, 3] = -step * (head.field.shape[0] - 1)
     mirrored = np.concatenate([head.field[:0:-1], head.field])
-    mesh = isosurface(-mirrored, 0.0, affine)
-    mesh = _without_crumbs(mesh)
+    mesh = _without_crumbs(isosurface(-mirrored, 0.0, affine))
     vertices = (mesh.vertices - mesh.bounds.mean(axis=0)) * scale
     return surface(vertices, mesh.faces)
 
@@ -60,8 +60,7 @@ def skull_surface(scale: float = 1.0, resolution_mm: float = 1.0) -> trimesh.Tri
 
     Args:
         scale: 1 is adult size.
-        resolution_mm: cell of the lattice on which the surface is extracted, mm of the scaled
-        skull.
+        resolution_mm: cell of the lattice that it is extracted on, mm of the scaled skull.
     """
     return _cached(float(scale), float(resolution_mm)).copy()
 
@@ -74,37 +73,32 @@ class _Canvas:
     """
 
     def __init__(self, step: float) -> None:
-        counts = [
-            int(np.ceil((h - low) / step)) + 1 for low, h in zip(LOWEST, HIGHEST, strict=True)
-        ]
-        self.origin = np.array(LOWEST)
+        self.origin, extent = np.array(LOWEST), np.subtract(HIGHEST, LOWEST)
+        counts = np.ceil(extent / step).astype(int) + 1
         self.axes = [
             np.asarray(low + step * np.arange(n), dtype=np.float32)
             for low, n in zip(LOWEST, counts, strict=True)
         ]
         self.field: Field = np.full(counts, 50.0, dtype=np.float32)
 
-    def _within(self, low: Floats, high: Floats) -> tuple[tuple[slice, ...], list[Field]]:
+    def _around(self, body: _Body, blend: float) -> tuple[tuple[slice, ...], Field]:
+        """The part of the lattice that a body may change, and its distance there."""
+        low, high = body.low - (blend + 3.0), body.high + (blend + 3.0)
         cut = tuple(
             slice(int(np.searchsorted(axis, lo)), int(np.searchsorted(axis, hi, side="right")))
             for axis, lo, hi in zip(self.axes, low, high, strict=True)
         )
-        x, y, z = (axis[s] for axis, s in zip(self.axes, cut, strict=True))
-        return cut, [x[:, None, None], y[None, :, None], z[None, None, :]]
+        return cut, body(*np.ix_(*(axis[s] for axis, s in zip(self.axes, cut, strict=True))))
 
     def add(self, body: _Body, blend: float = 0.0) -> None:
         """Smooth union; ``blend`` is the width of the fillet, mm."""
-        margin = blend + 3.0
-        cut, xyz = self._within(body.low - margin, body.high + margin)
-        if min(len(np.ravel(c)) for c in xyz):
-            self.field[cut] = smin(self.field[cut], body(*xyz), blend)
+        cut, distance = self._around(body, blend)
+        self.field[cut] = smin(self.field[cut], distance, blend)
 
     def cut(self, body: _Body, blend: float = 0.0) -> None:
         """Smooth subtraction."""
-        margin = blend + 3.0
-        cut, xyz = self._within(body.low - margin, body.high + margin)
-        if min(len(np.ravel(c)) for c in xyz):
-            self.field[cut] = -smin(-self.field[cut], body(*xyz), blend)
+        cut, distance = self._around(body, blend)
+        self.field[cut] = -smin(-self.field[cut], distance, blend)
 
 
 class _Body:
@@ -152,13 +146,7 @@ def smin(a: Field, b: Field, blend: float) -> Field:
 
 
 def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> _Body:
-    """Ellipsoid; distance to first order, k (k - 1) / |grad|, exact for a sphere.
-
-    Args:
-        centre: mm.
-        radii: semi-axes, mm.
-        turn_deg: extrinsic rotations about x, y, z.
-    """
+    """Ellipsoid, turned about x, y, z; distance to first order, k (k - 1) / |grad|."""
     turn = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().astype(np.float32)
     reach = np.sqrt((turn**2) @ np.square(radii))
 
@@ -211,11 +199,8 @@ def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float =
 
     def distance(x: Field, y: Field, z: Field) -> Field:
         px, py = x - centre[0], y - centre[1]
-        q = [
-            np.abs(c * px + s * py) - core[0],
-            np.abs(c * py - s * px) - core[1],
-            np.abs(z - centre[2]) - core[2],
-        ]
+        local = c * px + s * py, c * py - s * px, z - centre[2]
+        q = [np.abs(along) - half_core for along, half_core in zip(local, core, strict=True)]
         outside = np.sqrt(sum(np.maximum(v, 0) ** 2 for v in q))
         inside = np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0)
         return outside + inside - rounding
@@ -230,15 +215,7 @@ def wall(
     half_width: ArrayLike,
     rounding: float = 3.0,
 ) -> _Body:
-    """An upright plate along a path in the (x, y) plane, height and width changing on the way.
-
-    Args:
-        path: corners (x, y), mm.
-        middle_z: height of the middle at each corner, mm.
-        half_height: half the plate's height at each corner, mm.
-        half_width: half the plate's thickness at each corner, mm.
-        rounding: radius of its edges, mm.
-    """
+    """An upright plate along a path in the (x, y) plane, height and width given at its corners."""
     corners = np.asarray(path, dtype=np.float32)
     table = np.array([middle_z, half_height, half_width], dtype=np.float32)
 
@@ -261,11 +238,9 @@ def wall(
         return outside + np.minimum(np.maximum(across, up), 0) - rounding
 
     reach = float(np.max(half_width))
-    low_z = float(np.min(table[0] - table[1]))
-    high_z = float(np.max(table[0] + table[1]))
-    return _Body(
-        distance, [*(corners.min(axis=0) - reach), low_z], [*(corners.max(axis=0) + reach), high_z]
-    )
+    low = [*(corners.min(axis=0) - reach), float(np.min(table[0] - table[1]))]
+    high = [*(corners.max(axis=0) + reach), float(np.max(table[0] + table[1]))]
+    return _Body(distance, low, high)
 
 
 UPPER_ARCH = (29.5, 50.0)
@@ -281,24 +256,13 @@ LOWER_CROWN_Z = (-99.0, -108.5)
 """Neck and edge of the upper, edge and neck of the lower crowns, mm: the teeth do not touch."""
 
 
-def _build(head: _Canvas) -> None:
-    _braincase(head)
-    _base(head)
-    _face(head)
-    _cheeks(head)
-    _openings(head)
-    _jaw(head)
-    _teeth(head)
-
-
 def _braincase(head: _Canvas) -> None:
     back = ellipsoid((0, -14, 2), (71.5, 76, 65))
     front = ellipsoid((0, 24, 4), (58, 63, 57))
     egg = back.joined(front, 26)
 
     def floor(y: Field) -> Field:
-        # Height of the skull base: posterior fossa, step at the clivus, step up to the frontal
-        # fossa.
+        # Height of the skull base: posterior fossa, steps up at the clivus and the frontal fossa.
         return -61.0 + 9.0 * (1 + np.tanh((y - 4) / 9)) + 14.5 * (1 + np.tanh((y - 40) / 9))
 
     def slope(y: Field) -> Field:
@@ -325,14 +289,8 @@ def _braincase(head: _Canvas) -> None:
 
     head.add(_Body(shell, outer.low - 3, outer.high + 3))
     # Brow ridges and glabella, temporal lines, occipital protuberance with its nuchal line.
-    brow = [
-        (0, 84, -17),
-        (8, 85, -14.5),
-        (16, 85, -12),
-        (26, 82.5, -10),
-        (36, 77, -10),
-        (48, 66, -15),
-    ]
+    brow = [(0, 84, -17), (8, 85, -14.5), (16, 85, -12), (26, 82.5, -10)]
+    brow += [(36, 77, -10), (48, 66, -15)]
     head.add(chain(brow, [4.5, 4.8, 4.8, 4.4, 4.2, 4.6]), 10)
     line = [(49, 63, -14), (52, 56, -4), (54.5, 47, 8), (57, 35, 20), (58, 19, 28), (57, 3, 32)]
     head.add(chain(line, [2.2, 1.6, 1.2, 0.8, 0.4, 0.1]), 7)
@@ -384,14 +342,8 @@ def _cheeks(head: _Canvas) -> None:
     head.add(ellipsoid((45, 64, -56), (13, 11, 11), (0, 0, -35)), 7)
     head.add(rod((44, 66, -58), (28, 66, -70), 8, 7), 7)
     head.add(chain([(49, 66, -14), (52, 63, -28), (51, 63, -42), (48, 64, -54)], [5, 4.3, 5, 8]), 6)
-    arch = [
-        (52, 58, -55),
-        (60, 47, -54),
-        (64.5, 33, -52),
-        (65, 18, -50),
-        (61, 4, -48),
-        (55, -8, -45),
-    ]
+    arch = [(52, 58, -55), (60, 47, -54), (64.5, 33, -52)]
+    arch += [(65, 18, -50), (61, 4, -48), (55, -8, -45)]
     head.add(chain(arch, [7.5, 6.2, 5.4, 5.0, 5.4, 7], (1.7, 1.2, 1)), 6)
 
 
@@ -480,8 +432,7 @@ def _teeth(head: _Canvas) -> None:
             neck = z0 if up else z1
             root = neck + (7.0 if up else -7.0)
             middle_z, half = (edge + neck) / 2, abs(edge - neck) / 2
-            crown = block((x, y, middle_z), (width / 2 - 0.45, depth / 2, half), turn, 1.9)
-            head.add(crown)
+            head.add(block((x, y, middle_z), (width / 2 - 0.45, depth / 2, half), turn, 1.9))
             head.add(rod((x, y, middle_z), (x, y, root), min(width, depth) / 2 - 1.1, 1.8), 0.8)
 
 
@@ -490,7 +441,6 @@ def _without_crumbs(mesh: trimesh.Trimesh, smallest_mm3: float = 200.0) -> trime
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, len(mesh.faces))
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     signed = np.bincount(labels, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
-    keep = np.abs(signed)[labels] >= smallest_mm3
-    faces = mesh.faces[keep]
-    used, faces = np.unique(faces, return_inverse=True)
+    kept = mesh.faces[np.abs(signed)[labels] >= smallest_mm3]
+    used, faces = np.unique(kept, return_inverse=True)
     return surface(mesh.vertices[used], faces.reshape(-1, 3))

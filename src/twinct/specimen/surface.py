@@ -28,8 +28,7 @@ def surface(vertices: ArrayLike, faces: ArrayLike) -> trimesh.Trimesh:
 def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) -> trimesh.Trimesh:
     """The closed surface around where a lattice of values exceeds a level.
 
-    The lattice is padded by its lowest value, so that a body cut by the lattice's border gets a
-    lid.
+    The lattice is padded by its lowest value: a body cut by the lattice's border gets a lid.
 
     Args:
         values: (n0, n1, n2); at least one above and one below the level.
@@ -76,19 +75,13 @@ def from_manifold(solid: manifold3d.Manifold) -> trimesh.Trimesh:
 
 
 def simplified(mesh: trimesh.Trimesh, max_triangles: int = MAX_TRIANGLES) -> trimesh.Trimesh:
-    """The same surface with fewer triangles, moved by as little as it takes.
-
-    Args:
-        mesh: closed.
-        max_triangles: what to come down to; the tolerance grows until it is reached.
-    """
+    """The same closed surface with fewer triangles, moved by as little as it takes."""
     if len(mesh.faces) <= max_triangles:
         return mesh
     solid = to_manifold(mesh)
     if solid.is_empty():
         return mesh
-    tolerance = 0.02
-    smaller = solid
+    tolerance, smaller = 0.02, solid
     while smaller.num_tri() > max_triangles and tolerance < 2.0:
         smaller = solid.simplify(tolerance)
         tolerance *= 1.5
@@ -96,11 +89,7 @@ def simplified(mesh: trimesh.Trimesh, max_triangles: int = MAX_TRIANGLES) -> tri
 
 
 def refined(mesh: trimesh.Trimesh, longest_edge_mm: float) -> trimesh.Trimesh:
-    """The same solid with no edge much longer than a length: neighbours stay joined.
-
-    Args:
-        mesh: closed.
-        longest_edge_mm: edges end up shorter than about 1.5 times this.
+    """The same solid with no edge longer than about 1.5 times a length: neighbours stay joined.
 
     Raises:
         SpecimenError: the mesh is no solid that can be refined.

@@ -35,12 +35,7 @@ DIRECTION_TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class CtImage:
-    """A CT volume in patient axes.
-
-    Attributes:
-        values: (n0, n1, n2) float32, HU; the order of the axes is the file's.
-        affine: (4, 4): index to RAS, mm.
-    """
+    """A CT volume: values in HU, its axes in the file's order; ``affine`` leads to RAS, mm."""
 
     values: NDArray[np.float32]
     affine: Floats
@@ -54,12 +49,8 @@ class CtImage:
 def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
     """The closed surface around all that exceeds the threshold, in RAS, mm.
 
-    Args:
-        shape: its section of the scenario.
-        name: of the part, for messages.
-
     Raises:
-        SpecimenError: the file cannot be read, or nothing exceeds the threshold.
+        SpecimenError: the file cannot be read, or nothing exceeds the threshold; names the part.
     """
     where = f"part {name!r}: CT volume {shape.path}"
     image = read_ct(shape.path, where)
@@ -90,12 +81,9 @@ def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
 def read_ct(path: Path, where: str) -> CtImage:
     """Read a NIfTI file, the folder of one DICOM series, or an InVesalius project.
 
-    Args:
-        path: file or folder.
-        where: starts every message.
-
     Raises:
-        SpecimenError: no such file, another format, damaged, or not one volume.
+        SpecimenError: no such file, another format, damaged, or not one volume; starts with
+            ``where``.
     """
     if path.is_dir():
         image = _read_dicom(path, where)
