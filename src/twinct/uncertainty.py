@@ -25,24 +25,13 @@ def truncated_normal(rng: np.random.Generator, noise: PositionNoise) -> Floats:
 def believed_poses(
     source: Pose, detector: Pose, uncertainty: Uncertainty, seed: int, view: int
 ) -> tuple[Pose, Pose]:
-    """What the system reports of an executed view.
+    """What the system reports of the two poses of an executed view."""
 
-    Args:
-        source: executed ``world_from_source``.
-        detector: executed ``world_from_detector``.
-        uncertainty: noise of both arms.
-        seed: the scenario's seed.
-        view: index of the view.
+    def believed(name: str, executed: Pose, noise: PositionNoise) -> Pose:
+        error_mm = truncated_normal(view_rng(seed, f"believed {name}", view), noise)
+        return Pose(executed.position + error_mm, executed.quat)
 
-    Returns:
-        Believed ``world_from_source`` and ``world_from_detector``.
-    """
-    pairs = (("source", source, uncertainty.source), ("detector", detector, uncertainty.detector))
-    believed = [
-        Pose(
-            pose.position + truncated_normal(view_rng(seed, f"believed {name}", view), noise),
-            pose.quat,
-        )
-        for name, pose, noise in pairs
-    ]
-    return believed[0], believed[1]
+    return (
+        believed("source", source, uncertainty.source),
+        believed("detector", detector, uncertainty.detector),
+    )

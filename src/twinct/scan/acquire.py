@@ -15,13 +15,9 @@ from twinct.views import Target
 
 @dataclass
 class Stopwatch:
-    """Wall-clock seconds of the two halves of an acquisition; never stored with the scan.
+    """Wall-clock seconds of moves, exposures and storing, and simulated seconds of those moves.
 
-    Attributes:
-        motion_s: seconds in ``Rig.move``.
-        xray_s: seconds in ``Rig.expose``.
-        storing_s: seconds in which a view was kept.
-        simulated_s: simulated seconds of those moves.
+    Never stored with the scan.
     """
 
     motion_s: float = 0.0

@@ -15,13 +15,7 @@ from twinct.views import Instant, PosePairs, Reached
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One acquired view.
-
-    Attributes:
-        transmission: I/I0, (rows, columns), float32.
-        reached: what the robots had at exposure.
-        believed: what the system reports of source and detector.
-    """
+    """One acquired view: I/I0 (rows, columns), and what robots had and the system reports."""
 
     transmission: NDArray[np.float32]
     reached: Reached
@@ -36,12 +30,8 @@ class Scan:
     the trajectory asked for.
 
     Attributes:
-        scenario: what was scanned and how.
         transmission: I/I0, (views, rows, columns), float32.
-        commanded: poses the trajectory asked for.
-        executed: poses at exposure.
         executed_object: ``world_from_object`` of each view.
-        believed: poses the system reports.
         joint_names: source arm first.
         joints: joint positions, (views, joints), rad.
         simulated_s: simulated time at exposure, (views,).
@@ -65,18 +55,14 @@ class Scan:
     def from_views(cls, scenario: Scenario, commanded: PosePairs, views: list[View]) -> Scan:
         """Put views taken one by one together."""
         reached = [view.reached for view in views]
+        executed = [(r.executed.source, r.executed.detector) for r in reached]
         return cls(
             scenario=scenario,
             transmission=np.stack([view.transmission for view in views]),
             commanded=commanded,
-            executed=PosePairs(
-                tuple(r.executed.source for r in reached),
-                tuple(r.executed.detector for r in reached),
-            ),
+            executed=PosePairs(*zip(*executed, strict=True)),
             executed_object=tuple(r.executed.object for r in reached),
-            believed=PosePairs(
-                tuple(v.believed[0] for v in views), tuple(v.believed[1] for v in views)
-            ),
+            believed=PosePairs(*zip(*(view.believed for view in views), strict=True)),
             joint_names=reached[0].joint_names,
             joints=np.stack([r.position for r in reached]),
             simulated_s=np.array([r.time_s for r in reached]),
@@ -94,10 +80,7 @@ class Scan:
         return f"Scan({self.scenario.name!r}, {len(self)} views, {columns} x {rows} px)"
 
     def poses(self, which: str) -> PosePairs:
-        """Poses of one of the three geometries.
-
-        Args:
-            which: ``commanded``, ``executed`` or ``believed``.
+        """Poses of one of the three geometries: ``commanded``, ``executed`` or ``believed``.
 
         Raises:
             InputError: it is another word.

@@ -50,16 +50,13 @@ class LocalRig:
 
     def __init__(self, robots: RobotSimulation, imager: Imager, panel: Panel) -> None:
         """Take over both simulations; ``close`` ends them."""
-        self._robots = robots
-        self._imager = imager
-        self._panel = panel
+        self._robots, self._imager, self._panel = robots, imager, panel
         self._reached: tuple[int, Reached] | None = None
 
     def move(self, view: int, target: Target) -> Reached:
         """See ``Rig.move``."""
-        reached = self._robots.move(target)
-        self._reached = view, reached
-        return reached
+        self._reached = view, self._robots.move(target)
+        return self._reached[1]
 
     def expose(self, view: int) -> NDArray[np.float32]:
         """See ``Rig.expose``."""
@@ -76,11 +73,9 @@ class LocalRig:
         self._imager.close()
 
     def __enter__(self) -> Self:
-        """Use as a context."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close, whatever happened."""
         self.close()
 
 

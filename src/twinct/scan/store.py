@@ -32,8 +32,6 @@ ACQUIRED = 1
 EXPOSURE = "executed/exposure"
 """Present where an exposure has several instants."""
 
-_POSE_COLUMNS = {"source": 3, "detector": 3, "u": 3, "v": 3, "source_quat": 4, "detector_quat": 4}
-
 
 def check_space(folder: Path, scenario: Scenario, views: int) -> None:
     """Refuse to start what the disk cannot hold.
@@ -191,20 +189,19 @@ class ScanStore:
                 f"{self.path} holds {self.acquired} of {self.views} views: "
                 "finish it with 'twinct run --resume'"
             )
-        objects = self._array("executed/object")[:], self._array("executed/object_quat")[:]
         exposure: Any = self._array(EXPOSURE)[:].tolist() if EXPOSURE in self._group else []
         return Scan(
             scenario=self.scenario,
             transmission=self._array("transmission")[:],
             commanded=self.poses("commanded"),
             executed=self.poses("executed"),
-            executed_object=tuple(Pose(p, q) for p, q in zip(*objects, strict=True)),
+            executed_object=self._poses("executed/object", self.views),
             believed=self.poses("believed"),
             joint_names=self.joint_names,
             joints=self._array("joints")[:],
             simulated_s=self._array("simulated_s")[:],
             clearance_mm=self._array("clearance_mm")[:],
-            exposure=tuple(_instants(view) for view in exposure),
+            exposure=tuple(tuple(Instant(*map(tuple, at)) for at in view) for view in exposure),
         )
 
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
@@ -225,18 +222,12 @@ class ScanStore:
     def poses(self, which: str) -> PosePairs:
         """``commanded``, ``executed`` or ``believed`` poses of the views on disk."""
         views = self.acquired
-        pairs = [
-            tuple(
-                Pose(p, q)
-                for p, q in zip(
-                    self._array(f"{which}/{body}")[:views],
-                    self._array(f"{which}/{body}_quat")[:views],
-                    strict=True,
-                )
-            )
-            for body in ("source", "detector")
-        ]
+        pairs = (self._poses(f"{which}/{body}", views) for body in ("source", "detector"))
         return PosePairs(*pairs)
+
+    def _poses(self, name: str, views: int) -> tuple[Pose, ...]:
+        columns = self._array(name)[:views], self._array(f"{name}_quat")[:views]
+        return tuple(map(Pose, *columns))
 
     def _array(self, name: str) -> Any:
         if name not in self._arrays:
@@ -260,30 +251,28 @@ def _kept_digests(scenario: Scenario) -> dict[str, str]:
     return {"images": digests["images"], "believed": digests["believed"]}
 
 
-def _instants(view: Any) -> tuple[Instant, ...]:
-    """Of nested lists of numbers, (instants, 3, 7)."""
-    return tuple(Instant(*(tuple(pose) for pose in triple)) for triple in view)
-
-
 def _chunk(index: int, dimensions: int) -> str:
     """Name of a view's chunk. Without a folder of its own it takes a quarter of the time."""
     return ".".join(["c", str(index), *["0"] * dimensions])
 
 
+def _pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
+    """What is stored of one view's commanded, executed or believed poses."""
+    axes = detector.rotation
+    return {
+        f"{which}/source": source.position,
+        f"{which}/detector": detector.position,
+        f"{which}/u": axes[:, 0],
+        f"{which}/v": axes[:, 1],
+        f"{which}/source_quat": source.quat,
+        f"{which}/detector_quat": detector.quat,
+    }
+
+
 def _columns(view: View) -> dict[str, Any]:
-    columns: dict[str, Any] = {}
     reached, executed = view.reached, view.reached.executed
-    pairs = {"executed": (executed.source, executed.detector), "believed": view.believed}
-    for which, (source, detector) in pairs.items():
-        axes = detector.rotation
-        columns |= {
-            f"{which}/source": source.position,
-            f"{which}/detector": detector.position,
-            f"{which}/u": axes[:, 0],
-            f"{which}/v": axes[:, 1],
-            f"{which}/source_quat": source.quat,
-            f"{which}/detector_quat": detector.quat,
-        }
+    columns = _pose_columns("executed", executed.source, executed.detector)
+    columns |= _pose_columns("believed", *view.believed)
     if reached.exposure:
         columns[EXPOSURE] = reached.exposure
     return columns | {
@@ -305,15 +294,14 @@ def _write_frame(
 ) -> None:
     views, panel = len(commanded), scenario.detector.panel
     group: Any = zarr.create_group(str(path), zarr_format=3)
-    group.attrs.update(
-        {
-            "format": FORMAT,
-            "digests": _kept_digests(scenario),
-            "scenario": scenario.resolved(),
-            "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
-            "joint_names": list(joint_names),
-        }
-    )
+    attributes = {
+        "format": FORMAT,
+        "digests": _kept_digests(scenario),
+        "scenario": scenario.resolved(),
+        "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
+        "joint_names": list(joint_names),
+    }
+    group.attrs.update(attributes)
 
     def add(name: str, shape: tuple[int, ...], dtype: str = "f8", compressed: bool = False) -> None:
         group.create_array(
@@ -327,9 +315,12 @@ def _write_frame(
         )
 
     add("transmission", panel.shape, "f4", compressed=True)
-    for which in ("executed", "believed"):
-        for name, width in _POSE_COLUMNS.items():
-            add(f"{which}/{name}", (width,))
+    rows = [_pose_columns("commanded", *commanded[view]) for view in range(views)]
+    for name, value in rows[0].items():
+        for which in ("executed", "believed"):
+            add(name.replace("commanded", which), value.shape)
+        column = np.array([row[name] for row in rows])
+        group.create_array(name, data=column, compressors=None)
     add("executed/object", (3,))
     add("executed/object_quat", (4,))
     if scenario.source.motion_samples > 1:
@@ -339,13 +330,3 @@ def _write_frame(
     add("simulated_s", ())
     add("clearance_mm", ())
     add("status", (), "u1")
-    rotations = [pose.rotation for pose in commanded.detector]
-    for name, values in {
-        "source": [pose.position for pose in commanded.source],
-        "detector": [pose.position for pose in commanded.detector],
-        "u": [rotation[:, 0] for rotation in rotations],
-        "v": [rotation[:, 1] for rotation in rotations],
-        "source_quat": [pose.quat for pose in commanded.source],
-        "detector_quat": [pose.quat for pose in commanded.detector],
-    }.items():
-        group.create_array(f"commanded/{name}", data=np.array(values), compressors=None)

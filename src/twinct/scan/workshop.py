@@ -67,12 +67,8 @@ class Workshop:
     def _cell_with(self, mesh: Trimesh) -> CellModel:
         from twinct.cell import build_cell
 
-        return build_cell(
-            self.scenario.cell,
-            mesh,
-            self.specimen.world_from_specimen,
-            self.scenario.detector.panel,
-        )
+        pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
+        return build_cell(self.scenario.cell, mesh, pose, panel)
 
     @cached_property
     def plan(self) -> MotionPlan:
@@ -89,21 +85,13 @@ class Workshop:
         """A robot simulation at rest in the plan's home."""
         from twinct.motion import RobotSimulation, Shutter
 
-        source = self.scenario.source
-        shutter = Shutter(
-            source.exposure_ms / 1000, source.motion_samples, self.scenario.detector.lag > 0
-        )
+        source, lags = self.scenario.source, self.scenario.detector.lag > 0
+        shutter = Shutter(source.exposure_ms / 1000, source.motion_samples, lags)
         return RobotSimulation(self.cell, self.scenario.motion, self.plan.home, shutter)
 
     def imager(self) -> Imager:
         """An X-ray simulation of the specimen."""
         from twinct.xray import Imager
 
-        scenario = self.scenario
-        return Imager(
-            scenario.source,
-            scenario.detector,
-            self.specimen,
-            commanded=self.commanded,
-            seed=scenario.seed,
-        )
+        source, detector, seed = self.scenario.source, self.scenario.detector, self.scenario.seed
+        return Imager(source, detector, self.specimen, commanded=self.commanded, seed=seed)
