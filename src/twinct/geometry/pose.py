@@ -72,11 +72,7 @@ class Pose:
         return np.roll(motion.as_exp_coords(), 3)
 
     def adjoint(self) -> Floats:
-        """(6, 6): from twists told in the inner frame to the same motions told in the outer one.
-
-        ``world_from_tool @ Pose.exp(t)`` is ``Pose.exp(world_from_tool.adjoint() @ t) @
-        world_from_tool``.
-        """
+        """(6, 6): from twists told in the inner frame to the same motions told in the outer one."""
         rotation = self.rotation
         matrix = np.zeros((6, 6))
         matrix[:3, :3] = matrix[3:, 3:] = rotation

@@ -151,13 +151,9 @@ class ScanGeometry:
 
     def __rmatmul__(self, outer_from_inner: Pose) -> ScanGeometry:
         """``object_from_world @ geometry``: the same views in another frame."""
-        return ScanGeometry(
-            outer_from_inner.apply(self.source),
-            outer_from_inner.apply(self.detector),
-            outer_from_inner.rotate(self.u),
-            outer_from_inner.rotate(self.v),
-            self.panel,
-        )
+        source, detector = map(outer_from_inner.apply, (self.source, self.detector))
+        u, v = map(outer_from_inner.rotate, (self.u, self.v))
+        return ScanGeometry(source, detector, u, v, self.panel)
 
     def project(self, points: ArrayLike) -> Floats:
         """Pixel coordinates of points.
@@ -185,11 +181,8 @@ class ScanGeometry:
         panel = self.panel
         along_u = (np.arange(panel.columns) - panel.middle[0]) * panel.pitch_u
         along_v = (np.arange(panel.rows) - panel.middle[1]) * panel.pitch_v
-        return (
-            self.detector[view]
-            + along_u[None, :, None] * self.u[view]
-            + along_v[:, None, None] * self.v[view]
-        )
+        across, up = along_u[None, :, None] * self.u[view], along_v[:, None, None] * self.v[view]
+        return self.detector[view] + across + up
 
     def to_astra(self) -> dict[str, Any]:
         """ASTRA's ``cone_vec``, as a plain dict: (S, D, pitch_u u, pitch_v v) per row."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import plistlib
 import tarfile
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -158,14 +157,12 @@ def _read_dicom(folder: Path, where: str) -> CtImage:
             slices.append(data)
     if not slices:
         raise SpecimenError(f"{where}: the folder holds no DICOM image")
-    series = Counter(str(data.get("SeriesInstanceUID", "")) for data in slices)
-    if len(series) > 1:
-        names = {
-            str(d.get("SeriesInstanceUID", "")): d.get("SeriesDescription", "") for d in slices
-        }
-        listed = "; ".join(f"{uid} {names[uid]!r}, {n} images" for uid, n in series.items())
+    uids = [str(data.get("SeriesInstanceUID", "")) for data in slices]
+    names = {uid: s.get("SeriesDescription", "") for uid, s in zip(uids, slices, strict=True)}
+    if len(names) > 1:
+        listed = "; ".join(f"{uid} {names[uid]!r}, {uids.count(uid)} images" for uid in names)
         raise SpecimenError(
-            f"{where}: the folder holds {len(series)} series, one is needed: {listed}"
+            f"{where}: the folder holds {len(names)} series, one is needed: {listed}"
         )
     first = slices[0]
     if any(int(data.get("NumberOfFrames", 1)) > 1 for data in slices):

@@ -1,7 +1,5 @@
 """Kernels: from path lengths to the signal of each pixel, summed over the samples inside it."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit, prange
 

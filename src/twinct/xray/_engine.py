@@ -74,12 +74,7 @@ class GvxrScene:
             self._call(self._start)
 
     def acquire(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
-        """Fill the scene. The caller owns it until ``release``.
-
-        Raises:
-            TwinctError: somebody else owns the scene, or gVXR failed.
-            InputError: gVXR or a system library it needs is not installed.
-        """
+        """Fill the scene. The caller owns it until ``release``."""
         if not self._owned.acquire(blocking=False):
             raise TwinctError(
                 "another X-ray imager is still open in this process, and gVXR has one scene for "
@@ -100,13 +95,10 @@ class GvxrScene:
             self._owned.release()
 
     def expose(self, view: Vectors, image: NDArray[np.float32], body: int | None = None) -> None:
-        """Take one view in the frame of the meshes.
+        """Take one view in the frame of the meshes, of one body or, where None, of all.
 
-        Args:
-            view: source and panel.
-            image: receives photons for each one that left the source, (rows, columns). gVXR writes
-                as many pixels as its panel has, whatever the size of this array.
-            body: index of the one body to image; all of them where None.
+        ``image`` receives photons for each one that left the source, (rows, columns). gVXR writes
+        as many pixels as its panel has, whatever the size of this array.
         """
         self._call(self._shoot, view, image, body)
 

@@ -37,13 +37,10 @@ _LEAST_TRANSMISSION = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class ViewImages:
-    """One view as the machine has it.
+    """One view as the machine has it, (rows, columns) each.
 
-    Attributes:
-        raw: grey values, (rows, columns), float32; bad pixels are 0.
-        flat: grey values of the free beam.
-        dark: grey values without beam.
-        transmission: corrected by both, bad pixels filled, greater than 0.
+    Grey values, where bad pixels are 0 in ``raw``, and the transmission that ``flat`` (the free
+    beam) and ``dark`` give, above 0, bad pixels filled.
     """
 
     raw: Image

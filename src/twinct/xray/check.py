@@ -46,7 +46,6 @@ def check_parts(
             raise
         except InputError as error:
             problems.extend(error.problems)
-        return None
 
     spectrum = of(lambda: build_spectrum(source))
     response = of(lambda: build_response(detector))

@@ -64,11 +64,9 @@ class Hardening:
             p = -np.log(passed @ weight / weight.sum())
             slope = passed[0] @ (weight * mus[0]) / (passed[0] @ weight)
             # Below what the dense material alone gives, noise goes on along the tangent.
-            self._table[i] = np.where(
-                self._integrals < p[0],
-                (self._integrals - p[0]) / slope,
-                np.interp(self._integrals, p, base),
-            )
+            tangent = (self._integrals - p[0]) / slope
+            inverse = np.interp(self._integrals, p, base)
+            self._table[i] = np.where(self._integrals < p[0], tangent, inverse)
 
     def correct(
         self, integrals: NDArray[np.float32], dense_mm: NDArray[np.float32] | None = None

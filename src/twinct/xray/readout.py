@@ -63,8 +63,7 @@ def mend_bad_pixels(image: NDArray[np.float32], bad: NDArray[np.bool_]) -> NDArr
         return image
     if bad.all():
         raise InputError("every pixel is bad")
-    mended, good = image.copy(), ~bad
-    mended[bad] = 0
+    mended, good = np.where(bad, np.float32(0), image), ~bad
     around = np.ones((3, 3), dtype=np.float32)
     while not good.all():
         count = ndimage.convolve(good.astype(np.float32), around, mode="constant")

@@ -84,10 +84,7 @@ class Signal:
 
 
 def _tabulate(mu: Floats, mean: Floats, square: Floats) -> tuple[float, NDArray[np.float32]]:
-    """Path length of the last node, and the table that ``look_up`` reads.
-
-    The nodes are dense where the path is short: there the soft part of a spectrum goes.
-    """
+    """Path of the last node, and the table; nodes are dense where the soft part is absorbed."""
     low, high = 0.0, _LONGEST_MM
     for _ in range(60):
         middle = (low + high) / 2
