@@ -86,10 +86,7 @@ class CellModel:
 
 
 def build_cell(
-    cell: Cell,
-    specimen_mesh: trimesh.Trimesh | None,
-    world_from_specimen: Pose,
-    panel: Panel,
+    cell: Cell, specimen_mesh: trimesh.Trimesh | None, world_from_specimen: Pose, panel: Panel
 ) -> CellModel:
     """Compose and compile the room.
 

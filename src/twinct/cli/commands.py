@@ -244,9 +244,7 @@ def export(
 
 
 @app.command
-def report(
-    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
-) -> None:
+def report(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]) -> None:
     """Judge a finished run again and rewrite its metrics.json and report.html.
 
     Args:

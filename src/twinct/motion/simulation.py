@@ -60,11 +60,7 @@ class RobotSimulation:
     """
 
     def __init__(
-        self,
-        cell_model: CellModel,
-        motion: Motion,
-        home: Floats,
-        shutter: Shutter | None = None,
+        self, cell_model: CellModel, motion: Motion, home: Floats, shutter: Shutter | None = None
     ) -> None:
         """Start at rest.
 
@@ -187,10 +183,7 @@ class RobotSimulation:
         return result.joints
 
     def drive(
-        self,
-        goal: Floats,
-        target: Target,
-        on_step: Callable[[mujoco.MjData], None] | None = None,
+        self, goal: Floats, target: Target, on_step: Callable[[mujoco.MjData], None] | None = None
     ) -> Reached:
         """Move to joint positions, unchecked, until the trigger fires for ``target``.
 

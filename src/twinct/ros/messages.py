@@ -111,10 +111,7 @@ def _header(stamp: Stamp, frame: str) -> Header:
 
 def _pose(numbers: SevenNumbers) -> Pose:
     x, y, z, qx, qy, qz, qw = numbers
-    return Pose(
-        position=Point(x=x, y=y, z=z),
-        orientation=Quaternion(x=qx, y=qy, z=qz, w=qw),
-    )
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
 def _numbers(pose: Pose) -> SevenNumbers:

@@ -10,15 +10,7 @@ from pydantic import Field, model_validator
 
 from twinct.geometry import Panel
 from twinct.scenario.composition import Composition
-from twinct.settings import (
-    Conflict,
-    ConflictError,
-    NonNegative,
-    Pair,
-    Positive,
-    Section,
-    facts,
-)
+from twinct.settings import Conflict, ConflictError, NonNegative, Pair, Positive, Section, facts
 
 
 class CountingResponse(Section):

@@ -37,8 +37,7 @@ class _Stage:
 
 STAGES: dict[StageName, _Stage] = {
     "surface": _Stage(
-        1,
-        ("specimen.parts.shape", "specimen.parts.position_mm", "specimen.parts.rotation_deg"),
+        1, ("specimen.parts.shape", "specimen.parts.position_mm", "specimen.parts.rotation_deg")
     ),
     "plan": _Stage(
         1,
