@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
@@ -22,6 +22,14 @@ def facts(*, unit: str = "", source: str = "") -> dict[str, JsonValue]:
         source: where its default or its definition comes from.
     """
     return {f"x-{name}": text for name, text in (("unit", unit), ("source", source)) if text}
+
+
+def setting(
+    default: Any, description: str, *, unit: str = "", source: str = "", **limits: Any
+) -> Any:
+    """A key that has a default; ``unit`` and ``source`` as for ``facts``, limits as pydantic's."""
+    extra = facts(unit=unit, source=source)
+    return Field(default, description=description, json_schema_extra=extra, **limits)
 
 
 class Conflict(NamedTuple):

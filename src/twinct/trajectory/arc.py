@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from twinct.geometry import Panel, ScanGeometry
-from twinct.settings import facts
+from twinct.settings import setting
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
 
@@ -17,22 +16,15 @@ class ArcTrajectory(OrbitSettings):
     """Part of a circle of constant latitude, both ends included."""
 
     kind: Literal["arc"]
-    longitude_range_deg: float = Field(
-        default=210.0,
-        gt=0,
-        le=360,
-        description="Arc of longitude.",
-        json_schema_extra=facts(source="180 degrees and the paper's fan"),
+    longitude_range_deg: float = setting(
+        210.0, "Arc of longitude.", gt=0, le=360, source="180 degrees and the paper's fan"
     )
-    latitude_deg: float = Field(
-        default=0.0, gt=-90, lt=90, description="Latitude of the source; 90 is +z."
-    )
+    latitude_deg: float = setting(0.0, "Latitude of the source; 90 is +z.", gt=-90, lt=90)
 
 
 def _views(section: ArcTrajectory, panel: Panel) -> ScanGeometry:
-    longitude = np.radians(
-        section.centre_longitude_deg + section.longitude_range_deg * (stops(section.views) - 0.5)
-    )
+    offset = section.longitude_range_deg * (stops(section.views) - 0.5)
+    longitude = np.radians(section.centre_longitude_deg + offset)
     latitude = np.full_like(longitude, np.radians(section.latitude_deg))
     return orbit_views(section, panel, on_sphere(longitude, latitude, section.sod_mm))
 

@@ -13,9 +13,7 @@ from twinct.trajectory.helix import HELIX
 from twinct.trajectory.sinusoid import SINUSOID
 from twinct.trajectory.table import FILE
 
-BUILT_IN: dict[str, Family] = {
-    family.name: family for family in (SINUSOID, CIRCLE, ARC, HELIX, FILE)
-}
+BUILT_IN = {family.name: family for family in (SINUSOID, CIRCLE, ARC, HELIX, FILE)}
 
 
 @cache

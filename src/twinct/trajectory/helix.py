@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from twinct.geometry import Panel, ScanGeometry
-from twinct.settings import Finite, Positive
+from twinct.settings import Finite, Positive, setting
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
 
@@ -17,8 +16,8 @@ class HelixTrajectory(OrbitSettings):
     """A helix about z: source and panel rise together."""
 
     kind: Literal["helix"]
-    turns: Positive = Field(default=2.0, description="Turns about z.")
-    pitch_mm: Finite = Field(default=50.0, description="Rise for each turn.")
+    turns: Positive = setting(2.0, "Turns about z.")
+    pitch_mm: Finite = setting(50.0, "Rise for each turn.")
 
 
 def _views(section: HelixTrajectory, panel: Panel) -> ScanGeometry:

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from twinct.errors import TrajectoryError
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.settings import Conflict, ConflictError, Finite, Positive, Vector, facts
+from twinct.settings import Conflict, ConflictError, Finite, Positive, Vector, setting
 from twinct.trajectory.family import TrajectorySettings
 
 _STEEPEST_BEAM = 1e-9
@@ -18,20 +18,15 @@ class OrbitSettings(TrajectorySettings):
     """Keys of all families about an isocentre."""
 
     views: int = Field(ge=1, le=100_000, description="Number of projections.")
-    isocentre_mm: Vector = Field(default=(0.0, 0.0, 0.0), description="Centre of the orbit.")
-    sod_mm: Positive = Field(
-        default=300.0,
-        description="Distance from source to isocentre.",
-        json_schema_extra=facts(source="the paper"),
+    isocentre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the orbit.")
+    sod_mm: Positive = setting(300.0, "Distance from source to isocentre.", source="the paper")
+    sdd_mm: Positive = setting(
+        600.0,
+        "Distance from source to panel centre.",
+        source="the paper, as docs/paper.md reads it",
     )
-    sdd_mm: Positive = Field(
-        default=600.0,
-        description="Distance from source to panel centre.",
-        json_schema_extra=facts(source="the paper, as docs/paper.md reads it"),
-    )
-    centre_longitude_deg: Finite = Field(
-        default=0.0,
-        description="Longitude of the source in the middle of the path; 0 is +x, 90 is +y.",
+    centre_longitude_deg: Finite = setting(
+        0.0, "Longitude of the source in the middle of the path; 0 is +x, 90 is +y."
     )
 
     @model_validator(mode="after")
@@ -90,14 +85,9 @@ def panel_axes(towards_source: Floats) -> tuple[Floats, Floats]:
 
 def on_sphere(longitude: Floats, latitude: Floats, radius: float) -> Floats:
     """Points (..., 3) of longitudes and latitudes in rad."""
-    return radius * np.stack(
-        [
-            np.cos(latitude) * np.cos(longitude),
-            np.cos(latitude) * np.sin(longitude),
-            np.sin(latitude),
-        ],
-        axis=-1,
-    )
+    cos = np.cos(latitude)
+    points = [cos * np.cos(longitude), cos * np.sin(longitude), np.sin(latitude)]
+    return radius * np.stack(points, axis=-1)
 
 
 def stops(views: int) -> Floats:

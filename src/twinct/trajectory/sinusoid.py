@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.settings import Positive, facts
+from twinct.settings import Positive, setting
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
 
@@ -20,24 +19,14 @@ class SinusoidTrajectory(OrbitSettings):
     """The paper's path: a sine of latitude over an arc of longitude, on a sphere."""
 
     kind: Literal["sinusoid"]
-    longitude_range_deg: float = Field(
-        default=210.0,
-        gt=0,
-        le=360,
-        description="Arc of longitude.",
-        json_schema_extra=facts(source="the paper: 180 degrees and the fan"),
+    longitude_range_deg: float = setting(
+        210.0, "Arc of longitude.", gt=0, le=360, source="the paper: 180 degrees and the fan"
     )
-    latitude_amplitude_deg: float = Field(
-        default=30.0,
-        ge=0,
-        lt=90,
-        description="Amplitude of the sine of latitude.",
-        json_schema_extra=facts(source="the paper"),
+    latitude_amplitude_deg: float = setting(
+        30.0, "Amplitude of the sine of latitude.", ge=0, lt=90, source="the paper"
     )
-    periods: Positive = Field(
-        default=1.0,
-        description="Sine periods over the range.",
-        json_schema_extra=facts(source="the paper, as docs/paper.md reads it"),
+    periods: Positive = setting(
+        1.0, "Sine periods over the range.", source="the paper, as docs/paper.md reads it"
     )
 
 
@@ -46,13 +35,10 @@ def _views(section: SinusoidTrajectory, panel: Panel) -> ScanGeometry:
     share: Floats = np.linspace(0.0, 1.0, _PATH_SAMPLES)
 
     def position(t: Floats) -> Floats:
-        longitude = np.radians(
-            section.centre_longitude_deg + section.longitude_range_deg * (t - 0.5)
-        )
-        latitude = np.radians(section.latitude_amplitude_deg) * np.sin(
-            2 * np.pi * section.periods * t
-        )
-        return on_sphere(longitude, latitude, section.sod_mm)
+        longitude = section.centre_longitude_deg + section.longitude_range_deg * (t - 0.5)
+        wave = np.sin(2 * np.pi * section.periods * t)
+        latitude = np.radians(section.latitude_amplitude_deg) * wave
+        return on_sphere(np.radians(longitude), latitude, section.sod_mm)
 
     steps = np.linalg.norm(np.diff(position(share), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
