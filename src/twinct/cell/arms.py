@@ -80,11 +80,8 @@ def _menagerie_file(name: str, key: str) -> Path:
         try:
             import mujoco_menagerie
         except ImportError as error:
-            raise MissingExtraError(
-                "mujoco-menagerie",
-                "menagerie",
-                "or set MENAGERIE_ROOT to a copy of MuJoCo Menagerie",
-            ) from error
+            advice = "or set MENAGERIE_ROOT to a copy of MuJoCo Menagerie"
+            raise MissingExtraError("mujoco-menagerie", "menagerie", advice) from error
         try:
             folder = Path(mujoco_menagerie.get(name).path())
         except mujoco_menagerie.UnknownRobotError:
@@ -123,20 +120,11 @@ def _normalised(spec: mujoco.MjSpec, arm: Arm, origin: str) -> ArmModel:
     if not np.isfinite(torques).all():
         bad = ", ".join(n for n, t in zip(names, torques, strict=True) if not np.isfinite(t))
         raise ScenarioError(f"{origin} states no torque limit for {bad}")
-    speeds = np.full(model.njnt, arm.joint_speed_deg_s)
-    stated = [n for n in spec.numerics if n.name == "joint_speed_deg_s"]
-    if stated:
-        speeds = np.array(list(stated[0].data))
+    stated = [list(n.data) for n in spec.numerics if n.name == "joint_speed_deg_s"]
+    speeds = np.array(stated[0] if stated else [arm.joint_speed_deg_s] * model.njnt)
     flange = _flange(spec, model)
-    for group in (
-        spec.actuators,
-        spec.keys,
-        spec.sensors,
-        spec.lights,
-        spec.cameras,
-        spec.numerics,
-    ):
-        for element in list(group):
+    for group in ("actuators", "keys", "sensors", "lights", "cameras", "numerics"):
+        for element in list(getattr(spec, group)):
             spec.delete(element)
     return ArmModel(spec, names, flange, torques, np.radians(speeds))
 
@@ -172,6 +160,5 @@ def _flange(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
     for name in (*FLANGE_SITES, *(n for n in names if "attach" in n or "flange" in n)):
         if name in names:
             return name
-    last = spec.body(model.body(model.nbody - 1).name)
-    last.add_site(name="flange")
+    spec.body(model.body(model.nbody - 1).name).add_site(name="flange")
     return "flange"

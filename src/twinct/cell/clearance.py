@@ -52,30 +52,22 @@ class Clearance:
         self._mujoco = mujoco_module()
         self._cell = cell
         model = cell.model
-        absent = [f"{s}" for s in ("source", "detector") if s not in sides]
-        keep = [not self._involves(pair, absent) for pair in cell.pairs]
-        self._pairs = cell.pairs[keep]
+        absent = tuple({"source", "detector"}.difference(sides))
+        fixed = model.body_weldid[model.geom_bodyid] == 0
+        named = [cell.body_of_geom(geom).startswith(absent) for geom in range(model.ngeom)]
+        self._pairs = cell.pairs[~(named & ~fixed)[cell.pairs].any(axis=1)]
         self._first, self._second = self._pairs.T
-        self._centre = model.geom_aabb[:, :3]
-        self._half = model.geom_aabb[:, 3:]
+        self._centre, self._half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
         self._line = np.zeros(6)
         self._scratch = self._mujoco.MjData(model)
         self._smallest, self._which, self._limit = np.inf, -1, np.inf
+        self._joints = self._turned = np.zeros((0, 0))
         # Pairs of the same two bodies come near each other by the same joints only: those that
         # move one body and not the other.
         bodies = model.geom_bodyid[self._pairs]
         unique, self._body_pair = np.unique(bodies, axis=0, return_inverse=True)
         one, other = cell.lever[unique[:, 0]], cell.lever[unique[:, 1]]
         self._approach = np.where((one > 0) != (other > 0), one + other, 0.0)
-
-    def _involves(self, pair: np.ndarray, sides: list[str]) -> bool:
-        model = self._cell.model
-        return any(
-            model.body_weldid[model.geom_bodyid[g]] != 0
-            and self._cell.body_of_geom(g).startswith(side)
-            for g in pair
-            for side in sides
-        )
 
     def lower_bounds(self, data: mujoco.MjData) -> Floats:
         """A lower bound of each pair's distance, m, (pairs,).
@@ -107,23 +99,12 @@ class Clearance:
         return bound
 
     def _exact(self, data: mujoco.MjData, pair: int, limit_m: float) -> float:
-        return self._mujoco.mj_geomDistance(
-            self._cell.model,
-            data,
-            int(self._first[pair]),
-            int(self._second[pair]),
-            limit_m,
-            self._line,
-        )
+        a, b = int(self._first[pair]), int(self._second[pair])
+        return self._mujoco.mj_geomDistance(self._cell.model, data, a, b, limit_m, self._line)
 
-    def at(self, data: mujoco.MjData, limit_mm: float = 10_000.0) -> Gap:
-        """The smallest distance now.
-
-        Args:
-            data: with up-to-date geom poses (``mj_kinematics``).
-            limit_mm: distances above this are not told apart.
-        """
-        return self._gap(*self._search(data, self.lower_bounds(data), limit_mm / MM_PER_M))
+    def at(self, data: mujoco.MjData) -> Gap:
+        """The smallest distance now, at most 10 m; geom poses must be up to date."""
+        return self._gap(*self._search(data, self.lower_bounds(data), 10.0))
 
     def _search(self, data: mujoco.MjData, bounds: Floats, smallest: float) -> tuple[float, int]:
         which = -1
@@ -143,9 +124,8 @@ class Clearance:
     def _gap(self, distance_m: float, pair: int) -> Gap:
         if pair < 0:
             return Gap(distance_m * MM_PER_M, ("", ""))
-        a, b = self._pairs[pair]
-        names = (self._cell.body_of_geom(int(a)), self._cell.body_of_geom(int(b)))
-        return Gap(distance_m * MM_PER_M, names)
+        first, second = (self._cell.body_of_geom(int(geom)) for geom in self._pairs[pair])
+        return Gap(distance_m * MM_PER_M, (first, second))
 
     def over(self, joints: Floats) -> Gap:
         """The smallest distance over a sequence of joint configurations.
@@ -157,25 +137,24 @@ class Clearance:
         Args:
             joints: rad, (steps, n).
         """
-        turned = np.zeros_like(joints)
-        np.cumsum(np.abs(np.diff(joints, axis=0)), axis=0, out=turned[1:])
-        data, last = self._scratch, len(joints) - 1
-        self._place(joints[0])
-        bounds = self.lower_bounds(data)
-        self._smallest, self._which = self._search(data, bounds, np.inf)
-        approach = self._approach[self._body_pair] @ turned[-1]
+        self._joints, self._turned = joints, np.zeros_like(joints)
+        np.cumsum(np.abs(np.diff(joints, axis=0)), axis=0, out=self._turned[1:])
+        self._place(0)
+        bounds = self.lower_bounds(self._scratch)
+        self._smallest, self._which = self._search(self._scratch, bounds, np.inf)
+        approach = self._approach[self._body_pair] @ self._turned[-1]
         pairs = np.flatnonzero(bounds - approach < self._smallest)
         # Beyond this a pair stays out of question all the way.
         self._limit = self._smallest + float(approach.max(initial=0)) + SLACK_M
         first = self._distances(pairs)
-        if last > 0:
+        if len(joints) > 1:
             # Most motions go one way, so that one of the ends is the nearest instant or near it.
-            self._place(joints[-1])
-            self._between(joints, turned, 0, last, pairs, first, self._distances(pairs))
+            self._place(-1)
+            self._between(0, len(joints) - 1, pairs, first, self._distances(pairs))
         return self._gap(self._smallest, self._which)
 
-    def _place(self, joints: Floats) -> None:
-        self._scratch.qpos[:] = joints
+    def _place(self, step: int) -> None:
+        self._scratch.qpos[:] = self._joints[step]
         self._mujoco.mj_kinematics(self._cell.model, self._scratch)
 
     def _distances(self, pairs: np.ndarray) -> Floats:
@@ -188,24 +167,19 @@ class Clearance:
         return found
 
     def _between(
-        self,
-        joints: Floats,
-        turned: Floats,
-        start: int,
-        end: int,
-        pairs: np.ndarray,
-        at_start: Floats,
-        at_end: Floats,
+        self, start: int, end: int, pairs: np.ndarray, at_start: Floats, at_end: Floats
     ) -> None:
         if end - start < 2:
             return
-        approach = self._approach[self._body_pair[pairs]] @ (turned[end] - turned[start])
+        approach = self._approach[self._body_pair[pairs]] @ (
+            self._turned[end] - self._turned[start]
+        )
         keep = (at_start + at_end - approach) / 2 < self._smallest - SLACK_M
         if not keep.any():
             return
         pairs, at_start, at_end = pairs[keep], at_start[keep], at_end[keep]
         middle = (start + end) // 2
-        self._place(joints[middle])
+        self._place(middle)
         here = self._distances(pairs)
-        self._between(joints, turned, start, middle, pairs, at_start, here)
-        self._between(joints, turned, middle, end, pairs, here, at_end)
+        self._between(start, middle, pairs, at_start, here)
+        self._between(middle, end, pairs, here, at_end)

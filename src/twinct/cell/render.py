@@ -33,11 +33,10 @@ def check_picture_size(width: int, height: int) -> None:
     Raises:
         InputError: with one sentence for each side that is too small or too large.
     """
+    sides = zip(("width", "height"), (width, height), LARGEST_PICTURE, strict=True)
     problems = [
         f"--{name} {pixels}: a picture has 1 to {most} pixels here"
-        for name, pixels, most in zip(
-            ("width", "height"), (width, height), LARGEST_PICTURE, strict=True
-        )
+        for name, pixels, most in sides
         if not 1 <= pixels <= most
     ]
     if problems:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -39,7 +38,7 @@ class IkResult:
     """What the solver found.
 
     Attributes:
-        joints: joint positions, rad, (n,).
+        joints: rad, (n,).
         position_mm: distance that is left, source and detector, (2,).
         rotation_deg: angle that is left, (2,).
         solved: which arms are within the tolerances, (2,).
@@ -51,15 +50,6 @@ class IkResult:
     solved: np.ndarray
 
 
-def _mink() -> ModuleType:
-    try:
-        import daqp  # noqa: F401
-        import mink
-    except ImportError as error:
-        raise MissingExtraError(error.name or "mink", "robots") from error
-    return mink
-
-
 class Kinematics:
     """Forward and inverse kinematics of one cell; keeps no joint state between calls."""
 
@@ -69,37 +59,35 @@ class Kinematics:
         Raises:
             MissingExtraError: mink or its solver is not installed.
         """
-        self._mink = _mink()
+        try:
+            import daqp  # noqa: F401
+            import mink
+        except ImportError as error:
+            raise MissingExtraError(error.name or "mink", "robots") from error
+        self._mink = mink
         self._cell = cell
         self._ik = ik
         self._data = mujoco.MjData(cell.model)
-        self._configuration = self._mink.Configuration(cell.model)
-        self._tasks = [
-            self._mink.FrameTask(
-                frame_name=name,
-                frame_type="site",
-                position_cost=1.0,
-                orientation_cost=0.3,
-                lm_damping=LEVENBERG,
-            )
-            for name in ("source", "detector")
-        ]
-        self._limits = [self._mink.ConfigurationLimit(cell.model)]
+        self._configuration = mink.Configuration(cell.model)
+        costs = {"position_cost": 1.0, "orientation_cost": 0.3, "lm_damping": LEVENBERG}
+        arms = ("source", "detector")
+        self._tasks: list[Any] = [mink.FrameTask(arm, "site", **costs) for arm in arms]
+        self._limits = [mink.ConfigurationLimit(cell.model)]
 
     def poses(self, joints: Floats) -> tuple[Pose, Pose]:
         """``world_from_source`` and ``world_from_detector`` at a joint configuration."""
         self._data.qpos[:] = joints
         mujoco.mj_kinematics(self._cell.model, self._data)
-        return site_poses(self._cell, self._data)
+        source, detector = (site_pose(self._data, site) for site in self._cell.site_ids)
+        return source, detector
 
     def solve(self, start: Floats, target: Target) -> IkResult:
         """Newton's method from ``start``, both arms in one problem, inside the joint limits."""
         mink, ik = self._mink, self._ik
         for task, pose in zip(self._tasks, (target.source, target.detector), strict=True):
             position, quat = pose.to_metres()
-            task.set_target(
-                mink.SE3.from_rotation_and_translation(mink.SO3(np.roll(quat, 1)), position)
-            )
+            turn = mink.SO3(np.roll(quat, 1))
+            task.set_target(mink.SE3.from_rotation_and_translation(turn, position))
         ranges = self._cell.model.jnt_range
         self._configuration.update(np.clip(start, ranges[:, 0], ranges[:, 1]))
         best, least, stalled = self._measure(), np.full(2, np.inf), 0
@@ -116,12 +104,7 @@ class Kinematics:
                 break
             try:
                 velocity = mink.solve_ik(
-                    self._configuration,
-                    self._tasks,
-                    dt=1.0,
-                    solver="daqp",
-                    damping=1e-9,
-                    limits=self._limits,
+                    self._configuration, self._tasks, 1.0, "daqp", 1e-9, limits=self._limits
                 )
             except mink.NoSolutionFound:
                 break
@@ -146,20 +129,12 @@ class Kinematics:
     def _measure(self) -> IkResult:
         errors = np.array([t.compute_error(self._configuration) for t in self._tasks])
         # The twist's linear part is the distance only where the frames are not turned.
-        position = np.array(
-            [
-                np.linalg.norm(
-                    self._configuration.data.site_xpos[site]
-                    - task.transform_target_to_world.translation()
-                )
-                for site, task in zip(self._cell.site_ids, self._tasks, strict=True)
-            ]
-        )
-        position_mm = np.asarray(position * MM_PER_M, dtype=np.float64)
+        here = self._configuration.data.site_xpos[list(self._cell.site_ids)]
+        wanted = [task.transform_target_to_world.translation() for task in self._tasks]
+        position_mm = np.array([float(np.linalg.norm(off)) for off in here - wanted]) * MM_PER_M
         rotation_deg = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
-        solved = (position_mm <= self._ik.position_tolerance_mm) & (
-            rotation_deg <= self._ik.rotation_tolerance_deg
-        )
+        near = position_mm <= self._ik.position_tolerance_mm
+        solved = near & (rotation_deg <= self._ik.rotation_tolerance_deg)
         return IkResult(self._configuration.q.copy(), position_mm, rotation_deg, solved)
 
     def follow(self, start: Floats, target: Target) -> tuple[IkResult, Floats]:
@@ -168,45 +143,31 @@ class Kinematics:
         Returns:
             the result, and the largest step of each joint from pose to pose, rad, (n,).
         """
-        waypoints = self._between(self.poses(start), (target.source, target.detector))
-        joints, largest = start, np.zeros(len(start))
-        for waypoint in waypoints:
+        waypoints = _between(self.poses(start), (target.source, target.detector))
+        result, joints, largest = None, start, np.zeros(len(start))
+        for waypoint in (*waypoints, target):
             result = self.solve(joints, waypoint)
             largest = np.maximum(largest, np.abs(result.joints - joints))
             joints = result.joints
-        result = self.solve(joints, target)
-        return result, np.maximum(largest, np.abs(result.joints - joints))
-
-    def _between(self, here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[Target]:
-        steps = 1
-        for a, b in zip(here, there, strict=True):
-            steps = max(
-                steps, int(a.distance_mm(b) / FAR_MM) + 1, int(a.angle_deg(b) / FAR_DEG) + 1
-            )
-        if steps == 1:
-            return []
-        turns = [
-            Slerp([0, 1], Rotation.from_quat([a.quat, b.quat]))
-            for a, b in zip(here, there, strict=True)
-        ]
-        found = []
-        for share in np.arange(1, steps) / steps:
-            poses = [
-                Pose((1 - share) * a.position + share * b.position, turn(share).as_quat())
-                for a, b, turn in zip(here, there, turns, strict=True)
-            ]
-            found.append(Target.from_poses(*poses))
-        return found
+        assert result is not None
+        return result, largest
 
 
-def site_poses(cell: CellModel, data: mujoco.MjData) -> tuple[Pose, Pose]:
-    """Poses of the sites ``source`` and ``detector``; site frames must be up to date."""
-    source, detector = (site_pose(data, site) for site in cell.site_ids)
-    return source, detector
+def _between(here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[Target]:
+    pairs = list(zip(here, there, strict=True))
+    far = [max(a.distance_mm(b) / FAR_MM, a.angle_deg(b) / FAR_DEG) for a, b in pairs]
+    steps = int(max(far)) + 1
+    turns = [Slerp([0, 1], Rotation.from_quat([a.quat, b.quat])) for a, b in pairs]
+    found = []
+    for share in np.arange(1, steps) / steps:
+        places = [(1 - share) * a.position + share * b.position for a, b in pairs]
+        quats = [turn(share).as_quat() for turn in turns]
+        found.append(Target.from_poses(*map(Pose, places, quats)))
+    return found
 
 
 def site_pose(data: mujoco.MjData, site: int) -> Pose:
-    """Pose of one site."""
+    """Pose of one site, whose frame must be up to date."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, data.site_xmat[site])
     return Pose.from_metres(data.site_xpos[site], np.roll(quat, -1))

@@ -9,21 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twinct.cell import CellModel, Clearance, Gap, mujoco_module
+from twinct.cell import CellModel, Clearance, Gap
 from twinct.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats, Pose
-from twinct.motion.kinematics import Kinematics
+from twinct.motion.kinematics import Kinematics, mujoco
 from twinct.scenario import Motion
 from twinct.views import Target
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
 
 RESTARTS = 60
 """Random starts in one view; two UR10e have shown all their ways by 40."""
@@ -53,8 +47,7 @@ class MotionPlan:
     Attributes:
         home: configuration just off the first view, at rest, rad, (n,).
         joints: configuration of each view, rad, (views, n).
-        clearance_mm: smallest gap between non-adjacent bodies on the way to each view and there,
-            (views,).
+        clearance_mm: smallest gap of non-adjacent bodies at each view and on the way, (views,).
         nearest: names of the two bodies of each of these gaps, (views,).
     """
 
@@ -108,8 +101,7 @@ def plan_motion(cell_model: CellModel, motion: Motion, targets: Sequence[Target]
     pair = _clearest(cell_model, [[w for w in found if w.good] for found in ways])
     joints = np.hstack([way.joints for way in pair])
     gaps = _gaps_along(cell_model, joints)
-    problems = _gap_problems(gaps, motion.clearance_mm)
-    if problems:
+    if problems := _gap_problems(gaps, motion.clearance_mm):
         raise TrajectoryError(problems)
     home = _home(cell_model, kinematics, motion, targets[0], joints[0])
     nearest = tuple((readable(gap.bodies[0]), readable(gap.bodies[1])) for gap in gaps)
@@ -150,11 +142,7 @@ def _start_view(
 def _starts(
     cell: CellModel, kinematics: Kinematics, target: Target
 ) -> tuple[list[list[Floats]], int]:
-    """Distinct configurations of each arm at one target; the nearest miss where there is none.
-
-    Returns:
-        configurations of both arms, and how many arms reach the target.
-    """
+    """Each arm's ways to reach a target, else its nearest miss; and how many arms reach it."""
     rng = np.random.default_rng(0)
     low = np.maximum(cell.joint_ranges[:, 0], -np.pi)
     high = np.minimum(cell.joint_ranges[:, 1], np.pi)
@@ -224,40 +212,40 @@ def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
     views = len(ways[0][0].joints)
     sample = np.unique(np.linspace(0, views - 1, min(views, 40)).astype(int))
     data = mujoco.MjData(cell.model)
-    alone = []
-    for arm, side in enumerate(SIDES):
-        clearance = Clearance(cell, (side,))
-        scores = []
-        for way in ways[arm]:
-            smallest = np.inf
-            for view in sample:
-                data.qpos[cell.arm_joints[arm]] = way.joints[view]
-                mujoco.mj_kinematics(cell.model, data)
-                smallest = min(smallest, clearance.at(data).distance_mm)
-            scores.append(smallest)
-        alone.append(scores)
-    order = sorted(
-        ((i, j) for i in range(len(ways[0])) for j in range(len(ways[1]))),
-        key=lambda ij: -min(alone[0][ij[0]], alone[1][ij[1]]),
-    )
-    clearance = Clearance(cell)
-    best, best_score = order[0], (-np.inf, -np.inf)
-    for i, j in order:
-        bound = min(alone[0][i], alone[1][j])
-        if bound < best_score[0]:
-            break
+
+    def smallest_gap(clearance: Clearance, part: slice, joints: Floats, enough: float) -> float:
+        """Over the sample; looks no further once it is below ``enough``."""
         smallest = np.inf
         for view in sample:
-            data.qpos[:] = np.hstack([ways[0][i].joints[view], ways[1][j].joints[view]])
+            data.qpos[part] = joints[view]
             mujoco.mj_kinematics(cell.model, data)
             smallest = min(smallest, clearance.at(data).distance_mm)
-            if smallest < best_score[0]:
+            if smallest < enough:
                 break
+        return smallest
+
+    alone = []
+    for side, part, found in zip(SIDES, cell.arm_joints, ways, strict=True):
+        clearance = Clearance(cell, (side,))
+        alone.append([smallest_gap(clearance, part, way.joints, -np.inf) for way in found])
+    pairs = [
+        (min(a, b), one, other)
+        for a, one in zip(alone[0], ways[0], strict=True)
+        for b, other in zip(alone[1], ways[1], strict=True)
+    ]
+    pairs.sort(key=lambda pair: -pair[0])
+    clearance = Clearance(cell)
+    best, best_score = pairs[0][1:], (-np.inf, -np.inf)
+    for bound, *pair in pairs:
+        if bound < best_score[0]:
+            break
+        joints = np.hstack([way.joints for way in pair])
+        smallest = smallest_gap(clearance, slice(None), joints, best_score[0])
         # Equal clearance (a wrist's own, say): the path with less joint motion.
-        travel = sum(np.abs(np.diff(w.joints, axis=0)).sum() for w in (ways[0][i], ways[1][j]))
+        travel = sum(np.abs(np.diff(way.joints, axis=0)).sum() for way in pair)
         if (smallest, -travel) > best_score:
-            best, best_score = (i, j), (smallest, -travel)
-    return ways[0][best[0]], ways[1][best[1]]
+            best, best_score = pair, (smallest, -travel)
+    return best[0], best[1]
 
 
 def _gaps_along(cell: CellModel, joints: Floats) -> list[Gap]:
@@ -278,11 +266,8 @@ def straight_path(cell: CellModel, data: mujoco.MjData, start: Floats, end: Floa
     Args:
         cell: the room.
         data: scratch.
-        start: joint positions, rad, (n,).
-        end: joint positions, rad, (n,).
-
-    Returns:
-        (steps, n).
+        start: joint positions, rad, (n,); ``end`` likewise.
+        end: of the first row of the result, (steps, n).
     """
     places = []
     for joints in (start, end):
@@ -302,17 +287,15 @@ def _home(
 
     Both tools drawn back from the isocentre along the beam, as far as reach and clearance allow.
     """
-    clearance = Clearance(cell)
-    scratch = mujoco.MjData(cell.model)
-    outwards = first.source.position - first.detector.position
+    clearance, scratch = Clearance(cell), mujoco.MjData(cell.model)
+    source, detector = first.source, first.detector
+    outwards = source.position - detector.position
     outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
     for distance in WITHDRAWN_MM:
         for sign in (1.0, -1.0):  # outwards; else inwards, for an arm at the end of its reach
             step = sign * distance * outwards
-            target = Target.from_poses(
-                Pose(first.source.position + step, first.source.quat),
-                Pose(first.detector.position - step, first.detector.quat),
-            )
+            drawn = Pose(source.position + step, source.quat)
+            target = Target.from_poses(drawn, Pose(detector.position - step, detector.quat))
             result, largest = kinematics.follow(joints, target)
             if not result.solved.all() or largest.max() > FLIP_RAD:
                 continue
@@ -343,11 +326,9 @@ def _reach_problems(side: str, way: _Way) -> list[str]:
 
 def _gap_problems(gaps: list[Gap], asked_mm: float) -> list[str]:
     problems = []
-    bad = [i for i, gap in enumerate(gaps) if gap.distance_mm < asked_mm]
-    for bodies in sorted({gaps[i].bodies for i in bad}):
-        for first, last in _runs(
-            np.array([g.distance_mm < asked_mm and g.bodies == bodies for g in gaps])
-        ):
+    bad = np.array([gap.distance_mm < asked_mm for gap in gaps])
+    for bodies in sorted({gap.bodies for gap in gaps if gap.distance_mm < asked_mm}):
+        for first, last in _runs(bad & [gap.bodies == bodies for gap in gaps]):
             smallest = min(gap.distance_mm for gap in gaps[first : last + 1])
             pair = f"{readable(bodies[0])} and {readable(bodies[1])}"
             if smallest < 0:

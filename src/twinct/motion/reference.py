@@ -16,19 +16,14 @@ class Reference:
     """Plans from any moving state to rest at a goal, within speed, acceleration and jerk limits."""
 
     def __init__(self, cell: CellModel, motion: Motion) -> None:
-        """Take the limits.
-
-        Raises:
-            MissingExtraError: Ruckig is not installed.
-        """
+        """Take the limits; Ruckig missing is a ``MissingExtraError``."""
         try:
             import ruckig
         except ImportError as error:
             raise MissingExtraError("ruckig", "robots") from error
         self._ruckig = ruckig
         n = len(cell.joint_names)
-        self._planner = ruckig.Ruckig(n)
-        self._n = n
+        self._planner, self._n = ruckig.Ruckig(n), n
         self._speed = (cell.speed_limits * cell.speed_scales).tolist()
         self._acceleration = [float(np.radians(motion.acceleration_deg_s2))] * n
         self._jerk = [float(np.radians(motion.jerk_deg_s3))] * n
@@ -59,11 +54,7 @@ class Reference:
 
 
 class TimedPath:
-    """Joint positions over time.
-
-    Attributes:
-        duration: s.
-    """
+    """Joint positions over time, for ``duration`` seconds."""
 
     def __init__(self, trajectory: Any) -> None:
         """Wrap Ruckig's trajectory."""

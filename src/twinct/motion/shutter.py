@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinct.views import Instant, SevenNumbers
+from twinct.views import Instant
 
 
 @dataclass(frozen=True)
@@ -49,18 +49,14 @@ class Shutter:
 
 
 def _at(steps: Sequence[Instant], time: float) -> Instant:
+    """Linear in the position and, for the small turn of one step, in the quaternion."""
     first = min(int(time), len(steps) - 2)
     share = time - first
-    pairs = zip(steps[first], steps[first + 1], strict=True)
-    return Instant(*(_between(a, b, share) for a, b in pairs))
-
-
-def _between(a: SevenNumbers, b: SevenNumbers, share: float) -> SevenNumbers:
-    """Linear in the position and, for the small turn of one step, in the quaternion."""
-    one, two = np.array(a), np.array(b)
-    if one[3:] @ two[3:] < 0:
-        two[3:] = -two[3:]
-    mixed = (1 - share) * one + share * two
-    mixed[3:] /= np.linalg.norm(mixed[3:])
-    x, y, z, qx, qy, qz, qw = mixed.tolist()
-    return x, y, z, qx, qy, qz, qw
+    mixed = []
+    for one, two in zip(np.array(steps[first]), np.array(steps[first + 1]), strict=True):
+        if one[3:] @ two[3:] < 0:
+            two[3:] = -two[3:]
+        between = (1 - share) * one + share * two
+        between[3:] /= np.linalg.norm(between[3:])
+        mixed.append(tuple(between.tolist()))
+    return Instant(*mixed)

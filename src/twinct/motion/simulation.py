@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twinct.cell import CellModel, Clearance, mujoco_module
+from twinct.cell import CellModel, Clearance
 from twinct.errors import MotionError, TargetRefusedError
 from twinct.geometry import MM_PER_M, Floats
-from twinct.motion.kinematics import Kinematics, site_pose
+from twinct.motion.kinematics import Kinematics, mujoco, site_pose
 from twinct.motion.plan import FLIP_RAD, SIDES, readable, straight_path
 from twinct.motion.reference import Reference
 from twinct.motion.shutter import Shutter
 from twinct.scenario import Motion
 from twinct.views import Instant, Reached, Target, to_seven
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
 
 REFUSED_SHARE = 0.5
 """A target is refused where its path leaves less than this share of a plan's clearance.
@@ -57,6 +51,9 @@ class RobotSimulation:
     The state is MuJoCo's alone: the reference position, velocity and acceleration of the servos are
     kept in ``mjData.userdata``, so ``mjSTATE_INTEGRATION`` is all there is, and what follows is a
     function of it and of the targets.
+
+    Attributes:
+        watch: torques, speeds and contacts over every step of the last move.
     """
 
     def __init__(
@@ -73,11 +70,9 @@ class RobotSimulation:
         Raises:
             MissingExtraError: MuJoCo, mink or Ruckig is not installed.
         """
-        self._cell = cell_model
-        self._motion = motion
+        self._cell, self._motion, self._model = cell_model, motion, cell_model.model
         self._shutter = shutter or Shutter()
         self._taken = False
-        self._model = cell_model.model
         self._data = mujoco.MjData(self._model)
         self._kinematics = Kinematics(cell_model, motion.ik)
         self._reference = Reference(cell_model, motion)
@@ -89,13 +84,11 @@ class RobotSimulation:
         self._drag = self._model.dof_damping - self._model.actuator_biasprm[: self._n, 2]
         self._dry_friction = self._model.dof_frictionloss
         self._jacobian = np.zeros((3, self._model.nv))
-        self._watch = self._new_watch()
+        self.watch = self._new_watch()
         home = np.asarray(home, dtype=np.float64)
         if home.shape != (self._n,):
             raise MotionError(f"home has shape {home.shape}, the cell has {self._n} joints")
-        self._data.qpos[:] = home
-        self._data.userdata[: self._n] = home
-        self._data.ctrl[:] = home
+        self._data.qpos[:] = self._data.ctrl[:] = self._data.userdata[: self._n] = home
         mujoco.mj_forward(self._model, self._data)
 
     @property
@@ -112,11 +105,6 @@ class RobotSimulation:
     def joints(self) -> Floats:
         """Joint positions now, rad, (n,)."""
         return self._data.qpos.copy()
-
-    @property
-    def watch(self) -> StepWatch:
-        """Torques, speeds and contacts over every step of the last move."""
-        return self._watch
 
     def close(self) -> None:
         """Free what MuJoCo holds; a closed simulation cannot be used."""
@@ -145,8 +133,7 @@ class RobotSimulation:
             TargetRefusedError: out of reach, would collide, or the arms could not follow. The first
                 two leave the simulation as it was.
         """
-        goal = self.solve(target)
-        return self.drive(goal, target)
+        return self.drive(self.solve(target), target)
 
     def solve(self, target: Target) -> Floats:
         """Joint positions for a target, checked for reach and for collisions on the way.
@@ -163,10 +150,10 @@ class RobotSimulation:
                     f"{side} arm: out of reach by {result.position_mm[arm]:.1f} mm and "
                     f"{result.rotation_deg[arm]:.2f} deg{self._at_limits(arm, result.joints)}"
                 )
-            elif largest[self._cell.arm_joints[arm]].max() > 2 * FLIP_RAD:
+            elif (jump := largest[self._cell.arm_joints[arm]].max()) > 2 * FLIP_RAD:
                 problems[side] = (
                     f"{side} arm: no continuous path: a joint would jump by "
-                    f"{np.degrees(largest[self._cell.arm_joints[arm]].max()):.0f} deg"
+                    f"{np.degrees(jump):.0f} deg"
                 )
         if problems:
             raise TargetRefusedError("; ".join(problems.values()), problems)
@@ -174,12 +161,12 @@ class RobotSimulation:
         gap = self._clearance.over(straight_path(self._cell, self._scratch, start, result.joints))
         if gap.distance_mm < least:
             pair = f"{readable(gap.bodies[0])} and {readable(gap.bodies[1])}"
-            how = (
-                f"overlap by {-gap.distance_mm:.1f} mm"
-                if gap.distance_mm < 0
-                else f"come within {gap.distance_mm:.1f} mm, at least {least:g} mm must stay"
-            )
-            raise TargetRefusedError(f"would collide: {pair} would {how}", _arms(gap.bodies))
+            how = f"come within {gap.distance_mm:.1f} mm, at least {least:g} mm must stay"
+            if gap.distance_mm < 0:
+                how = f"overlap by {-gap.distance_mm:.1f} mm"
+            # The names of bodies begin with the arm that they belong to.
+            arms = [side for side in SIDES if any(body.startswith(side) for body in gap.bodies)]
+            raise TargetRefusedError(f"would collide: {pair} would {how}", arms)
         return result.joints
 
     def drive(
@@ -206,19 +193,19 @@ class RobotSimulation:
         settled = motion.trigger == "settled"
         timestep = model.opt.timestep
         steps = round(motion.timeout_s / timestep)
-        shutter = self._shutter
-        open_steps = shutter.steps(timestep)
+        open_steps = self._shutter.steps(timestep)
         record = np.zeros((steps + open_steps + 1, 3, n))
         instants: list[Instant] = []
-        watch = self._watch = self._new_watch()
+        watch = self.watch = self._new_watch()
         feedforward = np.zeros(model.nv)
         mujoco.mj_step1(model, data)
-        before = self._instant() if shutter.remember and self._taken else None
+        before = self._instant() if self._shutter.remember and self._taken else None
         for step in range(steps + open_steps + 1):
-            row = record[step]
-            row[0], row[1], row[2] = joints, speeds, torques
+            record[step, 0], record[step, 1], record[step, 2] = joints, speeds, torques
             if data.ncon:
-                self._note_contacts(watch)
+                for contact in data.contact:
+                    first, second = sorted(self._cell.body_of_geom(int(g)) for g in contact.geom)
+                    watch.contacts.add((first, second))
             if on_step is not None:
                 on_step(data)
             to_source, to_detector = spots[0] - wanted[0], spots[1] - wanted[1]
@@ -229,23 +216,16 @@ class RobotSimulation:
                 instants.append(self._instant())
                 if len(instants) > open_steps:
                     self._judge(watch, record[: step + 1])
-                    gap = self._clearance.over(record[: step + 1, 0])
                     self._taken = True
-                    return self._reached(gap.distance_mm, instants, before)
+                    return self._reached(record[: step + 1, 0], instants, before)
             elif step >= steps:
                 break
             position, velocity, acceleration = state = path.at((step + 1) * timestep)
             mujoco.mj_mulM(model, data, feedforward, acceleration)
             memory[: 3 * n] = state.ravel()
-            control[:] = (
-                position
-                + (
-                    feedforward
-                    + self._drag * velocity
-                    + self._dry_friction * np.tanh(velocity / BREAKAWAY_RAD_S)
-                )
-                / self._stiffness
-            )
+            dry_friction = self._dry_friction * np.tanh(velocity / BREAKAWAY_RAD_S)
+            torque = feedforward + self._drag * velocity + dry_friction
+            control[:] = position + torque / self._stiffness
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
         self._judge(watch, record)
@@ -277,9 +257,7 @@ class RobotSimulation:
         quat = np.roll(data.xquat[body], -1)
         return Instant(source, (*data.xpos[body].tolist(), *quat.tolist()), detector)
 
-    def _reached(
-        self, clearance_mm: float, instants: list[Instant], before: Instant | None
-    ) -> Reached:
+    def _reached(self, path: Floats, instants: list[Instant], before: Instant | None) -> Reached:
         model, data = self._model, self._data
         middle, exposure = self._shutter.over(instants, self._model.opt.timestep)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -293,15 +271,10 @@ class RobotSimulation:
             effort=data.qfrc_actuator.copy(),
             state=state,
             time_s=float(data.time),
-            clearance_mm=clearance_mm,
+            clearance_mm=self._clearance.over(path).distance_mm,
             exposure=exposure,
             before=before,
         )
-
-    def _note_contacts(self, watch: StepWatch) -> None:
-        for contact in self._data.contact:
-            pair = sorted(self._cell.body_of_geom(int(geom)) for geom in contact.geom)
-            watch.contacts.add((pair[0], pair[1]))
 
     def _at_limits(self, arm: int, joints: Floats) -> str:
         part = self._cell.arm_joints[arm]
@@ -315,31 +288,19 @@ class RobotSimulation:
 
     def _late(self, wanted: Floats) -> TargetRefusedError:
         """Where the arms are after the time-out, and what holds them."""
-        off_mm = (
-            np.linalg.norm(self._data.site_xpos[list(self._cell.site_ids)] - wanted, axis=1)
-            * MM_PER_M
-        )
+        here = self._data.site_xpos[list(self._cell.site_ids)]
+        off_mm = np.linalg.norm(here - wanted, axis=1) * MM_PER_M
         parts = [
             f"cannot follow: after {self._motion.timeout_s:g} s of simulated time source and "
             f"detector are {off_mm[0]:.1f} and {off_mm[1]:.1f} mm off their targets "
             f"({self._motion.tolerance_mm:g} mm allowed)"
         ]
-        limited = [
-            f"{name} ({limit:.0f} N m)"
-            for name, limit, share in zip(
-                self.joint_names, self._cell.torque_limits, self._watch.torque_share, strict=True
-            )
-            if share >= SATURATED
-        ]
+        at_limit = np.flatnonzero(self.watch.torque_share >= SATURATED)
+        names, limits = self.joint_names, self._cell.torque_limits
+        limited = [f"{names[joint]} ({limits[joint]:.0f} N m)" for joint in at_limit]
         if limited:
             parts.append(f"torque limit reached in {', '.join(limited)}")
-        for first, second in sorted(self._watch.contacts):
+        for first, second in sorted(self.watch.contacts):
             parts.append(f"{readable(first)} touches {readable(second)}")
-        far = off_mm >= self._motion.tolerance_mm
-        arms = [side for side, late in zip(SIDES, far, strict=True) if late]
-        return TargetRefusedError("; ".join(parts), arms)
-
-
-def _arms(bodies: Sequence[str]) -> list[str]:
-    """The arms that bodies belong to: their names begin with it."""
-    return [side for side in SIDES if any(body.startswith(side) for body in bodies)]
+        late = np.flatnonzero(off_mm >= self._motion.tolerance_mm)
+        return TargetRefusedError("; ".join(parts), [SIDES[arm] for arm in late])
