@@ -27,7 +27,7 @@ from twinct.scenario.digests import stage_digests
 from twinct.scenario.loading import load_scenario, named_places, parse_scenario, scenario_schema
 from twinct.scenario.motion import InverseKinematics, Motion
 from twinct.scenario.reconstruction import Grid, Reconstruction, Surroundings
-from twinct.scenario.scenario import Scenario
+from twinct.scenario.scenario import AnyTrajectory, Scenario
 from twinct.scenario.source import (
     FileSpectrum,
     Filter,
@@ -51,7 +51,6 @@ from twinct.scenario.specimen import (
     Specimen,
     Sphere,
 )
-from twinct.scenario.trajectory import AnyTrajectory
 from twinct.scenario.uncertainty import PositionNoise, Uncertainty
 
 __all__ = [

@@ -7,17 +7,17 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.scenario.composition import Composition
-from twinct.settings import Conflict, ConflictError, Section, facts
+from twinct.settings import Conflict, ConflictError, Section, setting
 
 
 class OneMaterialHardening(Section):
     """Beam hardening of one material, undone by a table of the known spectrum."""
 
     kind: Literal["one_material"]
-    material: str | Composition | None = Field(
-        default=None,
-        description="What is linearised; null: the specimen's part with the largest volume.",
-        json_schema_extra=facts(source="attenuation: xraylib"),
+    material: str | Composition | None = setting(
+        None,
+        "What is linearised; null: the specimen's part with the largest volume.",
+        source="attenuation: xraylib",
     )
 
 
@@ -25,21 +25,15 @@ class TwoMaterialHardening(Section):
     """Beam hardening of two materials; the dense one is segmented in a first volume."""
 
     kind: Literal["two_materials"]
-    base: str | Composition = Field(
-        default="soft_tissue",
-        description="Material of everything that is not dense.",
-        json_schema_extra=facts(
-            source="Joseph and Spital, J. Comput. Assist. Tomogr. 2 (1978) 100"
-        ),
+    base: str | Composition = setting(
+        "soft_tissue",
+        "Material of everything that is not dense.",
+        source="Joseph and Spital, J. Comput. Assist. Tomogr. 2 (1978) 100",
     )
-    dense: str | Composition = Field(
-        default="bone",
-        description="Material that is segmented; it attenuates more than base.",
-        json_schema_extra=facts(source="the same"),
+    dense: str | Composition = setting(
+        "bone", "Material that is segmented; it attenuates more than base.", source="the same"
     )
-    first_iterations: int = Field(
-        default=3, ge=1, description="SART iterations of the volume that is segmented."
-    )
+    first_iterations: int = setting(3, "SART iterations of the volume that is segmented.", ge=1)
 
     @model_validator(mode="after")
     def _two(self) -> TwoMaterialHardening:

@@ -7,7 +7,7 @@ import re
 
 from pydantic import Field, field_validator
 
-from twinct.settings import Finite, Lengths, Positive, Section, Vector, facts
+from twinct.settings import Finite, Lengths, Positive, Section, Vector, facts, setting
 
 ARMS = ("ur10e", "lbr_iiwa14")
 """Arms that are built in."""
@@ -23,34 +23,32 @@ class Arm(Section):
         | {"pattern": r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$"},
     )
     base_position_mm: Vector = Field(description="Origin of the arm's base in the world.")
-    base_rotation_deg: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="Extrinsic rotations of the base about x, y, z."
+    base_rotation_deg: Vector = setting(
+        (0.0, 0.0, 0.0), "Extrinsic rotations of the base about x, y, z."
     )
-    standoff_mm: Positive = Field(
-        default=150.0,
-        description="From flange to focal spot, or to panel centre, along the flange axis.",
+    standoff_mm: Positive = setting(
+        150.0, "From flange to focal spot, or to panel centre, along the flange axis."
     )
-    tool_rotation_deg: Finite = Field(
-        default=0.0, description="Turn of the tool about the flange axis when it was mounted."
+    tool_rotation_deg: Finite = setting(
+        0.0, "Turn of the tool about the flange axis when it was mounted."
     )
     tool_mass_kg: Positive = Field(description="Mass of the tool.")
-    torque_scale: float = Field(
-        default=1.0,
+    torque_scale: float = setting(
+        1.0,
+        "Share of the published torque limits that may be used.",
         gt=0,
         le=1,
-        description="Share of the published torque limits that may be used.",
-        json_schema_extra=facts(source="limits: the maker's"),
+        source="limits: the maker's",
     )
-    speed_scale: float = Field(
-        default=0.5,
+    speed_scale: float = setting(
+        0.5,
+        "Share of the published joint speeds that a move may use.",
         gt=0,
         le=1,
-        description="Share of the published joint speeds that a move may use.",
-        json_schema_extra=facts(source="limits: the maker's"),
+        source="limits: the maker's",
     )
-    joint_speed_deg_s: Positive = Field(
-        default=90.0,
-        description="Limit of every joint's speed, for a Menagerie model: those state none.",
+    joint_speed_deg_s: Positive = setting(
+        90.0, "Limit of every joint's speed, for a Menagerie model: those state none."
     )
 
     @field_validator("model")
@@ -70,42 +68,34 @@ class Arm(Section):
 class SourceArm(Arm):
     """The arm with the X-ray source."""
 
-    base_position_mm: Vector = Field(
-        default=(850.0, 0.0, 0.0), description="Origin of the arm's base in the world."
+    base_position_mm: Vector = setting((850.0, 0.0, 0.0), "Origin of the arm's base in the world.")
+    base_rotation_deg: Vector = setting(
+        (0.0, 0.0, 180.0), "Extrinsic rotations of the base about x, y, z."
     )
-    base_rotation_deg: Vector = Field(
-        default=(0.0, 0.0, 180.0), description="Extrinsic rotations of the base about x, y, z."
-    )
-    tool_mass_kg: Positive = Field(default=8.0, description="Mass of the X-ray source.")
+    tool_mass_kg: Positive = setting(8.0, "Mass of the X-ray source.")
 
 
 class DetectorArm(Arm):
     """The arm with the panel."""
 
-    base_position_mm: Vector = Field(
-        default=(-850.0, 0.0, 0.0), description="Origin of the arm's base in the world."
-    )
-    tool_mass_kg: Positive = Field(default=4.0, description="Mass of the panel.")
+    base_position_mm: Vector = setting((-850.0, 0.0, 0.0), "Origin of the arm's base in the world.")
+    tool_mass_kg: Positive = setting(4.0, "Mass of the panel.")
 
 
 class Table(Section):
     """The table and the post that carries the specimen."""
 
-    present: bool = Field(default=True, description="Whether there is a table.")
-    size_mm: Lengths = Field(default=(500.0, 900.0, 50.0), description="Top plate along x, y, z.")
-    top_z_mm: Finite = Field(default=-450.0, description="Height of the upper face of the plate.")
-    holder_radius_mm: Positive = Field(
-        default=30.0, description="Radius of the specimen holder's post."
-    )
+    present: bool = setting(True, "Whether there is a table.")
+    size_mm: Lengths = setting((500.0, 900.0, 50.0), "Top plate along x, y, z.")
+    top_z_mm: Finite = setting(-450.0, "Height of the upper face of the plate.")
+    holder_radius_mm: Positive = setting(30.0, "Radius of the specimen holder's post.")
 
 
 class Cell(Section):
     """The operating room: two arms, table, floor."""
 
-    source_arm: SourceArm = Field(default=SourceArm(), description="The arm with the X-ray source.")
-    detector_arm: DetectorArm = Field(default=DetectorArm(), description="The arm with the panel.")
-    table: Table = Field(default=Table(), description="The table.")
-    floor_z_mm: Finite = Field(default=-1200.0, description="Height of the floor.")
-    timestep_ms: float = Field(
-        default=2.0, gt=0, le=10, description="Step of the dynamic simulation."
-    )
+    source_arm: SourceArm = setting(SourceArm(), "The arm with the X-ray source.")
+    detector_arm: DetectorArm = setting(DetectorArm(), "The arm with the panel.")
+    table: Table = setting(Table(), "The table.")
+    floor_z_mm: Finite = setting(-1200.0, "Height of the floor.")
+    timestep_ms: float = setting(2.0, "Step of the dynamic simulation.", gt=0, le=10)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from twinct.settings import Positive, Section, facts
+from twinct.settings import Positive, Section, setting
 
 
 class Composition(Section):
     """A material by its elements."""
 
-    formula: str | None = Field(
-        default=None,
-        description="Chemical formula, such as Ca10(PO4)6(OH)2.",
-        json_schema_extra=facts(source="attenuation of the elements: xraylib"),
+    formula: str | None = setting(
+        None,
+        "Chemical formula, such as Ca10(PO4)6(OH)2.",
+        source="attenuation of the elements: xraylib",
     )
-    mass_fractions: dict[str, Positive] | None = Field(
-        default=None,
-        description="Element symbol to share of mass; the shares add up to 1.",
-        json_schema_extra=facts(source="attenuation of the elements: xraylib"),
+    mass_fractions: dict[str, Positive] | None = setting(
+        None,
+        "Element symbol to share of mass; the shares add up to 1.",
+        source="attenuation of the elements: xraylib",
     )
     density_g_cm3: Positive = Field(description="Density.")
 

@@ -10,7 +10,16 @@ from pydantic import Field, model_validator
 
 from twinct.geometry import Panel
 from twinct.scenario.composition import Composition
-from twinct.settings import Conflict, ConflictError, NonNegative, Pair, Positive, Section, facts
+from twinct.settings import (
+    Conflict,
+    ConflictError,
+    NonNegative,
+    Pair,
+    Positive,
+    Section,
+    facts,
+    setting,
+)
 
 
 class CountingResponse(Section):
@@ -29,10 +38,8 @@ class ScintillatorResponse(Section):
     """A scintillator: what it attenuates it absorbs, with all of the photon's energy."""
 
     kind: Literal["scintillator"]
-    material: Literal["CsI", "Gd2O2S"] | Composition = Field(
-        default="CsI",
-        description="Scintillator. CsI has 4.51, Gd2O2S 7.32 g/cm^3.",
-        json_schema_extra=facts(source="attenuation: xraylib"),
+    material: Literal["CsI", "Gd2O2S"] | Composition = setting(
+        "CsI", "Scintillator. CsI has 4.51, Gd2O2S 7.32 g/cm^3.", source="attenuation: xraylib"
     )
     thickness_mm: Positive = Field(
         description="Its thickness: the share 1 - exp(-mu t) of the photons is absorbed.",
@@ -102,34 +109,22 @@ Noise = Annotated[QuantumNoise | SnrNoise, Field(discriminator="kind")]
 class Readout(Section):
     """Amplifier and converter. Without this section a pixel keeps fractions."""
 
-    free_beam: Positive = Field(
-        default=50000.0,
-        description="Grey value of the free beam, above the offset, at the middle of the first "
+    free_beam: Positive = setting(
+        50000.0,
+        "Grey value of the free beam, above the offset, at the middle of the first "
         "view's panel: it sets the gain.",
-        json_schema_extra=facts(unit="grey values"),
+        unit="grey values",
     )
-    offset: NonNegative = Field(
-        default=500.0,
-        description="Grey value without beam.",
-        json_schema_extra=facts(unit="grey values"),
+    offset: NonNegative = setting(500.0, "Grey value without beam.", unit="grey values")
+    electronic_noise: NonNegative = setting(
+        0.0, "Standard deviation of the noise without beam.", unit="grey values"
     )
-    electronic_noise: NonNegative = Field(
-        default=0.0,
-        description="Standard deviation of the noise without beam.",
-        json_schema_extra=facts(unit="grey values"),
-    )
-    bits: int | None = Field(
-        default=16,
-        ge=1,
-        le=32,
-        description="Bit depth; null keeps fractions.",
-        json_schema_extra=facts(unit="bit"),
-    )
-    saturation: Positive | None = Field(
-        default=None,
-        description="Grey value of saturation; the converter's largest where null. The free beam "
+    bits: int | None = setting(16, "Bit depth; null keeps fractions.", ge=1, le=32, unit="bit")
+    saturation: Positive | None = setting(
+        None,
+        "Grey value of saturation; the converter's largest where null. The free beam "
         "stays below it: offset + free_beam.",
-        json_schema_extra=facts(unit="grey values"),
+        unit="grey values",
     )
 
     @property
@@ -143,12 +138,9 @@ class Readout(Section):
         beam = self.offset + self.free_beam
         if beam <= self.largest:
             return self
-        end = (
-            f"saturation ({self.largest:g})"
-            if self.largest == self.saturation
-            else f"the largest value of {self.bits} bits ({self.largest:g})"
-        )
-        keys = ("free_beam", "offset", "saturation", "bits")
+        end = f"the largest value of {self.bits} bits ({self.largest:g})"
+        if self.largest == self.saturation:
+            end = f"saturation ({self.largest:g})"
         if self.offset >= self.largest:
             message = f"offset ({self.offset:g}) must be below {end}: no signal could be read"
         else:
@@ -156,7 +148,7 @@ class Readout(Section):
                 f"the free beam saturates: offset ({self.offset:g}) + free_beam "
                 f"({self.free_beam:g}) = {beam:g} exceeds {end}"
             )
-        raise ConflictError(Conflict(message, keys))
+        raise ConflictError(Conflict(message, ("free_beam", "offset", "saturation", "bits")))
 
 
 class RandomBadPixels(Section):
@@ -179,15 +171,11 @@ BadPixels = Annotated[RandomBadPixels | FileBadPixels, Field(discriminator="kind
 class Correction(Section):
     """Flat and dark images, taken without specimen before the scan."""
 
-    flat_frames: int = Field(
-        default=0, ge=0, description="Flat frames averaged; 0 for a flat image without noise."
-    )
-    dark_frames: int = Field(
-        default=0, ge=0, description="Dark frames averaged; 0 for a dark image without noise."
-    )
-    flat_geometry: Literal["commanded", "first", "view"] = Field(
-        default="commanded",
-        description="All but view take one flat image, at the first commanded view. commanded: "
+    flat_frames: int = setting(0, "Flat frames averaged; 0 for a flat image without noise.", ge=0)
+    dark_frames: int = setting(0, "Dark frames averaged; 0 for a dark image without noise.", ge=0)
+    flat_geometry: Literal["commanded", "first", "view"] = setting(
+        "commanded",
+        "All but view take one flat image, at the first commanded view. commanded: "
         "scaled by distance and tilt to where each view was commanded to be, so that what the arms "
         "miss by stays in the image; first: as it is; view: as if one had been taken where each "
         "view was executed, which no machine can do.",
@@ -198,79 +186,51 @@ class Scatter(Section):
     """Scattered radiation, a forward-scatter estimate; ``twinct.xray.scatter`` says how valid."""
 
     kind: Literal["kernel"]
-    scale: NonNegative = Field(
-        default=1.0,
-        description="Factor: above 1 for scatter of higher order, below 1 for a grid.",
-        json_schema_extra=facts(
-            source="kernel: Ohnesorge et al., Eur. Radiol. 9 (1999) 563, and Klein-Nishina"
-        ),
+    scale: NonNegative = setting(
+        1.0,
+        "Factor: above 1 for scatter of higher order, below 1 for a grid.",
+        source="kernel: Ohnesorge et al., Eur. Radiol. 9 (1999) 563, and Klein-Nishina",
     )
 
 
 class Detector(Section):
     """The flat panel: by default a lattice of ideal pixels."""
 
-    columns: int = Field(
-        default=640,
-        ge=1,
-        le=8192,
-        description="Pixels along u.",
-        json_schema_extra=facts(unit="px", source="the paper"),
+    columns: int = setting(640, "Pixels along u.", ge=1, le=8192, unit="px", source="the paper")
+    rows: int = setting(480, "Pixels along v.", ge=1, le=8192, unit="px", source="the paper")
+    pixel_pitch_mm: Positive | Pair = setting(
+        0.5, "Pixel pitch; two numbers for (u, v).", source="the paper"
     )
-    rows: int = Field(
-        default=480,
-        ge=1,
-        le=8192,
-        description="Pixels along v.",
-        json_schema_extra=facts(unit="px", source="the paper"),
-    )
-    pixel_pitch_mm: Positive | Pair = Field(
-        default=0.5,
-        description="Pixel pitch; two numbers for (u, v).",
-        json_schema_extra=facts(source="the paper"),
-    )
-    response: Response = Field(
-        default=IntegratingResponse(), description="What the detector makes of a photon."
-    )
-    pixel_samples: int = Field(
-        default=1,
+    response: Response = setting(IntegratingResponse(), "What the detector makes of a photon.")
+    pixel_samples: int = setting(
+        1,
+        "Samples along each edge of a pixel; its value is their mean. The cost grows "
+        "with their square.",
         ge=1,
         le=16,
-        description="Samples along each edge of a pixel; its value is their mean. The cost grows "
-        "with their square.",
-        json_schema_extra=facts(source="1: the paper's gVXR"),
+        source="1: the paper's gVXR",
     )
-    binning: Annotated[int, Field(ge=1, le=8)] = Field(
-        default=1,
-        description="Physical pixels along each edge of an image pixel; noise and spread happen in "
+    binning: Annotated[int, Field(ge=1, le=8)] = setting(
+        1,
+        "Physical pixels along each edge of an image pixel; noise and spread happen in "
         "the physical ones.",
     )
-    point_spread: PointSpread | None = Field(
-        default=None,
-        description="Spread of the signal.",
-        json_schema_extra=facts(source="none: the paper"),
+    point_spread: PointSpread | None = setting(
+        None, "Spread of the signal.", source="none: the paper"
     )
-    noise: Noise | None = Field(
-        default=None,
-        description="Noise of the signal.",
-        json_schema_extra=facts(source="none: the paper"),
+    noise: Noise | None = setting(None, "Noise of the signal.", source="none: the paper")
+    readout: Readout | None = setting(None, "Grey values.")
+    bad_pixels: BadPixels | None = setting(
+        None, "Dead pixels; correction fills them from their neighbours."
     )
-    readout: Readout | None = Field(default=None, description="Grey values.")
-    bad_pixels: BadPixels | None = Field(
-        default=None, description="Dead pixels; correction fills them from their neighbours."
-    )
-    lag: float = Field(
-        default=0.0,
+    lag: float = setting(
+        0.0,
+        "Share of a view's signal that appears in the next one. It doubles the cost.",
         ge=0,
         lt=1,
-        description="Share of a view's signal that appears in the next one. It doubles the cost.",
     )
-    correction: Correction = Field(
-        default=Correction(), description="How the raw images become transmission."
-    )
-    scatter: Scatter | None = Field(
-        default=None, description="Scattered radiation; none where null."
-    )
+    correction: Correction = setting(Correction(), "How the raw images become transmission.")
+    scatter: Scatter | None = setting(None, "Scattered radiation; none where null.")
 
     @property
     def panel(self) -> Panel:
@@ -285,10 +245,5 @@ class Detector(Section):
 
         What a photon is worth does not matter to the transmission of one energy.
         """
-        plain = Detector(
-            columns=self.columns,
-            rows=self.rows,
-            pixel_pitch_mm=self.pixel_pitch_mm,
-            response=self.response,
-        )
-        return self == plain
+        kept = ("columns", "rows", "pixel_pitch_mm", "response")
+        return self == Detector(**{name: getattr(self, name) for name in kept})

@@ -92,11 +92,7 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
 
 
 def readers(key: str) -> tuple[StageName, ...]:
-    """The stages that read a key themselves; those that stand on them are not among them.
-
-    Args:
-        key: dotted, without the indices of lists.
-    """
+    """The stages that read a key themselves: a dotted one, without the indices of lists."""
     return tuple(name for name, stage in STAGES.items() if _matches(key, stage.reads))
 
 
@@ -111,8 +107,7 @@ def _reads(scenario: Scenario, stage: StageName, key: str) -> bool:
 
 
 def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
-    of_volume = stage == "volume" and base == "believed"
-    return not of_volume or "believed" in scenario.reconstruction.geometries
+    return (stage, base) != ("volume", "believed") or base in scenario.reconstruction.geometries
 
 
 def _seed(scenario: Scenario, stage: StageName) -> int | None:

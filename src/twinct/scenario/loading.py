@@ -37,13 +37,11 @@ def load_scenario(
     scenario = _validate(draft)
     for sentence in draft.left_out:
         log.warning(sentence)
-    missing = [
-        f"{place(draft, key_of(key))}no file at {file}"
-        for key, file in scenario.files().items()
-        if not file.exists()
-    ]
+    missing = {key: file for key, file in scenario.files().items() if not file.exists()}
     if missing:
-        raise ScenarioError(missing)
+        raise ScenarioError(
+            f"{place(draft, key_of(key))}no file at {file}" for key, file in missing.items()
+        )
     return scenario
 
 
@@ -54,11 +52,7 @@ def named_places(
     """Let problems that begin with a key say which file and line, or override, set it.
 
     What is found out only when a scenario is worked with, such as a material that nobody knows,
-    knows the key alone.
-
-    Args:
-        source: as for ``load_scenario``.
-        overrides: as for ``load_scenario``.
+    knows the key alone. The arguments are those of ``load_scenario``.
     """
     try:
         yield

@@ -32,10 +32,8 @@ def problems(draft: Draft, error: ValidationError) -> list[str]:
             conflicts += (_blamed(draft, key, conflict) for conflict in cause.conflicts)
             continue
         if detail["type"] == "union_tag_invalid":
-            key = (
-                *key,
-                "kind" if "kind" in detail.get("ctx", {})["discriminator"] else "algorithm",
-            )
+            by_kind = "kind" in detail.get("ctx", {})["discriminator"]
+            key = (*key, "kind" if by_kind else "algorithm")
         wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
         found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model, others)))
     sentences: list[str] = []
@@ -82,13 +80,7 @@ _PLAIN = {
 
 
 class _Place(NamedTuple):
-    """Where in the models a problem is.
-
-    Attributes:
-        key: without the tags and names of union branches.
-        model: the section there.
-        others: that it could have been instead, by their tags.
-    """
+    """Where in the models a problem is: the section there, and what it could have been instead."""
 
     key: Key
     model: type[BaseModel] | None
@@ -105,11 +97,9 @@ def _sentence(
             return gone
         known = list(model.model_fields) if model else []
         if having := [str(_tag(other)) for other in others if key[-1] in other.model_fields]:
-            has = "has" if len(having) == 1 else "have"
-            return (
-                f"{model and _tag(model)} has no such key, but {', '.join(having)} {has} it "
-                f"(known: {', '.join(known)})"
-            )
+            own, has = model and _tag(model), "has" if len(having) == 1 else "have"
+            but = f"{own} has no such key, but {', '.join(having)} {has} it"
+            return f"{but} (known: {', '.join(known)})"
         near = difflib.get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         if "." in str(key[-1]):
@@ -133,8 +123,7 @@ def _sentence(
         return f"must have {side} {limit} {'entry' if limit == 1 else 'entries'}, but has {has}"
     if kind in _PLAIN:
         return f"{_PLAIN[kind]}, but is {'empty' if given is None else repr(given)}"
-    message = detail["msg"].removeprefix("Value error, ")
-    message = message.replace("Input should be", "must be")
+    message = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     return message if kind == "value_error" else f"{message}, but is {given!r}"
 
 
@@ -146,26 +135,21 @@ def _plain_key(location: tuple[str | int, ...], data: Any) -> _Place:
     others: list[type[BaseModel]] = []
     for step in location:
         models = _models(annotation)
-        tag = next((m for m in models if _tag(m) == step), None)
-        if tag is not None and len(models) > 1:
-            annotation, model, others = tag, tag, models
-            continue
-        if isinstance(step, int):
-            key.append(step)
-            annotation = _item(annotation)
-            continue
+        tagged = next((m for m in models if _tag(m) == step), None)
         owner = models[0] if models else None
-        if owner is not None and step in owner.model_fields:
+        if tagged is not None and len(models) > 1:
+            annotation, model, others = tagged, tagged, models
+        elif isinstance(step, int):
+            key.append(step)
+            annotation = next((arg for arg in typing.get_args(annotation) if _models(arg)), None)
+        elif owner is not None and step in owner.model_fields:
             key.append(step)
             model, annotation, others = owner, owner.model_fields[step].annotation, []
-            continue
-        if owner is not None and _exists(data, [*key, step]):
+        elif owner is not None and _exists(data, [*key, step]):
             key.append(step)
             model = owner
-            continue
-        if step in _names(annotation):
-            annotation = next(m for m in models if m.__name__ == step)
-            model = annotation
+        elif named := next((m for m in models if m.__name__ == step), None):
+            annotation = model = named
     return _Place(tuple(key), model, others)
 
 
@@ -182,17 +166,6 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [m for arg in typing.get_args(annotation) for m in _models(arg)]
-
-
-def _names(annotation: Any) -> list[str]:
-    return [m.__name__ for m in _models(annotation)]
-
-
-def _item(annotation: Any) -> Any:
-    for arg in typing.get_args(annotation):
-        if arg is not Ellipsis and _models(arg):
-            return arg
-    return None
 
 
 def _tag(model: type[BaseModel]) -> str | None:

@@ -37,13 +37,13 @@ class Draft:
     """Merged raw data, and for each key the place that set it, in the order of setting.
 
     A section counts as set by the last file or override that set one of its keys: what is wrong
-    with a section as a whole became so there.
+    with a section as a whole became so there. Each key that went with the algorithm it belonged to
+    is a sentence in ``left_out``.
     """
 
     data: dict[str, Any] = field(default_factory=dict[str, Any])
     origins: dict[Key, str] = field(default_factory=dict[Key, str])
     left_out: list[str] = field(default_factory=list[str])
-    """One sentence for each key that went with the algorithm it belonged to."""
 
     def origin(self, key: Key) -> str:
         """The place that set a key, or the nearest key around it."""
@@ -74,10 +74,8 @@ def drafted(source: str | Path | Mapping[str, Any], overrides: Iterable[str] = (
     Raises:
         ScenarioError: what cannot be read, or an override that leads nowhere.
     """
-    if isinstance(source, Mapping):
-        draft = Draft(upgraded(_absolute_paths(dict(source))))
-    else:
-        draft = _read(Path(source), ())
+    given = isinstance(source, Mapping)
+    draft = Draft(upgraded(_absolute_paths(dict(source)))) if given else _read(Path(source), ())
     for override in overrides:
         _apply_override(draft, override)
     return draft
@@ -126,12 +124,12 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
     parent = own.data.pop("extends", None)
     if parent is None:
         return own
+    place = f"{own.origin(('extends',))}: extends: "
     if not isinstance(parent, str):
-        raise ScenarioError(f"{own.origin(('extends',))}: extends: {parent!r} is not a file name")
-    base_path = path.parent / parent
-    if not base_path.is_file():
-        raise ScenarioError(f"{own.origin(('extends',))}: extends: no file at {base_path}")
-    base = _read(base_path, (*chain, path.resolve()))
+        raise ScenarioError(f"{place}{parent!r} is not a file name")
+    if not (path.parent / parent).is_file():
+        raise ScenarioError(f"{place}no file at {path.parent / parent}")
+    base = _read(path.parent / parent, (*chain, path.resolve()))
     _merge(base, own.data, own.origins, ())
     return base
 
@@ -153,9 +151,8 @@ def _construct(loader: Any, node: yaml.Node, key: Key, path: Path, origins: dict
                 data[name] = str((path.parent / Path(data[name]).expanduser()).resolve())
         return data
     if isinstance(node, yaml.SequenceNode):
-        return [
-            _construct(loader, item, (*key, i), path, origins) for i, item in enumerate(node.value)
-        ]
+        items = enumerate(node.value)
+        return [_construct(loader, item, (*key, i), path, origins) for i, item in items]
     return loader.construct_object(node, deep=True)
 
 
@@ -169,8 +166,7 @@ def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key)
     for step in key:
         here = here[step]
     for name, value in data.items():
-        inner = (*key, name)
-        old = here.get(name)
+        inner, old = (*key, name), here.get(name)
         if is_mapping(old) and is_mapping(value):
             kind = old.get("kind")
             if value.get("kind", kind) == kind:
@@ -199,19 +195,16 @@ def _apply_override(draft: Draft, override: str) -> None:
     key = key_of(key_text.strip())
     here: Any = draft.data
     for depth, step in enumerate(steps):
-        last = depth == len(steps) - 1
         if is_list(here):
             if not step.isdigit() or int(step) >= len(here):
-                raise ScenarioError(
-                    f"{place}: {'.'.join(steps[:depth])} is a list of {len(here)}: "
-                    f"{step!r} is not one of its indices"
-                )
+                what = f"{'.'.join(steps[:depth])} is a list of {len(here)}"
+                raise ScenarioError(f"{place}: {what}: {step!r} is not one of its indices")
             index: Any = int(step)
         elif is_mapping(here):
             index = step
         else:
             raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
-        if last:
+        if depth == len(steps) - 1:
             if is_mapping(here) and step == "kind" and here.get("kind", value) != value:
                 _start_afresh(draft, here, key[:-1])
             if step == "algorithm":
@@ -236,20 +229,18 @@ def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
 def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
     """Leave out what the algorithm of before had and the new one has not, overrides apart."""
     section = draft.data.get("reconstruction")
-    if key != ("reconstruction",) or not is_mapping(section):
-        return
-    if not isinstance(algorithm, str) or algorithm not in SECTIONS:
+    if key != ("reconstruction",) or not is_mapping(section) or not isinstance(algorithm, str):
         return
     before = section.get("algorithm", DEFAULT_ALGORITHM)
+    if algorithm not in SECTIONS or before == algorithm:
+        return
     kept = SECTIONS[algorithm].model_fields
     others = {name for other in SECTIONS.values() for name in own_keys(other)}
     for name in [name for name in section if name in others and name not in kept]:
         origin = draft.origin((*key, name))
-        if before != algorithm and not origin.startswith("--set "):
-            draft.left_out.append(
-                f"{origin}: reconstruction.{name} is of {before} and left out: {algorithm} has no "
-                "such key"
-            )
+        if not origin.startswith("--set "):
+            gone = f"{origin}: reconstruction.{name} is of {before} and left out"
+            draft.left_out.append(f"{gone}: {algorithm} has no such key")
             del section[name]
             draft.forget((*key, name))
 

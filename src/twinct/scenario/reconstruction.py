@@ -12,7 +12,7 @@ from twinct.geometry import Pose, VolumeGrid
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.algorithms import algorithms
 from twinct.scenario.beam_hardening import BeamHardening
-from twinct.settings import Lengths, Positive, Section, Vector, facts
+from twinct.settings import Lengths, Positive, Section, Vector, facts, setting
 
 log = logging.getLogger(__name__)
 
@@ -23,22 +23,14 @@ DEFAULT_ALGORITHM = "sart"
 class Grid(Section):
     """The voxels of the reconstruction."""
 
-    voxels: Annotated[int, Field(ge=2, le=4096)] | tuple[int, int, int] = Field(
-        default=512,
-        description="Voxels along each axis; three numbers for (x, y, z).",
-        json_schema_extra=facts(source="the paper"),
+    voxels: Annotated[int, Field(ge=2, le=4096)] | tuple[int, int, int] = setting(
+        512, "Voxels along each axis; three numbers for (x, y, z).", source="the paper"
     )
-    voxel_mm: Positive | Lengths = Field(
-        default=0.31,
-        description="Voxel edge; three for (x, y, z).",
-        json_schema_extra=facts(source="the paper"),
+    voxel_mm: Positive | Lengths = setting(
+        0.31, "Voxel edge; three for (x, y, z).", source="the paper"
     )
-    centre_mm: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="Centre of the grid in the world."
-    )
-    rotation_deg: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
-    )
+    centre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the grid in the world.")
+    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
 
     @model_validator(mode="after")
     def _some_voxels(self) -> Grid:
@@ -67,31 +59,27 @@ class Surroundings(Section):
         json_schema_extra=facts(source="Ziegler, Nielsen and Grass, Med. Phys. 35 (2008)"),
     )
     voxel_mm: Positive = Field(description="Coarse voxel edge, such as four times the grid's.")
-    iterations: int = Field(default=5, ge=1, le=10_000, description="Of a coarse SART.")
-    relaxation: float = Field(default=0.3, gt=0, lt=2, description="Of the coarse SART.")
+    iterations: int = setting(5, "Of a coarse SART.", ge=1, le=10_000)
+    relaxation: float = setting(0.3, "Of the coarse SART.", gt=0, lt=2)
 
 
 class Reconstruction(Section):
     """From projections to a volume: the keys that all algorithms share; each adds its own."""
 
-    algorithm: str = Field(
-        default=DEFAULT_ALGORITHM,
-        description="docs/reconstruction.md says which for what.",
-        json_schema_extra=facts(source="the paper"),
+    algorithm: str = setting(
+        DEFAULT_ALGORITHM, "docs/reconstruction.md says which for what.", source="the paper"
     )
-    surroundings: Surroundings | None = Field(
-        default=None, description="Take out what lies around the grid first."
+    surroundings: Surroundings | None = setting(None, "Take out what lies around the grid first.")
+    beam_hardening: BeamHardening | None = setting(
+        None, "Correction of line integrals before reconstruction."
     )
-    beam_hardening: BeamHardening | None = Field(
-        default=None, description="Correction of line integrals before reconstruction."
-    )
-    geometry: GeometryName | tuple[GeometryName, ...] = Field(
-        default="believed",
-        description="Geometry to reconstruct from; several are judged side by side, and the first "
+    geometry: GeometryName | tuple[GeometryName, ...] = setting(
+        "believed",
+        "Geometry to reconstruct from; several are judged side by side, and the first "
         "one's volume is kept.",
-        json_schema_extra=facts(source="the paper"),
+        source="the paper",
     )
-    grid: Grid = Field(default=Grid(), description="The voxels.")
+    grid: Grid = setting(Grid(), "The voxels.")
 
     @model_validator(mode="after")
     def _distinct_geometries(self) -> Reconstruction:
@@ -148,7 +136,7 @@ def _with_settings(algorithm: Algorithm[Any]) -> type[Reconstruction]:
         f"{settings.__name__}Reconstruction",
         __base__=(Reconstruction, settings),
         __doc__=settings.__doc__,
-        algorithm=(name, Field(default=algorithm.name, description="Which algorithm it is.")),
+        algorithm=(name, setting(algorithm.name, "Which algorithm it is.")),
     )
     return section
 

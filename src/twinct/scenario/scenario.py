@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, Annotated, Union, cast
 
 from pydantic import Field, model_validator
 
@@ -15,31 +15,40 @@ from twinct.scenario.motion import Motion
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
 from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import Specimen
-from twinct.scenario.trajectory import AnyTrajectory
 from twinct.scenario.uncertainty import Uncertainty
-from twinct.settings import Conflict, ConflictError, Section
+from twinct.settings import Conflict, ConflictError, Section, setting
+from twinct.trajectory import TrajectorySettings
+from twinct.trajectory.families import families
+
+if TYPE_CHECKING:
+
+    class AnyTrajectory(TrajectorySettings):
+        """What all of them have."""
+
+        kind: str
+
+else:
+    AnyTrajectory = Annotated[
+        Union[tuple(family.settings for family in families().values())],  # noqa: UP007
+        Field(discriminator="kind"),
+    ]
 
 
 class Scenario(Section):
     """Everything one simulation needs."""
 
-    name: str = Field(
-        default="scan", min_length=1, description="Names the scan in the report and in messages."
-    )
-    description: str = Field(default="", description="What the scan is for; the report shows it.")
-    seed: int = Field(default=0, ge=0, lt=2**63, description="Every random draw is keyed by it.")
-    source: Source = Field(default=Source(), description="The X-ray source.")
-    detector: Detector = Field(default=Detector(), description="The flat panel.")
+    name: str = setting("scan", "Names the scan in the report and in messages.", min_length=1)
+    description: str = setting("", "What the scan is for; the report shows it.")
+    seed: int = setting(0, "Every random draw is keyed by it.", ge=0, lt=2**63)
+    source: Source = setting(Source(), "The X-ray source.")
+    detector: Detector = setting(Detector(), "The flat panel.")
     trajectory: AnyTrajectory = Field(description="Where source and panel shall go.")
     specimen: Specimen = Field(description="What is imaged.")
-    cell: Cell = Field(default=Cell(), description="The room and the arms.")
-    motion: Motion = Field(default=Motion(), description="How the arms move.")
-    uncertainty: Uncertainty = Field(
-        default=Uncertainty(), description="What the reported poses are off by."
-    )
-    reconstruction: AnyReconstruction = Field(
-        default=SECTIONS[DEFAULT_ALGORITHM].model_validate({}),
-        description="How the volume is made.",
+    cell: Cell = setting(Cell(), "The room and the arms.")
+    motion: Motion = setting(Motion(), "How the arms move.")
+    uncertainty: Uncertainty = setting(Uncertainty(), "What the reported poses are off by.")
+    reconstruction: AnyReconstruction = setting(
+        SECTIONS[DEFAULT_ALGORITHM].model_validate({}), "How the volume is made."
     )
 
     @model_validator(mode="after")

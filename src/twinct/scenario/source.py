@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.scenario.composition import Composition
-from twinct.settings import Conflict, ConflictError, Pair, Positive, Section, facts
+from twinct.settings import Conflict, ConflictError, Pair, Positive, Section, facts, setting
 
 MOST_KV = 50.0
 """Highest tube voltage for which SpekPy knows molybdenum and rhodium."""
@@ -17,10 +17,8 @@ MOST_KV = 50.0
 class Filter(Section):
     """A plate in the beam, crossed at right angles."""
 
-    material: str | Composition = Field(
-        default="aluminium",
-        description="Material of the plate.",
-        json_schema_extra=facts(source="attenuation: xraylib"),
+    material: str | Composition = setting(
+        "aluminium", "Material of the plate.", source="attenuation: xraylib"
     )
     thickness_mm: Positive = Field(description="Its thickness.")
 
@@ -35,22 +33,16 @@ class TubeSpectrum(Section):
         description="Tube voltage: up to 300 kV for W, up to 50 kV for Mo and Rh.",
         json_schema_extra=facts(source="SpekPy (Poludniowski et al., Med. Phys. 48 (2021) 3630)"),
     )
-    anode_angle_deg: float = Field(
-        default=12.0,
-        gt=0,
-        le=90,
-        description="Between anode face and central ray.",
-        json_schema_extra=facts(source="SpekPy's default"),
+    anode_angle_deg: float = setting(
+        12.0, "Between anode face and central ray.", gt=0, le=90, source="SpekPy's default"
     )
-    target: Literal["W", "Mo", "Rh"] = Field(
-        default="W", description="Element of the anode.", json_schema_extra=facts(source="SpekPy")
+    target: Literal["W", "Mo", "Rh"] = setting("W", "Element of the anode.", source="SpekPy")
+    filters: tuple[Filter, ...] = setting(
+        (Filter(thickness_mm=2.5),),
+        "Plates between anode and specimen.",
+        source="2.5 mm Al: the least total filtration of IEC 60601-1-3",
     )
-    filters: tuple[Filter, ...] = Field(
-        default=(Filter(thickness_mm=2.5),),
-        description="Plates between anode and specimen.",
-        json_schema_extra=facts(source="2.5 mm Al: the least total filtration of IEC 60601-1-3"),
-    )
-    bins: int = Field(default=60, ge=1, le=1000, description="Energy bins at most.")
+    bins: int = setting(60, "Energy bins at most.", ge=1, le=1000)
 
     @model_validator(mode="after")
     def _range_of_the_target(self) -> TubeSpectrum:
@@ -70,19 +62,15 @@ class FileSpectrum(Section):
     path: Path = Field(
         description="Two columns: energy in keV (rising, 0.1 to 800), photons of that bin."
     )
-    filters: tuple[Filter, ...] = Field(
-        default=(), description="Plates between this spectrum and the specimen."
-    )
-    bins: int = Field(default=60, ge=1, le=1000, description="Energy bins at most.")
+    filters: tuple[Filter, ...] = setting((), "Plates between this spectrum and the specimen.")
+    bins: int = setting(60, "Energy bins at most.", ge=1, le=1000)
 
 
 Spectrum = Annotated[TubeSpectrum | FileSpectrum, Field(discriminator="kind")]
 
 
 class _Spot(Section):
-    samples: int = Field(
-        default=24, ge=1, le=1000, description="Points of the spot; an image costs as many renders."
-    )
+    samples: int = setting(24, "Points of the spot; an image costs as many renders.", ge=1, le=1000)
 
 
 class GaussianSpot(_Spot):
@@ -121,44 +109,43 @@ Spot = Annotated[GaussianSpot | SquareSpot | ImageSpot, Field(discriminator="kin
 class Source(Section):
     """The X-ray source: by default a monochromatic point."""
 
-    energy_kev: float = Field(
-        default=80.0,
+    energy_kev: float = setting(
+        80.0,
+        "Photon energy of the monochromatic source; not used with a spectrum.",
         ge=5,
         le=500,
-        description="Photon energy of the monochromatic source; not used with a spectrum.",
-        json_schema_extra=facts(source="the paper"),
+        source="the paper",
     )
-    spectrum: Spectrum | None = Field(
-        default=None,
-        description="A tube, or a file; monochromatic where there is none.",
-        json_schema_extra=facts(source="one energy: the paper"),
+    spectrum: Spectrum | None = setting(
+        None,
+        "A tube, or a file; monochromatic where there is none.",
+        source="one energy: the paper",
     )
-    photons_per_mm2_mas: Positive | None = Field(
-        default=None,
-        description="Photons of the free beam per mm^2 at 1 m and mAs, behind the filters. A tube "
+    photons_per_mm2_mas: Positive | None = setting(
+        None,
+        "Photons of the free beam per mm^2 at 1 m and mAs, behind the filters. A tube "
         "knows its own number; noise of any other source needs this one.",
-        json_schema_extra=facts(unit="1/(mm^2 mAs)", source="a tube's: SpekPy"),
+        unit="1/(mm^2 mAs)",
+        source="a tube's: SpekPy",
     )
-    current_ma: Positive = Field(default=1.0, description="Tube current.")
-    exposure_ms: float = Field(
-        default=10.0,
+    current_ma: Positive = setting(1.0, "Tube current.")
+    exposure_ms: float = setting(
+        10.0,
+        "How long the shutter is open. With motion_samples above 1 the arms are "
+        "simulated for as long in every view.",
         gt=0,
         le=60_000,
-        description="How long the shutter is open. With motion_samples above 1 the arms are "
-        "simulated for as long in every view.",
     )
-    motion_samples: int = Field(
-        default=1,
+    motion_samples: int = setting(
+        1,
+        "Instants of the exposure, at equal distances, whose mean the image is: motion "
+        "blur. 1: all stands as when the image was triggered. An image costs as many renders.",
         ge=1,
         le=1000,
-        description="Instants of the exposure, at equal distances, whose mean the image is: motion "
-        "blur. 1: all stands as when the image was triggered. An image costs as many renders.",
-        json_schema_extra=facts(source="1, no blur: the paper"),
+        source="1, no blur: the paper",
     )
-    focal_spot: Spot | None = Field(
-        default=None,
-        description="A point where there is none.",
-        json_schema_extra=facts(source="a point: the paper"),
+    focal_spot: Spot | None = setting(
+        None, "A point where there is none.", source="a point: the paper"
     )
 
     @property

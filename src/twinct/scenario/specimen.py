@@ -9,16 +9,16 @@ from pydantic import Field
 
 from twinct.geometry import Pose
 from twinct.scenario.composition import Composition
-from twinct.settings import Finite, Lengths, NonNegative, Positive, Section, Vector, facts
+from twinct.settings import Finite, Lengths, NonNegative, Positive, Section, Vector, setting
 
 
 class Skull(Section):
     """The built-in adult skull from implicit surfaces."""
 
     kind: Literal["skull"]
-    scale: Positive = Field(default=1.0, description="1 is adult size.")
-    mesh_resolution_mm: Positive = Field(
-        default=1.0, description="Cell of the lattice on which the surface mesh is extracted."
+    scale: Positive = setting(1.0, "1 is adult size.")
+    mesh_resolution_mm: Positive = setting(
+        1.0, "Cell of the lattice on which the surface mesh is extracted."
     )
 
 
@@ -56,10 +56,8 @@ class MeshFile(Section):
 
     kind: Literal["mesh"]
     path: Path = Field(description="Mesh file.")
-    unit_mm: Positive = Field(default=1.0, description="Length of the file's unit.")
-    centre: bool = Field(
-        default=False, description="Move the middle of its bounds to the part's origin."
-    )
+    unit_mm: Positive = setting(1.0, "Length of the file's unit.")
+    centre: bool = setting(False, "Move the middle of its bounds to the part's origin.")
 
 
 class CtVolume(Section):
@@ -67,18 +65,14 @@ class CtVolume(Section):
 
     kind: Literal["ct"]
     path: Path = Field(description="NIfTI file, folder of one DICOM series, or InVesalius .inv3.")
-    threshold_hu: Finite = Field(default=300.0, description="Bone is what lies above.")
-    smoothing_mm: NonNegative = Field(
-        default=0.0, description="Sigma of a Gaussian filter before the threshold."
-    )
-    smallest_part_cm3: NonNegative = Field(
-        default=0.1,
-        description="Connected pieces below this volume are left out: crumbs by default; a larger "
+    threshold_hu: Finite = setting(300.0, "Bone is what lies above.")
+    smoothing_mm: NonNegative = setting(0.0, "Sigma of a Gaussian filter before the threshold.")
+    smallest_part_cm3: NonNegative = setting(
+        0.1,
+        "Connected pieces below this volume are left out: crumbs by default; a larger "
         "number leaves out a head rest or other things around the patient.",
     )
-    centre: bool = Field(
-        default=True, description="Move the middle of its bounds to the part's origin."
-    )
+    centre: bool = setting(True, "Move the middle of its bounds to the part's origin.")
 
 
 Shape = Annotated[
@@ -89,19 +83,13 @@ Shape = Annotated[
 class Part(Section):
     """One body of one material. Where parts overlap the later one wins."""
 
-    name: str = Field(default="", description="Shown in messages; the kind of shape where empty.")
+    name: str = setting("", "Shown in messages; the kind of shape where empty.")
     shape: Shape = Field(description="Its shape.")
-    material: str | Composition = Field(
-        default="bone",
-        description="A name, or a composition with its density.",
-        json_schema_extra=facts(source="attenuation: xraylib"),
+    material: str | Composition = setting(
+        "bone", "A name, or a composition with its density.", source="attenuation: xraylib"
     )
-    position_mm: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="Origin in the specimen's frame."
-    )
-    rotation_deg: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
-    )
+    position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the specimen's frame.")
+    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
 
     @property
     def specimen_from_part(self) -> Pose:
@@ -118,10 +106,8 @@ class Specimen(Section):
     """What is imaged, and where it stands."""
 
     parts: tuple[Part, ...] = Field(min_length=1, description="Bodies, each of one material.")
-    position_mm: Vector = Field(default=(0.0, 0.0, 0.0), description="Origin in the world.")
-    rotation_deg: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="Extrinsic rotations about x, y, z."
-    )
+    position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the world.")
+    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
 
     @property
     def world_from_specimen(self) -> Pose:

@@ -2,43 +2,31 @@
 
 from __future__ import annotations
 
-from pydantic import Field
-
-from twinct.settings import NonNegative, Positive, Section, facts
+from twinct.settings import NonNegative, Positive, Section, setting
 
 
 class PositionNoise(Section):
     """Normal noise for each axis, redrawn beyond the cut-off."""
 
-    sigma_mm: NonNegative = Field(
-        default=0.1,
-        description="Standard deviation for each axis.",
-        json_schema_extra=facts(source="the paper"),
-    )
-    cutoff_mm: Positive = Field(
-        default=0.15,
-        description="Largest deviation on each axis.",
-        json_schema_extra=facts(source="the paper: repeatability"),
+    sigma_mm: NonNegative = setting(0.1, "Standard deviation for each axis.", source="the paper")
+    cutoff_mm: Positive = setting(
+        0.15, "Largest deviation on each axis.", source="the paper: repeatability"
     )
 
 
 class Uncertainty(Section):
     """What separates the believed poses from the executed ones."""
 
-    source: PositionNoise = Field(
-        default=PositionNoise(),
-        description="Of the source's position.",
-        json_schema_extra=facts(source="the paper"),
+    source: PositionNoise = setting(
+        PositionNoise(), "Of the source's position.", source="the paper"
     )
-    detector: PositionNoise = Field(
-        default=PositionNoise(),
-        description="Of the panel's position.",
-        json_schema_extra=facts(source="the paper"),
+    detector: PositionNoise = setting(
+        PositionNoise(), "Of the panel's position.", source="the paper"
     )
-    seed: int | None = Field(
-        default=None,
+    seed: int | None = setting(
+        None,
+        "Of this noise alone; the scenario's where null. Other seeds here are other "
+        "believed poses of the same images.",
         ge=0,
         lt=2**63,
-        description="Of this noise alone; the scenario's where null. Other seeds here are other "
-        "believed poses of the same images.",
     )
