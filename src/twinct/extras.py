@@ -23,7 +23,7 @@ _FOUND: dict[str, tuple[str, ...]] = {"xray": ("gvxrPython3",)}
 _CALLED = {"gvxrPython3": "gvxr", "itk": "itk-rtk"}
 """What pip calls a module, where the names differ."""
 
-_WAY_OUT = {"ros": "use --link local", "rtk": "use reconstruction.algorithm: sart"}
+_WAY_OUT = {"ros": "or use --link local", "rtk": "or use reconstruction.algorithm: sart"}
 
 
 def require(*extras: str) -> None:
@@ -44,32 +44,23 @@ def require(*extras: str) -> None:
 
 
 def _missing(extra: str) -> InputError | None:
-    for module in (*_FOUND.get(extra, ()), *_IMPORTED.get(extra, ())):
+    advice, found_only = _WAY_OUT.get(extra, ""), _FOUND.get(extra, ())
+    for module in (*found_only, *_IMPORTED.get(extra, ())):
         package = module.partition(".")[0]
         name = _CALLED.get(package, package)
-        way_out = _WAY_OUT.get(extra, "")
-        advice = f"or {way_out}" if way_out else ""
         try:
-            if module in _FOUND.get(extra, ()):
-                found = importlib.util.find_spec(module) is not None
-            else:
+            if module not in found_only:
                 importlib.import_module(module)
-                found = True
-        except ModuleNotFoundError as error:
-            if (error.name or package).partition(".")[0] != package:
-                return _broken(name, extra, error, advice)
-            found = False
+            elif importlib.util.find_spec(module) is None:
+                return MissingExtraError(name, extra, advice)
         except Exception as error:  # an installed package may fail in whatever way it likes
-            return _broken(name, extra, error, advice)
-        if not found:
-            return MissingExtraError(name, extra, advice)
+            gone = (error.name or package) if isinstance(error, ModuleNotFoundError) else ""
+            if gone.partition(".")[0] == package:
+                return MissingExtraError(name, extra, advice)
+            tail = f", {advice}" if advice else ""
+            return InputError(
+                f"{name} is installed but cannot be imported ({type(error).__name__}: {error}): "
+                "install it again with 'pip install --force-reinstall "
+                f".[{extra}]' in the folder of twinct's sources{tail}"
+            )
     return None
-
-
-def _broken(name: str, extra: str, error: Exception, advice: str) -> InputError:
-    tail = f", {advice}" if advice else ""
-    return InputError(
-        f"{name} is installed but cannot be imported ({type(error).__name__}: {error}): "
-        "install it again with 'pip install --force-reinstall "
-        f".[{extra}]' in the folder of twinct's sources{tail}"
-    )

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from twinct.errors import TwinctError
 from twinct.ros import require_ros
@@ -24,13 +24,7 @@ def main(
     build_robots: Callable[[Scenario], Robots] | None = None,
     build_imager: Callable[[Scenario], XRay] | None = None,
 ) -> int:
-    """Run one node of a scan until its rig is done with it.
-
-    Args:
-        arguments: of the command line.
-        build_robots: makes the robot simulation, in place of the real one.
-        build_imager: makes the X-ray simulation, in place of the real one.
-    """
+    """Run one node of a scan, around the real simulation or another, until its rig is done."""
     parser = argparse.ArgumentParser(prog="python -m twinct.ros", description=__doc__)
     parser.add_argument("node", choices=["robots", "xray"])
     parser.add_argument("scenario", type=Path)
@@ -46,28 +40,16 @@ def main(
         from twinct.ros.senders import Members
 
         scenario = load_scenario(given.scenario)
-        members = Members(given.members) if given.members else None
-        if given.node == "robots":
-            from twinct.ros.robots_node import spin_robots
+        common: dict[str, Any] = {"epoch": given.epoch, "lifeline": given.lifeline}
+        common["members"] = Members(given.members) if given.members else None
+        if given.node == "xray":
+            from twinct.ros.xray_node import spin_xray
 
-            return spin_robots(
-                scenario,
-                epoch=given.epoch,
-                first_view=given.first_view,
-                restore=given.restore,
-                members=members,
-                lifeline=given.lifeline,
-                build=build_robots,
-            )
-        from twinct.ros.xray_node import spin_xray
+            return spin_xray(scenario, build=build_imager, **common)
+        from twinct.ros.robots_node import spin_robots
 
-        return spin_xray(
-            scenario,
-            epoch=given.epoch,
-            members=members,
-            lifeline=given.lifeline,
-            build=build_imager,
-        )
+        start = {"first_view": given.first_view, "restore": given.restore}
+        return spin_robots(scenario, build=build_robots, **start, **common)
     except TwinctError as error:
         sys.stderr.write(f"twinct: {error}\n")
         return error.exit_code

@@ -134,10 +134,8 @@ class Domain:
                 raise InputError(f"{origin}={wanted} is not a number from 0 to {LARGEST_DOMAIN}")
             hold = _lock(wanted)
             if hold is None:
-                raise InputError(
-                    f"{origin}={wanted}: another scan on this machine uses this domain; "
-                    "choose another, or none for a free one"
-                )
+                taken = f"{origin}={wanted}: another scan on this machine uses this domain"
+                raise InputError(f"{taken}; choose another, or none for a free one")
             self.id, self.hold = wanted, hold
             return
         start = os.getpid() % len(DOMAINS)
@@ -149,9 +147,8 @@ class Domain:
                 self.id, self.hold = number, hold
                 return
             os.close(hold)
-        raise LinkError(
-            f"all ROS domains from {DOMAINS[0]} to {DOMAINS[-1]} are in use on this machine"
-        )
+        all_ = f"all ROS domains from {DOMAINS[0]} to {DOMAINS[-1]}"
+        raise LinkError(f"{all_} are in use on this machine")
 
     def close(self) -> None:
         """Give the domain back; a second call does nothing."""

@@ -8,8 +8,6 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
 GRACE_S = 1.5
 """A node told to end does so by itself in this time, or is ended: an engine may be at work."""
@@ -24,12 +22,7 @@ class Lifeline:
     """
 
     def __init__(self, *, parent: bool, on_end: Callable[[], None]) -> None:
-        """Start watching; only the main thread may.
-
-        Args:
-            parent: stdin is held open by the process that started this one.
-            on_end: called once from the watching thread.
-        """
+        """Start watching; only the main thread may. ``on_end`` is called from another one, once."""
         self.ended = False
         self._parent = os.getppid() if parent else None
         self._on_end = on_end
@@ -51,7 +44,8 @@ class Lifeline:
             ready, _, _ = select.select(watched, [], [], _LOOK_S)
             if self._closed.is_set():
                 return
-            signalled = self._read in ready and self._is_end(os.read(self._read, 64))
+            numbers = os.read(self._read, 64) if self._read in ready else b""
+            signalled = signal.SIGINT in numbers or signal.SIGTERM in numbers
             orphaned = self._parent is not None and os.getppid() != self._parent
             cut = 0 in ready and not os.read(0, 64)
             if signalled or orphaned or cut:
@@ -63,10 +57,6 @@ class Lifeline:
             sys.stderr.flush()
             os._exit(0)  # nothing is lost: a node keeps nothing on disk
 
-    @staticmethod
-    def _is_end(numbers: bytes) -> bool:
-        return any(number in (signal.SIGINT, signal.SIGTERM) for number in numbers)
-
     def close(self) -> None:
         """Stop watching and give the signals back."""
         self._closed.set()
@@ -77,11 +67,3 @@ class Lifeline:
         self._thread.join()
         os.close(self._read)
         os.close(self._write)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: object, traceback: TracebackType | None
-    ) -> None:
-        self.close()

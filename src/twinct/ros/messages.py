@@ -2,7 +2,8 @@
 
 No number is computed anew on the way, so that both links give bit-identical geometries and images.
 ``header.stamp`` names the view. ``Float64MultiArray`` has no header: ``layout.dim[0].label`` holds
-its stamp as ``SECONDS.NANOSECONDS``, the nanoseconds with nine digits.
+its stamp as ``SECONDS.NANOSECONDS``, the nanoseconds with nine digits. What reads or checks a
+message raises ``MalformedError`` where that is not what its topic carries.
 """
 
 from __future__ import annotations
@@ -49,11 +50,7 @@ class Stamp(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Stamp:
-        """Undo ``str``.
-
-        Raises:
-            ValueError: the text is not ``SECONDS.NANOSECONDS``.
-        """
+        """Undo ``str``; a ``ValueError`` where the text is not ``SECONDS.NANOSECONDS``."""
         sec, point, nanosec = text.partition(".")
         if not (point and sec.isdigit() and nanosec.isdigit() and len(nanosec) == 9):
             raise ValueError(f"{text!r} is not SECONDS.NANOSECONDS with nine digits")
@@ -73,12 +70,10 @@ class Epoch:
     """What the stamps of one scan count from: view i has its stamp i seconds after the epoch.
 
     It follows from the scenario alone, so that it is the same when a scan is resumed.
-
-    Attributes:
-        stamp: that of view 0.
     """
 
     stamp: Stamp
+    """That of view 0."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Epoch:
@@ -114,7 +109,8 @@ def _pose(numbers: SevenNumbers) -> Pose:
     return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
-def _numbers(pose: Pose) -> SevenNumbers:
+def numbers_of(pose: Pose) -> SevenNumbers:
+    """Position and quaternion (x, y, z, w)."""
     p, q = pose.position, pose.orientation
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
@@ -127,7 +123,7 @@ def _poses(
     count = len(message.poses)
     if count != len(names) and not (repeated and count and count % len(names) == 0):
         raise MalformedError(f"{count} poses, expected {len(names)}: {', '.join(names)}")
-    poses = tuple(_numbers(pose) for pose in message.poses)
+    poses = tuple(map(numbers_of, message.poses))
     for i, numbers in enumerate(poses):
         try:
             from_seven(numbers)
@@ -150,11 +146,7 @@ def target_message(stamp: Stamp, target: Target) -> PoseArray:
 
 
 def target_of(message: PoseArray) -> Target:
-    """From ``/scan/target``.
-
-    Raises:
-        MalformedError: not two poses in the world frame, or not poses at all.
-    """
+    """From ``/scan/target``: two poses in the world frame."""
     return Target(*_poses(message, ("source", "detector")))
 
 
@@ -175,9 +167,6 @@ class Executed(NamedTuple):
 
         Args:
             samples: the scenario's ``source.motion_samples``.
-
-        Raises:
-            MalformedError: another number of instants.
         """
         expected = samples if samples > 1 else 0
         rest = self.more[expected:]
@@ -202,11 +191,7 @@ def reached_message(stamp: Stamp, poses: Executed) -> PoseArray:
 
 
 def executed_of(message: PoseArray) -> Executed:
-    """From ``/scan/reached``.
-
-    Raises:
-        MalformedError: not three poses in the world frame, or a multiple of three.
-    """
+    """From ``/scan/reached``: three poses in the world frame, or a multiple of three."""
     poses = _poses(message, Instant._fields, repeated=True)
     view, *more = (Instant(*poses[i : i + 3]) for i in range(0, len(poses), 3))
     return Executed(view, tuple(more))
@@ -224,11 +209,7 @@ def joints_message(stamp: Stamp, reached: Reached) -> JointState:
 
 
 def checked_joints(message: JointState) -> JointState:
-    """The message, if each of its joints has a finite position, speed and torque.
-
-    Raises:
-        MalformedError: it has none, or not these.
-    """
+    """The message, if each of its joints has a finite position, speed and torque."""
     if not message.name:
         raise MalformedError("no joints")
     for what in ("position", "velocity", "effort"):
@@ -238,31 +219,24 @@ def checked_joints(message: JointState) -> JointState:
 
 def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
     """For ``/scan/state``: simulated time in s, clearance in mm, then the simulator's state."""
-    message = Float64MultiArray()
     numbers = np.concatenate([[reached.time_s, reached.clearance_mm], reached.state])
+    message = Float64MultiArray(data=_doubles(numbers))
+    size = len(reached.state)
     message.layout.data_offset = 2
-    message.layout.dim = [
-        MultiArrayDimension(label=str(stamp), size=len(reached.state), stride=len(reached.state))
-    ]
-    message.data = _doubles(numbers)
+    message.layout.dim = [MultiArrayDimension(label=str(stamp), size=size, stride=size)]
     return message
 
 
 def state_stamp(message: Float64MultiArray) -> Stamp | None:
     """The stamp of a ``/scan/state``, None for a message that has none."""
-    dimensions = list(message.layout.dim)
     try:
-        return Stamp.parse(dimensions[0].label)
+        return Stamp.parse(list(message.layout.dim)[0].label)
     except (IndexError, ValueError):
         return None
 
 
 def checked_state(message: Float64MultiArray) -> Float64MultiArray:
-    """The message, if it holds as many finite numbers as its layout says.
-
-    Raises:
-        MalformedError: it does not.
-    """
+    """The message, if it holds as many finite numbers as its layout says."""
     size = list(message.layout.dim)[0].size
     if not size:
         raise MalformedError("no simulator state")
@@ -280,11 +254,7 @@ def reached_of(
         joints: from ``/joint_states``.
         state: from ``/scan/state``.
         samples: the scenario's ``source.motion_samples``.
-
-    Raises:
-        MalformedError: another number of instants.
     """
-    time_s, clearance_mm = state.data[:2]
     exposure, before = poses.exposure(samples)
     return Reached(
         executed=poses.view,
@@ -293,8 +263,8 @@ def reached_of(
         velocity=np.array(joints.velocity),
         effort=np.array(joints.effort),
         state=np.array(state.data[2:]),
-        time_s=time_s,
-        clearance_mm=clearance_mm,
+        time_s=state.data[0],
+        clearance_mm=state.data[1],
         exposure=exposure,
         before=before,
     )
@@ -313,25 +283,15 @@ def clock_message(time_s: float) -> Clock:
 def image_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
     """For ``/xray/image``, row 0 first as in the store."""
     rows, columns = transmission.shape
-    message = Image()
-    message.header = _header(stamp, IMAGE_FRAME)
+    message = Image(header=_header(stamp, IMAGE_FRAME), encoding=IMAGE_ENCODING)
     message.height, message.width, message.step = rows, columns, 4 * columns
-    message.encoding = IMAGE_ENCODING
     # An array of bytes is taken as it is; any other sequence is checked byte by byte.
     message.data = array.array("B", np.ascontiguousarray(transmission, dtype="<f4").tobytes())
     return message
 
 
 def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
-    """From ``/xray/image``, (rows, columns).
-
-    Args:
-        message: the image.
-        shape: rows and columns that it must have; any where None.
-
-    Raises:
-        MalformedError: not an image of finite single floats, or of another shape.
-    """
+    """From ``/xray/image``: finite single floats, (rows, columns); of this shape if given."""
     rows, columns = message.height, message.width
     if shape is not None and (rows, columns) != shape:
         raise MalformedError(f"{columns} x {rows} px, expected {shape[1]} x {shape[0]}")
@@ -353,10 +313,7 @@ def camera_message(stamp: Stamp, geometry: ScanGeometry) -> CameraInfo:
 
     A point (x, y, z) of the frame ``detector_optical`` falls on column fx x/z + cx and row
     fy y/z + cy; pixel centres are whole numbers. Rows count along v, which is -y: fy is negative.
-
-    Args:
-        stamp: of the view.
-        geometry: of this one view.
+    The geometry is that of this one view.
     """
     panel = geometry.panel
     sdd = float(geometry.sdd[0])
@@ -378,12 +335,8 @@ def diagnostic_message(
     stamp: Stamp, name: str, level: bytes, text: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
     """For ``/diagnostics``."""
-    status = DiagnosticStatus(
-        level=level,
-        name=name,
-        message=text,
-        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-    )
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    status = DiagnosticStatus(level=level, name=name, message=text, values=pairs)
     return DiagnosticArray(header=_header(stamp, WORLD_FRAME), status=[status])
 
 

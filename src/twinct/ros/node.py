@@ -34,14 +34,10 @@ def say(text: str) -> None:
 
 
 class RefusedError(Exception):
-    """A message that a node does not act on.
-
-    Attributes:
-        arms: those it is about.
-    """
+    """A message that a node does not act on."""
 
     def __init__(self, reason: str, arms: tuple[str, ...] = ()) -> None:
-        """Give the reason."""
+        """Give the reason, and the arms that it is about."""
         super().__init__(reason)
         self.arms = arms
 
@@ -64,15 +60,11 @@ class Ledger(Generic[Question, Answer]):
         if stamp not in self._questions:
             return None
         if self._questions[stamp] != question:
-            raise RefusedError(
-                f"the stamp {stamp} was used before with other poses: "
-                "each view needs a header.stamp of its own"
-            )
+            used = f"the stamp {stamp} was used before with other poses"
+            raise RefusedError(f"{used}: each view needs a header.stamp of its own")
         if stamp not in self._answers:
-            raise RefusedError(
-                f"the view with the stamp {stamp} was answered already, and only the last "
-                f"{self._keep} answers are kept"
-            )
+            answered = f"the view with the stamp {stamp} was answered already"
+            raise RefusedError(f"{answered}, and only the last {self._keep} answers are kept")
         return self._answers[stamp]
 
     def enter(self, stamp: Stamp, question: Question, answer: Answer) -> None:
@@ -89,7 +81,7 @@ class Diagnostics:
     def __init__(self, station: Station, tell: Callable[[str], None] = say) -> None:
         """Speak for a station's node, and tell the same to whom it was started by."""
         self._station = station
-        self._tell = tell
+        self.tell = tell
         self._strangers: set[tuple[str, str]] = set()
         self._publisher = station.publisher(DIAGNOSTICS, DiagnosticArray, depth=10)
 
@@ -100,18 +92,17 @@ class Diagnostics:
     def refuse(self, stamp: Stamp, text: str, values: dict[str, object]) -> None:
         """Say what was refused, and why."""
         self._say(stamp, ERROR, text, {"stamp": stamp, **values})
-        self._tell(text)
+        self.tell(text)
 
     def stranger(self, topic: str, sender: Sender) -> None:
         """Say, once, that what somebody sends on a topic is not of this scan and not used."""
         if (key := (topic, sender.participant)) in self._strangers:
             return
         self._strangers.add(key)
-        text = (
-            f"{self._station.name_of(topic, sender)}, not of this scan, speaks on {topic}: unused"
-        )
+        who = self._station.name_of(topic, sender)
+        text = f"{who}, not of this scan, speaks on {topic}: unused"
         self._say(NO_STAMP, WARN, text, {"topic": topic, "publisher": sender.publisher})
-        self._tell(text)
+        self.tell(text)
 
     def _say(self, stamp: Stamp, level: bytes, text: str, values: dict[str, object]) -> None:
         name = self._station.name
@@ -123,15 +114,6 @@ class Simulation(Protocol):
 
     def close(self) -> None:
         """Give everything back."""
-        ...
-
-
-class OpenNode(Protocol):
-    """A node with its endpoints."""
-
-    def connected(self) -> bool:
-        """Whether those who belong to it are there."""
-        ...
 
 
 SomeSimulation = TypeVar("SomeSimulation", bound=Simulation)
@@ -140,7 +122,7 @@ SomeSimulation = TypeVar("SomeSimulation", bound=Simulation)
 def run_node(
     name: str,
     build: Callable[[], SomeSimulation],
-    open_node: Callable[[Station, Diagnostics, SomeSimulation], OpenNode],
+    open_node: Callable[[Station, Diagnostics, SomeSimulation], Callable[[], bool]],
     *,
     lifeline: bool,
     members: Members | None,
@@ -153,7 +135,8 @@ def run_node(
     Args:
         name: of the node.
         build: makes the simulation.
-        open_node: makes the endpoints.
+        open_node: makes the endpoints; what it returns says whether those who belong to the node
+            are there.
         lifeline: end when stdin does.
         members: of the scan it belongs to.
         largest_message: that the node sends, bytes.
@@ -168,7 +151,7 @@ def run_node(
             station.wake()
 
     say(f"{name} starts")
-    with Lifeline(parent=lifeline, on_end=end) as line, closing(build()) as simulation:
+    with closing(Lifeline(parent=lifeline, on_end=end)) as line, closing(build()) as simulation:
         if line.ended:
             return 0
         station = Station(name, largest_message=largest_message)
@@ -176,8 +159,8 @@ def run_node(
             if members is not None:
                 members.enter(name, station.participant)
             diagnostics = Diagnostics(station)
-            node = open_node(station, diagnostics, simulation)
-            station.wait(lambda: line.ended or node.connected(), FOREVER_S)
+            connected = open_node(station, diagnostics, simulation)
+            station.wait(lambda: line.ended or connected(), FOREVER_S)
             diagnostics.ready()
             say(f"{name} is ready on ROS domain {station.domain_id}")
             station.wait(lambda: line.ended, FOREVER_S)

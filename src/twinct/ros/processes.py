@@ -20,10 +20,6 @@ class NodeProcess:
 
     Ctrl-C in the terminal reaches the parent only, which then stops its nodes. The parent holds the
     other end of their stdin: however it dies, they notice.
-
-    Attributes:
-        name: for messages.
-        log: file that takes all it prints.
     """
 
     def __init__(
@@ -46,8 +42,7 @@ class NodeProcess:
             inherit: descriptors it shall hold.
             on_end: called with it from a thread when it has ended, for whatever reason.
         """
-        self.name = name
-        self.log = log
+        self.name, self.log = name, log
         with log.open("ab") as output:
             self._start_of_log = output.tell()
             self._process = subprocess.Popen(

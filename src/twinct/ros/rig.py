@@ -22,29 +22,9 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray
 
 from twinct.errors import LinkError, TargetRefusedError
-from twinct.ros.environment import (
-    Domain,
-    require_ros,
-    settle,
-    sweep_shared_memory,
-    without_system_ros,
-)
-from twinct.ros.messages import (
-    ERROR,
-    OK,
-    Epoch,
-    Executed,
-    MalformedError,
-    Stamp,
-    checked_joints,
-    checked_state,
-    diagnostic_values,
-    executed_of,
-    image_of,
-    reached_of,
-    state_stamp,
-    target_message,
-)
+from twinct.ros import environment, messages
+from twinct.ros.environment import Domain
+from twinct.ros.messages import ERROR, OK, Epoch, Executed, MalformedError, Stamp
 from twinct.ros.node import LISTENERS, ROBOTS, SCAN, XRAY, Diagnostics
 from twinct.ros.processes import NodeProcess
 from twinct.ros.robots_node import describe
@@ -76,19 +56,10 @@ def ros_rigs(
         log_dir: folder for what the nodes print; None for a temporary one.
         domain: held for the scan; None takes one when the rig is made.
     """
-
-    def make(
-        workshop: Workshop, first_view: int, start_state: NDArray[np.float64] | None
-    ) -> RosRig:
-        return RosRig(
-            workshop.scenario,
-            first_view=first_view,
-            start_state=start_state,
-            log_dir=log_dir,
-            domain=domain,
-        )
-
-    return make
+    common: dict[str, Any] = {"log_dir": log_dir, "domain": domain}
+    return lambda workshop, first_view, start_state: RosRig(
+        workshop.scenario, first_view=first_view, start_state=start_state, **common
+    )
 
 
 class RosRig:
@@ -128,8 +99,8 @@ class RosRig:
             InputError: the domain asked for is in use, or is none.
             LinkError: a node did not start.
         """
-        require_ros()
-        settle(os.environ)
+        environment.require_ros()
+        environment.settle(os.environ)
         self.epoch = Epoch.of(scenario)
         self._answer_s = answer_s
         self._samples = scenario.source.motion_samples
@@ -147,8 +118,8 @@ class RosRig:
         with ExitStack() as stack:
             domain = domain or Domain()
             stack.callback(domain.close)
-            sweep_shared_memory()
-            stack.callback(sweep_shared_memory)
+            environment.sweep_shared_memory()
+            stack.callback(environment.sweep_shared_memory)
             self.domain_id = domain.id
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="twinct-")))
             self.log_dir = folder if log_dir is None else log_dir
@@ -157,7 +128,11 @@ class RosRig:
             exchange = folder / "exchange"
             exchange.mkdir()
             self._members = Members(exchange)
-            self._start_nodes(scenario, exchange, domain, first_view, start_state, node_command)
+            start = ["--first-view", str(first_view)]
+            if start_state is not None:
+                np.save(exchange / "start.npy", start_state)
+                start += ["--restore", str(exchange / "start.npy")]
+            self._start_nodes(scenario, exchange, domain, start, node_command)
             station = self._station = Station(SCAN, self.domain_id)
             stack.callback(station.close)
             self._members.enter(SCAN, station.participant)
@@ -171,25 +146,20 @@ class RosRig:
         scenario: Scenario,
         folder: Path,
         domain: Domain,
-        first_view: int,
-        start_state: NDArray[np.float64] | None,
+        start: list[str],
         command: Sequence[str],
     ) -> None:
         file = folder / "scenario.json"
         file.write_text(scenario.resolved(), encoding="utf-8")
         scan = ["--epoch", str(self.epoch), "--members", str(folder)]
         common = [str(file), *scan, "--lifeline"]
-        start = ["--first-view", str(first_view)]
-        if start_state is not None:
-            np.save(folder / "start.npy", start_state)
-            start += ["--restore", str(folder / "start.npy")]
-        environment = {**without_system_ros(os.environ), "ROS_DOMAIN_ID": str(domain.id)}
+        variables = environment.without_system_ros(os.environ) | {"ROS_DOMAIN_ID": str(domain.id)}
         for name, options in (("robots", start), ("xray", [])):
             process = NodeProcess(
                 name,
                 [*command, name, *common, *options],
                 self.log_dir / f"{name}.log",
-                environment=environment,
+                environment=variables,
                 inherit=[domain.hold],
                 on_end=self._on_node_end,
             )
@@ -208,9 +178,9 @@ class RosRig:
         self._target = station.publisher(TARGET, PoseArray)
         heard = [
             self._hear(station, REACHED, PoseArray, ROBOTS, self._poses_of),
-            self._hear(station, JOINTS, JointState, ROBOTS, checked_joints),
-            self._hear(station, STATE, Float64MultiArray, ROBOTS, checked_state),
-            self._hear(station, IMAGE, Image, XRAY, lambda image: image_of(image, self._shape)),
+            self._hear(station, JOINTS, JointState, ROBOTS, messages.checked_joints),
+            self._hear(station, STATE, Float64MultiArray, ROBOTS, messages.checked_state),
+            self._hear(station, IMAGE, Image, XRAY, lambda m: messages.image_of(m, self._shape)),
         ]
         station.listen(DIAGNOSTICS, DiagnosticArray, self._on_diagnostics)
 
@@ -234,7 +204,8 @@ class RosRig:
             if not self._members.sent(owner, sender):
                 self._diagnostics.stranger(topic, sender)
                 return
-            stamp = state_stamp(message) if topic == STATE else Stamp.of(message.header.stamp)
+            of_state = topic == STATE
+            stamp = messages.state_stamp(message) if of_state else Stamp.of(message.header.stamp)
             if stamp is None or (view := self._view(stamp)) is None:
                 return
             try:
@@ -251,7 +222,7 @@ class RosRig:
         return self._views.setdefault(stamp, {})
 
     def _poses_of(self, message: PoseArray) -> Executed:
-        poses = executed_of(message)
+        poses = messages.executed_of(message)
         poses.exposure(self._samples)
         return poses
 
@@ -264,7 +235,7 @@ class RosRig:
                 view, stamp, target = self._asked
                 if stamp != Stamp.of(message.header.stamp):
                     continue
-                values = diagnostic_values(status.values)
+                values = messages.diagnostic_values(status.values)
                 if name == XRAY:
                     self._conflict = status.message
                 elif values.get("target") == describe(target):
@@ -307,7 +278,7 @@ class RosRig:
             del self._views[old]
         got = self._views.setdefault(stamp, {})
         self._refusal = None
-        self._asked = view, stamp, target_message(stamp, target)
+        self._asked = view, stamp, messages.target_message(stamp, target)
         self._target.publish(self._asked[2])
 
         def done() -> bool:
@@ -316,7 +287,7 @@ class RosRig:
         self._wait("reached poses", done)
         if self._refusal is not None:
             raise self._refusal
-        return reached_of(got[REACHED], got[JOINTS], got[STATE], self._samples)
+        return messages.reached_of(got[REACHED], got[JOINTS], got[STATE], self._samples)
 
     def expose(self, view: int) -> NDArray[np.float32]:
         """See ``Rig.expose``."""

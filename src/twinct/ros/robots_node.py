@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
@@ -14,35 +14,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from twinct.errors import MotionError
-from twinct.ros.messages import (
-    Epoch,
-    MalformedError,
-    Stamp,
-    clock_message,
-    executed,
-    joints_message,
-    reached_message,
-    state_message,
-    target_of,
-)
-from twinct.ros.node import (
-    LISTENERS,
-    ROBOTS,
-    SCAN,
-    Diagnostics,
-    Ledger,
-    RefusedError,
-    run_node,
-    say,
-)
+from twinct.ros import messages
+from twinct.ros.messages import Epoch, MalformedError, Stamp
+from twinct.ros.node import LISTENERS, ROBOTS, SCAN, Diagnostics, Ledger, RefusedError, run_node
 from twinct.ros.senders import Members, Sender
 from twinct.ros.station import CLOCK, JOINTS, REACHED, STATE, TARGET, Station
 from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
 from twinct.views import PosePairs, Reached, Target
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 ANSWERS = 10
 """Answers kept for those who are slow or late."""
@@ -57,11 +36,9 @@ class Robots(Protocol):
 
     def restore(self, state: NDArray[np.float64]) -> None:
         """Go on from a state."""
-        ...
 
     def close(self) -> None:
         """Give everything back."""
-        ...
 
 
 def spin_robots(
@@ -101,15 +78,10 @@ def spin_robots(
             robots.restore(np.load(restore))
         return robots
 
-    return run_node(
-        ROBOTS,
-        build_simulation,
-        lambda station, diagnostics, robots: RobotsNode(
-            station, diagnostics, robots, turns, members
-        ),
-        lifeline=lifeline,
-        members=members,
-    )
+    def open_node(station: Station, diagnostics: Diagnostics, robots: Robots) -> Callable[[], bool]:
+        return RobotsNode(station, diagnostics, robots, turns, members).connected
+
+    return run_node(ROBOTS, build_simulation, open_node, lifeline=lifeline, members=members)
 
 
 def _robots(scenario: Scenario) -> Robots:
@@ -123,9 +95,7 @@ class Turns:
 
     def __init__(self, epoch: Epoch, targets: Sequence[Target], first: int) -> None:
         """Expect the views of a scan from a first one on."""
-        self._epoch = epoch
-        self._targets = targets
-        self._next = first
+        self._epoch, self._targets, self._next = epoch, targets, first
 
     def view(self, stamp: Stamp) -> int | None:
         """The view of a stamp, None for one of another scan."""
@@ -139,16 +109,15 @@ class Turns:
             RefusedError: it is another.
         """
         view = self.view(stamp)
+        running = "a scan is running"
         if view is None:
-            raise RefusedError(
-                "a scan is running and the stamp of this target is none of its stamps"
-            )
+            raise RefusedError(f"{running} and the stamp of this target is none of its stamps")
         if target != self._targets[view]:
             raise RefusedError(
-                f"a scan is running and this target is none of its own: view {view} has others"
+                f"{running} and this target is none of its own: view {view} has others"
             )
         if view != self._next:
-            raise RefusedError(f"a scan is running: view {self._next} comes next, not view {view}")
+            raise RefusedError(f"{running}: view {self._next} comes next, not view {view}")
 
     def done(self) -> None:
         """Expect the next view."""
@@ -167,13 +136,10 @@ class RobotsNode:
         members: Members | None = None,
     ) -> None:
         """Make the endpoints; from now on targets are executed."""
-        self._robots = robots
-        self._turns = turns
+        self._robots, self._turns, self._members = robots, turns, members
         # A refusal of the robots is an answer too: it is not tried again.
         self._ledger: Ledger[Target, Reached | RefusedError] = Ledger()
-        self._station = station
-        self._diagnostics = diagnostics
-        self._members = members
+        self._station, self._diagnostics = station, diagnostics
         self._reached = station.publisher(REACHED, PoseArray, depth=ANSWERS)
         self._joints = station.publisher(JOINTS, JointState, depth=ANSWERS)
         self._state = station.publisher(STATE, Float64MultiArray, depth=ANSWERS)
@@ -194,7 +160,7 @@ class RobotsNode:
     def _on_target(self, message: PoseArray, sender: Sender) -> None:
         stamp = Stamp.of(message.header.stamp)
         try:
-            target = target_of(message)
+            target = messages.target_of(message)
             answer = self._ledger.find(stamp, target)
             if answer is None:
                 self._admit(stamp, target, sender)
@@ -222,25 +188,28 @@ class RobotsNode:
         except MotionError as error:
             answer = RefusedError(str(error), error.arms)
         else:
-            view = self._turns.view(stamp) if self._turns is not None else None
+            view = self._view(stamp)
             if self._turns is not None:
                 self._turns.done()
-            say(
+            self._diagnostics.tell(
                 f"reached {stamp if view is None else f'view {view}'}: simulated time "
                 f"{answer.time_s:.3f} s, clearance {answer.clearance_mm:.1f} mm"
             )
         self._ledger.enter(stamp, target, answer)
         return answer
 
+    def _view(self, stamp: Stamp) -> int | None:
+        return self._turns.view(stamp) if self._turns is not None else None
+
     def _answer(self, stamp: Stamp, reached: Reached) -> None:
         # The poses first: they trigger the image.
-        self._reached.publish(reached_message(stamp, executed(reached)))
-        self._joints.publish(joints_message(stamp, reached))
-        self._state.publish(state_message(stamp, reached))
-        self._clock.publish(clock_message(reached.time_s))
+        self._reached.publish(messages.reached_message(stamp, messages.executed(reached)))
+        self._joints.publish(messages.joints_message(stamp, reached))
+        self._state.publish(messages.state_message(stamp, reached))
+        self._clock.publish(messages.clock_message(reached.time_s))
 
     def _refuse(self, stamp: Stamp, message: PoseArray, refused: Exception) -> None:
-        view = self._turns.view(stamp) if self._turns is not None else None
+        view = self._view(stamp)
         values: dict[str, object] = {
             "view": "" if view is None else view,
             "arm": ", ".join(getattr(refused, "arms", ())),
@@ -252,13 +221,4 @@ class RobotsNode:
 
 def describe(message: PoseArray) -> str:
     """The poses of a message, to tell one target from another."""
-    return "; ".join(
-        " ".join(
-            repr(number)
-            for number in (
-                *(pose.position.x, pose.position.y, pose.position.z),
-                *(pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w),
-            )
-        )
-        for pose in message.poses
-    )
+    return "; ".join(" ".join(map(repr, messages.numbers_of(pose))) for pose in message.poses)

@@ -86,9 +86,8 @@ class Station:
     def publisher(self, topic: str, kind: Any, *, depth: int = 1) -> Publisher:
         """Publish reliably; late joiners get the last ``depth`` messages."""
         events = PublisherEventCallbacks(matched=lambda _: None)  # wakes ``wait`` up
-        return self._node.create_publisher(
-            kind, topic, _qos(depth, latched=True), event_callbacks=events
-        )
+        qos = _qos(depth, latched=True)
+        return self._node.create_publisher(kind, topic, qos, event_callbacks=events)
 
     def listen(
         self,
@@ -102,9 +101,8 @@ class Station:
         """Hear those who publish reliably and, where latched, what they said before."""
         hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(matched=lambda _: None)
-        return self._node.create_subscription(
-            kind, topic, hear, _qos(depth, latched=latched), event_callbacks=events
-        )
+        qos = _qos(depth, latched=latched)
+        return self._node.create_subscription(kind, topic, hear, qos, event_callbacks=events)
 
     def listen_to_all(
         self, topic: str, kind: Any, callback: Callable[[Any, Sender], None], *, depth: int = 100
@@ -122,10 +120,8 @@ class Station:
                 seen.append(sender)
                 callback(message, sender)
 
-        return [
-            self.listen(topic, kind, once, depth=depth, latched=latched)
-            for latched in (True, False)
-        ]
+        both = (True, False)
+        return [self.listen(topic, kind, once, depth=depth, latched=latched) for latched in both]
 
     def name_of(self, topic: str, sender: Sender) -> str:
         """What a node that publishes on a topic calls itself, as far as it is discovered."""
@@ -135,11 +131,7 @@ class Station:
         return "an unknown node"
 
     def wait(self, until: Callable[[], bool], timeout_s: float) -> bool:
-        """Handle what comes in until a condition holds.
-
-        Returns:
-            False when the time ran out before it did.
-        """
+        """Handle what comes in until a condition holds; False when the time ran out before."""
         deadline = time.monotonic() + timeout_s
         while not until():
             left = deadline - time.monotonic()

@@ -11,16 +11,9 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.ros.messages import (
-    Epoch,
-    Executed,
-    MalformedError,
-    Stamp,
-    camera_message,
-    executed_of,
-    image_message,
-)
-from twinct.ros.node import ROBOTS, XRAY, Diagnostics, Ledger, RefusedError, run_node, say
+from twinct.ros import messages
+from twinct.ros.messages import Epoch, Executed, MalformedError, Stamp
+from twinct.ros.node import ROBOTS, XRAY, Diagnostics, Ledger, RefusedError, run_node
 from twinct.ros.senders import Members, Sender
 from twinct.ros.station import CAMERA, IMAGE, REACHED, Station
 from twinct.scenario import Scenario
@@ -46,7 +39,6 @@ class XRay(Protocol):
 
     def close(self) -> None:
         """Give everything back."""
-        ...
 
 
 def spin_xray(
@@ -74,8 +66,10 @@ def spin_xray(
     return run_node(
         XRAY,
         lambda: (build or _imager)(scenario),
-        lambda station, diagnostics, imager: XRayNode(
-            station, diagnostics, imager, panel, own, members, scenario.source.motion_samples
+        lambda station, diagnostics, imager: (
+            XRayNode(
+                station, diagnostics, imager, panel, own, members, scenario.source.motion_samples
+            ).connected
         ),
         lifeline=lifeline,
         members=members,
@@ -108,15 +102,11 @@ class XRayNode:
         samples: int = 1,
     ) -> None:
         """Make the endpoints; from now on views are imaged."""
-        self._imager = imager
-        self._panel = panel
-        self._epoch = epoch
-        self._samples = samples
+        self._imager, self._panel, self._samples = imager, panel, samples
+        self._epoch, self._members, self._diagnostics = epoch, members, diagnostics
         self._ledger: Ledger[Executed, tuple[CameraInfo, Image]] = Ledger(
             keep=min(max(MEMORY_BYTES // image_bytes(panel), 2), 32)
         )
-        self._diagnostics = diagnostics
-        self._members = members
         depth = min(max(QUEUE_BYTES // image_bytes(panel), 1), 10)
         self._camera = station.publisher(CAMERA, CameraInfo, depth=depth)
         self._image = station.publisher(IMAGE, Image, depth=depth)
@@ -137,10 +127,10 @@ class XRayNode:
             return
         stamp = Stamp.of(message.header.stamp)
         try:
-            poses = executed_of(message)
+            poses = messages.executed_of(message)
             camera, image = self._ledger.find(stamp, poses) or self._expose(stamp, poses)
         except (RefusedError, MalformedError) as refused:
-            view = self._epoch.view(stamp) if self._epoch is not None else None
+            view = self._view(stamp)
             values: dict[str, object] = {"view": "" if view is None else view, "reason": refused}
             self._diagnostics.refuse(stamp, f"view refused: {refused}", values)
             return
@@ -148,7 +138,8 @@ class XRayNode:
         self._image.publish(image)
 
     def _expose(self, stamp: Stamp, poses: Executed) -> tuple[CameraInfo, Image]:
-        if self._epoch is not None and self._epoch.view(stamp) is None:
+        view = self._view(stamp)
+        if self._epoch is not None and view is None:
             raise RefusedError("a scan is running and the stamp of this view is none of its stamps")
         try:
             exposure, before = poses.exposure(self._samples)
@@ -157,14 +148,15 @@ class XRayNode:
             last = before.placed(self._panel) if before else None
         except ValueError as error:
             raise MalformedError(str(error)) from None
-        image = self._imager.expose(path, self._index(stamp), last)
-        answer = camera_message(stamp, geometry), image_message(stamp, image)
+        # What keys the noise: the view, or the stamp itself where there is no scan.
+        index = stamp.sec * 1_000_000_000 + stamp.nanosec if view is None else view
+        image = self._imager.expose(path, index, last)
+        camera = messages.camera_message(stamp, geometry)
+        answer = camera, messages.image_message(stamp, image)
         self._ledger.enter(stamp, poses, answer)
-        view = self._epoch.view(stamp) if self._epoch is not None else None
-        say(f"image of {stamp if view is None else f'view {view}'}: mean {image.mean():.4f}")
+        name = stamp if view is None else f"view {view}"
+        self._diagnostics.tell(f"image of {name}: mean {image.mean():.4f}")
         return answer
 
-    def _index(self, stamp: Stamp) -> int:
-        """What keys the noise: the view, or the stamp itself where there is no scan."""
-        view = self._epoch.view(stamp) if self._epoch is not None else None
-        return stamp.sec * 1_000_000_000 + stamp.nanosec if view is None else view
+    def _view(self, stamp: Stamp) -> int | None:
+        return self._epoch.view(stamp) if self._epoch is not None else None
