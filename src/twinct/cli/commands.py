@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -13,8 +13,10 @@ from rich.table import Table
 
 from twinct.cli.ctsimu import ctsimu
 from twinct.cli.progress import TerminalProgress
-from twinct.cli.result import say_result
 from twinct.scenario import load_scenario, named_places, scenario_schema
+
+if TYPE_CHECKING:
+    from twinct.runs import Run
 
 app = tyro.extras.SubcommandApp()
 
@@ -93,7 +95,7 @@ def run(
         finished = runs.run(
             loaded, out, link=link, resume=resume, threads=threads, progress=TerminalProgress()
         )
-    say_result(finished)
+    _say_result(finished)
 
 
 @app.command
@@ -202,13 +204,9 @@ def specimen(
         out.mkdir(parents=True, exist_ok=True)
         for index, part in enumerate(built.parts):
             part.mesh.export(out / f"{index}-{part.name}.stl")
-            table.add_row(
-                part.name,
-                part.material.name,
-                f"{part.material.mu_per_mm(energy):.5f}",
-                str(len(part.mesh.faces)),
-                f"{part.mesh.volume / 1000:.1f}",
-            )
+            material, mesh = part.material, part.mesh
+            figures = f"{material.mu_per_mm(energy):.5f}", f"{len(mesh.faces)}"
+            table.add_row(part.name, material.name, *figures, f"{mesh.volume / 1000:.1f}")
         preview_specimen(built, out / "specimen.png", title=loaded.name)
         Volume(built.truth(grid, energy), grid).write(out / "truth.nii", "twinct truth, 1/mm")
     Console().print(table)
@@ -252,7 +250,26 @@ def report(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="
     """
     from twinct.runs import report_again
 
-    say_result(report_again(folder, TerminalProgress()))
+    _say_result(report_again(folder, TerminalProgress()))
+
+
+def _say_result(run: Run) -> None:
+    """The main figures in two lines."""
+    image, pose = run.figures["image"], run.figures["pose_error"]
+    material = run.figures.get("reference_material", "bone")  # older runs do not say
+    TerminalProgress().say(
+        f"{run.figures['reached']} of {run.figures['views']} views; "
+        f"RMSE {_percent(image['rmse_rel'])} of mu({material}), "
+        f"{_percent(image['rmse_bone_rel'])} near {material}; "
+        f"pose error {pose['source']['position_mm']['mean']:.2f} mm source, "
+        f"{pose['detector']['position_mm']['mean']:.2f} mm detector\n"
+        f"report: {run.paths.report}"
+    )
+
+
+def _percent(share: float | None) -> str:
+    """None stands for a figure without a voxel to stand on, such as near bone where is none."""
+    return "no figure" if share is None else f"{100 * share:.1f} %"
 
 
 app.command(ctsimu, name="ctsimu", help="Scenarios of the CTSimU format: render, export, qualify.")

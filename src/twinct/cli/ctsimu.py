@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -93,9 +95,8 @@ def export(
     console = Console()
     console.print(f"wrote {files.scenario} and {files.trajectory}", highlight=False)
     if files.options:
-        console.print(
-            f"render it with {files.options} to get the scan's own images", highlight=False
-        )
+        how = f"render it with {files.options} to get the scan's own images"
+        console.print(how, highlight=False)
 
 
 @ctsimu.command
@@ -118,18 +119,12 @@ def qualify(
     from twinct.files.writing import check_folder
 
     check_folder(out)
-    console = Console()
-
-    def say(name: str) -> None:
-        Console(stderr=True).print(name, highlight=False)
-
+    console, say = Console(), partial(Console(stderr=True).print, highlight=False)
     table = Table("test", "figure", "asked for", "measured", "")
     marks = {True: "passed", False: "FAILED", None: ""}
     found = qualify(out, tests or TESTS, step=say)
-    for verdict in found:
-        table.add_row(
-            verdict.test, verdict.what, verdict.asked, verdict.measured, marks[verdict.passed]
-        )
+    for v in found:
+        table.add_row(v.test, v.what, v.asked, v.measured, marks[v.passed])
     console.print(table)
     for name, why in NOT_TAKEN.items():
         console.print(f"{name} is not taken: {why}", highlight=False)
@@ -141,14 +136,13 @@ def _check_options(samples: int, spot_points: int, seed: int) -> None:
     from twinct.errors import InputError
 
     wrong = []
-    for name, value, most in (
-        ("samples", samples, MOST_SAMPLES),
-        ("spot-points", spot_points, MOST_SPOT_POINTS),
+    for name, value, least, most in (
+        ("samples", samples, 1, MOST_SAMPLES),
+        ("spot-points", spot_points, 1, MOST_SPOT_POINTS),
+        ("seed", seed, 0, math.inf),
     ):
-        if not 1 <= value <= most:
-            limit = "at least 1" if value < 1 else f"at most {most}"
+        if not least <= value <= most:
+            limit = f"at least {least}" if value < least else f"at most {most}"
             wrong.append(f"--{name} {value}: must be {limit}")
-    if seed < 0:
-        wrong.append(f"--seed {seed}: must be at least 0")
     if wrong:
         raise InputError(wrong)

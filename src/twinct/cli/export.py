@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +19,7 @@ from twinct.scan import ScanStore
 
 
 def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: Path | None) -> None:
-    """Write what a toolkit needs to reconstruct a scan.
-
-    Args:
-        scan: folder of a run, or a scan store.
-        toolkit: for whom.
-        which: ``believed``, ``executed`` or ``commanded`` geometry.
-        values: what the pixels shall hold.
-        out: folder to write, beside the scan where None.
+    """Write what a toolkit needs to reconstruct a scan; the arguments are those of the command.
 
     Raises:
         InputError: there is no scan, or the toolkit cannot take it; nothing has been written then.
@@ -34,24 +28,21 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
     out = path.parent / f"export-{toolkit}" if out is None else out
     if out.exists():
         raise ScanExistsError(f"{out} exists already: choose another --out")
-    store = _open(path)
-    scenario, views = store.scenario, store.acquired
+    try:
+        store = ScanStore(path)
+        scenario, views = store.scenario, store.acquired  # here, so that a broken store is named
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: not a readable scan: {error}") from None
     if not views:
         raise InputError(f"{path} holds 0 of {store.views} views: there is nothing to export yet")
-    console = Console()
+    say = partial(Console().print, highlight=False, soft_wrap=True)
     if views < store.views:
-        console.print(
-            f"{path} is under way: exporting the {views} of {store.views} views it holds",
-            highlight=False,
-            soft_wrap=True,
-        )
+        say(f"{path} is under way: exporting the {views} of {store.views} views it holds")
     # A scan under way may have gone on since the views were counted.
     geometry = store.poses(which).geometry(scenario.detector.panel)[:views]
     require_space(out, bundle_bytes(geometry), "the export needs")
-    with (
-        storage_errors(out, "nothing of the export is left, the scan is as it was"),
-        TerminalProgress().stage("export", views) as step,
-    ):
+    left = "nothing of the export is left, the scan is as it was"
+    with storage_errors(out, left), TerminalProgress().stage("export", views) as step:
 
         def images() -> Iterator[NDArray[np.float32]]:
             for view in range(views):
@@ -59,20 +50,11 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
                 yield line_integrals(image) if values == "line-integrals" else image
                 step()
 
-        bundle = Bundle(
-            geometry,
-            scenario.reconstruction.grid.volume_grid,
-            images(),
-            values,
-            {
-                "scan": scenario.name,
-                "scan digest": store.digests["images"],
-                "geometry": which,
-                "views": f"{views} of {store.views}",
-            },
-        )
-        write_bundle(out, toolkit, bundle)
-    console.print(f"wrote {out}; its README.txt says more", highlight=False, soft_wrap=True)
+        origin = {"scan": scenario.name, "scan digest": store.digests["images"], "geometry": which}
+        origin["views"] = f"{views} of {store.views}"
+        grid = scenario.reconstruction.grid.volume_grid
+        write_bundle(out, toolkit, Bundle(geometry, grid, images(), values, origin))
+    say(f"wrote {out}; its README.txt says more")
 
 
 def _store_path(scan: Path) -> Path:
@@ -80,12 +62,3 @@ def _store_path(scan: Path) -> Path:
         if (path / "zarr.json").is_file():
             return path.absolute()
     raise InputError(f"{scan}: neither the folder of a run nor a scan.zarr")
-
-
-def _open(path: Path) -> ScanStore:
-    try:
-        store = ScanStore(path)
-        _ = store.scenario, store.acquired  # read here, so that a broken store is named
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: not a readable scan: {error}") from None
-    return store

@@ -7,15 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 _LINE_EVERY_S = 30.0
 _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False}
@@ -32,7 +25,14 @@ class TerminalProgress:
     def stage(self, name: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
         """See ``twinct.progress.Progress.stage``."""
         if self._console.is_terminal:
-            with self._bar() as bar:
+            columns = (
+                progress.TextColumn("{task.description:<28}"),
+                progress.BarColumn(bar_width=None),
+                progress.MofNCompleteColumn(),
+                progress.TimeElapsedColumn(),
+                progress.TimeRemainingColumn(),
+            )
+            with progress.Progress(*columns, console=self._console) as bar:
                 task = bar.add_task(name, total=total, completed=done)
                 yield lambda: bar.advance(task)
             return
@@ -55,13 +55,3 @@ class TerminalProgress:
         """See ``twinct.progress.Progress.say``: warnings on stderr, all else on stdout."""
         console = self._console if warning else Console()
         console.print(f"twinct: warning: {text}" if warning else text, **_PLAIN)
-
-    def _bar(self) -> Progress:
-        return Progress(
-            TextColumn("{task.description:<28}"),
-            BarColumn(bar_width=None),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=self._console,
-        )

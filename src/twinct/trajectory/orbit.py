@@ -32,10 +32,8 @@ class OrbitSettings(TrajectorySettings):
     @model_validator(mode="after")
     def _isocentre_between(self) -> OrbitSettings:
         if self.sdd_mm <= self.sod_mm:
-            message = (
-                f"sdd_mm ({self.sdd_mm:g}) must exceed sod_mm ({self.sod_mm:g}): "
-                "the isocentre lies between source and panel"
-            )
+            wrong = f"sdd_mm ({self.sdd_mm:g}) must exceed sod_mm ({self.sod_mm:g})"
+            message = f"{wrong}: the isocentre lies between source and panel"
             raise ConflictError(Conflict(message, ("sdd_mm", "sod_mm")))
         return self
 

@@ -52,10 +52,8 @@ def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
                 problems.append(f"{path}:{number}: {','.join(row)!r} holds something not a number")
             continue
         if len(row) not in (6, 12):
-            problems.append(
-                f"{path}:{number}: a view is 6 numbers (S, D) or 12 (S, D, u, v), mm; "
-                f"this line has {len(row)}"
-            )
+            forms = "a view is 6 numbers (S, D) or 12 (S, D, u, v), mm"
+            problems.append(f"{path}:{number}: {forms}; this line has {len(row)}")
         elif not np.isfinite(rows[-1]).all():
             problems.append(f"{path}:{number}: {','.join(row)!r} holds a number that is not finite")
     if not problems and not rows:
