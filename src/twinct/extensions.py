@@ -9,7 +9,6 @@ from typing import TypeVar
 
 log = logging.getLogger(__name__)
 
-
 T = TypeVar("T")
 
 
@@ -37,8 +36,7 @@ def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
         kind: what they must lead to; its ``name`` is what a scenario calls it.
         built_in: of this package, by name; nobody else may take these names.
     """
-    found = Offers(built_in)
-    points = entry_points(group=group)
+    found, points = Offers(built_in), entry_points(group=group)
     for point in points:
         try:
             rivals = {_owner(other) for other in points.select(name=point.name)}
@@ -46,22 +44,19 @@ def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
                 raise ValueError("twinct itself has one of that name")
             if len(rivals) > 1:
                 raise ValueError(f"several offer one of that name: {', '.join(sorted(rivals))}")
-            found[point.name] = _checked(point.load(), kind, point.name)
+            loaded = point.load()
+            if not isinstance(loaded, kind):
+                raise TypeError(f"it leads to {type(loaded).__name__}, not to {kind.__name__}")
+            if (own := getattr(loaded, "name", None)) != point.name:
+                raise ValueError(f"it calls itself {own!r}")
+            found[point.name] = loaded
         except Exception as error:  # a foreign module may fail in whatever way it likes
-            reason = f"{type(error).__name__}: {error}"
-            reason = f"{point.name!r} of {_owner(point)} cannot be used: {reason}"
+            cannot = f"{point.name!r} of {_owner(point)} cannot be used"
+            reason = f"{cannot}: {type(error).__name__}: {error}"
             log.warning("%s: %s", group, reason)
             if point.name not in built_in:
                 found.broken[point.name] = reason
     return found
-
-
-def _checked(loaded: object, kind: type[T], name: str) -> T:
-    if not isinstance(loaded, kind):
-        raise TypeError(f"it leads to {type(loaded).__name__}, not to {kind.__name__}")
-    if (own := getattr(loaded, "name", None)) != name:
-        raise ValueError(f"it calls itself {own!r}")
-    return loaded
 
 
 def _owner(point: EntryPoint) -> str:
