@@ -14,6 +14,7 @@ class Progress(Protocol):
         self, name: str, total: int, done: int = 0
     ) -> AbstractContextManager[Callable[[], None]]:
         """A stage of ``total`` steps; the context's value is called after each step."""
+        ...
 
     def say(self, text: str, *, warning: bool = False) -> None:
         """Something worth knowing at once."""

@@ -45,7 +45,8 @@ def test_a_message_tells_who_sent_it_whatever_its_node_is_called(domain, tmp_pat
         assert [members.sent("robots", sender) for _, sender in heard] == [True, False, True]
         assert len({sender for _, sender in heard}) == 3
         assert one.participant != other.participant == heard[1][1].participant
-        assert "'robots'" in listener.name_of("/scan/state", heard[1][1])
+        # The name is discovered later than the endpoint.
+        assert listener.wait(lambda: "'robots'" in listener.name_of("/scan/state", heard[1][1]), 20)
 
 
 class Forger:

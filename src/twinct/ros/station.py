@@ -126,7 +126,8 @@ class Station:
     def name_of(self, topic: str, sender: Sender) -> str:
         """What a node that publishes on a topic calls itself, as far as it is discovered."""
         for info in self._node.get_publishers_info_by_topic(topic):
-            if participant(info.endpoint_gid) == sender.participant:
+            known = info.node_name != "_NODE_NAME_UNKNOWN_"  # seen before its node was
+            if known and participant(info.endpoint_gid) == sender.participant:
                 return f"a node {info.node_name!r}"
         return "an unknown node"
 
