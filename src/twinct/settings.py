@@ -53,6 +53,10 @@ class ConflictError(ValueError):
         self.conflicts = conflicts
 
 
+FILE_KEYS = ("path", "file")
+"""Keys that name an input file: it is made absolute, must exist, and counts by its content."""
+
+
 class Section(BaseModel):
     """Frozen; an unknown key is an error."""
 

@@ -1,4 +1,4 @@
-"""Single arms: our own MJCF files and models of MuJoCo Menagerie, brought to one form."""
+"""Single arms: built in, of MuJoCo Menagerie, or a user's own, brought to one form."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twinct.cell._mujoco import mujoco_module
+from twinct.cell.own_arms import FLANGE_SITES, OwnArm, read_own_arm
 from twinct.errors import MissingExtraError, ScenarioError
-from twinct.geometry import Floats
+from twinct.geometry import Floats, Pose
 from twinct.scenario import Arm
 
 if TYPE_CHECKING:
     import mujoco
-
-FLANGE_SITES = ("flange", "attachment_site", "attachment")
-"""Names by which arm models call the place where a tool is bolted on, in order of preference."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +31,8 @@ class ArmModel:
         flange_site: site at the tool flange, z away from the arm.
         torque_limits: N m, (joints,).
         speed_limits: rad/s, (joints,).
+        home: where the search for a way starts, rad, (joints,), if the scenario says so.
+        file_from_base: the base in the model's world, where that is not its origin.
     """
 
     spec: mujoco.MjSpec
@@ -40,28 +40,35 @@ class ArmModel:
     flange_site: str
     torque_limits: Floats
     speed_limits: Floats
+    home: Floats | None = None
+    file_from_base: Pose | None = None
 
 
 def load_arm(arm: Arm, key: str) -> ArmModel:
     """Load the model that a scenario names.
 
     Args:
-        arm: the section; ``model`` names the file, ``joint_speed_deg_s`` fills in what a Menagerie
-            model does not state.
+        arm: the section; ``model`` or ``file`` names it, ``joint_speed_deg_s`` fills in what it
+            does not state.
         key: where the section stands in the scenario, for messages.
 
     Raises:
         MissingExtraError: a Menagerie model is asked for and there is no copy of Menagerie.
-        ScenarioError: Menagerie holds no such model, or it is no single arm.
+        ScenarioError: Menagerie holds no such model, it is no single arm, or lacks what a cell
+            needs.
     """
     mujoco = mujoco_module()
     name = arm.model
+    if name is None:
+        origin = f"{key}.file: {arm.file}"
+        own = read_own_arm(arm, origin)
+        return _normalised(own.spec, arm, key, origin, own)
     if name.startswith("menagerie:"):
         spec = mujoco.MjSpec.from_file(str(_menagerie_file(name.removeprefix("menagerie:"), key)))
     else:
         with as_file(files("twinct.cell") / f"{name}.xml") as path:
             spec = mujoco.MjSpec.from_file(str(path))
-    return _normalised(spec, arm, f"{key}.model: {name}")
+    return _normalised(spec, arm, key, f"{key}.model: {name}")
 
 
 def _menagerie_file(name: str, key: str) -> Path:
@@ -103,7 +110,9 @@ def _menagerie_file(name: str, key: str) -> Path:
     return min(plain, key=lambda path: len(path.stem))
 
 
-def _normalised(spec: mujoco.MjSpec, arm: Arm, origin: str) -> ArmModel:
+def _normalised(
+    spec: mujoco.MjSpec, arm: Arm, key: str, origin: str, own: OwnArm | None = None
+) -> ArmModel:
     mujoco = mujoco_module()
     model = spec.compile()
     if model.njnt < 5 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
@@ -117,16 +126,19 @@ def _normalised(spec: mujoco.MjSpec, arm: Arm, origin: str) -> ArmModel:
     if not all(names):
         raise ScenarioError(f"{origin} has joints without a name")
     torques = _torque_limits(model)
-    if not np.isfinite(torques).all():
-        bad = ", ".join(n for n, t in zip(names, torques, strict=True) if not np.isfinite(t))
-        raise ScenarioError(f"{origin} states no torque limit for {bad}")
-    stated = [list(n.data) for n in spec.numerics if n.name == "joint_speed_deg_s"]
-    speeds = np.array(stated[0] if stated else [arm.joint_speed_deg_s] * model.njnt)
-    flange = _flange(spec, model)
+    known = np.isfinite(torques) & (torques > 0)
+    if not known.all():
+        bad = ", ".join(n for n, good in zip(names, known, strict=True) if not good)
+        cure = " (MJCF: actuatorfrcrange, in N m; URDF: effort)" if own else ""
+        raise ScenarioError(f"{origin} states no torque limit for {bad}{cure}")
+    speeds = _speed_limits(spec, names, arm, origin, own)
+    home = _home(model, names, arm, key)
+    flange = own.flange_site if own else _flange(spec, model)
     for group in ("actuators", "keys", "sensors", "lights", "cameras", "numerics"):
         for element in list(getattr(spec, group)):
             spec.delete(element)
-    return ArmModel(spec, names, flange, torques, np.radians(speeds))
+    base = own.file_from_base if own else None
+    return ArmModel(spec, names, flange, torques, np.radians(speeds), home, base)
 
 
 def _is_chain(model: mujoco.MjModel) -> bool:
@@ -141,11 +153,13 @@ def _is_chain(model: mujoco.MjModel) -> bool:
 
 def _torque_limits(model: mujoco.MjModel) -> Floats:
     """The joint's own limit, else what its actuator can give."""
+    mujoco = mujoco_module()
     limits = np.full(model.njnt, np.inf)
     for j in range(model.njnt):
         if model.jnt_actfrclimited[j]:
             limits[j] = model.jnt_actfrcrange[j, 1]
-    for a in range(model.nu):
+    at_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    for a in np.flatnonzero(np.isin(model.actuator_trntype, at_joint)):
         joint, gear = model.actuator_trnid[a, 0], abs(model.actuator_gear[a, 0])
         if model.actuator_forcelimited[a]:
             limits[joint] = min(limits[joint], gear * model.actuator_forcerange[a, 1])
@@ -153,6 +167,50 @@ def _torque_limits(model: mujoco.MjModel) -> Floats:
             gain = model.actuator_gainprm[a, 0]  # a plain motor: torque is gain times control
             limits[joint] = min(limits[joint], gear * gain * model.actuator_ctrlrange[a, 1])
     return limits
+
+
+def _speed_limits(
+    spec: mujoco.MjSpec, names: tuple[str, ...], arm: Arm, origin: str, own: OwnArm | None
+) -> Floats:
+    """What the model states, else the scenario, deg/s."""
+    key = "joint_speed_deg_s"
+    if stated := [n for n in spec.numerics if n.name == key]:
+        speeds = np.array(list(stated[0].data))
+        if speeds.shape != (len(names),) or not (speeds > 0).all():
+            raise ScenarioError(
+                f"{origin}: its {key} holds {speeds.tolist()}; {len(names)} numbers above 0 are "
+                f"needed, one for each of {', '.join(names)}"
+            )
+        return speeds
+    urdf = own.speed_limits if own else {}
+    unknown = [name for name in names if name not in urdf]
+    if own and unknown and key not in arm.model_fields_set:
+        raise ScenarioError(
+            f"{origin} states no speed limit for {', '.join(unknown)}: set {key} beside the file, "
+            f"or write it into the file (URDF: velocity in rad/s; MJCF: <custom><numeric "
+            f'name="{key}" data="..."/></custom>)'
+        )
+    return np.array([np.degrees(urdf[n]) if n in urdf else arm.joint_speed_deg_s for n in names])
+
+
+def _home(model: mujoco.MjModel, names: tuple[str, ...], arm: Arm, key: str) -> Floats | None:
+    if arm.home is None:
+        return None
+    if len(arm.home) != len(names):
+        raise ScenarioError(
+            f"{key}.home: has {len(arm.home)} numbers, and the arm {len(names)} joints: "
+            f"{', '.join(names)}"
+        )
+    outside = [
+        f"{value:g} for {name}, which goes from {low:g} to {high:g}"
+        for value, name, (low, high) in zip(
+            arm.home, names, np.degrees(model.jnt_range), strict=True
+        )
+        if not low <= value <= high
+    ]
+    if outside:
+        raise ScenarioError(f"{key}.home: outside the joint's range, deg: {'; '.join(outside)}")
+    return np.radians(arm.home)
 
 
 def _flange(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:

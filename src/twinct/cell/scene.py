@@ -199,7 +199,10 @@ def _table(
 
 def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmModel) -> Any:
     """Stand the arm on a pedestal and give its flange a body for the tool, which is returned."""
-    position, quat = Pose.from_euler(arm.base_position_mm, arm.base_rotation_deg).to_metres()
+    world_from_file = Pose.from_euler(arm.base_position_mm, arm.base_rotation_deg)
+    if loaded.file_from_base is not None:
+        world_from_file @= loaded.file_from_base.inverse()
+    position, quat = world_from_file.to_metres()
     frame = spec.worldbody.add_frame(pos=position, quat=np.roll(quat, 1))
     spec.attach(loaded.spec, prefix=f"{side}_", frame=frame)
     x, y, z = arm.base_position_mm

@@ -24,7 +24,8 @@ from twinct.volume import Volume
 class AlgorithmSettings(Section):
     """Keys of one algorithm, among them ``algorithm``, a Literal of its name and its default.
 
-    A key named ``path`` is an input file: it is made absolute, must exist, and counts by content.
+    A key named ``path`` or ``file`` is an input file: it is made absolute, must exist, and counts
+    by content.
     """
 
 

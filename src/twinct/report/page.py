@@ -151,8 +151,8 @@ def _setting(report: ReportData) -> dict[str, str]:
             for part in scenario.specimen.parts
         ),
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
-        "Arms": f"{scenario.cell.source_arm.model} (source), "
-        f"{scenario.cell.detector_arm.model} (detector)",
+        "Arms": f"{scenario.cell.source_arm.label} (source), "
+        f"{scenario.cell.detector_arm.label} (detector)",
         **physics_in_words(scenario, report.commanded.source[0], report.commanded.detector[0]),
         "Reconstruction": scenario.reconstruction.in_words,
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import difflib
 import re
+from pathlib import Path
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
-from twinct.settings import Finite, Lengths, Positive, Section, Vector, facts, setting
+from twinct.settings import (
+    Conflict,
+    ConflictError,
+    Finite,
+    Lengths,
+    Positive,
+    Section,
+    Vector,
+    facts,
+    setting,
+)
 
 ARMS = ("ur10e", "lbr_iiwa14")
 """Arms that are built in."""
@@ -16,11 +27,31 @@ ARMS = ("ur10e", "lbr_iiwa14")
 class Arm(Section):
     """One arm and what it carries."""
 
-    model: str = Field(
+    model: str | None = Field(
         default="ur10e",
         description="ur10e, lbr_iiwa14, or menagerie:NAME.",
         json_schema_extra=facts(source="makers' data sheets: docs/arms.md")
         | {"pattern": r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$"},
+    )
+    file: Path | None = Field(
+        default=None,
+        description="Instead of model: MJCF or URDF of an arm of your own, see docs/arms.md. What "
+        "it includes and its meshes lie in its folder or below.",
+    )
+    base: str | None = Field(
+        default=None,
+        description="With file: the body or link whose frame is the arm's base; the first one "
+        "where left out.",
+    )
+    flange: str | None = Field(
+        default=None,
+        description="With file: the site, body or link at the tool flange, z away from the arm; "
+        "where left out, one of the usual names.",
+    )
+    home: tuple[Finite, ...] | None = Field(
+        default=None,
+        description="Joint positions from base to flange, where the search for a way starts.",
+        json_schema_extra=facts(unit="deg"),
     )
     base_position_mm: Vector = Field(description="Origin of the arm's base in the world.")
     base_rotation_deg: Vector = setting(
@@ -48,12 +79,16 @@ class Arm(Section):
         source="limits: the maker's",
     )
     joint_speed_deg_s: Positive = setting(
-        90.0, "Limit of every joint's speed, for a Menagerie model: those state none."
+        90.0,
+        "Limit of every joint's speed where the model states none: those of Menagerie "
+        "do not, nor does MJCF. With file, what is to be 90 has to be written too.",
     )
 
     @field_validator("model")
     @classmethod
-    def _known_model(cls, model: str) -> str:
+    def _known_model(cls, model: str | None) -> str | None:
+        if model is None:
+            return None
         menagerie, colon, name = model.partition(":")
         if model in ARMS or (menagerie == "menagerie" and re.fullmatch(r"\w+", name)):
             return model
@@ -63,6 +98,24 @@ class Arm(Section):
             f"{model!r} is no arm{hint} (known: {', '.join(ARMS)}, and menagerie:NAME for one of "
             "MuJoCo Menagerie)"
         )
+
+    @model_validator(mode="after")
+    def _one_arm(self) -> Arm:
+        if self.file is not None and "model" not in self.model_fields_set:
+            object.__setattr__(self, "model", None)  # its default gives way
+        if (self.model is None) == (self.file is None):
+            both = "exclude each other: with file, model is left out or null"
+            what = f"model and file {both if self.file else 'are both null: give one'}"
+            raise ConflictError(Conflict(what, ("model", "file")))
+        lone = [name for name in ("base", "flange") if getattr(self, name) and not self.file]
+        if lone:
+            raise ConflictError(Conflict(f"{' and '.join(lone)}: only with file", tuple(lone)))
+        return self
+
+    @property
+    def label(self) -> str:
+        """What a report calls it."""
+        return self.model or f"{self.file and self.file.name}"
 
 
 class SourceArm(Arm):

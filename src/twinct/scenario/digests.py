@@ -18,10 +18,12 @@ from typing import Any, Literal
 
 from pydantic_core import to_jsonable_python
 
+from twinct.errors import ScenarioError
+from twinct.files.arm_xml import read_arm_xml
 from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.detector import RandomBadPixels
 from twinct.scenario.scenario import Scenario, sections_in
-from twinct.settings import Section
+from twinct.settings import FILE_KEYS, Section
 
 StageName = Literal["surface", "plan", "executed", "images", "believed", "volume"]
 
@@ -45,6 +47,7 @@ STAGES: dict[StageName, _Stage] = {
             *("trajectory", "detector.columns", "detector.rows", "detector.pixel_pitch_mm"),
             *("specimen.position_mm", "specimen.rotation_deg", "cell.table", "cell.floor_z_mm"),
             *("cell.*_arm.model", "cell.*_arm.base_position_mm", "cell.*_arm.base_rotation_deg"),
+            *("cell.*_arm.file", "cell.*_arm.base", "cell.*_arm.flange", "cell.*_arm.home"),
             *("cell.*_arm.standoff_mm", "cell.*_arm.tool_rotation_deg"),
             *("motion.ik", "motion.clearance_mm"),
         ),
@@ -127,7 +130,7 @@ def _seed(scenario: Scenario, stage: StageName) -> int | None:
 
 
 def _told(
-    section: Section, key: str, reads: Callable[[str], bool], content: Callable[[Path], str]
+    section: Section, key: str, reads: Callable[[str], bool], content: Callable[[Path, str], str]
 ) -> dict[str, Any]:
     """What a stage reads of a section and is not at its default; always which kind it is."""
     told: dict[str, Any] = {}
@@ -145,17 +148,28 @@ def _told(
             if part or reads(inner) and not isinstance(info.default, Section):
                 told[name] = part
         elif reads(inner):
-            is_file = name == "path" and value is not None
-            told[name] = content(Path(str(value))) if is_file else to_jsonable_python(value)
+            is_file = name in FILE_KEYS and value is not None
+            told[name] = content(Path(str(value)), name) if is_file else to_jsonable_python(value)
     return told
 
 
-def _content_digest(path: Path) -> str:
+def _content_digest(path: Path, key: str) -> str:
     if not path.exists():
         return "gone"
     digest = hashlib.sha256()
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    if key == "file":
+        files = _of_arm(path)
+    else:
+        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     for file in files:
         with file.open("rb") as stream:
             digest.update(hashlib.file_digest(stream, "sha256").digest())
     return digest.hexdigest()
+
+
+def _of_arm(path: Path) -> tuple[Path, ...]:
+    """The file of an arm with all that it includes and names; alone where it is broken."""
+    try:
+        return read_arm_xml(path, str(path)).files
+    except ScenarioError:  # told when the arm is built
+        return (path,) if path.is_file() else ()

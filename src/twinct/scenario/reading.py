@@ -13,6 +13,7 @@ import yaml
 from twinct.errors import ScenarioError
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
 from twinct.scenario.version_0_1 import upgraded
+from twinct.settings import FILE_KEYS
 
 Key = tuple[str | int, ...]
 
@@ -135,7 +136,7 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
 
 
 def _construct(loader: Any, node: yaml.Node, key: Key, path: Path, origins: dict[Key, str]) -> Any:
-    """Plain data of a node; notes the line of each key and makes each ``path`` absolute."""
+    """Plain data of a node; notes the line of each key and makes each file absolute."""
     origins[key] = place = f"{path}:{node.start_mark.line + 1}"
     if len(key) > DEEPEST:
         raise ScenarioError(_too_deep(place))
@@ -147,7 +148,7 @@ def _construct(loader: Any, node: yaml.Node, key: Key, path: Path, origins: dict
                 line = key_node.start_mark.line + 1
                 raise ScenarioError(f"{path}:{line}: the key {name!r} stands twice")
             data[name] = _construct(loader, value_node, (*key, name), path, origins)
-            if name == "path" and isinstance(data[name], str):
+            if name in FILE_KEYS and isinstance(data[name], str):
                 data[name] = str((path.parent / Path(data[name]).expanduser()).resolve())
         return data
     if isinstance(node, yaml.SequenceNode):
@@ -246,11 +247,11 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
 
 
 def _absolute_paths(data: Any) -> Any:
-    """Make each ``path`` of an override absolute: it is relative to where the command runs."""
+    """Make each file of an override absolute: it is relative to where the command runs."""
     if is_mapping(data):
         return {
             key: str(Path(value).expanduser().resolve())
-            if key == "path" and isinstance(value, str)
+            if key in FILE_KEYS and isinstance(value, str)
             else _absolute_paths(value)
             for key, value in data.items()
         }

@@ -16,7 +16,7 @@ from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyRecon
 from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import Specimen
 from twinct.scenario.uncertainty import Uncertainty
-from twinct.settings import Conflict, ConflictError, Section, setting
+from twinct.settings import FILE_KEYS, Conflict, ConflictError, Section, setting
 from twinct.trajectory import TrajectorySettings
 from twinct.trajectory.families import families
 
@@ -98,7 +98,7 @@ class Scenario(Section):
         return self.seed if self.uncertainty.seed is None else self.uncertainty.seed
 
     def files(self) -> dict[str, Path]:
-        """Files and folders the scenario names, by key: every key ``path``, in any section."""
+        """Files and folders the scenario names, by key, from every section."""
         return dict(_files(self, ""))
 
 
@@ -109,7 +109,7 @@ def _files(section: Section, key: str) -> Iterator[tuple[str, Path]]:
             yield from _files(item, f"{inner}.{index}")
         if isinstance(value, Section):
             yield from _files(value, inner)
-        elif name == "path" and value is not None:
+        elif name in FILE_KEYS and value is not None:
             yield inner, Path(value)
 
 

@@ -18,7 +18,8 @@ from twinct.settings import Section
 class TrajectorySettings(Section):
     """Keys of one family, among them ``kind``, a Literal of its name.
 
-    A key named ``path`` is an input file: it is made absolute, must exist, and counts by content.
+    A key named ``path`` or ``file`` is an input file: it is made absolute, must exist, and counts
+    by content.
     """
 
 

@@ -1,0 +1,153 @@
+"""Arms from files of the user's own: read, and checked for what a cell needs of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twinct.cell._mujoco import mujoco_module
+from twinct.errors import ScenarioError
+from twinct.files.arm_xml import read_arm_xml
+from twinct.geometry import Pose
+from twinct.scenario import Arm
+
+if TYPE_CHECKING:
+    import mujoco
+
+FLANGE_SITES = ("flange", "attachment_site", "attachment")
+"""By which MJCF models call the place where a tool is bolted on, in order of preference."""
+
+FLANGE_LINKS = ("tool0", "flange")
+"""By which URDF does; after ROS's REP 199 z of ``tool0`` points away, of ``flange`` its x."""
+
+FLANGE_SITE = "twinct_flange"
+"""The site at a flange that is a body."""
+
+_HIDDEN_GROUP = 3
+
+
+@dataclass(frozen=True, eq=False)
+class OwnArm:
+    """What a file says beyond MuJoCo's model.
+
+    Attributes:
+        spec: the arm as it stands there.
+        flange_site: site at the tool flange.
+        speed_limits: rad/s by joint, as far as stated.
+        file_from_base: the base in the file's world.
+    """
+
+    spec: mujoco.MjSpec
+    flange_site: str
+    speed_limits: dict[str, float]
+    file_from_base: Pose
+
+
+def read_own_arm(arm: Arm, where: str) -> OwnArm:
+    """Read and check the file that a scenario names.
+
+    Args:
+        arm: the section, with ``file``.
+        where: what messages call the file.
+
+    Raises:
+        ScenarioError: what cannot be read, or lacks what a cell needs.
+    """
+    mujoco = mujoco_module()
+    assert arm.file is not None
+    xml = read_arm_xml(arm.file, where)
+    try:
+        spec = mujoco.MjSpec.from_string(xml.text)
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())
+        raise ScenarioError(f"{where} is no model that MuJoCo can read: {reason}") from None
+    _check(model, where)
+    base = _body(model, arm.base or model.body(min(1, model.nbody - 1)).name, "base", where)
+    if model.body_weldid[base] != 0:
+        raise ScenarioError(f"{where}: base {arm.base!r} is moved by joints: it has to stand still")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    quat = np.roll(data.xquat[base], -1)
+    _show_visuals(spec, model)
+    flange = _flange(spec, model, arm.flange, xml.is_urdf, where)
+    return OwnArm(spec, flange, xml.speed_limits, Pose.from_metres(data.xpos[base], quat))
+
+
+def _check(model: mujoco.MjModel, where: str) -> None:
+    mujoco = mujoco_module()
+    joints = [model.joint(j).name or f"number {j}" for j in range(model.njnt)]
+    if not joints:
+        raise ScenarioError(f"{where} is no arm: it has no joints")
+    if others := [
+        n for n, t in zip(joints, model.jnt_type, strict=True) if t != mujoco.mjtJoint.mjJNT_HINGE
+    ]:
+        raise ScenarioError(
+            f"{where} is no single arm: an arm has hinges and nothing else, and these are none: "
+            f"{', '.join(others)}"
+        )
+    if not all(model.body(b).name for b in range(model.nbody)):
+        raise ScenarioError(f"{where} has bodies without a name")
+    if model.body_geomnum[0]:
+        raise ScenarioError(
+            f"{where} has shapes that belong to no body, as the floor of a scene: name the file "
+            "of the arm alone"
+        )
+    if model.neq:
+        raise ScenarioError(f"{where} couples joints (equality, mimic); each has to move alone")
+    if free := [n for n, limited in zip(joints, model.jnt_limited, strict=True) if not limited]:
+        raise ScenarioError(
+            f"{where} states no range for {', '.join(free)}: give it limits (MJCF: range; URDF: "
+            "type revolute with lower and upper)"
+        )
+    solid = (model.geom_contype | model.geom_conaffinity) != 0
+    links = model.body_weldid[model.geom_bodyid[solid]]
+    if bare := [model.body(b).name for b in dict.fromkeys(model.jnt_bodyid) if b not in links]:
+        raise ScenarioError(
+            f"{where} has no collision geometry on {', '.join(bare)}: without it collisions would "
+            "not be seen"
+        )
+
+
+def _body(model: mujoco.MjModel, name: str, key: str, where: str) -> int:
+    names = [model.body(b).name for b in range(model.nbody)]
+    if name not in names:
+        raise ScenarioError(f"{where} has no {key} {name!r}; it has {', '.join(names[1:])}")
+    return names.index(name)
+
+
+def _show_visuals(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Collision shapes are not drawn where the link has others for that."""
+    solid = (model.geom_contype | model.geom_conaffinity) != 0
+    seen = set(model.geom_bodyid[~solid & (model.geom_group < _HIDDEN_GROUP)])
+    for geom, is_solid, body in zip(spec.geoms, solid, model.geom_bodyid, strict=True):
+        if is_solid and body in seen:
+            geom.group = _HIDDEN_GROUP
+
+
+def _flange(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, asked: str | None, is_urdf: bool, where: str
+) -> str:
+    """The site that the key names, or a new one where a body of that name is."""
+    bodies = [model.body(b).name for b in range(1, model.nbody)]
+    sites = [model.site(s).name for s in range(model.nsite)]
+    usual, places = (FLANGE_LINKS, bodies) if is_urdf else (FLANGE_SITES, sites)
+    name = asked or next((name for name in usual if name in places), None)
+    if name is None or name not in (*sites, *bodies):
+        lacks = f"no flange {name!r}" if name else f"no flange, such as {' or '.join(usual)}"
+        raise ScenarioError(
+            f"{where} has {lacks}: name it with the key flange; there are "
+            f"{', '.join(filter(None, (*sites, *bodies)))}"
+        )
+    body = model.site(name).bodyid[0] if name in sites else model.body(name).id
+    last = model.jnt_bodyid[-1]
+    if model.body_weldid[body] != last:
+        raise ScenarioError(
+            f"{where}: flange {name!r} is not part of the last link, {model.body(last).name}"
+        )
+    if name in sites:
+        return name
+    spec.body(name).add_site(name=FLANGE_SITE)
+    return FLANGE_SITE
