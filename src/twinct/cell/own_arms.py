@@ -22,6 +22,9 @@ FLANGE_SITES = ("flange", "attachment_site", "attachment")
 FLANGE_LINKS = ("tool0", "flange")
 """By which URDF does; after ROS's REP 199 z of ``tool0`` points away, of ``flange`` its x."""
 
+ALONG, ROUNDING_M = 0.99, 1e-6
+"""Cosine, and distance: z of a flange that nobody named goes along the last axis, and outwards."""
+
 FLANGE_SITE = "twinct_flange"
 """The site at a flange that is a body."""
 
@@ -72,7 +75,7 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
     mujoco.mj_kinematics(model, data)
     quat = np.roll(data.xquat[base], -1)
     _show_visuals(spec, model)
-    flange = _flange(spec, model, arm.flange, xml.is_urdf, where)
+    flange = _flange(spec, model, data, arm.flange, xml.is_urdf, where)
     return OwnArm(spec, flange, xml.speed_limits, Pose.from_metres(data.xpos[base], quat))
 
 
@@ -128,7 +131,12 @@ def _show_visuals(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _flange(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, asked: str | None, is_urdf: bool, where: str
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    asked: str | None,
+    is_urdf: bool,
+    where: str,
 ) -> str:
     """The site that the key names, or a new one where a body of that name is."""
     bodies = [model.body(b).name for b in range(1, model.nbody)]
@@ -142,10 +150,18 @@ def _flange(
             f"{', '.join(filter(None, (*sites, *bodies)))}"
         )
     body = model.site(name).bodyid[0] if name in sites else model.body(name).id
+    place = data.site(name) if name in sites else data.body(name)
     last = model.jnt_bodyid[-1]
     if model.body_weldid[body] != last:
         raise ScenarioError(
             f"{where}: flange {name!r} is not part of the last link, {model.body(last).name}"
+        )
+    z = place.xmat.reshape(3, 3)[:, 2]
+    outwards = (place.xpos - data.xanchor[-1]) @ z
+    if not asked and (abs(data.xaxis[-1] @ z) < ALONG or outwards < -ROUNDING_M):
+        raise ScenarioError(
+            f"{where}: z of its flange {name!r} does not point along the last joint's axis, away "
+            "from the arm: name a frame whose z is the way of the tool with the key flange"
         )
     if name in sites:
         return name
