@@ -59,6 +59,7 @@ class CellModel:
         speed_scales: share of them that a move may use, (n,).
         pairs: geom ids of all pairs of non-adjacent bodies that can move against each other,
             (p, 2).
+        homes: where the search for a way starts, rad, for each arm of which the scenario says so.
         lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n);
             zero where the joint does not move the body.
     """
@@ -74,6 +75,7 @@ class CellModel:
     speed_limits: Floats
     speed_scales: Floats
     pairs: np.ndarray
+    homes: tuple[Floats | None, ...]
     lever: Floats
 
     @property
@@ -323,6 +325,7 @@ def _compiled(
             [cell.source_arm.speed_scale, cell.detector_arm.speed_scale], counts
         ),
         pairs=_non_adjacent_pairs(model),
+        homes=tuple(arm.home for arm in arms),
         lever=_levers(model),
     )
 

@@ -148,8 +148,12 @@ def _starts(
     high = np.minimum(cell.joint_ranges[:, 1], np.pi)
     found: list[list[Floats]] = [[], []]
     nearest: list[tuple[float, Floats]] = [(np.inf, np.zeros(0))] * 2
-    for _ in range(RESTARTS):
-        result = kinematics.solve(rng.uniform(low, high), target)
+    for k in range(RESTARTS):
+        start = rng.uniform(low, high)
+        for joints, home in zip(cell.arm_joints, cell.homes, strict=True):
+            if k == 0 and home is not None:
+                start[joints] = home
+        result = kinematics.solve(start, target)
         for arm, joints in enumerate(cell.arm_joints):
             q = _wrapped(result.joints[joints], cell.joint_ranges[joints])
             if result.position_mm[arm] < nearest[arm][0]:

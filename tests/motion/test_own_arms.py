@@ -1,0 +1,57 @@
+"""An arm from a URDF file plans and moves like any other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct.cell import CellModel, build_cell
+from twinct.geometry import Pose
+from twinct.motion import RobotSimulation, plan_motion
+from twinct.scenario import Cell, Detector, Motion
+from twinct.trajectory import ArcTrajectory, commanded_views
+from twinct.views import PosePairs, Target
+
+URDF = Path(__file__).parents[1] / "cell" / "six_axis.urdf"
+BRANCHES = ((-30, 45, 150, -30, -100, -90), (-150, -45, -150, 30, 100, 90))
+"""Two ways of the source arm to hold the middle view, as rough as by hand, deg."""
+
+
+def room(*homes: tuple[float, ...] | None) -> CellModel:
+    arm = {"file": URDF, "base": "base_link"}
+    places = zip(("source_arm", "detector_arm"), (850, -850), homes, strict=True)
+    section = Cell.model_validate(
+        {side: {**arm, "home": home, "base_position_mm": (x, 0, -200)} for side, x, home in places}
+    )
+    return build_cell(section, None, Pose.identity(), Detector().panel)
+
+
+@pytest.fixture(scope="module")
+def targets() -> list[Target]:
+    arc = ArcTrajectory(kind="arc", views=3, longitude_range_deg=15)
+    return PosePairs.from_geometry(commanded_views(arc, Detector().panel)).targets()
+
+
+def test_views_are_reached(targets: list[Target]) -> None:
+    cell = room(None, None)
+    planned = plan_motion(cell, Motion(), targets)
+    simulation = RobotSimulation(cell, Motion(), planned.home)
+    for target in targets:
+        executed = simulation.move(target).executed
+        assert executed.source.distance_mm(target.source) < Motion().tolerance_mm
+        assert executed.detector.distance_mm(target.detector) < Motion().tolerance_mm
+        assert simulation.watch.torque_share.max() < 1
+        assert simulation.watch.speed_share.max() <= 1
+        assert not simulation.watch.contacts
+
+
+@pytest.mark.parametrize("branch", BRANCHES)
+def test_the_search_begins_at_home(
+    targets: list[Target], branch: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twinct.motion.plan.RESTARTS", 1)
+    homes = branch, (*branch[:5], -branch[5])
+    planned = plan_motion(room(*homes), Motion(), targets)
+    assert np.abs(np.degrees(planned.joints[1]) - np.hstack(homes)).max() < 15
