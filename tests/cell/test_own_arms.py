@@ -169,6 +169,7 @@ def test_base_within_the_file_is_what_stands_at_its_place(chain: Path) -> None:
     built, data = in_the_cell(file=chain, base_position_mm=(700, 0, 50))
     mujoco.mj_kinematics(built.model, data)
     np.testing.assert_allclose(data.body("source_foot").xpos, [0.7, 0, 0.05], atol=ROUNDING_M)
+    np.testing.assert_allclose(np.degrees(built.joint_ranges[:5]), [[-90, 90]] * 5)
 
 
 def test_what_the_file_names_counts_in_the_digest(chain: Path) -> None:
@@ -220,6 +221,7 @@ def test_path_is_relative_to_the_scenario(tmp_path: Path) -> None:
         ('velocity="3"', 'velocity="0"', "no speed limit for elbow, roll, bend: set joint_speed"),
         ('velocity="4"', 'velocity="fast"', "joint spin: velocity 'fast' is no speed"),
         ('"tool0"', '"tip"', "z of its flange 'flange' does not point along the last joint's axis"),
+        ('<dynamics damping="1" friction="0.5"/>', '<mimic joint="turn"/>', "couples joints"),
         ('"revolute"', '"continuous"', "no range for turn, shoulder, elbow"),
         ('"revolute"', '"prismatic"', "hinges and nothing else, and these are none: turn"),
         ("<collision>", "<visual>", "XML"),
@@ -275,6 +277,7 @@ def test_keys_that_do_not_fit_the_arm_are_refused(chain: Path) -> None:
     hand = chain.parent / "hand.xml"
     assert "no base 'stand'; it has foot, a, b" in refusal(chain, base="stand")
     assert "base 'b' is moved by joints" in refusal(chain, base="b")
+    assert loaded(chain, base="world").file_from_base == Pose.identity()
     hand.write_text(HAND.replace('"flange"', '"end"'))
     assert "no flange, such as flange or attachment_site" in refusal(chain)
     assert loaded(chain, flange="end").flange_site == "end"

@@ -68,15 +68,12 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
         reason = " ".join(str(error).split())
         raise ScenarioError(f"{where} is no model that MuJoCo can read: {reason}") from None
     _check(model, where)
-    base = _body(model, arm.base or model.body(min(1, model.nbody - 1)).name, "base", where)
-    if model.body_weldid[base] != 0:
-        raise ScenarioError(f"{where}: base {arm.base!r} is moved by joints: it has to stand still")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    quat = np.roll(data.xquat[base], -1)
+    base = _base(model, data, arm.base, where)
     _show_visuals(spec, model)
     flange = _flange(spec, model, data, arm.flange, xml.is_urdf, where)
-    return OwnArm(spec, flange, xml.speed_limits, Pose.from_metres(data.xpos[base], quat))
+    return OwnArm(spec, flange, xml.speed_limits, base)
 
 
 def _check(model: mujoco.MjModel, where: str) -> None:
@@ -114,11 +111,18 @@ def _check(model: mujoco.MjModel, where: str) -> None:
         )
 
 
-def _body(model: mujoco.MjModel, name: str, key: str, where: str) -> int:
+def _base(model: mujoco.MjModel, data: mujoco.MjData, asked: str | None, where: str) -> Pose:
+    """The base in the file's world."""
     names = [model.body(b).name for b in range(model.nbody)]
+    name = asked or names[1]
     if name not in names:
-        raise ScenarioError(f"{where} has no {key} {name!r}; it has {', '.join(names[1:])}")
-    return names.index(name)
+        raise ScenarioError(f"{where} has no base {name!r}; it has {', '.join(names[1:])}")
+    if model.body_weldid[names.index(name)] != 0:
+        raise ScenarioError(
+            f"{where}: base {name!r} is moved by joints: name a body that stands still with the "
+            "key base, or world for the file's origin"
+        )
+    return Pose.from_metres(data.body(name).xpos, np.roll(data.body(name).xquat, -1))
 
 
 def _show_visuals(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:

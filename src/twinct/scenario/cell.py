@@ -115,7 +115,7 @@ class Arm(Section):
     @property
     def label(self) -> str:
         """What a report calls it."""
-        return self.model or f"{self.file and self.file.name}"
+        return self.model or Path(self.file or "").name
 
 
 class SourceArm(Arm):
