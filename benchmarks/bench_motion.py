@@ -34,24 +34,29 @@ def paper_targets(views: int) -> list[Target]:
     return PosePairs.from_geometry(geometry).targets()
 
 
-def measure(views: int, trigger: str) -> dict[str, object]:
+def measure(views: int, trigger: str, scheme: str) -> dict[str, object]:
     head = trimesh.creation.icosphere(subdivisions=4)
     head.apply_scale(HEAD_SEMI_AXES_MM)
     targets = paper_targets(views)
     motion = Motion.model_validate(
-        {"trigger": trigger, "ik": FINE_IK if trigger == "settled" else {}}
+        {
+            "scheme": scheme,
+            "trigger": trigger,
+            "ik": FINE_IK if trigger == "settled" else {},
+            "tool_speed_mm_s": 125 if trigger == "on_entry" else None,
+        }
     )
     start = time.perf_counter()
     cell = build_cell(Cell(), head, Pose.identity(), Detector().panel)
     built = time.perf_counter()
     plan = plan_motion(cell, motion, targets)
     planned = time.perf_counter()
-    simulation = RobotSimulation(cell, motion, plan.home)
+    simulation = RobotSimulation(cell, motion, plan)
     torque, speed = np.zeros(len(cell.joint_names)), np.zeros(len(cell.joint_names))
     reached = []
     clock, processor = time.perf_counter(), time.process_time()
-    for target in targets:
-        reached.append(simulation.move(target))
+    for view, target in enumerate(targets):
+        reached.append(simulation.move(view, target))
         torque = np.maximum(torque, simulation.watch.torque_share)
         speed = np.maximum(speed, simulation.watch.speed_share)
     clock, processor = time.perf_counter() - clock, time.process_time() - processor
@@ -66,6 +71,7 @@ def measure(views: int, trigger: str) -> dict[str, object]:
             "rotation_deg": _spread([a.angle_deg(b) for a, b in pairs]),
         }
     return {
+        "scheme": scheme,
         "trigger": trigger,
         "views": views,
         "reached": len(reached),
@@ -77,6 +83,7 @@ def measure(views: int, trigger: str) -> dict[str, object]:
         "largest_joint_step_rad": float(np.abs(np.diff(plan.joints, axis=0)).max()),
         "largest_share_of_torque_limit": float(torque.max()),
         "largest_share_of_published_speed": float(speed.max()),
+        "predicted_s": float(plan.exposures_s[-1]),
         "simulated_s": simulation.time_s,
         "real_time_factor": simulation.time_s / clock,
         "real_time_factor_by_processor_time": simulation.time_s / processor,
@@ -94,9 +101,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--views", type=int, default=399)
     parser.add_argument("--trigger", nargs="+", default=["on_entry", "settled"])
+    parser.add_argument("--scheme", choices=["planned", "reactive"], default="reactive")
     parser.add_argument("--save", help="write the figures as JSON")
     args = parser.parse_args()
-    figures = [measure(args.views, trigger) for trigger in args.trigger]
+    figures = [measure(args.views, trigger, args.scheme) for trigger in args.trigger]
     print(json.dumps(figures, indent=2))
     if args.save:
         with open(args.save, "w", encoding="utf-8") as file:

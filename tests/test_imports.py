@@ -8,7 +8,7 @@ import sys
 import pytest
 
 BLOCKED = (
-    *("mujoco", "mink", "ruckig", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk"),
+    *("mujoco", "mink", "ruckig", "ompl", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk"),
     "ctsimu",
 )
 MODULES = (
@@ -21,6 +21,7 @@ MODULES = (
     "twinct.evaluate",
     "twinct.exchange",
     "twinct.extras",
+    "twinct.gantry",
     "twinct.runs",
     "twinct.recon",
     "twinct.report",

@@ -8,10 +8,11 @@ import importlib.util
 from twinct.errors import InputError, MissingExtraError
 
 _IMPORTED: dict[str, tuple[str, ...]] = {
-    "robots": ("mujoco", "mink", "daqp", "ruckig"),
+    "robots": ("mujoco", "mink", "daqp", "ruckig", "ompl"),
     "rtk": ("itk",),
     "ros": (
         *("rclpy", "rclpy.node", "geometry_msgs.msg", "sensor_msgs.msg", "std_msgs.msg"),
+        "trajectory_msgs.msg",
         *("diagnostic_msgs.msg", "rosgraph_msgs.msg", "builtin_interfaces.msg"),
     ),
 }

@@ -6,6 +6,7 @@ into poses with the same function, so that they give bit-identical geometries, a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -98,7 +99,8 @@ class Reached:
         effort: joint torques, (joints,), N m.
         state: the full simulator state (``mjSTATE_INTEGRATION``), (n,).
         time_s: simulated time.
-        clearance_mm: smallest gap between non-adjacent bodies at any step of the move.
+        clearance_mm: smallest gap between non-adjacent bodies at any step of the move; NaN where
+            none is looked at.
         exposure: instants of equal duration over the exposure; none where it is a single one.
         before: where the arms were when the move began, which is where the last view was taken;
             only where the detector's lag asks for it.
@@ -114,6 +116,12 @@ class Reached:
     clearance_mm: float
     exposure: tuple[Instant, ...] = ()
     before: Instant | None = None
+
+    @property
+    def clearance_in_words(self) -> str:
+        """For what is logged."""
+        unknown = math.isnan(self.clearance_mm)
+        return "clearance unknown" if unknown else f"clearance {self.clearance_mm:.1f} mm"
 
     @property
     def path(self) -> tuple[Instant, ...]:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import CellModel, Clearance, build_cell, render_cell
+from twinct.cell import CellModel, Clearance, build_cell, build_gantry, render_cell
 from twinct.errors import ScenarioError
 from twinct.geometry import Pose
-from twinct.scenario import Cell, Detector
+from twinct.scenario import Cell, Detector, GantryCell
 
 ROUNDING_M = 1e-6
 """GJK's own tolerance, with room."""
@@ -139,3 +139,21 @@ def test_render_writes_a_picture(cell: CellModel, tmp_path: Path) -> None:
     pixels = np.asarray(Image.open(path))
     assert pixels.shape == (100, 160, 3)
     assert pixels.std() > 20
+
+
+def test_a_gantry_holds_source_and_panel_at_the_poses(
+    head: trimesh.Trimesh, tmp_path: Path
+) -> None:
+    poses = [
+        Pose.from_euler((300, -20, 10), (5, -90, 0)),
+        Pose.from_euler((-250, 0, 40), (9, 80, 7)),
+    ]
+    room = build_gantry(GantryCell(kind="gantry"), head, Pose.identity(), Detector().panel, *poses)
+    data = mujoco.MjData(room.model)
+    mujoco.mj_kinematics(room.model, data)
+    for side, pose in zip(("source", "detector"), poses, strict=True):
+        site = room.model.site(side).id
+        np.testing.assert_allclose(data.site_xpos[site] * 1000, pose.position, atol=1e-9)
+        np.testing.assert_allclose(data.site_xmat[site].reshape(3, 3), pose.rotation, atol=1e-12)
+    render_cell(room, tmp_path / "gantry.png", width=160, height=100)
+    assert room.model.stat.extent == pytest.approx(poses[0].distance_mm(poses[1]) / 1000 + 0.2)

@@ -12,6 +12,9 @@ from twinct.views import PosePairs, Target
 
 VIEWS = 24
 
+AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
+"""As in scenarios/paper.yaml."""
+
 
 @pytest.fixture(scope="session")
 def head() -> trimesh.Trimesh:
@@ -41,4 +44,4 @@ def targets(paper_targets: list[Target]) -> list[Target]:
 
 @pytest.fixture(scope="session")
 def plan(cell: CellModel, targets: list[Target]) -> MotionPlan:
-    return plan_motion(cell, Motion(), targets)
+    return plan_motion(cell, AS_IN_THE_PAPER, targets)

@@ -66,9 +66,8 @@ def test_home_lies_off_the_first_view(
 def test_planning_again_gives_the_same_bits(
     cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
-    again = plan_motion(cell, Motion(), targets)
-    assert np.array_equal(again.joints, plan.joints)
-    assert np.array_equal(again.home, plan.home)
+    again = plan_motion(cell, Motion(scheme="planned", tool_speed_mm_s=125), targets)
+    assert again.digest == plan.digest
 
 
 def test_fine_tolerances_are_reached(

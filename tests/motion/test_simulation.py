@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 import trimesh
+from scipy.interpolate import CubicSpline
 
 from twinct.cell import CellModel, Clearance, build_cell
-from twinct.errors import MotionError, TargetRefusedError
+from twinct.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Pose
 from twinct.motion import MotionPlan, RobotSimulation, plan_motion
 from twinct.motion.simulation import SATURATED
@@ -16,6 +19,11 @@ from twinct.scenario import Cell, Detector, Motion
 from twinct.views import Reached, Target
 
 SIDES = ("source", "detector")
+AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
+REACTIVE = Motion(scheme="reactive")
+BENT_RAD = 0.02
+SERVO_ERROR_DEG = 0.1
+"""What torque-limited servos with feed-forward may be off while they move."""
 FINE_IK = {"position_tolerance_mm": 0.01, "rotation_tolerance_deg": 0.01}
 
 
@@ -29,29 +37,27 @@ def errors(reached: list[Reached], targets: list[Target], side: str) -> tuple[np
     )
 
 
-def judge_rotations(reached: list[Reached], targets: list[Target]) -> None:
-    """Each arm by its own figures in Table 1 of the paper, where ours are as good.
-
-    The largest rotation of the source is not: 0.257 deg for 0.23.
-    """
-    source, detector = (errors(reached, targets, side)[1] for side in SIDES)
-    assert source.mean() <= 0.19
-    assert detector.mean() <= 0.20
-    assert source.max() <= 0.26
-    assert detector.max() <= 0.41
+def judge_as_table_1(reached: list[Reached], targets: list[Target]) -> None:
+    """The paper's Table 1: 0.87 +- 0.05 and 0.76 +- 0.07 mm, largest 0.23 and 0.41 deg."""
+    for side, largest_deg in zip(SIDES, (0.23, 0.41), strict=True):
+        position, rotation = errors(reached, targets, side)
+        assert 0.70 <= position.mean() <= 0.95
+        assert position.std() <= 0.10
+        assert position.max() < 1.0
+        assert rotation.max() <= largest_deg
 
 
 def test_on_entry_is_the_papers_table_1(
     cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
-    simulation = RobotSimulation(cell, Motion(), plan.home)
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     reached = []
-    for target in targets:
-        reached.append(simulation.move(target))
+    for view, target in enumerate(targets):
+        reached.append(simulation.move(view, target))
         assert simulation.watch.torque_share.max() < SATURATED  # MuJoCo clamps at 1
         assert simulation.watch.speed_share.max() <= 1
         assert not simulation.watch.contacts
-    judge_rotations(reached, targets)
+    judge_as_table_1(reached, targets)
     assert min(r.clearance_mm for r in reached) >= 10
     assert all(np.abs(r.velocity).max() > 1e-3 for r in reached)  # still moving
 
@@ -59,8 +65,7 @@ def test_on_entry_is_the_papers_table_1(
 def test_on_entry_is_the_first_step_inside(
     cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
-    simulation = RobotSimulation(cell, Motion(), plan.home)
-    goal = simulation.solve(targets[0])
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     farthest = []
 
     def note(data: mujoco.MjData) -> None:
@@ -71,18 +76,19 @@ def test_on_entry_is_the_first_step_inside(
             )
         )
 
-    simulation.drive(goal, targets[0], note)
+    simulation.move(0, targets[0], note)
     assert len(farthest) > 10
     assert min(farthest[:-1]) >= 1.0
     assert farthest[-1] < 1.0
 
 
-def test_settled_is_at_rest_on_the_target(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
-) -> None:
-    motion = Motion.model_validate({"trigger": "settled", "ik": FINE_IK})
-    simulation = RobotSimulation(cell, motion, plan.home)
-    reached = [simulation.move(target) for target in targets[:6]]
+def test_settled_is_at_rest_on_the_target(cell: CellModel, targets: list[Target]) -> None:
+    motion = Motion.model_validate({"scheme": "planned", "trigger": "settled", "ik": FINE_IK})
+    plan = plan_motion(cell, motion, targets[:6])
+    simulation = RobotSimulation(cell, motion, plan)
+    reached = [simulation.move(view, target) for view, target in enumerate(targets[:6])]
+    for joints, at_rest in zip(plan.joints, reached, strict=True):
+        assert np.degrees(np.abs(at_rest.position - joints).max()) <= 0.02
     for side in SIDES:
         position, rotation = errors(reached, targets[:6], side)
         assert position.mean() <= 0.05
@@ -93,13 +99,11 @@ def test_settled_is_at_rest_on_the_target(
 def test_clearance_is_the_minimum_over_all_pairs_at_every_step(
     cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
-    simulation = RobotSimulation(cell, Motion(), plan.home)
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     clearance = Clearance(cell)
     each = []
-    reached = simulation.drive(
-        simulation.solve(targets[0]),
-        targets[0],
-        lambda data: each.append(clearance.at(data).distance_mm),
+    reached = simulation.move(
+        0, targets[0], lambda data: each.append(clearance.at(data).distance_mm)
     )
     assert reached.clearance_mm == pytest.approx(min(each), abs=2e-3)
 
@@ -107,13 +111,13 @@ def test_clearance_is_the_minimum_over_all_pairs_at_every_step(
 def test_a_restored_simulation_goes_on_bit_for_bit(
     cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
-    straight = RobotSimulation(cell, Motion(), plan.home)
-    reached = [straight.move(target) for target in targets[:6]]
-    resumed = RobotSimulation(cell, Motion(), np.zeros(12))
+    straight = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
+    reached = [straight.move(view, target) for view, target in enumerate(targets[:6])]
+    resumed = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     resumed.restore(reached[2].state)
     assert resumed.time_s == reached[2].time_s
     for view in range(3, 6):
-        again = resumed.move(targets[view])
+        again = resumed.move(view, targets[view])
         assert again.executed == reached[view].executed
         assert again.clearance_mm == reached[view].clearance_mm
         for name in ("position", "velocity", "effort", "state"):
@@ -122,21 +126,21 @@ def test_a_restored_simulation_goes_on_bit_for_bit(
 
 def test_a_state_of_another_cell_is_refused(cell: CellModel, plan: MotionPlan) -> None:
     with pytest.raises(MotionError, match="not of this cell"):
-        RobotSimulation(cell, Motion(), plan.home).restore(np.zeros(7))
+        RobotSimulation(cell, AS_IN_THE_PAPER, plan).restore(np.zeros(7))
 
 
 def test_out_of_reach_is_refused_and_leaves_all_as_it_was(
     cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
-    simulation = RobotSimulation(cell, Motion(), plan.home)
+    simulation = RobotSimulation(cell, REACTIVE, plan)
     before = simulation.joints
     away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
     with pytest.raises(TargetRefusedError, match=r"source arm: out of reach by \d+\.\d mm") as no:
-        simulation.move(Target.from_poses(away, targets[0].detector))
+        simulation.move(0, Target.from_poses(away, targets[0].detector))
     assert no.value.arms == ("source",)
     assert np.array_equal(simulation.joints, before)
     assert simulation.time_s == 0
-    simulation.move(targets[0])
+    simulation.move(0, targets[0])
 
 
 @pytest.mark.parametrize(
@@ -150,14 +154,14 @@ def test_driven_into_table_or_specimen_the_panel_touches_it(
     upright = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     free = Target.from_poses(source, Pose.from_matrix((-330, 0, 0), upright))
     inside = Target.from_poses(source, Pose.from_matrix(position_mm, upright))
-    motion = Motion(timeout_s=4, clearance_mm=5)
+    motion = Motion(scheme="reactive", timeout_s=4, clearance_mm=5)
     plan = plan_motion(cell, motion, [free])
-    simulation = RobotSimulation(cell, motion, plan.home)
-    simulation.move(free)
+    simulation = RobotSimulation(cell, motion, plan)
+    simulation.move(0, free)
     with pytest.raises(
         TargetRefusedError, match=rf"would collide: .*(detector_panel|{other})"
     ) as no:
-        simulation.move(inside)
+        simulation.move(1, inside)
     assert no.value.arms == ("detector",)
     goal = simulation._kinematics.follow(simulation.joints, inside)[0].joints
     deepest = []
@@ -174,17 +178,25 @@ def test_half_the_torque_cannot_follow(
 ) -> None:
     """The rated payload of 12.5 kg at the far end of the path needs more than half the torque."""
     section = Cell.model_validate({"source_arm": {"tool_mass_kg": 12.5, "torque_scale": scale}})
-    cell = build_cell(section, head, Pose.identity(), Detector().panel)
-    motion = Motion(timeout_s=3)
+    cell, strong_cell = (
+        build_cell(s, head, Pose.identity(), Detector().panel) for s in (section, Cell())
+    )
     targets = paper_targets[:4]
-    simulation = RobotSimulation(cell, motion, plan_motion(cell, motion, targets).home)
+    if scale < 1:
+        with pytest.raises(
+            TrajectoryError, match="source_shoulder_lift_joint needs .* to hold still"
+        ):
+            plan_motion(cell, AS_IN_THE_PAPER, targets)
+    motion = Motion(scheme="reactive", timeout_s=3)
+    plan = plan_motion(strong_cell, motion, targets)
+    simulation = RobotSimulation(cell, motion, plan)
     if scale == 1.0:
-        for target in targets:
-            simulation.move(target)
+        for view, target in enumerate(targets):
+            simulation.move(view, target)
         return
     with pytest.raises(TargetRefusedError) as caught:
-        for target in targets:
-            simulation.move(target)
+        for view, target in enumerate(targets):
+            simulation.move(view, target)
     assert simulation.watch.torque_share.max() >= SATURATED
     assert caught.value.arms == ("source",)
     assert "cannot follow" in str(caught.value)
@@ -194,14 +206,59 @@ def test_half_the_torque_cannot_follow(
 
 @pytest.mark.slow
 def test_the_whole_path_of_the_paper(cell: CellModel, paper_targets: list[Target]) -> None:
-    plan = plan_motion(cell, Motion(), paper_targets)
-    simulation = RobotSimulation(cell, Motion(), plan.home)
+    plan = plan_motion(cell, AS_IN_THE_PAPER, paper_targets)
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     reached = []
-    for target in paper_targets:
-        reached.append(simulation.move(target))
+    for view, target in enumerate(paper_targets):
+        reached.append(simulation.move(view, target))
         assert simulation.watch.torque_share.max() < SATURATED  # MuJoCo clamps at 1
         assert simulation.watch.speed_share.max() <= 1
     assert min(r.clearance_mm for r in reached) >= 10
-    judge_rotations(reached, paper_targets)
-    # The largest is the trigger's, whatever the arms do; the detector's mean is 0.87 for 0.76 mm.
-    assert errors(reached, paper_targets, "source")[0].mean() <= 0.87
+    judge_as_table_1(reached, paper_targets)
+    assert reached[-1].time_s == pytest.approx(plan.exposures_s[-1], rel=0.03)
+
+
+def test_the_arms_follow_the_plan_and_nothing_else(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    """A plan that is bent between two views: the arms go that way too."""
+    bent = plan.state.copy()
+    first, last = plan.exposures_s[[2, 20]]
+    share = np.clip((plan.time_s - first) / (last - first), 0, 1)
+    # The last joint of the source arm turns its tool about the beam: the triggers fire as before.
+    bent[:, 0, 5] += BENT_RAD * np.sin(np.pi * share) ** 2
+    path = CubicSpline(plan.time_s, bent[:, 0])
+    bent[:, 1], bent[:, 2] = path(plan.time_s, 1), path(plan.time_s, 2)
+    followed = replace(plan, state=bent)
+    assert followed.digest != plan.digest
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, followed)
+    off, gone = [], []
+
+    def note(data: mujoco.MjData) -> None:
+        wanted = followed.at(np.array([data.time]))[0, 0]
+        off.append(np.abs(data.qpos - wanted).max())
+
+    for view, target in enumerate(targets[:21]):
+        simulation.move(view, target, note)
+        gone.append(simulation.joints[5] - plan.at(np.array([simulation.time_s]))[0, 0, 5])
+    assert max(gone) == pytest.approx(BENT_RAD, rel=0.1)
+    assert np.degrees(max(off)) < SERVO_ERROR_DEG
+
+
+def test_a_view_that_the_plan_passes_at_a_distance_is_missed_by_name(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    moved = replace(plan, state=plan.state + np.array([0.01, 0, 0])[:, None])
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, moved)
+    with pytest.raises(TargetRefusedError, match=r"view 0 was missed: source and detector are \d"):
+        simulation.move(0, targets[0])
+
+
+def test_a_state_of_another_plan_is_refused(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
+    state = simulation.move(0, targets[0]).state
+    other = replace(plan, time_s=2 * plan.time_s)
+    with pytest.raises(MotionError, match="of another plan"):
+        RobotSimulation(cell, AS_IN_THE_PAPER, other).restore(state)

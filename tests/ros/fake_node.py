@@ -27,7 +27,7 @@ class FakeRobots:
     def restore(self, state):
         self.moves = int(state[0])
 
-    def move(self, target):
+    def move(self, view, target):
         if target.source_m[0] > REFUSED_X_M or _told("short_arm"):
             raise MotionError("the source arm is too short", ["source"])
         _note("move", target.source_m)

@@ -1,5 +1,7 @@
 """What the link carries arrives to the last bit, in the form any ROS tool understands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -126,6 +128,25 @@ def test_what_is_no_state_is_refused(reached, spoil, reason):
 def test_what_are_no_joints_is_refused(reached, attributes, reason):
     with pytest.raises(MalformedError, match=reason):
         messages.checked_joints(spoilt(messages.joints_message(STAMP, reached), **attributes))
+
+
+def test_a_gantry_has_no_joints_and_no_clearance(reached):
+    bare = replace(reached, joint_names=(), clearance_mm=np.nan)
+    bare = replace(bare, **dict.fromkeys(("position", "velocity", "effort"), np.zeros(0)))
+    joints, state = messages.joints_message(STAMP, bare), messages.state_message(STAMP, bare)
+    messages.checked_joints(joints, arms=False), messages.checked_state(state, arms=False)
+    assert np.isnan(state.data[1])
+    with pytest.raises(MalformedError, match="not finite"):
+        messages.checked_state(state)
+    for index in (0, 2):
+        data = [np.inf if i == index else number for i, number in enumerate(state.data)]
+        broken = spoilt(messages.state_message(STAMP, bare), data=data)
+        with pytest.raises(MalformedError, match="not finite"):
+            messages.checked_state(broken, arms=False)
+    with pytest.raises(MalformedError, match="data has 0 numbers, expected 45"):
+        messages.checked_state(spoilt(state, data=[]), arms=False)
+    with pytest.raises(MalformedError, match="joints of a gantry"):
+        messages.checked_joints(messages.joints_message(STAMP, reached), arms=False)
 
 
 def test_camera_info_projects_like_the_geometry(random_geometry):

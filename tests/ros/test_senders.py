@@ -72,7 +72,7 @@ class Forger:
         stamp = self.epoch.at(view)
         robots = self.fakes.FakeRobots()
         robots.moves = 40
-        reached = robots.move(target)
+        reached = robots.move(view, target)
         forged = messages.state_message(stamp, reached)
         if state is not None:
             forged.data = state

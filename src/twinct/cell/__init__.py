@@ -6,13 +6,15 @@ MuJoCo is imported when a cell is built, not when this package is.
 from twinct.cell._mujoco import mujoco_module
 from twinct.cell.clearance import Clearance, Gap
 from twinct.cell.render import check_drawing, check_picture_size, render_cell
-from twinct.cell.scene import CellModel, build_cell
+from twinct.cell.scene import CellModel, GantryModel, build_cell, build_gantry
 
 __all__ = [
     "CellModel",
     "Clearance",
+    "GantryModel",
     "Gap",
     "build_cell",
+    "build_gantry",
     "check_drawing",
     "check_picture_size",
     "mujoco_module",

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from twinct.cell._mujoco import mujoco_module
-from twinct.cell.scene import LARGEST_PICTURE, CellModel
+from twinct.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
 from twinct.errors import InputError, StorageError
 
 _ADVICE = "leave MUJOCO_GL unset, which takes EGL and needs no display"
@@ -44,7 +44,7 @@ def check_picture_size(width: int, height: int) -> None:
 
 
 def render_cell(
-    cell_model: CellModel,
+    cell_model: CellModel | GantryModel,
     path_png: str | Path,
     joints: Sequence[float] | np.ndarray | None = None,
     width: int = 1600,
@@ -55,7 +55,7 @@ def render_cell(
     Args:
         cell_model: the room.
         path_png: where to write.
-        joints: joint positions, source arm first, rad; zeros where None.
+        joints: joint positions, source arm first, rad; zeros, or no arms, where None.
         width: pixels.
         height: pixels.
 
@@ -74,6 +74,8 @@ def render_cell(
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = (0.0, 0.0, -0.30)
     camera.distance, camera.azimuth, camera.elevation = 2.8, 125.0, -16.0
+    if isinstance(cell_model, GantryModel):
+        camera.lookat[:], camera.distance = model.stat.center, 1.6 * model.stat.extent
     option = mujoco.MjvOption()
     option.geomgroup[:] = (1, 1, 1, 0, 0, 0)
     option.sitegroup[:] = 0

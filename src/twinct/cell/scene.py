@@ -13,7 +13,7 @@ from twinct.cell._mujoco import mujoco_module
 from twinct.cell.arms import ArmModel, load_arm
 from twinct.errors import ScenarioError
 from twinct.geometry import MM_PER_M, Floats, Panel, Pose
-from twinct.scenario import Arm, Cell
+from twinct.scenario import Arm, Cell, DetectorArm, GantryCell, SourceArm
 
 if TYPE_CHECKING:
     import mujoco
@@ -34,6 +34,10 @@ PANEL_BORDER_MM = 10.0
 PANEL_DEPTH_MM = 24.0
 PANEL_COVER_MM = 4.0
 """Housing about the active area: a border all round, so deep, so much of it before the pixels."""
+
+
+TOOLS_MM = 200.0
+"""By how much the housings of source and panel make a gantry's picture larger."""
 
 LARGEST_PICTURE = (3840, 2400)
 """Pixels, width and height, for which MuJoCo sets memory aside."""
@@ -88,6 +92,17 @@ class CellModel:
         return self.model.body(self.model.geom_bodyid[geom]).name
 
 
+@dataclass(frozen=True, eq=False)
+class GantryModel:
+    """A compiled room without arms, in which nothing moves; its extent is source to panel.
+
+    Attributes:
+        model: MuJoCo's model, metres.
+    """
+
+    model: mujoco.MjModel
+
+
 def build_cell(
     cell: Cell, specimen_mesh: trimesh.Trimesh | None, world_from_specimen: Pose, panel: Panel
 ) -> CellModel:
@@ -104,13 +119,9 @@ def build_cell(
         MissingExtraError: MuJoCo, or Menagerie where it is asked for, is not installed.
         ScenarioError: an arm or a measure that cannot be built.
     """
-    room = files("twinct.cell").joinpath("room.xml").read_text(encoding="utf-8")
-    spec = mujoco_module().MjSpec.from_string(room)
+    spec = _room(cell.floor_z_mm)
     spec.option.timestep = cell.timestep_ms / 1000
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
-    floor = spec.worldbody.add_body(name="floor")
-    _box(floor, "floor", (0, 0, cell.floor_z_mm - 50), (40_000, 40_000, 100), "floor")
-    bottom_mm = _specimen(spec, cell, specimen_mesh, world_from_specimen)
+    bottom_mm = _specimen(spec, specimen_mesh, world_from_specimen)
     _table(spec, cell, world_from_specimen, bottom_mm)
     arms = []
     for side, arm in zip(ARMS, (cell.source_arm, cell.detector_arm), strict=True):
@@ -120,9 +131,55 @@ def build_cell(
         arms.append(loaded)
     names = _servos(spec, arms, cell)
     _exclude_adjacent(spec)
-    # Per joint: position, velocity and acceleration of the reference that the servos follow.
-    spec.nuserdata = 3 * len(names)
+    # Per joint: position, velocity and acceleration of the reference that the servos follow; then
+    # the mark of the plan that it comes from.
+    spec.nuserdata = 3 * len(names) + 1
     return _compiled(spec, cell, panel, arms, names)
+
+
+def build_gantry(
+    cell: GantryCell,
+    specimen_mesh: trimesh.Trimesh,
+    world_from_specimen: Pose,
+    panel: Panel,
+    world_from_source: Pose,
+    world_from_detector: Pose,
+) -> GantryModel:
+    """The room of a gantry at one view, for pictures: source and panel hang in the air.
+
+    Args:
+        cell: the floor.
+        specimen_mesh: surface in the specimen's frame, mm.
+        world_from_specimen: where the specimen stands.
+        panel: the pixel lattice; the housing follows its size.
+        world_from_source: where the source is.
+        world_from_detector: where the panel is.
+
+    Raises:
+        MissingExtraError: MuJoCo is not installed.
+    """
+    spec = _room(cell.floor_z_mm)
+    _specimen(spec, specimen_mesh, world_from_specimen)
+    for side, arm, tool, pose in (
+        ("source", SourceArm(), _source_tool, world_from_source),
+        ("detector", DetectorArm(), _panel_tool, world_from_detector),
+    ):
+        mount = pose @ Pose(np.array([0, 0, -arm.standoff_mm]), Pose.identity().quat)
+        position, quat = mount.to_metres()
+        tool(spec.worldbody.add_body(name=side, pos=position, quat=np.roll(quat, 1)), arm, panel)
+    spec.stat.center = (world_from_source.position + world_from_detector.position) / 2 * MM
+    spec.stat.extent = (world_from_source.distance_mm(world_from_detector) + TOOLS_MM) * MM
+    return GantryModel(spec.compile())
+
+
+def _room(floor_z_mm: float) -> mujoco.MjSpec:
+    """Floor and lights, and all materials."""
+    room = files("twinct.cell").joinpath("room.xml").read_text(encoding="utf-8")
+    spec = mujoco_module().MjSpec.from_string(room)
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
+    floor = spec.worldbody.add_body(name="floor")
+    _box(floor, "floor", (0, 0, floor_z_mm - 50), (40_000, 40_000, 100), "floor")
+    return spec
 
 
 def _box(parent: Any, name: str, centre_mm: Any, size_mm: Any, material: str, **more: Any) -> None:
@@ -140,7 +197,7 @@ def _rod(
 
 
 def _specimen(
-    spec: mujoco.MjSpec, cell: Cell, mesh: trimesh.Trimesh | None, world_from_specimen: Pose
+    spec: mujoco.MjSpec, mesh: trimesh.Trimesh | None, world_from_specimen: Pose
 ) -> float | None:
     """Add the body; returns the height of its lowest point in the world, mm."""
     mujoco = mujoco_module()

@@ -108,15 +108,15 @@ def render(
     height: int = 1000,
     set_: Overrides = (),
 ) -> None:
-    """Picture of the operating room, with the arms at one view.
+    """Picture of the operating room at one view.
 
     Args:
         out: File to write.
-        view: Which view the arms shall be at.
+        view: Which view source and panel shall be at.
         width: Width of the picture in pixels.
         height: Height of the picture in pixels.
     """
-    from twinct.cell import check_drawing, check_picture_size, render_cell
+    from twinct.cell import check_drawing, check_picture_size
     from twinct.errors import InputError
     from twinct.extras import require
     from twinct.files.writing import check_picture, storage_errors
@@ -133,7 +133,7 @@ def render(
         raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
     with named_places(scenario, set_), storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        render_cell(workshop.room, out, workshop.plan.joints[view], width=width, height=height)
+        workshop.draw(out, view, width, height)
     Console().print(f"wrote {out}", highlight=False)
 
 
@@ -160,7 +160,8 @@ def node(
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
-    require("robots" if which == "robots" else "xray")
+    if which == "xray" or loaded.cell.kind == "arms":
+        require("robots" if which == "robots" else "xray")
     with named_places(scenario, set_):
         if which == "xray":
             check_physics(Workshop(loaded))

@@ -1,358 +1,284 @@
-"""Planning: joint configurations for every view before anything moves.
+"""The plan: where the joints are when, and which view is exposed at which waypoint.
 
-Each arm reaches a pose in several ways (elbow up or down, wrist turned over). All ways that seeded
-restarts find in the middle of the path are followed to both ends; the pair that reaches every view
-with the largest clearance is taken.
+It is made before anything moves and is what the servos follow. Between waypoints the joints go as
+the polynomial of fifth degree does that meets position, velocity and acceleration at both, which is
+how a ``trajectory_msgs/JointTrajectory`` is meant.
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly
 
 from twinct.cell import CellModel, Clearance, Gap
 from twinct.errors import TrajectoryError
-from twinct.geometry import MM_PER_M, Floats, Pose
-from twinct.motion.kinematics import Kinematics, mujoco
+from twinct.files.writing import complete
+from twinct.geometry import Floats
+from twinct.motion.follow import branch_way, gaps_along, readable
+from twinct.motion.timing import FINE_S, Law, TimeLaw
+from twinct.motion.way import Way, find_way, kept_mm
 from twinct.scenario import Motion
 from twinct.views import Target
 
-RESTARTS = 60
-"""Random starts in one view; two UR10e have shown all their ways by 40."""
+WAYPOINT_S = 0.02
+"""Between waypoints; each view has one of its own besides."""
 
-BRANCHES = 16
-"""Ways of one arm that are followed at most."""
+KNOT_RAD = 0.1
+"""The spline through a way is held to its straight stretches at least this often."""
 
-SAME_RAD = 0.05
-"""Configurations closer than this in every joint are the same way."""
+FINER = 4
+"""Times that it is held to them twice as often where it leaves them too far."""
 
-FLIP_RAD = 0.35
-"""A joint step this large, for one small step of the tools, is a flip and no motion."""
-
-CHECK_MM = 4.0
-"""Between views, clearance is looked at whenever a point may have moved this far."""
-
-WITHDRAWN_MM = (40.0, 20.0, 10.0, 5.0)
-"""How far home may lie off the first view, outwards along the beam."""
-
-SIDES = ("source", "detector")
+WATCH_S = 0.004
+"""Step at which the clearance of a plan is watched."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionPlan:
-    """A continuous, collision-free joint path through all views.
+    """Joints over time, from rest to rest, through all views.
 
     Attributes:
-        home: configuration just off the first view, at rest, rad, (n,).
-        joints: configuration of each view, rad, (views, n).
-        clearance_mm: smallest gap of non-adjacent bodies at each view and on the way, (views,).
+        joint_names: prefixed ``source_`` and ``detector_``, source first.
+        time_s: of each waypoint, from 0, rising, (waypoints,).
+        state: position, velocity and acceleration, rad and s, (waypoints, 3, n).
+        views: the view exposed at each waypoint, -1 for none, (waypoints,).
+        targets: commanded poses of each view.
+        clearance_mm: smallest gap between non-adjacent bodies on the way to each view, (views,).
         nearest: names of the two bodies of each of these gaps, (views,).
     """
 
-    home: Floats
-    joints: Floats
+    joint_names: tuple[str, ...]
+    time_s: Floats
+    state: Floats
+    views: NDArray[np.intp]
+    targets: tuple[Target, ...]
     clearance_mm: Floats
     nearest: tuple[tuple[str, str], ...]
 
+    @property
+    def home(self) -> Floats:
+        """Where the arms start, at rest, rad, (n,)."""
+        return self.state[0, 0]
 
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """One arm's path on one branch: joints (views, k), what is left (views,), flips (views,)."""
-
-    joints: Floats
-    position_mm: Floats
-    rotation_deg: Floats
-    solved: np.ndarray
-    flips: np.ndarray
+    @cached_property
+    def waypoints(self) -> NDArray[np.intp]:
+        """The waypoint of each view, (views,)."""
+        return np.argsort(self.views, kind="stable")[-len(self.targets) :]
 
     @property
-    def good(self) -> bool:
-        return bool(self.solved.all() and not self.flips.any())
+    def joints(self) -> Floats:
+        """Configuration of each view, rad, (views, n)."""
+        return self.state[self.waypoints, 0]
 
     @property
-    def badness(self) -> tuple[int, float]:
-        return int((~self.solved).sum() + self.flips.sum()), float(self.position_mm.max())
+    def exposures_s(self) -> Floats:
+        """When each view is exposed, (views,)."""
+        return self.time_s[self.waypoints]
+
+    @property
+    def duration_s(self) -> float:
+        """From rest to rest."""
+        return float(self.time_s[-1])
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of what the arms do, in hexadecimal."""
+        told = hashlib.sha256(repr((self.joint_names, self.targets)).encode())
+        for array in (self.time_s, self.state, self.views.astype(np.int64)):
+            told.update(array.tobytes())
+        return told.hexdigest()
+
+    @cached_property
+    def _polynomials(self) -> tuple[BPoly, BPoly, BPoly]:
+        path = BPoly.from_derivatives(self.time_s, self.state)
+        return path, path.derivative(), path.derivative(2)
+
+    def at(self, time_s: Floats) -> Floats:
+        """Position, velocity and acceleration; at rest before and after the waypoints.
+
+        Args:
+            time_s: (times,).
+
+        Returns:
+            (times, 3, n).
+        """
+        inside = np.clip(time_s, 0.0, self.duration_s)
+        found = np.stack([derivative(inside) for derivative in self._polynomials], axis=1)
+        found[inside != time_s, 1:] = 0.0
+        return found
+
+    def save(self, path: Path) -> None:
+        """Write a file that ``load_plan`` reads.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        with complete(path) as draft, draft.open("wb") as stream:
+            np.savez_compressed(
+                stream,
+                joint_names=np.array(self.joint_names),
+                time_s=self.time_s,
+                state=self.state,
+                views=self.views,
+                targets=np.array([(t.source_m, t.detector_m) for t in self.targets]),
+            )
 
 
-def plan_motion(cell_model: CellModel, motion: Motion, targets: Sequence[Target]) -> MotionPlan:
-    """Find a joint path through all targets.
-
-    Args:
-        cell_model: the room.
-        motion: tolerances and the clearance asked for.
-        targets: one for each view, in order.
-
-    Raises:
-        TrajectoryError: views out of reach, in collision, or without a continuous path to them;
-            every problem names views, arm, reason and how far off.
-        MissingExtraError: mink is not installed.
-    """
-    targets = list(targets)
-    kinematics = Kinematics(cell_model, motion.ik)
-    ways = _ways(cell_model, kinematics, targets)
-    problems = []
-    for side, found in zip(SIDES, ways, strict=True):
-        if not any(way.good for way in found):
-            problems += _reach_problems(side, min(found, key=lambda way: way.badness))
-    if problems:
-        raise TrajectoryError(problems)
-    pair = _clearest(cell_model, [[w for w in found if w.good] for found in ways])
-    joints = np.hstack([way.joints for way in pair])
-    gaps = _gaps_along(cell_model, joints)
-    if problems := _gap_problems(gaps, motion.clearance_mm):
-        raise TrajectoryError(problems)
-    home = _home(cell_model, kinematics, motion, targets[0], joints[0])
-    nearest = tuple((readable(gap.bodies[0]), readable(gap.bodies[1])) for gap in gaps)
-    return MotionPlan(home, joints, np.array([gap.distance_mm for gap in gaps]), nearest)
-
-
-def _ways(
-    cell: CellModel, kinematics: Kinematics, targets: list[Target]
-) -> tuple[list[_Way], list[_Way]]:
-    """Both arms' paths on every branch found, the arms solved together."""
-    middle, starts = _start_view(cell, kinematics, targets)
-    ways: tuple[list[_Way], list[_Way]] = ([], [])
-    for k in range(max(len(found) for found in starts)):
-        start = np.hstack([found[min(k, len(found) - 1)] for found in starts])
-        traced = _trace(cell, kinematics, targets, middle, start)
-        for arm in range(2):
-            if k < len(starts[arm]):
-                ways[arm].append(traced[arm])
-    return ways
-
-
-def _start_view(
-    cell: CellModel, kinematics: Kinematics, targets: list[Target]
-) -> tuple[int, list[list[Floats]]]:
-    """A view that both arms reach, the middle one where possible, and their ways to reach it."""
-    last = len(targets) - 1
-    found = None
-    for view in dict.fromkeys((len(targets) // 2, 0, last, last // 4, 3 * last // 4)):
-        starts, reached = _starts(cell, kinematics, targets[view])
-        if found is None or reached > found[2]:
-            found = (view, starts, reached)
-        if reached == 2:
-            break
-    assert found is not None
-    return found[:2]
-
-
-def _starts(
-    cell: CellModel, kinematics: Kinematics, target: Target
-) -> tuple[list[list[Floats]], int]:
-    """Each arm's ways to reach a target, else its nearest miss; and how many arms reach it."""
-    rng = np.random.default_rng(0)
-    low = np.maximum(cell.joint_ranges[:, 0], -np.pi)
-    high = np.minimum(cell.joint_ranges[:, 1], np.pi)
-    found: list[list[Floats]] = [[], []]
-    nearest: list[tuple[float, Floats]] = [(np.inf, np.zeros(0))] * 2
-    for k in range(RESTARTS):
-        start = rng.uniform(low, high)
-        for joints, home in zip(cell.arm_joints, cell.homes, strict=True):
-            if k == 0 and home is not None:
-                start[joints] = home
-        result = kinematics.solve(start, target)
-        for arm, joints in enumerate(cell.arm_joints):
-            q = _wrapped(result.joints[joints], cell.joint_ranges[joints])
-            if result.position_mm[arm] < nearest[arm][0]:
-                nearest[arm] = (float(result.position_mm[arm]), q)
-            known = any(np.abs(q - other).max() < SAME_RAD for other in found[arm])
-            if result.solved[arm] and not known and len(found[arm]) < BRANCHES:
-                found[arm].append(q)
-    starts = [ways or [nearest[arm][1]] for arm, ways in enumerate(found)]
-    return starts, sum(bool(ways) for ways in found)
-
-
-def _wrapped(joints: Floats, ranges: Floats) -> Floats:
-    """The same pose with full turns taken out, where the range has room for it."""
-    wrapped = (joints + np.pi) % (2 * np.pi) - np.pi
-    return np.where((wrapped >= ranges[:, 0]) & (wrapped <= ranges[:, 1]), wrapped, joints)
-
-
-def _trace(
-    cell: CellModel, kinematics: Kinematics, targets: list[Target], middle: int, start: Floats
-) -> list[_Way]:
-    views = len(targets)
-    joints = np.zeros((views, len(start)))
-    position, rotation = np.zeros((views, 2)), np.zeros((views, 2))
-    solved, flips = np.zeros((views, 2), bool), np.zeros((views, 2), bool)
-    for order in (range(middle, views), range(middle - 1, -1, -1)):
-        q = start if order.step > 0 else joints[middle]
-        for view in order:
-            result, largest = kinematics.follow(q, targets[view])
-            if view != middle:
-                for arm, part in enumerate(cell.arm_joints):
-                    flips[view, arm] = largest[part].max() > FLIP_RAD
-            joints[view] = result.joints
-            # An arm goes on from where it was last right, not from where it got stuck.
-            q = q.copy()
-            for arm, part in enumerate(cell.arm_joints):
-                if result.solved[arm]:
-                    q[part] = result.joints[part]
-            position[view], rotation[view] = result.position_mm, result.rotation_deg
-            solved[view] = result.solved
-    joints = _centred(joints, cell.joint_ranges)
-    return [
-        _Way(joints[:, part], position[:, a], rotation[:, a], solved[:, a], flips[:, a])
-        for a, part in enumerate(cell.arm_joints)
-    ]
-
-
-def _centred(joints: Floats, ranges: Floats) -> Floats:
-    """The same path, shifted by full turns to where it stays furthest from the joints' limits."""
-    turns = 2 * np.pi * np.arange(-2, 3)[:, None]
-    margin = np.minimum(
-        joints.min(axis=0) + turns - ranges[:, 0], ranges[:, 1] - joints.max(axis=0) - turns
-    )
-    # The smallest shift among equals; whole turns of a path in the middle of its range are none.
-    best = np.argmax(np.round(margin, 6) - 1e-9 * np.abs(turns), axis=0)
-    return joints + turns[best, 0]
-
-
-def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
-    """The pair of paths with the largest clearance, judged on up to 40 views."""
-    views = len(ways[0][0].joints)
-    sample = np.unique(np.linspace(0, views - 1, min(views, 40)).astype(int))
-    data = mujoco.MjData(cell.model)
-
-    def smallest_gap(clearance: Clearance, part: slice, joints: Floats, enough: float) -> float:
-        """Over the sample; looks no further once it is below ``enough``."""
-        smallest = np.inf
-        for view in sample:
-            data.qpos[part] = joints[view]
-            mujoco.mj_kinematics(cell.model, data)
-            smallest = min(smallest, clearance.at(data).distance_mm)
-            if smallest < enough:
-                break
-        return smallest
-
-    alone = []
-    for side, part, found in zip(SIDES, cell.arm_joints, ways, strict=True):
-        clearance = Clearance(cell, (side,))
-        alone.append([smallest_gap(clearance, part, way.joints, -np.inf) for way in found])
-    pairs = [
-        (min(a, b), one, other)
-        for a, one in zip(alone[0], ways[0], strict=True)
-        for b, other in zip(alone[1], ways[1], strict=True)
-    ]
-    pairs.sort(key=lambda pair: -pair[0])
-    clearance = Clearance(cell)
-    best, best_score = pairs[0][1:], (-np.inf, -np.inf)
-    for bound, *pair in pairs:
-        if bound < best_score[0]:
-            break
-        joints = np.hstack([way.joints for way in pair])
-        smallest = smallest_gap(clearance, slice(None), joints, best_score[0])
-        # Equal clearance (a wrist's own, say): the path with less joint motion.
-        travel = sum(np.abs(np.diff(way.joints, axis=0)).sum() for way in pair)
-        if (smallest, -travel) > best_score:
-            best, best_score = pair, (smallest, -travel)
-    return best[0], best[1]
-
-
-def _gaps_along(cell: CellModel, joints: Floats) -> list[Gap]:
-    """Smallest gap at each view and on the straight joint path to it from the view before."""
-    clearance = Clearance(cell)
-    scratch = mujoco.MjData(cell.model)
-    return [
-        clearance.over(straight_path(cell, scratch, joints[max(view - 1, 0)], end))
-        for view, end in enumerate(joints)
-    ]
-
-
-def straight_path(cell: CellModel, data: mujoco.MjData, start: Floats, end: Floats) -> Floats:
-    """Configurations from ``end`` back towards ``start``, no geom further on than CHECK_MM.
-
-    The start is left out: it is where the arms are, or the end of the path before.
+def plan_motion(
+    cell: CellModel,
+    motion: Motion,
+    targets: Sequence[Target],
+    *,
+    roll_free: tuple[bool, bool] = (False, False),
+    exposure_s: float = 0.0,
+) -> MotionPlan:
+    """Find a way through all targets and the times on it.
 
     Args:
         cell: the room.
-        data: scratch.
-        start: joint positions, rad, (n,); ``end`` likewise.
-        end: of the first row of the result, (steps, n).
+        motion: scheme, tolerances, limits, and the clearance asked for.
+        targets: one for each view.
+        roll_free: whether source and panel may be turned about their own axis.
+        exposure_s: that views taken at rest last.
+
+    Raises:
+        TrajectoryError: views out of reach, in collision, or without a way to them; every problem
+            names views, arm, reason and how far off.
+        MissingExtraError: mink or OMPL is not installed.
     """
-    places = []
-    for joints in (start, end):
-        data.qpos[:] = joints
-        mujoco.mj_kinematics(cell.model, data)
-        places.append(data.geom_xpos.copy())
-    moved_mm = float(np.linalg.norm(places[1] - places[0], axis=1).max()) * MM_PER_M
-    steps = max(1, int(np.ceil(moved_mm / CHECK_MM)))
-    share = np.arange(steps, 0, -1)[:, None] / steps
-    return start + share * (end - start)
+    if motion.scheme == "reactive":
+        return _unhurried(cell, branch_way(cell, motion, targets))
+    way = find_way(cell, motion, targets, roll_free=roll_free)
+    return timed(cell, motion, way, exposure_s)
 
 
-def _home(
-    cell: CellModel, kinematics: Kinematics, motion: Motion, first: Target, joints: Floats
-) -> Floats:
-    """A configuration off the path, so that the first view too is entered in motion.
+def _unhurried(cell: CellModel, way: Way) -> MotionPlan:
+    """A second from knot to knot, at rest in each: reactive arms are checked by it, none follow."""
+    state = np.zeros((len(way.joints), 3, way.joints.shape[1]))
+    state[:, 0] = way.joints
+    time_s = np.arange(len(state), dtype=np.float64)
+    plan = MotionPlan(cell.joint_names, time_s, state, way.views, way.targets, np.zeros(0), ())
+    return _with_gaps(plan, gaps_along(cell, plan.joints))
 
-    Both tools drawn back from the isocentre along the beam, as far as reach and clearance allow.
+
+def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) -> MotionPlan:
+    """The plan that follows a way.
+
+    Views are numbered in the order in which the way comes by them.
+
+    Raises:
+        TrajectoryError: the arms cannot follow it within their limits and the clearance.
     """
-    clearance, scratch = Clearance(cell), mujoco.MjData(cell.model)
-    source, detector = first.source, first.detector
-    outwards = source.position - detector.position
-    outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
-    for distance in WITHDRAWN_MM:
-        for sign in (1.0, -1.0):  # outwards; else inwards, for an arm at the end of its reach
-            step = sign * distance * outwards
-            drawn = Pose(source.position + step, source.quat)
-            target = Target.from_poses(drawn, Pose(detector.position - step, detector.quat))
-            result, largest = kinematics.follow(joints, target)
-            if not result.solved.all() or largest.max() > FLIP_RAD:
-                continue
-            gap = clearance.over(straight_path(cell, scratch, joints, result.joints))
-            if gap.distance_mm >= motion.clearance_mm:
-                return result.joints
-    raise TrajectoryError(
-        f"view 0: no place to start from: neither {WITHDRAWN_MM[-1]:g} mm outwards nor inwards can "
-        f"be reached with a clearance of {motion.clearance_mm:g} mm"
+    law = TimeLaw(cell, motion)
+    # The view that each stretch of the way leads to.
+    leads_to = np.cumsum(way.views >= 0)[:-1]
+    spacing = np.full(len(leads_to), KNOT_RAD)
+    problems: dict[int, str] = {}
+    for _ in range(FINER):
+        plan = _compose(cell, motion, way, _laws(law, motion, way, spacing), exposure_s)
+        problems = _too_close(plan, kept_mm(motion))
+        if not problems:
+            return plan
+        spacing[np.isin(leads_to, list(problems))] /= 2
+    raise TrajectoryError(problems.values())
+
+
+def _laws(law: TimeLaw, motion: Motion, way: Way, spacing: Floats) -> list[tuple[Law, list[int]]]:
+    """The law of each stretch from rest to rest, and its knots that are the way's own."""
+    stops = {0, len(way.joints) - 1}
+    if motion.trigger == "settled":
+        stops |= set(np.flatnonzero(way.views >= 0).tolist())
+    found = []
+    ordered = sorted(stops)
+    for first, last in zip(ordered[:-1], ordered[1:], strict=True):
+        knots, own = [way.joints[first]], [0]
+        for k in range(first, last):
+            step = way.joints[k + 1] - way.joints[k]
+            parts = max(1, math.ceil(np.abs(step).max() / spacing[k]))
+            knots += [way.joints[k] + share / parts * step for share in range(1, parts + 1)]
+            own.append(len(knots) - 1)
+        found.append((law.through(np.array(knots)), own))
+    return found
+
+
+def _compose(
+    cell: CellModel,
+    motion: Motion,
+    way: Way,
+    laws: list[tuple[Law, list[int]]],
+    exposure_s: float,
+) -> MotionPlan:
+    """One plan of the laws of its stretches, with a rest after each where views settle."""
+    times, states, knots_s = [], [], [0.0]
+    start = 0.0
+    every = round(WAYPOINT_S / FINE_S)
+    for law, own in laws:
+        kept = np.unique(np.append(np.arange(0, len(law.time_s), every), len(law.time_s) - 1))
+        times.append(start + law.time_s[kept])
+        states.append(law.state[kept])
+        knots_s += (start + law.knots_s[own[1:]]).tolist()
+        start = times[-1][-1]
+        if motion.trigger == "settled":
+            knots_s[-1] = start + motion.settle_s
+            start += motion.settle_s + exposure_s + FINE_S
+    exposed = way.views >= 0
+    order, views_s = way.views[exposed], np.array(knots_s)[exposed]
+    draft = MotionPlan(
+        cell.joint_names,
+        np.concatenate(times),
+        np.concatenate(states),
+        np.zeros(0, np.intp),
+        tuple(way.targets[view] for view in order),
+        np.zeros(0),
+        (),
+    )
+    views_s = _whole_nanoseconds(views_s)
+    time_s = np.union1d(_whole_nanoseconds(draft.time_s), views_s)
+    views = np.full(len(time_s), -1)
+    views[np.searchsorted(time_s, views_s)] = np.arange(len(order))
+    plan = replace(draft, time_s=time_s, state=draft.at(time_s), views=views)
+    return _with_gaps(plan, _gaps(cell, plan))
+
+
+def _with_gaps(plan: MotionPlan, gaps: list[Gap]) -> MotionPlan:
+    return replace(
+        plan,
+        clearance_mm=np.array([gap.distance_mm for gap in gaps]),
+        nearest=tuple((readable(gap.bodies[0]), readable(gap.bodies[1])) for gap in gaps),
     )
 
 
-def _reach_problems(side: str, way: _Way) -> list[str]:
-    problems = []
-    for first, last in _runs(~way.solved):
-        views = slice(first, last + 1)
-        far, turned = way.position_mm[views].max(), way.rotation_deg[views].max()
-        worst = f"up to {far:.1f} mm" if last > first else f"{far:.1f} mm"
-        tail = f" and {turned:.1f} deg" if turned > 1 else ""
-        problems.append(f"{_named(first, last)}: {side} arm: out of reach by {worst}{tail}")
-    for first, last in _runs(way.flips & way.solved):
-        problems.append(
-            f"{_named(first, last)}: {side} arm: no continuous path from the neighbouring view; a "
-            f"joint would jump by more than {np.degrees(FLIP_RAD):.0f} deg"
-        )
-    return problems
+def _whole_nanoseconds(time_s: Floats) -> Floats:
+    """What a message can carry."""
+    return np.rint(time_s * 1e9) / 1e9
 
 
-def _gap_problems(gaps: list[Gap], asked_mm: float) -> list[str]:
-    problems = []
-    bad = np.array([gap.distance_mm < asked_mm for gap in gaps])
-    for bodies in sorted({gap.bodies for gap in gaps if gap.distance_mm < asked_mm}):
-        for first, last in _runs(bad & [gap.bodies == bodies for gap in gaps]):
-            smallest = min(gap.distance_mm for gap in gaps[first : last + 1])
-            pair = f"{readable(bodies[0])} and {readable(bodies[1])}"
-            if smallest < 0:
-                what = f"overlap by {-smallest:.1f} mm"
-            else:
-                what = f"come within {smallest:.1f} mm, {asked_mm:g} mm are asked"
-            problems.append(f"{_named(first, last)}: {pair} {what}")
-    return problems
+def _gaps(cell: CellModel, plan: MotionPlan) -> list[Gap]:
+    """The smallest gap on the way to each view, what comes after the last one included there."""
+    clearance = Clearance(cell)
+    ends = plan.exposures_s.copy()
+    ends[-1] = plan.duration_s
+    starts = np.concatenate([[0.0], ends[:-1]])
+    steps = np.maximum(np.ceil((ends - starts) / WATCH_S).astype(int), 1)
+    return [
+        clearance.over(plan.at(np.linspace(start, end, count + 1))[:, 0])
+        for start, end, count in zip(starts, ends, steps, strict=True)
+    ]
 
 
-def readable(body: str) -> str:
-    """A body's name as messages call it."""
-    return {"source": "source", "detector": "detector_panel"}.get(body, body)
-
-
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """First and last index of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _named(first: int, last: int) -> str:
-    return f"view {first}" if first == last else f"views {first} to {last}"
+def _too_close(plan: MotionPlan, room: float) -> dict[int, str]:
+    """What is wrong with the way to which view."""
+    return {
+        view: f"view {view}: on the way there {' and '.join(plan.nearest[view])} come within "
+        f"{gap:.1f} mm, {room:g} mm are asked"
+        for view, gap in enumerate(plan.clearance_mm.tolist())
+        if gap < room
+    }

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from twinct.cell import CellModel, Clearance
-from twinct.errors import MotionError, TargetRefusedError
+from twinct.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
+from twinct.motion.follow import FLIP_RAD, SIDES, readable, straight_path
 from twinct.motion.kinematics import Kinematics, mujoco, site_pose
-from twinct.motion.plan import FLIP_RAD, SIDES, readable, straight_path
+from twinct.motion.plan import MotionPlan, timed
 from twinct.motion.reference import Reference
 from twinct.motion.shutter import Shutter
+from twinct.motion.way import find_way
 from twinct.scenario import Motion
 from twinct.views import Instant, Reached, Target, to_seven
 
@@ -25,6 +28,9 @@ The rest is room for the solver's tolerance and the servos' lag.
 
 BREAKAWAY_RAD_S = 0.002
 """Speed from which a joint's dry friction is compensated in full."""
+
+STANDING = 1e-9
+"""Speed and acceleration, rad and s, below which the reference stands still but for rounding."""
 
 SATURATED = 0.999
 """Share of its torque limit from which a joint counts as at the limit."""
@@ -46,25 +52,31 @@ class StepWatch:
 
 
 class RobotSimulation:
-    """Both arms, stepped by MuJoCo from target to target.
+    """Both arms, stepped by MuJoCo along a plan, or from target to target.
 
     The state is MuJoCo's alone: the reference position, velocity and acceleration of the servos are
-    kept in ``mjData.userdata``, so ``mjSTATE_INTEGRATION`` is all there is, and what follows is a
-    function of it and of the targets.
+    kept in ``mjData.userdata`` with a mark of the plan, whose time is MuJoCo's, so
+    ``mjSTATE_INTEGRATION`` is all there is, and what follows is a function of it, of the plan and
+    of the targets.
 
     Attributes:
         watch: torques, speeds and contacts over every step of the last move.
     """
 
     def __init__(
-        self, cell_model: CellModel, motion: Motion, home: Floats, shutter: Shutter | None = None
+        self,
+        cell_model: CellModel,
+        motion: Motion,
+        plan: MotionPlan | None,
+        shutter: Shutter | None = None,
     ) -> None:
-        """Start at rest.
+        """Start at rest in a plan's home.
 
         Args:
             cell_model: the room.
-            motion: trigger, tolerances, limits of the joint path.
-            home: joint positions, rad, (n,), source arm first.
+            motion: scheme, trigger, tolerances, limits of the joint path.
+            plan: what is followed; with ``motion.scheme: reactive`` its home alone counts. None
+                waits for ``follow``.
             shutter: how long an image takes; none: no time.
 
         Raises:
@@ -72,6 +84,7 @@ class RobotSimulation:
         """
         self._cell, self._motion, self._model = cell_model, motion, cell_model.model
         self._shutter = shutter or Shutter()
+        self._open_steps = self._shutter.steps(self._model.opt.timestep)
         self._taken = False
         self._data = mujoco.MjData(self._model)
         self._kinematics = Kinematics(cell_model, motion.ik)
@@ -84,11 +97,29 @@ class RobotSimulation:
         self._drag = self._model.dof_damping - self._model.actuator_biasprm[: self._n, 2]
         self._dry_friction = self._model.dof_frictionloss
         self._jacobian = np.zeros((3, self._model.nv))
+        self._feedforward = np.zeros(self._model.nv)
         self.watch = self._new_watch()
-        home = np.asarray(home, dtype=np.float64)
-        if home.shape != (self._n,):
-            raise MotionError(f"home has shape {home.shape}, the cell has {self._n} joints")
-        self._data.qpos[:] = self._data.ctrl[:] = self._data.userdata[: self._n] = home
+        self._plan: MotionPlan | None = None
+        self._begun_s = 0.0
+        if plan is not None:
+            self.follow(plan)
+
+    def follow(self, plan: MotionPlan) -> None:
+        """Stand at rest in a plan's home, to follow it from its beginning.
+
+        Raises:
+            MotionError: it is of another cell.
+        """
+        if plan.joint_names != self._cell.joint_names:
+            raise MotionError(
+                f"the plan is of another cell: it moves {', '.join(plan.joint_names)}, this cell "
+                f"has {', '.join(self._cell.joint_names)}"
+            )
+        self._plan, self._begun_s = plan, 0.0
+        self._mark = 0.0 if self._motion.scheme == "reactive" else float(int(plan.digest[:12], 16))
+        mujoco.mj_resetData(self._model, self._data)
+        self._data.qpos[:] = self._data.userdata[: self._n] = self._data.ctrl[:] = plan.home
+        self._data.userdata[-1] = self._mark
         mujoco.mj_forward(self._model, self._data)
 
     @property
@@ -114,7 +145,7 @@ class RobotSimulation:
         """Go back exactly to ``Reached.state``.
 
         Raises:
-            MotionError: the state is of another cell.
+            MotionError: the state is of another cell or of another plan.
         """
         size = mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_INTEGRATION)
         state = np.asarray(state, dtype=np.float64)
@@ -123,17 +154,69 @@ class RobotSimulation:
                 f"a state of shape {state.shape} is not of this cell, whose states have ({size},)"
             )
         mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        if self._data.userdata[-1] != self._mark:
+            raise MotionError("this state is of another plan than the one that is followed")
         mujoco.mj_step1(self._model, self._data)
         self._taken = True
 
-    def move(self, target: Target) -> Reached:
-        """Solve the target from the joints as they are, and move there.
+    def move(
+        self,
+        view: int | None,
+        target: Target,
+        on_step: Callable[[mujoco.MjData], None] | None = None,
+    ) -> Reached:
+        """Go on along the plan until the trigger of a view fires.
+
+        With ``motion.scheme: reactive`` the target is solved from the joints as they are. To a
+        target of no plan one is made from where the arms come to rest.
+
+        Args:
+            view: its number in the plan; None for a target that is in none.
+            target: the poses that the trigger compares with.
+            on_step: called at every step, with kinematics up to date.
 
         Raises:
-            TargetRefusedError: out of reach, would collide, or the arms could not follow. The first
-                two leave the simulation as it was.
+            TargetRefusedError: out of reach, would collide, missed, or the arms could not follow.
+                The first two leave the simulation as it was.
         """
-        return self.drive(self.solve(target), target)
+        if self._motion.scheme == "reactive":
+            return self.drive(self.solve(target), target, on_step)
+        if view is None:
+            view = self._plan_to(target)
+        plan = self._plan
+        if plan is None:
+            raise MotionError("there is no plan to follow")
+        if target != plan.targets[view]:
+            raise TargetRefusedError(f"view {view}: this target is not the one of the plan")
+        timestep = self._model.opt.timestep
+        taken = round((self.time_s - self._begun_s) / timestep)
+        exposures_s = plan.exposures_s
+        if view + 1 < len(exposures_s):
+            armed_to_s = (exposures_s[view] + exposures_s[view + 1]) / 2
+        else:
+            armed_to_s = plan.duration_s + self._motion.timeout_s
+        steps = max(0, math.floor(armed_to_s / timestep) - taken)
+        rows = plan.at((taken + np.arange(1, steps + self._open_steps + 2)) * timestep)
+        return self._run(rows.__getitem__, steps, target, f"view {view} was missed", on_step)
+
+    def _plan_to(self, target: Target) -> int:
+        """Come to rest and plan from there to a target: view 0 of what is followed then."""
+        timestep = self._model.opt.timestep
+        if self._plan is not None:
+            left = self._begun_s + self._plan.duration_s - self.time_s
+            times = np.arange(1, max(0, math.ceil(left / timestep)) + 1) * timestep
+            for row in self._plan.at(self.time_s - self._begun_s + times):
+                self._step(row)
+        here = self._data.userdata[: self._n].copy()
+        try:
+            plan = timed(
+                self._cell, self._motion, find_way(self._cell, self._motion, [target], start=here)
+            )
+        except TrajectoryError as error:
+            arms = [side for side in SIDES if f"{side} arm" in str(error)]
+            raise TargetRefusedError(str(error), arms) from None
+        self._plan, self._begun_s = plan, self.time_s
+        return 0
 
     def solve(self, target: Target) -> Floats:
         """Joint positions for a target, checked for reach and for collisions on the way.
@@ -182,22 +265,32 @@ class RobotSimulation:
         Raises:
             TargetRefusedError: the arms did not arrive within ``motion.timeout_s``.
         """
+        n, timestep = self._n, self._model.opt.timestep
+        path = self._reference.towards(self._data.userdata[: 3 * n].reshape(3, n), goal)
+        steps = round(self._motion.timeout_s / timestep)
+        what = f"cannot follow: after {self._motion.timeout_s:g} s of simulated time"
+        return self._run(lambda k: path.at((k + 1) * timestep), steps, target, what, on_step)
+
+    def _run(
+        self,
+        reference: Callable[[int], Floats],
+        steps: int,
+        target: Target,
+        what: str,
+        on_step: Callable[[mujoco.MjData], None] | None,
+    ) -> Reached:
+        """Follow a reference until the trigger fires, for so many steps at most."""
         model, data, motion, n = self._model, self._data, self._motion, self._n
-        memory = data.userdata
-        path = self._reference.towards(memory[: 3 * n].reshape(3, n), goal)
         wanted = np.array([target.source_m[:3], target.detector_m[:3]])
         # Views of MuJoCo's memory: looking them up at every step costs as much as the step.
         spots = [data.site_xpos[site] for site in self._cell.site_ids]
-        joints, speeds, torques, control = data.qpos, data.qvel, data.qfrc_actuator, data.ctrl
+        joints, speeds, torques = data.qpos, data.qvel, data.qfrc_actuator
         tolerance_m = motion.tolerance_mm / MM_PER_M
         settled = motion.trigger == "settled"
-        timestep = model.opt.timestep
-        steps = round(motion.timeout_s / timestep)
-        open_steps = self._shutter.steps(timestep)
+        open_steps = self._open_steps
         record = np.zeros((steps + open_steps + 1, 3, n))
         instants: list[Instant] = []
         watch = self.watch = self._new_watch()
-        feedforward = np.zeros(model.nv)
         mujoco.mj_step1(model, data)
         before = self._instant() if self._shutter.remember and self._taken else None
         for step in range(steps + open_steps + 1):
@@ -211,7 +304,7 @@ class RobotSimulation:
             to_source, to_detector = spots[0] - wanted[0], spots[1] - wanted[1]
             near = max(to_source @ to_source, to_detector @ to_detector) < tolerance_m**2
             # What a move finds before its first step is the last one's doing.
-            opens = step and near and (not settled or self._at_rest(step * timestep, path.duration))
+            opens = step and near and (not settled or self._at_rest())
             if instants or opens:
                 instants.append(self._instant())
                 if len(instants) > open_steps:
@@ -220,16 +313,21 @@ class RobotSimulation:
                     return self._reached(record[: step + 1, 0], instants, before)
             elif step >= steps:
                 break
-            position, velocity, acceleration = state = path.at((step + 1) * timestep)
-            mujoco.mj_mulM(model, data, feedforward, acceleration)
-            memory[: 3 * n] = state.ravel()
-            dry_friction = self._dry_friction * np.tanh(velocity / BREAKAWAY_RAD_S)
-            torque = feedforward + self._drag * velocity + dry_friction
-            control[:] = position + torque / self._stiffness
-            mujoco.mj_step2(model, data)
-            mujoco.mj_step1(model, data)
+            self._step(reference(step))
         self._judge(watch, record)
-        raise self._late(wanted)
+        raise self._late(wanted, what)
+
+    def _step(self, state: Floats) -> None:
+        """One step of the servos towards position, velocity and acceleration, (3, n)."""
+        model, data, n = self._model, self._data, self._n
+        position, velocity, acceleration = state
+        mujoco.mj_mulM(model, data, self._feedforward, acceleration)
+        data.userdata[: 3 * n] = state.ravel()
+        dry_friction = self._dry_friction * np.tanh(velocity / BREAKAWAY_RAD_S)
+        torque = self._feedforward + self._drag * velocity + dry_friction
+        data.ctrl[:] = position + torque / self._stiffness
+        mujoco.mj_step2(model, data)
+        mujoco.mj_step1(model, data)
 
     def _judge(self, watch: StepWatch, record: Floats) -> None:
         """Largest speeds and torques; those of the first instant belong to the move before."""
@@ -240,9 +338,9 @@ class RobotSimulation:
     def _new_watch(self) -> StepWatch:
         return StepWatch(np.zeros(self._n), np.zeros(self._n), set())
 
-    def _at_rest(self, elapsed_s: float, duration_s: float) -> bool:
+    def _at_rest(self) -> bool:
         """The reference has stopped and both end-effectors stand still."""
-        if elapsed_s < duration_s:
+        if np.abs(self._data.userdata[self._n : 3 * self._n]).max() > STANDING:
             return False
         limit = self._motion.settle_speed_mm_s / MM_PER_M
         for site in self._cell.site_ids:
@@ -286,14 +384,13 @@ class RobotSimulation:
         ]
         return f" (at the limit of {', '.join(stuck)})" if stuck else ""
 
-    def _late(self, wanted: Floats) -> TargetRefusedError:
-        """Where the arms are after the time-out, and what holds them."""
+    def _late(self, wanted: Floats, what: str) -> TargetRefusedError:
+        """Where the arms are when their time is over, and what holds them."""
         here = self._data.site_xpos[list(self._cell.site_ids)]
         off_mm = np.linalg.norm(here - wanted, axis=1) * MM_PER_M
         parts = [
-            f"cannot follow: after {self._motion.timeout_s:g} s of simulated time source and "
-            f"detector are {off_mm[0]:.1f} and {off_mm[1]:.1f} mm off their targets "
-            f"({self._motion.tolerance_mm:g} mm allowed)"
+            f"{what}: source and detector are {off_mm[0]:.1f} and {off_mm[1]:.1f} mm off their "
+            f"targets ({self._motion.tolerance_mm:g} mm allowed)"
         ]
         at_limit = np.flatnonzero(self.watch.torque_share >= SATURATED)
         names, limits = self.joint_names, self._cell.torque_limits

@@ -15,6 +15,7 @@ from twinct.report import figures
 from twinct.report.data import ReportData
 from twinct.report.figures import Picture
 from twinct.report.physics import physics_in_words
+from twinct.scenario import AnyCell, GantryCell
 
 PAPER = (
     "Freiling, Schaar, Stille, Kundrat: A Twin Robotic CT System Simulation using MuJoCo and gVXR "
@@ -103,6 +104,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         or {scenario.reconstruction.geometries[0]: metrics["image"]},
         stages=_stages(metrics["seconds"]),
         nearest=" and ".join(report.nearest),
+        arms=scenario.cell.kind == "arms",
         trigger=scenario.motion.trigger,
         tolerance_mm=scenario.motion.tolerance_mm,
         scenario_yaml=report.scenario_yaml,
@@ -129,7 +131,9 @@ def draw_pictures(report: ReportData) -> Pictures:
             np.asarray(report.clearance_mm, dtype=np.float64),
             scenario.motion.tolerance_mm,
             scenario.motion.clearance_mm,
-        ),
+        )
+        if scenario.cell.kind == "arms"
+        else None,
         "convergence": figures.convergence(report.metrics["residuals"])
         if any(len(course) > 1 for course in report.metrics.get("residuals", {}).values())
         else None,
@@ -138,6 +142,13 @@ def draw_pictures(report: ReportData) -> Pictures:
         if report.projections
         else None,
     }
+
+
+def _machine(cell: AnyCell) -> dict[str, str]:
+    """What carries source and panel."""
+    if isinstance(cell, GantryCell):
+        return {"Gantry": "source and panel exactly where they are told"}
+    return {"Arms": f"{cell.source_arm.label} (source), {cell.detector_arm.label} (detector)"}
 
 
 def _setting(report: ReportData) -> dict[str, str]:
@@ -151,8 +162,7 @@ def _setting(report: ReportData) -> dict[str, str]:
             for part in scenario.specimen.parts
         ),
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
-        "Arms": f"{scenario.cell.source_arm.label} (source), "
-        f"{scenario.cell.detector_arm.label} (detector)",
+        **_machine(scenario.cell),
         **physics_in_words(scenario, report.commanded.source[0], report.commanded.detector[0]),
         "Reconstruction": scenario.reconstruction.in_words,
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",

@@ -31,6 +31,7 @@ def main(
     parser.add_argument("--epoch")
     parser.add_argument("--members", type=Path, help="where the scan's processes say who they are")
     parser.add_argument("--first-view", type=int, default=0)
+    parser.add_argument("--planned", action="store_true", help="the scan says what to follow")
     parser.add_argument("--restore", type=Path)
     parser.add_argument("--lifeline", action="store_true", help="end when stdin does")
     given = parser.parse_args(arguments)
@@ -48,8 +49,14 @@ def main(
             return spin_xray(scenario, build=build_imager, **common)
         from twinct.ros.robots_node import spin_robots
 
-        start = {"first_view": given.first_view, "restore": given.restore}
-        return spin_robots(scenario, build=build_robots, **start, **common)
+        return spin_robots(
+            scenario,
+            first_view=given.first_view,
+            planned=given.planned,
+            restore=given.restore,
+            build=build_robots,
+            **common,
+        )
     except TwinctError as error:
         sys.stderr.write(f"twinct: {error}\n")
         return error.exit_code

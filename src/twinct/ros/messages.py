@@ -100,7 +100,7 @@ class Epoch:
         return view if stamp.nanosec == self.stamp.nanosec and view >= 0 else None
 
 
-def _header(stamp: Stamp, frame: str) -> Header:
+def _header(stamp: Stamp, frame: str = WORLD_FRAME) -> Header:
     return Header(stamp=stamp.time, frame_id=frame)
 
 
@@ -148,6 +148,18 @@ def target_message(stamp: Stamp, target: Target) -> PoseArray:
 def target_of(message: PoseArray) -> Target:
     """From ``/scan/target``: two poses in the world frame."""
     return Target(*_poses(message, ("source", "detector")))
+
+
+def targets_message(stamp: Stamp, targets: Sequence[Target]) -> PoseArray:
+    """For ``/scan/commanded``: source and detector of each view."""
+    poses = [_pose(numbers) for t in targets for numbers in (t.source_m, t.detector_m)]
+    return PoseArray(header=_header(stamp, WORLD_FRAME), poses=poses)
+
+
+def targets_of(message: PoseArray) -> tuple[Target, ...]:
+    """From ``/scan/commanded``."""
+    poses = _poses(message, ("source", "detector"), repeated=True)
+    return tuple(Target(*pair) for pair in zip(poses[::2], poses[1::2], strict=True))
 
 
 class Executed(NamedTuple):
@@ -202,16 +214,19 @@ def joints_message(stamp: Stamp, reached: Reached) -> JointState:
     return JointState(
         header=_header(stamp, WORLD_FRAME),
         name=list(reached.joint_names),
-        position=_doubles(reached.position),
-        velocity=_doubles(reached.velocity),
-        effort=_doubles(reached.effort),
+        position=doubles(reached.position),
+        velocity=doubles(reached.velocity),
+        effort=doubles(reached.effort),
     )
 
 
-def checked_joints(message: JointState) -> JointState:
-    """The message, if each of its joints has a finite position, speed and torque."""
-    if not message.name:
-        raise MalformedError("no joints")
+def checked_joints(message: JointState, *, arms: bool = True) -> JointState:
+    """The message, if each of its joints has a finite position, speed and torque.
+
+    A gantry, which is not ``arms``, has no joints.
+    """
+    if bool(message.name) != arms:
+        raise MalformedError("no joints" if arms else f"joints of a gantry: {message.name}")
     for what in ("position", "velocity", "effort"):
         _check_numbers(getattr(message, what), what, len(message.name))
     return message
@@ -220,7 +235,7 @@ def checked_joints(message: JointState) -> JointState:
 def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
     """For ``/scan/state``: simulated time in s, clearance in mm, then the simulator's state."""
     numbers = np.concatenate([[reached.time_s, reached.clearance_mm], reached.state])
-    message = Float64MultiArray(data=_doubles(numbers))
+    message = Float64MultiArray(data=doubles(numbers))
     size = len(reached.state)
     message.layout.data_offset = 2
     message.layout.dim = [MultiArrayDimension(label=str(stamp), size=size, stride=size)]
@@ -235,12 +250,18 @@ def state_stamp(message: Float64MultiArray) -> Stamp | None:
         return None
 
 
-def checked_state(message: Float64MultiArray) -> Float64MultiArray:
-    """The message, if it holds as many finite numbers as its layout says."""
+def checked_state(message: Float64MultiArray, *, arms: bool = True) -> Float64MultiArray:
+    """The message, if it holds as many finite numbers as its layout says.
+
+    Without ``arms`` its clearance may be NaN.
+    """
     size = list(message.layout.dim)[0].size
     if not size:
         raise MalformedError("no simulator state")
-    _check_numbers(message.data, "data", 2 + size)
+    numbers = np.array(message.data)
+    if not arms:
+        numbers[1:2] = 0.0
+    _check_numbers(numbers.tolist(), "data", 2 + size)
     return message
 
 
@@ -270,7 +291,8 @@ def reached_of(
     )
 
 
-def _doubles(values: NDArray[np.float64]) -> array.array[float]:
+def doubles(values: NDArray[np.float64]) -> array.array[float]:
+    """Numbers as messages take them without looking at each."""
     return array.array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())
 
 

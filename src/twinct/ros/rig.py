@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -26,6 +27,7 @@ from twinct.ros import environment, messages
 from twinct.ros.environment import Domain
 from twinct.ros.messages import ERROR, OK, Epoch, Executed, MalformedError, Stamp
 from twinct.ros.node import LISTENERS, ROBOTS, SCAN, XRAY, Diagnostics
+from twinct.ros.plan import publish_plan
 from twinct.ros.processes import NodeProcess
 from twinct.ros.robots_node import describe
 from twinct.ros.senders import Members, Sender
@@ -34,6 +36,7 @@ from twinct.scenario import Scenario
 from twinct.views import Reached, Target
 
 if TYPE_CHECKING:
+    from twinct.motion import MotionPlan
     from twinct.scan import Workshop
 
 log = logging.getLogger(__name__)
@@ -58,7 +61,11 @@ def ros_rigs(
     """
     common: dict[str, Any] = {"log_dir": log_dir, "domain": domain}
     return lambda workshop, first_view, start_state: RosRig(
-        workshop.scenario, first_view=first_view, start_state=start_state, **common
+        workshop.scenario,
+        plan=workshop.plan,
+        first_view=first_view,
+        start_state=start_state,
+        **common,
     )
 
 
@@ -75,6 +82,7 @@ class RosRig:
         self,
         scenario: Scenario,
         *,
+        plan: MotionPlan | None = None,
         first_view: int = 0,
         start_state: NDArray[np.float64] | None = None,
         log_dir: Path | None = None,
@@ -86,6 +94,7 @@ class RosRig:
 
         Args:
             scenario: what to simulate.
+            plan: what the arms shall follow; with None the robots node makes it.
             first_view: first view that will be asked for.
             start_state: simulator state to start from; None for the planned home.
             log_dir: folder for what the nodes print; None for a temporary one.
@@ -128,7 +137,7 @@ class RosRig:
             exchange = folder / "exchange"
             exchange.mkdir()
             self._members = Members(exchange)
-            start = ["--first-view", str(first_view)]
+            start = ["--first-view", str(first_view), *(["--planned"] if plan else [])]
             if start_state is not None:
                 np.save(exchange / "start.npy", start_state)
                 start += ["--restore", str(exchange / "start.npy")]
@@ -137,7 +146,9 @@ class RosRig:
             stack.callback(station.close)
             self._members.enter(SCAN, station.participant)
             self._diagnostics = Diagnostics(station, log.warning)
-            self._open(station)
+            if plan:
+                self._plan = publish_plan(station, self.epoch.at(0), plan)
+            self._open(station, arms=scenario.cell.kind == "arms")
             shutil.rmtree(exchange)  # read by all; must not outlive a killed parent
             self._teardown = stack.pop_all()
 
@@ -174,12 +185,14 @@ class RosRig:
         if self._station is not None:
             self._station.wake()
 
-    def _open(self, station: Station) -> None:
+    def _open(self, station: Station, *, arms: bool) -> None:
         self._target = station.publisher(TARGET, PoseArray)
+        joints = partial(messages.checked_joints, arms=arms)
+        state = partial(messages.checked_state, arms=arms)
         heard = [
             self._hear(station, REACHED, PoseArray, ROBOTS, self._poses_of),
-            self._hear(station, JOINTS, JointState, ROBOTS, messages.checked_joints),
-            self._hear(station, STATE, Float64MultiArray, ROBOTS, messages.checked_state),
+            self._hear(station, JOINTS, JointState, ROBOTS, joints),
+            self._hear(station, STATE, Float64MultiArray, ROBOTS, state),
             self._hear(station, IMAGE, Image, XRAY, lambda m: messages.image_of(m, self._shape)),
         ]
         station.listen(DIAGNOSTICS, DiagnosticArray, self._on_diagnostics)

@@ -14,9 +14,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from twinct.errors import MotionError
+from twinct.motion import MotionPlan
 from twinct.ros import messages
 from twinct.ros.messages import Epoch, MalformedError, Stamp
 from twinct.ros.node import LISTENERS, ROBOTS, SCAN, Diagnostics, Ledger, RefusedError, run_node
+from twinct.ros.plan import PlanListener
 from twinct.ros.senders import Members, Sender
 from twinct.ros.station import CLOCK, JOINTS, REACHED, STATE, TARGET, Station
 from twinct.scenario import Scenario
@@ -28,10 +30,13 @@ ANSWERS = 10
 
 
 class Robots(Protocol):
-    """What the node needs of a ``RobotSimulation``."""
+    """What the node needs of a ``RobotSimulation`` or a ``Gantry``."""
 
-    def move(self, target: Target) -> Reached:
-        """Bring both end-effectors to a target."""
+    def follow(self, plan: MotionPlan) -> None:
+        """Stand in a plan's home, to follow it."""
+
+    def move(self, view: int | None, target: Target) -> Reached:
+        """Bring both end-effectors to a target; the view of a plan, if it is one."""
         ...
 
     def restore(self, state: NDArray[np.float64]) -> None:
@@ -46,6 +51,7 @@ def spin_robots(
     *,
     epoch: str | None = None,
     first_view: int = 0,
+    planned: bool = False,
     restore: Path | None = None,
     members: Members | None = None,
     lifeline: bool = False,
@@ -58,6 +64,7 @@ def spin_robots(
         epoch: of the scan this node belongs to: only this scan's own targets are accepted, each in
             its turn. None accepts any target.
         first_view: of that scan.
+        planned: the scan says on ``/scan/plan`` what the arms follow; else it is planned here.
         restore: ``.npy`` file with the simulator state to start from.
         members: of that scan: only the scan itself may ask for its next view.
         lifeline: end also when stdin does.
@@ -71,23 +78,36 @@ def spin_robots(
         geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
         targets = PosePairs.from_geometry(geometry).targets()
         turns = Turns(Epoch.parse(epoch), targets, first_view)
+    state = np.load(restore) if restore is not None else None
 
     def build_simulation() -> Robots:
-        robots = (build or _robots)(scenario)
-        if restore is not None:
-            robots.restore(np.load(restore))
+        robots = build(scenario) if build else _robots(scenario, planned)
+        if state is not None and not planned:
+            robots.restore(state)
         return robots
 
     def open_node(station: Station, diagnostics: Diagnostics, robots: Robots) -> Callable[[], bool]:
-        return RobotsNode(station, diagnostics, robots, turns, members).connected
+        node = RobotsNode(station, diagnostics, robots, turns, members)
+        if not planned or members is None:
+            return node.connected
+
+        def take(plan: MotionPlan) -> None:
+            robots.follow(plan)
+            if turns is not None:
+                turns.expect(plan.targets)
+            if state is not None:
+                robots.restore(state)
+
+        plan = PlanListener(station, diagnostics, members, take)
+        return lambda: plan.taken and node.connected()
 
     return run_node(ROBOTS, build_simulation, open_node, lifeline=lifeline, members=members)
 
 
-def _robots(scenario: Scenario) -> Robots:
+def _robots(scenario: Scenario, planned: bool) -> Robots:
     from twinct.scan import Workshop  # only here: it brings all that a simulation needs
 
-    return Workshop(scenario).robots()
+    return Workshop(scenario).robots(planned=planned)
 
 
 class Turns:
@@ -118,6 +138,10 @@ class Turns:
             )
         if view != self._next:
             raise RefusedError(f"{running}: view {self._next} comes next, not view {view}")
+
+    def expect(self, targets: Sequence[Target]) -> None:
+        """Take the targets of a plan, which may have chosen their order and how they are turned."""
+        self._targets = targets
 
     def done(self) -> None:
         """Expect the next view."""
@@ -184,7 +208,7 @@ class RobotsNode:
     def _execute(self, stamp: Stamp, target: Target) -> Reached | RefusedError:
         answer: Reached | RefusedError
         try:
-            answer = self._robots.move(target)
+            answer = self._robots.move(self._view(stamp), target)
         except MotionError as error:
             answer = RefusedError(str(error), error.arms)
         else:
@@ -193,7 +217,7 @@ class RobotsNode:
                 self._turns.done()
             self._diagnostics.tell(
                 f"reached {stamp if view is None else f'view {view}'}: simulated time "
-                f"{answer.time_s:.3f} s, clearance {answer.clearance_mm:.1f} mm"
+                f"{answer.time_s:.3f} s, {answer.clearance_in_words}"
             )
         self._ledger.enter(stamp, target, answer)
         return answer

@@ -112,9 +112,7 @@ def acquire_to_store(
                 robots = reached.joint_names, len(reached.state)
                 store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
             store.write(index, view)
-            log.info(
-                "view %d: t %.3f s, clearance %.1f mm", index, reached.time_s, reached.clearance_mm
-            )
+            log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
             step()
 
         acquire(rig, scenario, targets, keep, first=first, watch=watch)

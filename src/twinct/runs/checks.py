@@ -100,15 +100,21 @@ def findings(workshop: Workshop) -> dict[str, str]:
     scenario, plan = workshop.scenario, workshop.plan
     grid = scenario.reconstruction.grid.volume_grid
     physics = physics_in_words(scenario, *workshop.commanded_poses[0])
-    worst = int(plan.clearance_mm.argmin())
+    if plan is None:
+        clearance = {"motion": "a gantry, exactly where it is told"}
+    else:
+        worst = int(plan.clearance_mm.argmin())
+        clearance = {
+            "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
+            f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
+        }
     parts = (f"{part.name} of {part.material.name}" for part in workshop.specimen.parts)
     return {
         "views": f"{len(workshop.targets)}, {scenario.trajectory.kind}",
         **{name.lower(): words for name, words in physics.items()},
         "specimen": ", ".join(parts),
         "specimen size": str(_size(workshop)),
-        "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
-        f"at view {worst}, between {' and '.join(plan.nearest[worst])}",
+        **clearance,
         "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
         f"{' x '.join(f'{edge:g}' for edge in grid.voxel)} mm",
         "reconstruction": scenario.reconstruction.in_words,
@@ -122,4 +128,6 @@ def require_extras(scenario: Scenario) -> None:
     Raises:
         InputError: naming the extra that brings it.
     """
-    require("robots", "xray", *(["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []))
+    robots = ["robots"] if scenario.cell.kind == "arms" else []
+    rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []
+    require(*robots, "xray", *rtk)

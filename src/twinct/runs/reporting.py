@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 from collections.abc import Mapping
 from contextlib import nullcontext
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.errors import MissingExtraError
 from twinct.evaluate import ImageFigures, image_figures, pose_errors, region_of_interest
 from twinct.files.writing import write_json
 from twinct.progress import SILENT, Progress
@@ -20,6 +22,8 @@ from twinct.runs.seconds import Seconds, Timing
 from twinct.scan import Scan, Workshop
 from twinct.scenario import stage_digests
 from twinct.volume import Volume
+
+log = logging.getLogger(__name__)
 
 _SHOWN_VIEWS = 4
 """Projections shown in the report."""
@@ -114,7 +118,7 @@ def write_results(
 
 def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData:
     """All that a report shows but the figures."""
-    scenario, truth = workshop.scenario, results.truth
+    scenario, plan, truth = workshop.scenario, workshop.plan, results.truth
     grid = scenario.reconstruction.grid.volume_grid
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
     return ReportData(
@@ -130,15 +134,17 @@ def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData
         mu_reference=truth.mu_reference,
         reference=workshop.specimen.reference_part.material.name,
         room_png=_room(workshop),
-        nearest=workshop.plan.nearest[int(workshop.plan.clearance_mm.argmin())],
+        nearest=plan.nearest[int(plan.clearance_mm.argmin())] if plan else (),
     )
 
 
-def _room(workshop: Workshop) -> bytes:
-    """Picture of the room with the arms in the middle of the path."""
-    from twinct.cell import render_cell
-
+def _room(workshop: Workshop) -> bytes | None:
+    """Picture of the room in the middle of the path; none without MuJoCo, which a gantry spares."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "room.png"
-        render_cell(workshop.room, path, workshop.plan.joints[len(workshop.targets) // 2])
+        try:
+            workshop.draw(path, len(workshop.targets) // 2)
+        except MissingExtraError as error:
+            log.warning("no picture of the room: %s", error)
+            return None
         return path.read_bytes()

@@ -12,6 +12,7 @@ from twinct.scan.workshop import Workshop
 from twinct.views import Reached, Target
 
 if TYPE_CHECKING:
+    from twinct.gantry import Gantry
     from twinct.motion import RobotSimulation
     from twinct.xray import Imager
 
@@ -48,14 +49,14 @@ class Rig(Protocol):
 class LocalRig:
     """Both simulations in this process."""
 
-    def __init__(self, robots: RobotSimulation, imager: Imager, panel: Panel) -> None:
+    def __init__(self, robots: RobotSimulation | Gantry, imager: Imager, panel: Panel) -> None:
         """Take over both simulations; ``close`` ends them."""
         self._robots, self._imager, self._panel = robots, imager, panel
         self._reached: tuple[int, Reached] | None = None
 
     def move(self, view: int, target: Target) -> Reached:
         """See ``Rig.move``."""
-        self._reached = view, self._robots.move(target)
+        self._reached = view, self._robots.move(view, target)
         return self._reached[1]
 
     def expose(self, view: int) -> NDArray[np.float32]:

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twinct.errors import InputError
+from twinct.gantry import Gantry
 from twinct.geometry import ScanGeometry
-from twinct.scenario import Scenario
+from twinct.scenario import Cell, GantryCell, Scenario
 from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.trajectory import commanded_views
 from twinct.views import PosePairs, Target
@@ -35,19 +38,45 @@ class Workshop:
         return build_specimen(self.scenario.specimen)
 
     @cached_property
-    def commanded(self) -> ScanGeometry:
-        """The geometry the trajectory commands."""
+    def asked(self) -> ScanGeometry:
+        """The views that the trajectory asks for, in its order."""
         return commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
+
+    @cached_property
+    def commanded(self) -> ScanGeometry:
+        """The geometry that is commanded; where the plan may choose, what it chose."""
+        if not self.plan_chooses:
+            return self.asked
+        return self.commanded_poses.geometry(self.scenario.detector.panel)
+
+    @cached_property
+    def plan_chooses(self) -> bool:
+        """Whether the order of views, or how source and panel are turned, is up to the plan."""
+        motion = self.scenario.motion
+        if self.scenario.cell.kind == "gantry" or motion.scheme == "reactive":
+            return False
+        return motion.order != "given" or any(self._roll_free)
+
+    @cached_property
+    def _roll_free(self) -> tuple[bool, bool]:
+        from twinct.motion import roll_free
+
+        return roll_free(self.scenario.motion, self.scenario.trajectory, self.scenario.source)
 
     @cached_property
     def commanded_poses(self) -> PosePairs:
         """The same, as poses of the two end-effectors."""
-        return PosePairs.from_geometry(self.commanded)
+        plan = self.plan if self.plan_chooses else None
+        if plan is None:
+            return PosePairs.from_geometry(self.asked)
+        targets = plan.targets
+        return PosePairs(tuple(t.source for t in targets), tuple(t.detector for t in targets))
 
     @cached_property
     def targets(self) -> list[Target]:
         """The same, in the numbers that the links carry."""
-        return self.commanded_poses.targets()
+        plan = self.plan if self.plan_chooses else None
+        return self.commanded_poses.targets() if plan is None else list(plan.targets)
 
     @cached_property
     def cell(self) -> CellModel:
@@ -67,27 +96,63 @@ class Workshop:
     def _cell_with(self, mesh: Trimesh) -> CellModel:
         from twinct.cell import build_cell
 
+        if not isinstance(self.scenario.cell, Cell):
+            raise InputError(f"cell.kind: {self.scenario.cell.kind}: there are no arms to build")
         pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
         return build_cell(self.scenario.cell, mesh, pose, panel)
 
     @cached_property
-    def plan(self) -> MotionPlan:
-        """Joint configurations of all views.
+    def plan(self) -> MotionPlan | None:
+        """Joint configurations of all views; none with a gantry, which goes anywhere.
 
         Raises:
             TrajectoryError: views that cannot be reached, or would collide.
         """
+        if isinstance(self.scenario.cell, GantryCell):
+            return None
         from twinct.motion import plan_motion
 
-        return plan_motion(self.cell, self.scenario.motion, self.targets)
+        scenario, source = self.scenario, self.scenario.source
+        exposure_s = source.exposure_ms / 1000 if source.motion_samples > 1 else 0.0
+        targets = PosePairs.from_geometry(self.asked).targets()
+        turns = (False, False) if scenario.motion.scheme == "reactive" else self._roll_free
+        return plan_motion(
+            self.cell, scenario.motion, targets, roll_free=turns, exposure_s=exposure_s
+        )
 
-    def robots(self) -> RobotSimulation:
-        """A robot simulation at rest in the plan's home."""
+    def draw(self, path: Path, view: int, width: int = 1600, height: int = 1000) -> None:
+        """Write a picture (PNG) of the room at one view, so many pixels wide and high.
+
+        Raises:
+            MissingExtraError: MuJoCo is not installed.
+            StorageError: the file cannot be written.
+            TrajectoryError: views that cannot be reached, or would collide.
+        """
+        from twinct.cell import build_gantry, render_cell
+
+        cell = self.scenario.cell
+        if isinstance(cell, GantryCell):
+            specimen, panel = self.specimen, self.scenario.detector.panel
+            place, poses = specimen.world_from_specimen, self.commanded_poses[view]
+            room = build_gantry(cell, specimen.surface(), place, panel, *poses)
+            render_cell(room, path, None, width, height)
+        else:
+            assert self.plan is not None
+            render_cell(self.room, path, self.plan.joints[view], width, height)
+
+    def robots(self, *, planned: bool = False) -> RobotSimulation | Gantry:
+        """A robot simulation at rest in the plan's home, or a gantry.
+
+        ``planned``: a plan will be given it.
+        """
+        scenario, source, lags = self.scenario, self.scenario.source, self.scenario.detector.lag > 0
+        if isinstance(scenario.cell, GantryCell):
+            place = scenario.specimen.world_from_specimen
+            return Gantry(scenario.cell, source, place, remember=lags)
         from twinct.motion import RobotSimulation, Shutter
 
-        source, lags = self.scenario.source, self.scenario.detector.lag > 0
         shutter = Shutter(source.exposure_ms / 1000, source.motion_samples, lags)
-        return RobotSimulation(self.cell, self.scenario.motion, self.plan.home, shutter)
+        return RobotSimulation(self.cell, scenario.motion, None if planned else self.plan, shutter)
 
     def imager(self) -> Imager:
         """An X-ray simulation of the specimen."""

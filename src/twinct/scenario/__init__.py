@@ -1,7 +1,7 @@
 """The scenario: one YAML file that initialises everything."""
 
 from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, TwoMaterialHardening
-from twinct.scenario.cell import Arm, Cell, DetectorArm, SourceArm, Table
+from twinct.scenario.cell import AnyCell, Arm, Cell, DetectorArm, GantryCell, SourceArm, Table
 from twinct.scenario.composition import Composition
 from twinct.scenario.detector import (
     BadPixels,
@@ -54,6 +54,7 @@ from twinct.scenario.specimen import (
 from twinct.scenario.uncertainty import PositionNoise, Uncertainty
 
 __all__ = [
+    "AnyCell",
     "AnyTrajectory",
     "Arm",
     "BadPixels",
@@ -73,6 +74,7 @@ __all__ = [
     "FileSpectrum",
     "FileSpread",
     "Filter",
+    "GantryCell",
     "GaussianSpot",
     "GaussianSpread",
     "Grid",

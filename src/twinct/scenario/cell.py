@@ -1,12 +1,13 @@
-"""The operating room: arms, table, floor."""
+"""The operating room: arms or a gantry, table, floor."""
 
 from __future__ import annotations
 
 import difflib
 import re
 from pathlib import Path
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from twinct.settings import (
     Conflict,
@@ -144,11 +145,40 @@ class Table(Section):
     holder_radius_mm: Positive = setting(30.0, "Radius of the specimen holder's post.")
 
 
+DEFAULT_KIND = "arms"
+
+
 class Cell(Section):
     """The operating room: two arms, table, floor."""
 
+    kind: Literal["arms"] = DEFAULT_KIND
     source_arm: SourceArm = setting(SourceArm(), "The arm with the X-ray source.")
     detector_arm: DetectorArm = setting(DetectorArm(), "The arm with the panel.")
     table: Table = setting(Table(), "The table.")
     floor_z_mm: Finite = setting(-1200.0, "Height of the floor.")
     timestep_ms: float = setting(2.0, "Step of the dynamic simulation.", gt=0, le=10)
+
+
+class GantryCell(Section):
+    """No arms: source and panel are exactly where they are told, whatever stands in the way."""
+
+    kind: Literal["gantry"]
+    view_s: Positive = setting(
+        1.0,
+        "Simulated time from view to view. With motion_samples above 1 an exposure has its middle "
+        "at the view, and source and panel turn at this pace as they came from the view before, "
+        "along circle or helix; they stand still at the first.",
+    )
+    floor_z_mm: Finite = setting(-1200.0, "Height of the floor, for pictures only.")
+
+
+def _kind(value: Any) -> str:
+    """The kind that a section or its plain data names."""
+    if isinstance(value, dict):
+        return str(cast("dict[str, Any]", value).get("kind", DEFAULT_KIND))
+    return str(getattr(value, "kind", DEFAULT_KIND))
+
+
+AnyCell = Annotated[
+    Annotated[Cell, Tag("arms")] | Annotated[GantryCell, Tag("gantry")], Discriminator(_kind)
+]

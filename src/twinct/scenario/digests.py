@@ -21,6 +21,7 @@ from pydantic_core import to_jsonable_python
 from twinct.errors import ScenarioError
 from twinct.files.arm_xml import read_arm_xml
 from twinct.recon.algorithms import BUILT_IN
+from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.detector import RandomBadPixels
 from twinct.scenario.scenario import Scenario, sections_in
 from twinct.settings import FILE_KEYS, Section
@@ -49,7 +50,14 @@ STAGES: dict[StageName, _Stage] = {
             *("cell.*_arm.model", "cell.*_arm.base_position_mm", "cell.*_arm.base_rotation_deg"),
             *("cell.*_arm.file", "cell.*_arm.base", "cell.*_arm.flange", "cell.*_arm.home"),
             *("cell.*_arm.standoff_mm", "cell.*_arm.tool_rotation_deg"),
-            *("motion.ik", "motion.clearance_mm"),
+            *(
+                "motion.ik",
+                "motion.clearance_mm",
+                "motion.order",
+                "motion.*_roll",
+                "motion.scheme",
+                "cell.kind",
+            ),
         ),
         on=("surface",),
     ),
@@ -57,8 +65,9 @@ STAGES: dict[StageName, _Stage] = {
         1,
         (
             *("cell.*_arm.tool_mass_kg", "cell.*_arm.torque_scale", "cell.*_arm.speed_scale"),
-            *("cell.*_arm.joint_speed_deg_s", "cell.timestep_ms"),
+            *("cell.*_arm.joint_speed_deg_s", "cell.timestep_ms", "cell.view_s"),
             *("motion.trigger", "motion.tolerance_mm", "motion.acceleration_deg_s2"),
+            *("motion.tool_speed_mm_s", "motion.settle_s"),
             *("motion.jerk_deg_s3", "motion.settle_speed_mm_s", "motion.timeout_s"),
             *("source.motion_samples", "source.exposure_ms"),
         ),
@@ -73,6 +82,9 @@ STAGES: dict[StageName, _Stage] = {
 
 COUNT_FOR_NONE = ("name", "description", "specimen.parts.name")
 """Keys that change no result."""
+
+_OF_ARMS = ("motion", "cell.floor_z_mm")
+"""Keys that only arms read."""
 
 _SEEDS = ("seed", "uncertainty.seed")
 """Read only by a stage that draws."""
@@ -104,6 +116,9 @@ def _matches(key: str, patterns: tuple[str, ...]) -> bool:
 
 
 def _reads(scenario: Scenario, stage: StageName, key: str) -> bool:
+    arms = scenario.cell.kind == DEFAULT_KIND  # which is no news: it has not always been a key
+    if _matches(key, ("cell.kind",) if arms else _OF_ARMS):
+        return False
     if key == "source.exposure_ms" and stage == "executed":
         return scenario.source.motion_samples > 1  # else an image takes no time
     return key not in _SEEDS and _matches(key, STAGES[stage].reads)

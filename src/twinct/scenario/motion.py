@@ -35,6 +35,34 @@ class Motion(Section):
         1.0, "Distance at which a target counts as reached.", source="the paper"
     )
     clearance_mm: NonNegative = setting(10.0, "Smallest gap between bodies that a plan may have.")
+    scheme: Literal["planned", "reactive"] = setting(
+        "reactive",
+        "planned: the arms follow the plan, and triggers only take images; reactive: each target "
+        "is solved when it arrives, from the joints as they are (the paper's figure 2).",
+    )
+    order: Literal["given", "shortest"] = setting(
+        "given",
+        "Order in which the views are taken; shortest: a tour on which the arms move little, from "
+        "view 0 on.",
+    )
+    source_roll: Literal["auto", "free", "fixed"] = setting(
+        "auto",
+        "Whether the source may be turned about its axis. auto: where the panel may and the focal "
+        "spot looks the same from all sides.",
+    )
+    detector_roll: Literal["auto", "free", "fixed"] = setting(
+        "auto",
+        "Whether the panel may be turned about its normal. auto: where the trajectory gives no "
+        "axes of the panel (a file of S and D).",
+    )
+    tool_speed_mm_s: Positive | None = setting(
+        None,
+        "Speed of the faster tool that a plan keeps to where nothing else limits it; none: as fast "
+        "as the joints' limits let it.",
+    )
+    settle_s: Positive = setting(
+        0.35, "Time at rest that a plan gives each view with trigger: settled."
+    )
     acceleration_deg_s2: Positive = setting(300.0, "Largest joint acceleration.")
     jerk_deg_s3: Positive = setting(5000.0, "Largest joint jerk.")
     settle_speed_mm_s: Positive = setting(

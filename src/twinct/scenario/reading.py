@@ -11,6 +11,7 @@ from typing import Any, TypeGuard
 import yaml
 
 from twinct.errors import ScenarioError
+from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
 from twinct.scenario.version_0_1 import upgraded
 from twinct.settings import FILE_KEYS
@@ -19,6 +20,10 @@ Key = tuple[str | int, ...]
 
 DEEPEST = 20
 """Levels that a scenario may be nested; its own sections need six."""
+
+
+DEFAULT_KINDS: dict[Key, str] = {("cell",): DEFAULT_KIND}
+"""Of sections that may leave out their ``kind``."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -169,7 +174,7 @@ def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key)
     for name, value in data.items():
         inner, old = (*key, name), here.get(name)
         if is_mapping(old) and is_mapping(value):
-            kind = old.get("kind")
+            kind = old.get("kind", DEFAULT_KINDS.get(inner))
             if value.get("kind", kind) == kind:
                 _change_algorithm(base, inner, value.get("algorithm"))
                 _merge(base, value, origins, inner)
@@ -206,8 +211,9 @@ def _apply_override(draft: Draft, override: str) -> None:
         else:
             raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
         if depth == len(steps) - 1:
-            if is_mapping(here) and step == "kind" and here.get("kind", value) != value:
-                _start_afresh(draft, here, key[:-1])
+            if is_mapping(here) and step == "kind":
+                if here.get("kind", DEFAULT_KINDS.get(key[:-1], value)) != value:
+                    _start_afresh(draft, here, key[:-1])
             if step == "algorithm":
                 _change_algorithm(draft, key[:-1], value)
             here[index] = value

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Union, cast
 
 from pydantic import Field, model_validator
 
-from twinct.scenario.cell import Cell
+from twinct.scenario.cell import AnyCell, Cell, GantryCell
 from twinct.scenario.detector import Detector
 from twinct.scenario.motion import Motion
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
@@ -44,8 +44,8 @@ class Scenario(Section):
     detector: Detector = setting(Detector(), "The flat panel.")
     trajectory: AnyTrajectory = Field(description="Where source and panel shall go.")
     specimen: Specimen = Field(description="What is imaged.")
-    cell: Cell = setting(Cell(), "The room and the arms.")
-    motion: Motion = setting(Motion(), "How the arms move.")
+    cell: AnyCell = setting(Cell(), "The room, with two arms or a gantry.")
+    motion: Motion = setting(Motion(), "How the arms move; not used with a gantry.")
     uncertainty: Uncertainty = setting(Uncertainty(), "What the reported poses are off by.")
     reconstruction: AnyReconstruction = setting(
         SECTIONS[DEFAULT_ALGORITHM].model_validate({}), "How the volume is made."
@@ -53,7 +53,10 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _sections_go_together(self) -> Scenario:
-        found = (self._photon_number(), self._subsets(), self._something_to_correct())
+        found = (
+            *(self._photon_number(), self._subsets(), self._something_to_correct()),
+            self._time_to_expose(),
+        )
         if conflicts := [conflict for conflict in found if conflict is not None]:
             raise ConflictError(*conflicts)
         return self
@@ -86,6 +89,18 @@ class Scenario(Section):
             "reconstruction.beam_hardening needs a source.spectrum: a beam of one energy, as here, "
             "does not harden",
             ("reconstruction.beam_hardening", "source.spectrum"),
+        )
+
+    def _time_to_expose(self) -> Conflict | None:
+        cell, source = self.cell, self.source
+        if not isinstance(cell, GantryCell) or source.motion_samples == 1:
+            return None
+        if source.exposure_ms <= 1000 * cell.view_s:
+            return None
+        return Conflict(
+            f"source.exposure_ms ({source.exposure_ms:g}) must be at most the time of a view, "
+            f"{1000 * cell.view_s:g} ms (cell.view_s), as source.motion_samples is above 1",
+            ("source.exposure_ms", "source.motion_samples", "cell.view_s"),
         )
 
     def resolved(self) -> str:

@@ -2,7 +2,7 @@
 
 from twinct.trajectory.arc import ArcTrajectory
 from twinct.trajectory.circle import CircleTrajectory
-from twinct.trajectory.families import commanded_views
+from twinct.trajectory.families import commanded_views, leaves_roll
 from twinct.trajectory.family import Family, TrajectorySettings
 from twinct.trajectory.helix import HelixTrajectory
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, panel_axes, stops
@@ -19,6 +19,7 @@ __all__ = [
     "SinusoidTrajectory",
     "TrajectorySettings",
     "commanded_views",
+    "leaves_roll",
     "on_sphere",
     "orbit_views",
     "panel_axes",

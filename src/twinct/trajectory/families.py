@@ -29,3 +29,12 @@ def commanded_views(section: TrajectorySettings, panel: Panel) -> ScanGeometry:
         TrajectoryError: a file of views that cannot be read, or a view that is none.
     """
     return families()[name_in(type(section))].views(section, panel)
+
+
+def leaves_roll(section: TrajectorySettings) -> bool:
+    """Whether a trajectory says nothing of the panel's turn about its normal.
+
+    Raises:
+        TrajectoryError: a file of views that cannot be read.
+    """
+    return families()[name_in(type(section))].leaves_roll(section)

@@ -30,10 +30,12 @@ class Family:
     Attributes:
         settings: its keys.
         views: the geometry that these settings command, for a panel.
+        leaves_roll: whether these settings say nothing of the panel's turn about its normal.
     """
 
     settings: type[TrajectorySettings]
     views: Callable[[Any, Panel], ScanGeometry]
+    leaves_roll: Callable[[Any], bool] = lambda section: False
 
     @property
     def name(self) -> str:

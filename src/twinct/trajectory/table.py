@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from twinct.errors import TrajectoryError
-from twinct.geometry import Panel, ScanGeometry
+from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.family import Family, TrajectorySettings
 from twinct.trajectory.orbit import panel_axes
 
@@ -33,9 +33,8 @@ def write_views(path: Path, geometry: ScanGeometry) -> None:
         writer.writerows([[repr(float(x)) for x in row] for row in rows])
 
 
-def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
+def _table(path: Path) -> Floats:
     """Rows of 6 numbers (S, D) or 12 (S, D, u, v), mm; a first line of names is skipped."""
-    path = section.path
     problems: list[str] = []
     rows: list[list[float]] = []
     try:
@@ -62,7 +61,12 @@ def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
         problems.append(f"{path}: some lines have 6 numbers and some 12; use one form")
     if problems:
         raise TrajectoryError(problems)
-    table = np.array(rows)
+    return np.array(rows)
+
+
+def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
+    """What the file says; u and v upright where it gives none."""
+    path, table = section.path, _table(section.path)
     source, detector = table[:, 0:3], table[:, 3:6]
     try:
         if table.shape[1] == 12:
@@ -77,4 +81,4 @@ def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
         raise TrajectoryError(f"{path}: {error}") from None
 
 
-FILE = Family(FileTrajectory, _views)
+FILE = Family(FileTrajectory, _views, lambda section: _table(section.path).shape[1] == 6)

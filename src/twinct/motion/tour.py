@@ -1,0 +1,64 @@
+"""An order of views that the arms go through fast: nearest neighbour, then 2-opt."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twinct.geometry import Floats
+from twinct.motion.layers import Speeds
+
+SAMPLES = 12
+"""Configurations of a view and an arm between which distances are measured, at most."""
+
+GAIN_S = 1e-6
+"""A change of the order must save this much."""
+
+
+def shortest_tour(candidates: Sequence[Sequence[Floats]], arms: Sequence[Speeds]) -> list[int]:
+    """Views in an order that moves little, from view 0 on.
+
+    Distances are those of the nearest configurations, of the slower arm. The tour starts with
+    nearest neighbours; then parts of it are turned round as long as that shortens it (2-opt: Croes,
+    "A method for solving traveling-salesman problems", Operations Research 6, 1958).
+
+    Args:
+        candidates: of each arm for each view, rad, (m, k).
+        arms: the speeds of both.
+    """
+    views = len(candidates[0])
+    seconds = np.zeros((views, views))
+    for of_arm, speeds in zip(candidates, arms, strict=True):
+        few = [q[np.linspace(0, len(q) - 1, min(len(q), SAMPLES)).astype(int)] for q in of_arm]
+        starts = np.concatenate([[0], np.cumsum([len(q) for q in few])[:-1]])
+        stacked = np.vstack(few)
+        for view, q in enumerate(few):
+            nearest = np.minimum.reduceat(speeds.seconds(q, stacked).min(axis=0), starts)
+            seconds[view] = np.maximum(seconds[view], nearest)
+    order, left = [0], set(range(1, views))
+    while left:
+        here = order[-1]
+        order.append(min(left, key=lambda view: (seconds[here, view], view)))
+        left.remove(order[-1])
+    return _turned_round(np.array(order), seconds)
+
+
+def _turned_round(order: np.ndarray, seconds: Floats) -> list[int]:
+    """Parts turned round until none shortens the tour, whose end is open."""
+    better = True
+    while better:
+        better = False
+        for first in range(1, len(order) - 1):
+            before, head = order[first - 1], order[first]
+            tails = order[first + 1 :]
+            after = np.append(order[first + 2 :], -1)
+            saved = seconds[before, head] - seconds[before, tails]
+            # After the last view comes nothing.
+            saved += np.where(after < 0, 0, seconds[tails, after] - seconds[head, after])
+            best = int(saved.argmax())
+            if saved[best] > GAIN_S:
+                last = first + 1 + best
+                order[first : last + 1] = order[first : last + 1][::-1]
+                better = True
+    return order.tolist()

@@ -1,0 +1,493 @@
+"""Finding a way: which configurations for which views, in which order, and how to the next.
+
+All configurations of both arms for every view, turned about the beam where that is free, are judged
+for clearance; those are chosen that move least over all views; between neighbours the way is
+straight in joint space where that is clear, and a detour where not.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twinct.cell import CellModel, Clearance, Gap, mujoco_module
+from twinct.errors import TrajectoryError
+from twinct.geometry import Floats, Pose
+from twinct.motion.branches import SIDES, Branches, matrices
+from twinct.motion.detour import SEARCHES, Detours
+from twinct.motion.feasible import SHORTFALL_MM, Feasible, Indices
+from twinct.motion.kinematics import Kinematics
+from twinct.motion.layers import (
+    DETOUR_S,
+    ROUNDS,
+    Choice,
+    Speeds,
+    clear_pairs,
+    lifted,
+    promising,
+)
+from twinct.motion.tour import shortest_tour
+from twinct.scenario import Motion
+from twinct.views import Target
+
+if TYPE_CHECKING:
+    import mujoco
+else:
+    mujoco = mujoco_module()
+
+ROLL_STEP_DEG = 5.0
+"""Turns about the beam that are tried where they are free."""
+
+SETTLED_ROOM_MM = 0.5
+"""What a way keeps beside the clearance asked for, for arms that come to rest in every view."""
+
+MANY_STARTS = 500
+"""Starts of the search for a pose of which no configuration found at first is clear."""
+
+NEAREST_STARTS = 8
+"""Starts from which it is found how far off an arm remains."""
+
+WIDEST_OF = 64
+"""Configurations of which the largest clearance is told, at most."""
+
+DETOURS_TRIED = 20
+"""Searches for a way round from one view to the next, at most."""
+
+TRIED_S = 0.15
+"""What a search in vain adds to what a move costs: others have their turn before more effort."""
+
+WITHDRAWN_MM = (40.0, 20.0, 10.0, 5.0)
+"""How far home may lie off the first view, outwards along the beam."""
+
+FLIP_RAD = 0.35
+"""A joint step this large, for one small step of the tools, is a flip and no motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A way of both arms through all views.
+
+    Attributes:
+        joints: rad, (knots, n), source arm first; the straight joint path between neighbours is
+            clear.
+        views: index of the view exposed at each knot, -1 where none is, (knots,); every view once.
+        targets: commanded poses of every view, by view index, with the roll that was chosen.
+    """
+
+    joints: Floats
+    views: NDArray[np.intp]
+    targets: tuple[Target, ...]
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        self.joints.setflags(write=False)
+        self.views.setflags(write=False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Of one view and one arm: configurations (m, k), and the roll that each holds, rad, (m,)."""
+
+    joints: Floats
+    roll: Floats
+
+
+def kept_mm(motion: Motion) -> float:
+    """The clearance that a way keeps: what is asked for and room for how the arms follow."""
+    settled = motion.trigger == "settled"
+    return motion.clearance_mm + (SETTLED_ROOM_MM if settled else 2 * motion.tolerance_mm)
+
+
+def find_way(
+    cell_model: CellModel,
+    motion: Motion,
+    targets: Sequence[Target],
+    *,
+    roll_free: tuple[bool, bool] = (False, False),
+    start: Floats | None = None,
+    seed: int = 0,
+) -> Way:
+    """Find a way through all targets.
+
+    Args:
+        cell_model: the room.
+        motion: tolerances, clearance, and the order of the views.
+        targets: one for each view.
+        roll_free: whether source and panel may be turned about their own axis.
+        start: where the arms are, rad, (n,); without it the way starts just off its first view.
+        seed: of searches and detours.
+
+    Raises:
+        TrajectoryError: views that cannot be had, or no way from one to the next; every problem
+            names views, arm, reason and how far off.
+        MissingExtraError: mink or OMPL is not installed.
+    """
+    return _Finder(cell_model, motion, list(targets), roll_free, seed).find(start)
+
+
+class _Finder:
+    """One search; what it holds lives as long."""
+
+    def __init__(
+        self,
+        cell: CellModel,
+        motion: Motion,
+        targets: list[Target],
+        roll_free: tuple[bool, bool],
+        seed: int,
+    ) -> None:
+        self._cell, self._motion, self._targets, self._seed = cell, motion, targets, seed
+        self._least_mm = kept_mm(motion)
+        self._kinematics = Kinematics(cell, motion.ik)
+        self._both, self._cross = Feasible(cell), Feasible(cell, "cross")
+        self._speeds = cell.speed_limits * cell.speed_scales
+        ranges = cell.joint_ranges
+        # A joint that can go round more than once may take the shorter side.
+        self._turns = np.ptp(ranges, axis=1) > 3 * np.pi
+        self._arms = [Speeds(self._speeds[part], self._turns[part]) for part in cell.arm_joints]
+        self._detours = Detours(self._both, ranges, self._speeds, cell.arm_joints, seed)
+        full = np.arange(0.0, 360.0, ROLL_STEP_DEG)
+        self._rolls = [np.radians(full if free else full[:1]) for free in roll_free]
+        self._known: dict[bytes, Floats | None] = {}
+
+    def find(self, start: Floats | None) -> Way:
+        found = [self._of_arm(arm) for arm in range(2)]
+        problems = [problem for _, told in found for problem in told]
+        if problems:
+            raise TrajectoryError(problems)
+        candidates = [of_arm for of_arm, _ in found]
+        order = list(range(len(self._targets)))
+        if self._motion.order == "shortest":
+            order = shortest_tour([[c.joints for c in arm] for arm in candidates], self._arms)
+        layers = [[arm[view] for view in order] for arm in candidates]
+        pairs = self._pairs(order, layers)
+        views = np.array(order)
+        if start is not None:
+            start = self._checked(start)
+            for arm, part in zip(layers, self._cell.arm_joints, strict=True):
+                arm.insert(0, _Candidates(start[None, part], np.zeros(1)))
+            pairs.insert(0, np.zeros((1, 2), np.intp))
+            views = np.concatenate([[-1], views])
+        ways, chosen = self._through(views, layers, pairs, start is not None)
+        targets = list(self._targets)
+        for layer, view in enumerate(views):
+            if view >= 0:
+                source, detector = (
+                    _rolled(pose, float(arm[layer].roll[pair]))
+                    for pose, arm, pair in zip(
+                        (targets[view].source, targets[view].detector),
+                        layers,
+                        chosen[layer],
+                        strict=True,
+                    )
+                )
+                if any(arm[layer].roll[p] for arm, p in zip(layers, chosen[layer], strict=True)):
+                    targets[view] = Target.from_poses(source, detector)
+        knots, exposed = [ways[0][:1]], [views[:1]]
+        for way, view in zip(ways, views[1:], strict=False):
+            knots.append(way[1:])
+            exposed.append(np.append(np.full(len(way) - 2, -1), view))
+        joints, exposed = np.vstack(knots), np.concatenate(exposed)
+        joints = self._polished(joints, exposed, targets)
+        if start is None:
+            home = self._home(targets[views[0]], joints[0])
+            joints, exposed = np.vstack([home, joints]), np.append(-1, exposed)
+        return Way(joints, exposed, tuple(targets))
+
+    def _of_arm(self, arm: int) -> tuple[list[_Candidates], list[str]]:
+        """Clear candidates of every view, and what is to be said of views without any."""
+        poses = [(t.source, t.detector)[arm] for t in self._targets]
+        rolls, side = self._rolls[arm], SIDES[arm]
+        turned = np.zeros((len(rolls), 4, 4))
+        turned[:, :3, :3] = Rotation.from_euler("z", rolls[:, None]).as_matrix()
+        turned[:, 3, 3] = 1
+        asked = matrices(poses)[:, None] @ turned
+        branches = Branches(self._cell, arm, self._motion.ik, self._seed)
+        room = Feasible(self._cell, side)
+        found = branches.of(asked.reshape(-1, 4, 4))
+        clear = room.clear(self._placed(found.joints, arm), self._least_mm)
+        candidates, far, gaps = [], {}, {}
+        for view in range(len(poses)):
+            mine = slice(*np.searchsorted(found.pose, np.array([view, view + 1]) * len(rolls)))
+            joints, roll = found.joints[mine], rolls[found.pose[mine] - view * len(rolls)]
+            good = clear[mine]
+            if not good.any() and not branches.closed_form:
+                more = branches.of(asked[view], MANY_STARTS)
+                joints, roll = more.joints, rolls[more.pose]
+                good = room.clear(self._placed(joints, arm), self._least_mm)
+            if not len(joints):
+                joints, roll, off = self._nearest(view, arm)
+                if off is not None:
+                    far[view] = off
+                good = room.clear(self._placed(joints, arm), self._least_mm)
+            if not good.any() and view not in far:
+                gaps[view] = self._widest(self._placed(joints, arm), (side,))
+            candidates.append(_Candidates(joints[good], roll[good]))
+        return candidates, _far_problems(side, far) + _gap_problems(gaps, self._least_mm)
+
+    def _nearest(self, view: int, arm: int) -> tuple[Floats, Floats, tuple[float, float] | None]:
+        """An arm's best try: it and its roll where it is within tolerance, else how far off."""
+        part, ranges = self._cell.arm_joints[arm], self._cell.joint_ranges
+        rng = np.random.default_rng([self._seed, view])
+        low, high = np.maximum(ranges[:, 0], -np.pi), np.minimum(ranges[:, 1], np.pi)
+        off = (np.inf, np.inf)
+        for _ in range(NEAREST_STARTS):
+            result = self._kinematics.solve(rng.uniform(low, high), self._targets[view])
+            if result.solved[arm]:
+                return result.joints[None, part], np.zeros(1), None
+            off = min(off, (float(result.position_mm[arm]), float(result.rotation_deg[arm])))
+        return np.zeros((0, part.stop - part.start)), np.zeros(0), off
+
+    def _placed(self, joints: Floats, arm: int) -> Floats:
+        """Configurations of one arm among those of the cell, (m, n)."""
+        placed = np.zeros((len(joints), len(self._speeds)))
+        placed[:, self._cell.arm_joints[arm]] = joints
+        return placed
+
+    def _widest(self, joints: Floats, sides: tuple[str, ...]) -> Gap:
+        """The largest of the clearances of some configurations."""
+        clearance, data = Clearance(self._cell, sides), mujoco.MjData(self._cell.model)
+        best = Gap(-np.inf, ("", ""))
+        for q in joints[:WIDEST_OF]:
+            data.qpos[:] = q
+            mujoco.mj_kinematics(self._cell.model, data)
+            best = max(best, clearance.at(data), key=lambda gap: gap.distance_mm)
+        return best
+
+    def _pairs(self, order: list[int], layers: list[list[_Candidates]]) -> list[Indices]:
+        """Pairs of candidates of both arms that are clear of each other, for every layer."""
+        ranked = [
+            promising([c.joints for c in arm], speeds)
+            for arm, speeds in zip(layers, self._arms, strict=True)
+        ]
+        pairs, gaps = [], {}
+        for layer, view in enumerate(order):
+            of_source, of_detector = (arm[layer].joints for arm in layers)
+            found = clear_pairs(
+                (ranked[0][layer], ranked[1][layer]),
+                lambda i, j, a=of_source, b=of_detector: self._cross.clear(
+                    np.hstack([a[i], b[j]]), self._least_mm
+                ),
+            )
+            pairs.append(found)
+            if not len(found):
+                best = np.hstack(
+                    [of_source[ranked[0][layer][:1]], of_detector[ranked[1][layer][:1]]]
+                )
+                gaps[view] = self._widest(best, SIDES)
+        if gaps:
+            raise TrajectoryError(_gap_problems(gaps, self._least_mm))
+        return pairs
+
+    def _checked(self, start: Floats) -> Floats:
+        """Where the arms are; what they have of clearance there is asked for on the first way."""
+        start = np.array(start, dtype=np.float64)
+        ranges = self._cell.joint_ranges
+        if start.shape != self._speeds.shape or not np.isfinite(start).all():
+            raise TrajectoryError(f"start: {start} are no positions of {len(ranges)} joints")
+        # A joint that stands at the end of its range may be beyond it by rounding.
+        start = np.where(np.abs(start - start.clip(*ranges.T)) < 1e-3, start.clip(*ranges.T), start)
+        if (start != start.clip(*ranges.T)).any():
+            raise TrajectoryError(f"start: {start} is outside the joints' ranges")
+        gap = self._widest(start[None], SIDES)
+        self._first_mm = min(self._least_mm, gap.distance_mm - 2 * SHORTFALL_MM)
+        if self._first_mm <= 0:
+            raise TrajectoryError(f"start: {_gap_text(gap, self._least_mm)}")
+        return start
+
+    def _through(
+        self,
+        views: NDArray[np.intp],
+        layers: list[list[_Candidates]],
+        pairs: list[Indices],
+        from_start: bool,
+    ) -> tuple[list[Floats], list[Indices]]:
+        """Ways from layer to layer, knots (m, n) each, and the pair of candidates of each layer."""
+        nodes = [
+            np.hstack([arm[k].joints[p] for arm, p in zip(layers, pair.T, strict=True)])
+            for k, pair in enumerate(pairs)
+        ]
+        of_arms = list(zip(self._arms, self._cell.arm_joints, strict=True))
+        costs = [
+            np.sum([speeds.seconds(a[:, part], b[:, part]) for speeds, part in of_arms], axis=0)
+            for a, b in zip(nodes[:-1], nodes[1:], strict=True)
+        ]
+        choice = Choice(costs)
+        least = np.full(len(costs), self._least_mm)
+        if from_start:
+            least[0] = self._first_mm
+        straight: dict[tuple[int, int, int], bool] = {}
+        tried: Counter[tuple[int, int, int]] = Counter()
+        while True:
+            path = self._mostly_straight(choice, nodes, straight, least)
+            knots = np.array([layer[node] for layer, node in zip(nodes, path, strict=True)])
+            knots = lifted(knots, self._cell.joint_ranges, self._speeds, from_start)
+            ways: list[Floats] = []
+            for k, (a, b) in enumerate(zip(knots[:-1], knots[1:], strict=True)):
+                edge = (k, int(path[k]), int(path[k + 1]))
+                way = self._between(a, b, least[k], straight[edge], tried[edge])
+                if way is None:
+                    # Other pairs of configurations have their turn before more effort is made.
+                    tried[edge] += 1
+                    more = TRIED_S if tried[edge] < len(SEARCHES) else np.inf
+                    choice.raise_cost(k, edge[1:], more)
+                    count = sum(n for (layer, *_), n in tried.items() if layer == k)
+                    total = choice.best(np.zeros(len(nodes[0])))[1]
+                    if count == DETOURS_TRIED or not np.isfinite(total):
+                        raise TrajectoryError(_no_way(views[k], views[k + 1], count))
+                    break
+                ways.append(way)
+            else:
+                # A single view has no way to another.
+                return ways or [knots], [pair[node] for pair, node in zip(pairs, path, strict=True)]
+
+    def _mostly_straight(
+        self,
+        choice: Choice,
+        nodes: list[Floats],
+        straight: dict[tuple[int, int, int], bool],
+        least_mm: Floats,
+    ) -> Indices:
+        """The best path of which it is known which moves are clear where straight."""
+        path = np.zeros(0, np.intp)
+        for _ in range(ROUNDS):
+            path, _ = choice.best(np.zeros(len(nodes[0])))
+            edges = [
+                (k, int(i), int(j))
+                for k, (i, j) in enumerate(zip(path[:-1], path[1:], strict=True))
+            ]
+            unknown = [edge for edge in edges if edge not in straight]
+            if not unknown:
+                break
+            starts = np.array([nodes[k][i] for k, i, _ in unknown])
+            ends = np.array([nodes[k + 1][j] for k, _, j in unknown])
+            way = ends - starts
+            way = np.where(self._turns, (way + np.pi) % (2 * np.pi) - np.pi, way)
+            for least in np.unique(least_mm):
+                mine = [m for m, edge in enumerate(unknown) if least_mm[edge[0]] == least]
+                clear = self._both.straight(starts[mine], starts[mine] + way[mine], float(least))
+                for m, good in zip(mine, clear.tolist(), strict=True):
+                    k, i, j = unknown[m]
+                    straight[k, i, j] = good
+                    if not good:
+                        choice.raise_cost(k, (i, j), DETOUR_S)
+        return path
+
+    def _between(
+        self, start: Floats, end: Floats, least_mm: float, straight: bool, effort: int
+    ) -> Floats | None:
+        """Knots of a clear way, both ends included; ``straight``: clear on the shorter side."""
+        whole = np.abs(end - start) > np.pi
+        if (whole & self._turns).any() or not straight:
+            straight = bool(self._both.straight(start[None], end[None], least_mm)[0])
+        if straight:
+            return np.array([start, end])
+        key = np.concatenate([start, end, [least_mm, effort]]).tobytes()
+        if key not in self._known:
+            self._known[key] = self._detours.between(start, end, least_mm, effort)
+        return self._known[key]
+
+    def _polished(self, joints: Floats, views: NDArray[np.intp], targets: list[Target]) -> Floats:
+        """The same knots; mink has the last word on those with a view."""
+        joints = joints.copy()
+        for knot in np.flatnonzero(views >= 0):
+            result = self._kinematics.solve(joints[knot], targets[views[knot]])
+            far = {
+                side: (float(result.position_mm[arm]), float(result.rotation_deg[arm]))
+                for arm, side in enumerate(SIDES)
+                if not result.solved[arm]
+            }
+            if far:
+                raise TrajectoryError(
+                    [
+                        p
+                        for side, off in far.items()
+                        for p in _far_problems(side, {views[knot]: off})
+                    ]
+                )
+            joints[knot] = result.joints
+        return joints
+
+    def _home(self, first: Target, joints: Floats) -> Floats:
+        """A configuration off the path, so that the first view too is entered in motion.
+
+        Both tools drawn back along the beam, as far as reach and clearance allow.
+        """
+        beam = first.source.position - first.detector.position
+        beam = beam / max(float(np.linalg.norm(beam)), 1e-9)
+        for distance in WITHDRAWN_MM:
+            for sign in (1.0, -1.0):  # outwards; else inwards, for an arm at the end of its reach
+                step = sign * distance * beam
+                target = Target.from_poses(
+                    Pose(first.source.position + step, first.source.quat),
+                    Pose(first.detector.position - step, first.detector.quat),
+                )
+                result, largest = self._kinematics.follow(joints, target)
+                if not result.solved.all() or largest.max() > FLIP_RAD:
+                    continue
+                if self._both.straight(result.joints[None], joints[None], self._least_mm)[0]:
+                    return result.joints
+        raise TrajectoryError(
+            f"view 0: no place to start from: neither {WITHDRAWN_MM[-1]:g} mm outwards nor inwards "
+            f"can be reached with a clearance of {self._least_mm:g} mm"
+        )
+
+
+def _rolled(pose: Pose, angle: float) -> Pose:
+    """Turned about its own z axis, rad."""
+    turned = Rotation.from_quat(pose.quat) * Rotation.from_euler("z", angle)
+    return Pose(pose.position, turned.as_quat()) if angle else pose
+
+
+def _far_problems(side: str, far: dict[int, tuple[float, float]]) -> list[str]:
+    """Views out of reach, by how many mm and degrees."""
+    problems = []
+    for first, last in _runs(list(far)):
+        worst = np.max([far[view] for view in range(first, last + 1)], axis=0)
+        up_to = "up to " if last > first else ""
+        tail = f" and {worst[1]:.1f} deg" if worst[1] > 1 else ""
+        problems.append(
+            f"{_named(first, last)}: {side} arm: out of reach by {up_to}{worst[0]:.1f} mm{tail}"
+        )
+    return problems
+
+
+def _gap_problems(gaps: dict[int, Gap], asked_mm: float) -> list[str]:
+    """Views in which bodies are too near each other, whatever configuration is taken."""
+    problems = []
+    for bodies in sorted({gap.bodies for gap in gaps.values()}):
+        for first, last in _runs([view for view, gap in gaps.items() if gap.bodies == bodies]):
+            worst = min((gaps[v] for v in range(first, last + 1)), key=lambda g: g.distance_mm)
+            problems.append(f"{_named(first, last)}: {_gap_text(worst, asked_mm)}")
+    return problems
+
+
+def _gap_text(gap: Gap, asked_mm: float) -> str:
+    pair = " and ".join({"detector": "detector_panel"}.get(body, body) for body in gap.bodies)
+    if gap.distance_mm < 0:
+        return f"{pair} overlap by {-gap.distance_mm:.1f} mm"
+    return f"{pair} come within {gap.distance_mm:.1f} mm, {asked_mm:g} mm are asked"
+
+
+def _no_way(before: int, after: int, tried: int) -> str:
+    origin = f"view {before}" if before >= 0 else "the start"
+    return (
+        f"from {origin} to view {after}: no way found in {tried} searches between pairs of "
+        f"configurations, of {SEARCHES[0][1]} to {SEARCHES[-1][1]} straight pieces each"
+    )
+
+
+def _runs(views: Sequence[int]) -> list[tuple[int, int]]:
+    """First and last of each run of consecutive numbers."""
+    parts = np.split(np.array(sorted(views)), np.flatnonzero(np.diff(sorted(views)) > 1) + 1)
+    return [(int(part[0]), int(part[-1])) for part in parts if len(part)]
+
+
+def _named(first: int, last: int) -> str:
+    return f"view {first}" if first == last else f"views {first} to {last}"

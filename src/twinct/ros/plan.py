@@ -1,0 +1,125 @@
+"""The plan over ROS 2: a joint trajectory, what its points expose, and the poses it was made for.
+
+Three latched messages of one stamp, the scan's own. What a node makes of them is the plan itself,
+number by number, which its digest proves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from twinct.motion import MotionPlan
+from twinct.ros import messages
+from twinct.ros.messages import OK, MalformedError, Stamp
+from twinct.ros.node import SCAN, Diagnostics
+from twinct.ros.senders import Members, Sender
+from twinct.ros.station import COMMANDED, PLAN, PLAN_VIEWS, Station
+
+if TYPE_CHECKING:
+    from rclpy.publisher import Publisher
+
+_NANO = 1_000_000_000
+KINDS = {PLAN: JointTrajectory, PLAN_VIEWS: DiagnosticArray, COMMANDED: PoseArray}
+
+
+def plan_messages(stamp: Stamp, plan: MotionPlan) -> dict[str, Any]:
+    """By topic: the points, the digest and the point of each view, the poses of each view."""
+    points = []
+    for time_s, (position, velocity, acceleration) in zip(plan.time_s, plan.state, strict=True):
+        sec, nanosec = divmod(round(time_s * _NANO), _NANO)
+        points.append(
+            JointTrajectoryPoint(
+                positions=messages.doubles(position),
+                velocities=messages.doubles(velocity),
+                accelerations=messages.doubles(acceleration),
+                time_from_start=Duration(sec=sec, nanosec=nanosec),
+            )
+        )
+    values = {"digest": plan.digest, "points": " ".join(map(str, plan.waypoints.tolist()))}
+    text = "the point that exposes each view"
+    commanded = messages.targets_message(stamp, plan.targets)
+    return {
+        PLAN: JointTrajectory(
+            header=commanded.header, joint_names=list(plan.joint_names), points=points
+        ),
+        PLAN_VIEWS: messages.diagnostic_message(stamp, SCAN, OK, text, values),
+        COMMANDED: commanded,
+    }
+
+
+def plan_of(got: dict[str, Any]) -> MotionPlan:
+    """The plan that three messages carry; how clear it is they do not say.
+
+    Raises:
+        MalformedError: they do not belong together, or something was changed on the way.
+    """
+    points = got[PLAN].points
+    try:
+        values = messages.diagnostic_values(got[PLAN_VIEWS].status[0].values)
+        waypoints = np.array(values["points"].split(), dtype=np.intp)
+        since = [point.time_from_start for point in points]
+        views = np.full(len(points), -1)
+        views[waypoints] = np.arange(len(waypoints))
+        targets = messages.targets_of(got[COMMANDED])
+        plan = MotionPlan(
+            joint_names=tuple(got[PLAN].joint_names),
+            time_s=np.array([(t.sec * _NANO + t.nanosec) / _NANO for t in since]),
+            state=np.array([(p.positions, p.velocities, p.accelerations) for p in points]),
+            views=views,
+            targets=targets,
+            clearance_mm=np.full(len(targets), np.nan),
+            nearest=(("", ""),) * len(targets),
+        )
+    except (IndexError, KeyError, ValueError) as error:
+        raise MalformedError(f"no plan: {error}") from None
+    if plan.digest != values["digest"]:
+        raise MalformedError("the plan is not the one that its digest tells of")
+    return plan
+
+
+def publish_plan(station: Station, stamp: Stamp, plan: MotionPlan) -> list[Publisher]:
+    """Say the plan to all who are there or will come."""
+    publishers = []
+    for topic, message in plan_messages(stamp, plan).items():
+        publishers.append(station.publisher(topic, KINDS[topic]))
+        publishers[-1].publish(message)
+    return publishers
+
+
+class PlanListener:
+    """Waits for the plan of a scan, and for no other's."""
+
+    def __init__(
+        self,
+        station: Station,
+        diagnostics: Diagnostics,
+        members: Members,
+        take: Callable[[MotionPlan], None],
+    ) -> None:
+        """Listen; ``take`` is called once, with the plan."""
+        self._diagnostics = diagnostics
+        self._members = members
+        self._take = take
+        self._got: dict[Stamp, dict[str, Any]] = {}
+        self.taken = False
+        for topic, kind in KINDS.items():
+            station.listen(topic, kind, lambda m, sender, topic=topic: self._hear(topic, m, sender))
+
+    def _hear(self, topic: str, message: Any, sender: Sender) -> None:
+        if not self._members.sent(SCAN, sender):
+            self._diagnostics.stranger(topic, sender)
+            return
+        stamp = Stamp.of(message.header.stamp)
+        got = self._got.setdefault(stamp, {})
+        got[topic] = message
+        if self.taken or got.keys() != KINDS.keys():
+            return
+        self.taken = True
+        self._take(plan_of(got))

@@ -1,0 +1,79 @@
+"""Ways round a closed straight path: clear, inside the ranges, the same for the same seed."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from twinct.cell import CellModel, Clearance
+from twinct.motion.detour import Detours
+from twinct.motion.feasible import SHORTFALL_MM, Feasible
+
+LEAST_MM = 10.5
+
+START, END = np.array(
+    [
+        [3.55, -0.75, 1.42, 4.94, -2.7, 2.52, 0.76, -2.88, -1.0, 3.47, 0.75, 0.3],
+        [2.46, -0.21, 2.49, 0.85, -0.89, 0.01, 0.65, -2.92, -2.51, 2.28, 0.93, 3.15],
+    ]
+)
+"""Two views of the paper, 160 views apart: on the straight path the arms meet."""
+
+ELSEWHERE = """
+import hashlib
+import numpy as np
+import trimesh
+from twinct.cell import build_cell
+from twinct.geometry import Pose
+from twinct.motion.detour import Detours
+from twinct.motion.feasible import Feasible
+from twinct.scenario import Cell, Detector
+head = trimesh.creation.icosphere(subdivisions=3)
+head.apply_scale((72.0, 90.0, 110.0))
+cell = build_cell(Cell(), head, Pose.identity(), Detector().panel)
+speeds = cell.speed_limits * cell.speed_scales
+planner = Detours(Feasible(cell), cell.joint_ranges, speeds, cell.arm_joints, 1)
+way = planner.between(np.array({start}), np.array({end}), 10.5, 0)
+print(hashlib.sha256(way.tobytes()).hexdigest())
+"""
+
+
+def planner(cell: CellModel, seed: int) -> Detours:
+    speeds = cell.speed_limits * cell.speed_scales
+    return Detours(Feasible(cell), cell.joint_ranges, speeds, cell.arm_joints, seed)
+
+
+@pytest.mark.parametrize("effort", [0, 2])
+def test_a_way_round_is_clear_and_inside_the_ranges(cell: CellModel, effort: int) -> None:
+    assert not Feasible(cell).straight(START[None], END[None], LEAST_MM)[0]
+    way = planner(cell, 1).between(START, END, LEAST_MM, effort)
+    assert way is not None
+    np.testing.assert_array_equal(way[[0, -1]], [START, END])
+    low, high = cell.joint_ranges.T
+    assert (way >= low).all() and (way <= high).all()
+    shares = np.linspace(0, 1, 150)[:, None]
+    dense = [a + shares * (b - a) for a, b in zip(way[:-1], way[1:], strict=True)]
+    assert Clearance(cell).over(np.vstack(dense)).distance_mm >= LEAST_MM - SHORTFALL_MM
+
+
+def test_what_is_shut_in_is_given_up(cell: CellModel) -> None:
+    """No way out of a clearance that hardly any configuration has."""
+    assert planner(cell, 1).between(START, END, 60.0, 0) is None
+
+
+@pytest.mark.process
+def test_the_same_seed_gives_the_same_bytes_in_any_process_after_anything(cell: CellModel) -> None:
+    way = planner(cell, 1).between(START, END, LEAST_MM, 0)
+    other = planner(cell, 2).between(START, END, LEAST_MM, 0)
+    again = planner(cell, 1).between(START, END, LEAST_MM, 0)
+    assert way is not None and other is not None and again is not None
+    np.testing.assert_array_equal(way, again)
+    assert not np.array_equal(way, other)
+    code = ELSEWHERE.format(start=START.tolist(), end=END.tolist())
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == hashlib.sha256(way.tobytes()).hexdigest()
+    assert not run.stderr  # OMPL's binding tells of objects that were never freed

@@ -1,0 +1,74 @@
+"""The choice over layers against all paths tried, and full turns that make moves short."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from twinct.motion.layers import Choice, Speeds, clear_pairs, lifted, promising
+
+SPEEDS = Speeds(np.array([1.0, 2.0]), np.array([True, False]))
+
+
+def test_seconds_go_the_short_side_of_joints_that_turn() -> None:
+    a, b = np.array([[3.0, 1.5]]), np.array([[-3.0, -1.5], [2.0, 1.0]])
+    found = SPEEDS.seconds(a, b)
+    # 2 pi - 6 and 3 / 2; 1 and 0.25. Single precision.
+    np.testing.assert_allclose(found, [[1.5, 1.0]], rtol=1e-6)
+
+
+def test_the_best_path_is_the_best_of_all() -> None:
+    rng = np.random.default_rng(1)
+    costs = [rng.uniform(0, 1, shape) for shape in ((3, 4), (4, 2), (2, 5))]
+    start = rng.uniform(0, 1, 3)
+    path, total = Choice(costs).best(start)
+
+    def cost(nodes: tuple[int, ...]) -> float:
+        moves = zip(costs, nodes[:-1], nodes[1:], strict=True)
+        return start[nodes[0]] + sum(c[i, j] for c, i, j in moves)
+
+    paths = list(itertools.product(range(3), range(4), range(2), range(5)))
+    assert tuple(path) == min(paths, key=cost)
+    assert abs(total - cost(tuple(path))) < 1e-12
+
+
+def test_a_move_that_is_closed_is_left_aside() -> None:
+    choice = Choice([np.array([[1.0, 2.0]])])
+    assert choice.best(np.zeros(1))[0].tolist() == [0, 0]
+    choice.raise_cost(0, (0, 0), 5.0)
+    assert choice.best(np.zeros(1))[0].tolist() == [0, 1]
+    choice.raise_cost(0, (0, 0), np.inf)
+    choice.raise_cost(0, (0, 1), np.inf)
+    assert choice.best(np.zeros(1))[1] == np.inf
+
+
+def test_candidates_of_the_best_path_come_first() -> None:
+    rng = np.random.default_rng(2)
+    layers = [rng.uniform(-3, 3, (m, 2)) for m in (6, 5, 7, 4)]
+    ranked = promising(layers, SPEEDS)
+    costs = [SPEEDS.seconds(a, b) for a, b in itertools.pairwise(layers)]
+    path, _ = Choice(costs).best(np.zeros(6))
+    assert [r[0] for r in ranked] == path.tolist()
+    assert all(sorted(r) == list(range(len(q))) for r, q in zip(ranked, layers, strict=True))
+
+
+def test_pairs_are_sought_until_one_is_clear() -> None:
+    ranked = (np.arange(50)[::-1], np.arange(40))
+    found = clear_pairs(ranked, lambda i, j: (i == 3) & (j == 39))
+    assert found.tolist() == [[3, 39]]
+    assert len(clear_pairs(ranked, lambda i, j: np.zeros(len(i), bool))) == 0
+    assert len(clear_pairs(ranked, lambda i, j: i >= 0)) == 144  # the first twelve of both
+
+
+def test_turns_are_added_where_they_shorten_the_way_and_stay_in_range() -> None:
+    joints = np.array([[3.0, 3.0], [-3.0, -3.0], [-0.5, -0.5], [3.0, 3.0]])
+    ranges = np.array([[-2 * np.pi, 2 * np.pi], [-np.pi, np.pi]])
+    found = lifted(joints, ranges, np.ones(2), first_stays=False)
+    turns = (found - joints) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+    assert (found >= ranges[:, 0]).all() and (found <= ranges[:, 1]).all()
+    np.testing.assert_array_equal(found[:, 1], joints[:, 1])
+    assert abs(found[1, 0] - found[0, 0]) < 0.3
+    stays = lifted(joints + [2 * np.pi, 0], ranges + [[0, 9], [0, 0]], np.ones(2), True)
+    assert stays[0, 0] == joints[0, 0] + 2 * np.pi

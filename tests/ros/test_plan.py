@@ -1,0 +1,92 @@
+"""The plan over ROS 2: the same numbers on the other side, or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from twinct.geometry import Pose
+from twinct.motion import MotionPlan
+from twinct.ros.messages import MalformedError, Stamp
+from twinct.ros.node import SCAN, Diagnostics
+from twinct.ros.plan import PlanListener, plan_messages, plan_of, publish_plan
+from twinct.ros.senders import Members
+from twinct.ros.station import COMMANDED, PLAN, PLAN_VIEWS, Station
+from twinct.views import Target
+
+STAMP = Stamp(1000, 7)
+
+
+@pytest.fixture(scope="module")
+def plan() -> MotionPlan:
+    rng = np.random.default_rng(3)
+    poses = [Pose(rng.normal(size=3), np.array([0, 0, 0, 1.0])) for _ in range(4)]
+    return MotionPlan(
+        joint_names=("source_a", "detector_b"),
+        time_s=np.rint(np.cumsum(rng.uniform(0.01, 0.3, 7)) * 1e9) / 1e9,
+        state=rng.normal(size=(7, 3, 2)),
+        views=np.array([-1, -1, 0, -1, 1, -1, -1]),
+        targets=(Target.from_poses(*poses[:2]), Target.from_poses(*poses[2:])),
+        clearance_mm=np.array([12.0, 13.0]),
+        nearest=(("a", "b"), ("a", "b")),
+    )
+
+
+def test_a_plan_comes_out_as_it_went_in(plan: MotionPlan) -> None:
+    again = plan_of(plan_messages(STAMP, plan))
+    assert again.digest == plan.digest
+    for name in ("time_s", "state", "views"):
+        assert np.array_equal(getattr(again, name), getattr(plan, name))
+    assert again.targets == plan.targets and again.joint_names == plan.joint_names
+
+
+def _turn(got: dict) -> None:
+    got[PLAN].points[3].positions[0] += 1e-12
+
+
+def _other_view(got: dict) -> None:
+    got[PLAN_VIEWS].status[0].values[1].value = "2 5"
+
+
+def _no_such_point(got: dict) -> None:
+    got[PLAN_VIEWS].status[0].values[1].value = "2 99"
+
+
+def _one_pose_less(got: dict) -> None:
+    got[COMMANDED].poses = got[COMMANDED].poses[:-1]
+
+
+@pytest.mark.parametrize("change", [_turn, _other_view, _no_such_point, _one_pose_less])
+def test_a_plan_that_was_changed_on_the_way_is_refused(
+    plan: MotionPlan, change: Callable[[dict], None]
+) -> None:
+    got = plan_messages(STAMP, plan)
+    change(got)
+    with pytest.raises(MalformedError):
+        plan_of(got)
+
+
+def test_a_late_listener_takes_the_scans_plan_and_no_strangers(
+    plan: MotionPlan, domain: int, tmp_path: Path
+) -> None:
+    taken: list[MotionPlan] = []
+    with (
+        closing(Station(SCAN, domain)) as scan,
+        closing(Station(SCAN, domain)) as stranger,
+        closing(Station("robots", domain)) as robots,
+    ):
+        members = Members(tmp_path)
+        members.enter(SCAN, scan.participant)
+        publish_plan(stranger, STAMP, plan)
+        mine = Stamp(STAMP.sec, 8)
+        publish_plan(scan, mine, plan)
+        listener = PlanListener(robots, Diagnostics(robots), members, taken.append)
+        assert robots.wait(lambda: listener.taken, 20)
+        robots.wait(lambda: False, 0.5)
+    assert [p.digest for p in taken] == [plan.digest]

@@ -1,0 +1,118 @@
+"""Whole runs whose arms follow the plan: a spiral in a mixed order of views, turned as it likes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct.geometry import Floats
+from twinct.runs import acquire_to_store
+from twinct.scan import Scan, ScanStore, Workshop, local_rig
+from twinct.scenario import Scenario, load_scenario
+from twinct.trajectory import write_views
+from twinct.views import PosePairs
+
+VIEWS = 5
+DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
+
+
+def directions() -> Floats:
+    """Mixed up on purpose: neighbours in the list are no neighbours in space."""
+    longitude, latitude = np.radians([[-60, 20, -20, 60, 0], [0, 8, -8, 4, 12]])
+    across = np.cos(latitude)
+    return np.array([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)]).T
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
+    """A file of S and D alone: the plan chooses how source and panel are turned."""
+    path = tmp_path_factory.mktemp("views") / "views.csv"
+    rows = np.hstack([300 * directions(), -300 * directions()])
+    np.savetxt(path, rows, delimiter=",")
+    return load_scenario(
+        DEMO,
+        [
+            f"trajectory={{kind: file, path: {path}}}",
+            *("motion={scheme: planned, order: shortest}", "source.focal_spot=null"),
+            "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
+            "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+            "reconstruction.grid={voxels: 20, voxel_mm: 8}",
+        ],
+    )
+
+
+@pytest.fixture(scope="module")
+def scan(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Scan]:
+    path = tmp_path_factory.mktemp("planned") / "scan.zarr"
+    store = acquire_to_store(Workshop(scenario), path, local_rig, resume=False)
+    return path, store.read()
+
+
+def test_commanded_poses_are_those_the_plan_chose(
+    scenario: Scenario, scan: tuple[Path, Scan]
+) -> None:
+    """Every view that was asked for once, source and panel where they were asked for."""
+    commanded = scan[1].commanded
+    asked = 300 * directions()
+    taken = np.array([pose.position for pose in commanded.source])
+    found = [int(np.linalg.norm(asked - place, axis=1).argmin()) for place in taken]
+    assert sorted(found) == list(range(VIEWS)) and found != list(range(VIEWS))
+    np.testing.assert_allclose(taken, asked[found], atol=1e-6)
+    upright = PosePairs.from_geometry(Workshop(scenario).asked[found])
+    turned = [
+        here.angle_deg(pose)
+        for view in range(VIEWS)
+        for here, pose in zip(commanded[view], upright[view], strict=True)
+    ]
+    assert max(turned) == pytest.approx(5)  # a step of the search
+    for view in range(VIEWS):
+        for executed, pose in zip(scan[1].executed[view], commanded[view], strict=True):
+            assert executed.distance_mm(pose) < 1.0
+    assert scan[1].clearance_mm.min() >= scenario.motion.clearance_mm
+
+
+@pytest.mark.ros
+@pytest.mark.process
+def test_both_links_follow_one_plan_and_go_on_from_each_other(
+    scenario: Scenario, scan: tuple[Path, Scan], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from twinct.ros import ros_rigs
+
+    workshop = Workshop(scenario)
+    path = tmp_path / "scan.zarr"
+    taken = 0
+
+    class Enough(Exception):
+        pass
+
+    def keep(self: ScanStore, index: int, view: object) -> None:
+        nonlocal taken
+        write(self, index, view)  # type: ignore[arg-type]
+        taken += 1
+        if taken == 2:
+            raise Enough
+
+    write = ScanStore.write
+    monkeypatch.setattr(ScanStore, "write", keep)
+    with pytest.raises(Enough):
+        acquire_to_store(workshop, path, local_rig, resume=False)
+    monkeypatch.undo()
+    log = tmp_path / "log"
+    acquire_to_store(Workshop(scenario), path, ros_rigs(log), resume=True)
+    files = {p.relative_to(scan[0]) for p in scan[0].rglob("*") if p.is_file()}
+    assert files == {p.relative_to(path) for p in path.rglob("*") if p.is_file()}
+    for name in files:
+        assert (path / name).read_bytes() == (scan[0] / name).read_bytes(), name
+
+
+def test_a_file_of_axes_is_taken_as_it_is(scenario: Scenario, tmp_path: Path) -> None:
+    file = tmp_path / "axes.csv"
+    asked = Workshop(scenario).asked
+    write_views(file, asked)
+    fixed = load_scenario(
+        DEMO, [f"trajectory={{kind: file, path: {file}}}", "motion.scheme=planned"]
+    )
+    assert not Workshop(fixed).plan_chooses
+    assert Workshop(scenario).plan_chooses
