@@ -205,17 +205,37 @@ def test_half_the_torque_cannot_follow(
 
 
 @pytest.mark.slow
+def test_the_whole_path_of_the_paper_as_planned(
+    cell: CellModel, paper_targets: list[Target]
+) -> None:
+    reached, plan = whole_path(cell, AS_IN_THE_PAPER, paper_targets)
+    judge_as_table_1(reached, paper_targets)
+    assert reached[-1].time_s == pytest.approx(plan.exposures_s[-1], rel=0.03)
+
+
+@pytest.mark.tutorial
 def test_the_whole_path_of_the_paper(cell: CellModel, paper_targets: list[Target]) -> None:
-    plan = plan_motion(cell, AS_IN_THE_PAPER, paper_targets)
-    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
+    """Solved on arrival, as in the paper; its largest rotation of the source, 0.23, is ours not."""
+    reached, _ = whole_path(cell, REACTIVE, paper_targets)
+    for side, largest_deg in zip(SIDES, (0.26, 0.41), strict=True):
+        position, rotation = errors(reached, paper_targets, side)
+        assert position.mean() <= 0.87
+        assert rotation.mean() <= 0.19
+        assert rotation.max() <= largest_deg
+
+
+def whole_path(
+    cell: CellModel, motion: Motion, targets: list[Target]
+) -> tuple[list[Reached], MotionPlan]:
+    plan = plan_motion(cell, motion, targets)
+    simulation = RobotSimulation(cell, motion, plan)
     reached = []
-    for view, target in enumerate(paper_targets):
+    for view, target in enumerate(targets):
         reached.append(simulation.move(view, target))
         assert simulation.watch.torque_share.max() < SATURATED  # MuJoCo clamps at 1
         assert simulation.watch.speed_share.max() <= 1
     assert min(r.clearance_mm for r in reached) >= 10
-    judge_as_table_1(reached, paper_targets)
-    assert reached[-1].time_s == pytest.approx(plan.exposures_s[-1], rel=0.03)
+    return reached, plan
 
 
 def test_the_arms_follow_the_plan_and_nothing_else(
