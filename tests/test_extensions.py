@@ -120,6 +120,7 @@ def twinct(installed: Path, *arguments: str | Path) -> subprocess.CompletedProce
     )
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) -> None:
     checked = twinct(installed, "check", scenario)

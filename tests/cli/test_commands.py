@@ -99,7 +99,10 @@ def test_a_finished_run_is_neither_touched_nor_done_again(finished: Path) -> Non
 @pytest.mark.process
 @pytest.mark.parametrize(
     "moment",
-    ["first view", pytest.param("some views", marks=pytest.mark.tutorial), "reconstruction"],
+    [
+        "first view",
+        *(pytest.param(m, marks=pytest.mark.tutorial) for m in ("some views", "reconstruction")),
+    ],
 )
 def test_resume_after_a_kill_ends_with_the_same_bytes(
     finished: Path, tmp_path: Path, moment: str
@@ -159,6 +162,7 @@ def test_report_rewrites_what_a_run_found(finished: Path) -> None:
     assert len((finished / "report.html").read_text()) == pytest.approx(len(report), rel=0.05)
 
 
+@pytest.mark.tutorial
 def test_several_geometries_are_judged_side_by_side(tmp_path: Path) -> None:
     names = ["believed", "executed", "commanded"]
     several = [*TINY, "--set", f"reconstruction.geometry=[{', '.join(names)}]"]
@@ -288,6 +292,7 @@ def test_a_specimen_that_no_view_sees_is_refused_before_planning(
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.tutorial
 def test_an_image_without_bone_in_its_region_is_judged_as_far_as_it_goes(
     capfd, tmp_path: Path
 ) -> None:
@@ -363,6 +368,7 @@ def test_a_picture_that_cannot_be_drawn_is_refused_before_any_work(capfd, no_wor
     assert "--height 100000: a picture has 1 to 2400" in stderr
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
 def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -34,12 +35,12 @@ def targets() -> list[Target]:
     return PosePairs.from_geometry(commanded_views(arc, Detector().panel)).targets()
 
 
-def test_views_are_reached(targets: list[Target]) -> None:
-    cell = room(None, None)
-    planned = plan_motion(cell, Motion(), targets)
-    simulation = RobotSimulation(cell, Motion(), planned.home)
-    for target in targets:
-        executed = simulation.move(target).executed
+@pytest.mark.parametrize("scheme", ["planned", "reactive"])
+def test_views_are_reached(targets: list[Target], scheme: Literal["planned", "reactive"]) -> None:
+    cell, motion = room(None, None), Motion(scheme=scheme)
+    simulation = RobotSimulation(cell, motion, plan_motion(cell, motion, targets))
+    for view, target in enumerate(targets):
+        executed = simulation.move(view, target).executed
         assert executed.source.distance_mm(target.source) < Motion().tolerance_mm
         assert executed.detector.distance_mm(target.detector) < Motion().tolerance_mm
         assert simulation.watch.torque_share.max() < 1
@@ -51,7 +52,7 @@ def test_views_are_reached(targets: list[Target]) -> None:
 def test_the_search_begins_at_home(
     targets: list[Target], branch: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinct.motion.plan.RESTARTS", 1)
+    monkeypatch.setattr("twinct.motion.follow.RESTARTS", 1)
     homes = branch, (*branch[:5], -branch[5])
     planned = plan_motion(room(*homes), Motion(), targets)
     assert np.abs(np.degrees(planned.joints[1]) - np.hstack(homes)).max() < 15

@@ -102,6 +102,7 @@ def test_without_regularisation_it_is_least_squares(problem):
     assert np.linalg.norm(M @ ours.ravel() - b) < (1 + 1e-4) * least
 
 
+@pytest.mark.tutorial
 def test_strength_means_the_same_for_other_views_and_voxels(circle, ellipsoid_integrals):
     """Contrast of a small ball: the same to 10 % at half the views, or half the voxel edge."""
     values = []

@@ -37,6 +37,7 @@ def near_ball(grid):
     return square + (x - CENTRE[0]) ** 2 < (RADIUS + 3.0) ** 2
 
 
+@pytest.mark.tutorial
 def test_rtk_gives_the_same_volume_in_the_same_place(ball):
     pytest.importorskip("itk", reason="needs the extra rtk")
     views, grid, p = ball

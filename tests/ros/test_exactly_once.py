@@ -273,6 +273,7 @@ def test_a_late_x_ray_node_images_the_view_that_was_reached(
     assert notes.count("render") == renders + 1
 
 
+@pytest.mark.tutorial
 def test_the_command_line_starts_the_real_nodes(short, foreign, domain, node):
     targets = Workshop(short).targets
     somebody = foreign(domain)

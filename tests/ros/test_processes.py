@@ -113,6 +113,7 @@ def test_ctrl_c_is_the_parents_to_handle(scan, gone):
     assert complaint.rstrip().endswith("KeyboardInterrupt")
 
 
+@pytest.mark.tutorial
 def test_two_scans_at_once_do_not_meet_and_leave_nothing(scan, gone):
     one, other = scan(views=40), scan(views=40)
     assert one.domain_id != other.domain_id

@@ -54,7 +54,7 @@ def test_a_run_gives_scan_volume_figures_and_paths_and_says_nothing(
     assert done.paths.report.is_file() and not done.paths.lock.exists()
 
 
-@pytest.mark.parametrize("key", OTHERS)
+@pytest.mark.parametrize("key", ["algorithm", pytest.param("grid", marks=pytest.mark.tutorial)])
 def test_resuming_with_other_settings_makes_what_a_fresh_run_makes(
     key: str, finished: Run, tmp_path: Path
 ) -> None:
