@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ from scipy.interpolate import BPoly
 
 from twinct.cell import CellModel, Clearance, Gap
 from twinct.errors import TrajectoryError
-from twinct.files.writing import complete
 from twinct.geometry import Floats
 from twinct.motion.follow import branch_way, gaps_along, readable
 from twinct.motion.timing import FINE_S, Law, TimeLaw
@@ -114,22 +112,6 @@ class MotionPlan:
         found = np.stack([derivative(inside) for derivative in self._polynomials], axis=1)
         found[inside != time_s, 1:] = 0.0
         return found
-
-    def save(self, path: Path) -> None:
-        """Write a file that ``load_plan`` reads.
-
-        Raises:
-            StorageError: it cannot be written.
-        """
-        with complete(path) as draft, draft.open("wb") as stream:
-            np.savez_compressed(
-                stream,
-                joint_names=np.array(self.joint_names),
-                time_s=self.time_s,
-                state=self.state,
-                views=self.views,
-                targets=np.array([(t.source_m, t.detector_m) for t in self.targets]),
-            )
 
 
 def plan_motion(
