@@ -143,6 +143,7 @@ def test_the_nodes_find_it_too(installed: Path, scenario: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 def test_who_names_a_broken_one_is_told_why(installed: Path, scenario: Path) -> None:
     changes = ("--set", "reconstruction.algorithm=hopeless", "--set", "trajectory.kind=nowhere")

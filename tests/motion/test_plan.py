@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import mujoco
 import numpy as np
 import pytest
@@ -81,11 +83,16 @@ def test_fine_tolerances_are_reached(
     assert angle <= 0.01 + 1e-6
 
 
-def test_out_of_reach_names_views_arm_and_distance(cell: CellModel, targets: list[Target]) -> None:
+@pytest.mark.parametrize(
+    "scheme", ["planned", pytest.param("reactive", marks=pytest.mark.tutorial)]
+)
+def test_out_of_reach_names_views_arm_and_distance(
+    cell: CellModel, targets: list[Target], scheme: Literal["planned", "reactive"]
+) -> None:
     away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
     bad = Target.from_poses(away, targets[0].detector)
     with pytest.raises(TrajectoryError) as caught:
-        plan_motion(cell, Motion(), [targets[0], bad])
+        plan_motion(cell, Motion(scheme=scheme), [targets[0], bad])
     (problem,) = caught.value.problems
     assert problem.startswith("view 1: source arm: out of reach by ")
     distance = float(problem.split("reach by ")[1].split(" mm")[0])

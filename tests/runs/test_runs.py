@@ -253,6 +253,7 @@ def test_what_cannot_be_done_is_refused_before_work(scenario: Scenario, workshop
         resource.setrlimit(resource.RLIMIT_AS, limits)
 
 
+@pytest.mark.tutorial
 def test_fdk_reconstructs_what_the_arms_scanned_on_an_arc() -> None:
     scenario = load_scenario(
         SCENARIOS / "demo.yaml",
@@ -297,7 +298,9 @@ def test_raw_images_are_those_that_the_transmission_came_from(blur):
     assert not np.array_equal(frames[0].raw, frames[1].raw)
 
 
-@pytest.mark.parametrize("kind", ["one_material", "two_materials"])
+@pytest.mark.parametrize(
+    "kind", ["one_material", pytest.param("two_materials", marks=pytest.mark.tutorial)]
+)
 def test_hardened_line_integrals_are_brought_to_one_energy(kind):
     """A ball of bone in water, without robots, against an image of one energy."""
     ball, core = (
