@@ -104,10 +104,9 @@ def same(found: dict[str, Any], name: str) -> None:
         )
 
 
-@pytest.mark.parametrize("link", ["local", pytest.param("ros2", marks=pytest.mark.tutorial)])
-@pytest.mark.parametrize(
-    "name", [SMALL[0], *(pytest.param(name, marks=pytest.mark.tutorial) for name in SMALL[1:])]
-)
+@pytest.mark.tutorial
+@pytest.mark.parametrize("link", ["local", "ros2"])
+@pytest.mark.parametrize("name", SMALL)
 def test_small_scenarios(name: str, link: str, tmp_path: Path) -> None:
     same(scanned(HERE / "same_bytes" / f"{name}.yaml", link, tmp_path), name)
 

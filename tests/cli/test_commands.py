@@ -130,6 +130,7 @@ def test_resume_after_a_kill_ends_with_the_same_bytes(
     assert (out / "volume.nii").read_bytes() == (finished / "volume.nii").read_bytes()
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -151,6 +152,7 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     assert json.loads((out / "seconds.json").read_text())["motion"] > 0
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 def test_report_rewrites_what_a_run_found(finished: Path) -> None:
     before = json.loads((finished / "metrics.json").read_text())

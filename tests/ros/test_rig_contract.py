@@ -102,10 +102,8 @@ def test_contract(make, scenario, targets, fakes, fake_command, notes):
             rig.move(3, targets[3])
 
 
-@pytest.mark.parametrize(
-    "physics",
-    [pytest.param(False, id="ideal"), pytest.param(True, id="physics", marks=pytest.mark.tutorial)],
-)
+@pytest.mark.tutorial
+@pytest.mark.parametrize("physics", [False, True], ids=["ideal", "physics"])
 def test_real_engines_give_the_same_bits_over_both_links_and_after_a_resume(short, physics):
     if physics:
         short = parse_scenario(json.loads(short.resolved()) | PHYSICS)

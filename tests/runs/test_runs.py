@@ -131,6 +131,7 @@ def test_volume_has_the_ball_in_its_place(scenario: Scenario, scan: Scan) -> Non
     np.testing.assert_allclose(centre, BALL_MM, atol=5.0)  # one voxel, from eight views
 
 
+@pytest.mark.tutorial
 def test_a_scan_is_a_function_of_scenario_and_seed(scenario: Scenario, scan: Scan) -> None:
     again = simulate(scenario)
     np.testing.assert_array_equal(again.transmission, scan.transmission)
