@@ -282,3 +282,20 @@ def test_a_state_of_another_plan_is_refused(
     other = replace(plan, time_s=2 * plan.time_s)
     with pytest.raises(MotionError, match="of another plan"):
         RobotSimulation(cell, AS_IN_THE_PAPER, other).restore(state)
+
+
+def test_a_target_of_no_plan_is_reached_from_wherever_the_arms_are(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
+    simulation.move(0, targets[0])  # still moving
+    for target in (targets[20], targets[5]):
+        executed = simulation.move(None, target).executed
+        assert executed.source.distance_mm(target.source) < 1
+        assert executed.detector.distance_mm(target.detector) < 1
+        assert not simulation.watch.contacts
+    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
+    with pytest.raises(TargetRefusedError, match="source arm: out of reach") as no:
+        simulation.move(None, Target.from_poses(away, targets[0].detector))
+    assert no.value.arms == ("source",)
+    simulation.move(None, targets[3])
