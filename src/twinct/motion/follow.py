@@ -14,8 +14,11 @@ import numpy as np
 
 from twinct.cell import CellModel, Clearance, Gap
 from twinct.errors import TrajectoryError
-from twinct.geometry import MM_PER_M, Floats, Pose
+from twinct.geometry import MM_PER_M, Floats
+from twinct.motion.branches import SIDES
+from twinct.motion.home import FLIP_RAD, home_off
 from twinct.motion.kinematics import Kinematics, mujoco
+from twinct.motion.refusals import far_problems, gap_problems, named, runs
 from twinct.motion.way import Way
 from twinct.scenario import Motion
 from twinct.views import Target
@@ -29,16 +32,8 @@ BRANCHES = 16
 SAME_RAD = 0.05
 """Configurations closer than this in every joint are the same way."""
 
-FLIP_RAD = 0.35
-"""A joint step this large, for one small step of the tools, is a flip and no motion."""
-
 CHECK_MM = 4.0
 """Between views, clearance is looked at whenever a point may have moved this far."""
-
-WITHDRAWN_MM = (40.0, 20.0, 10.0, 5.0)
-"""How far home may lie off the first view, outwards along the beam."""
-
-SIDES = ("source", "detector")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +80,17 @@ def branch_way(cell_model: CellModel, motion: Motion, targets: Sequence[Target])
     pair = _clearest(cell_model, [[w for w in found if w.good] for found in ways])
     joints = np.hstack([way.joints for way in pair])
     gaps = gaps_along(cell_model, joints)
-    if problems := _gap_problems(gaps, motion.clearance_mm):
-        raise TrajectoryError(problems)
-    home = _home(cell_model, kinematics, motion, targets[0], joints[0])
+    asked_mm = motion.clearance_mm
+    close = {view: gap for view, gap in enumerate(gaps) if gap.distance_mm < asked_mm}
+    if close:
+        raise TrajectoryError(gap_problems(close, asked_mm))
+    clearance, scratch = Clearance(cell_model), mujoco.MjData(cell_model.model)
+
+    def clear(home: Floats) -> bool:
+        path = straight_path(cell_model, scratch, joints[0], home)
+        return clearance.over(path).distance_mm >= asked_mm
+
+    home = home_off(targets[0], joints[0], kinematics, clear, asked_mm)
     return Way(np.vstack([home, joints]), np.arange(-1, len(joints)), tuple(targets))
 
 
@@ -267,75 +270,12 @@ def straight_path(cell: CellModel, data: mujoco.MjData, start: Floats, end: Floa
     return start + share * (end - start)
 
 
-def _home(
-    cell: CellModel, kinematics: Kinematics, motion: Motion, first: Target, joints: Floats
-) -> Floats:
-    """A configuration off the path, so that the first view too is entered in motion.
-
-    Both tools drawn back from the isocentre along the beam, as far as reach and clearance allow.
-    """
-    clearance, scratch = Clearance(cell), mujoco.MjData(cell.model)
-    source, detector = first.source, first.detector
-    outwards = source.position - detector.position
-    outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
-    for distance in WITHDRAWN_MM:
-        for sign in (1.0, -1.0):  # outwards; else inwards, for an arm at the end of its reach
-            step = sign * distance * outwards
-            drawn = Pose(source.position + step, source.quat)
-            target = Target.from_poses(drawn, Pose(detector.position - step, detector.quat))
-            result, largest = kinematics.follow(joints, target)
-            if not result.solved.all() or largest.max() > FLIP_RAD:
-                continue
-            gap = clearance.over(straight_path(cell, scratch, joints, result.joints))
-            if gap.distance_mm >= motion.clearance_mm:
-                return result.joints
-    raise TrajectoryError(
-        f"view 0: no place to start from: neither {WITHDRAWN_MM[-1]:g} mm outwards nor inwards can "
-        f"be reached with a clearance of {motion.clearance_mm:g} mm"
-    )
-
-
 def _reach_problems(side: str, way: _Way) -> list[str]:
-    problems = []
-    for first, last in _runs(~way.solved):
-        views = slice(first, last + 1)
-        far, turned = way.position_mm[views].max(), way.rotation_deg[views].max()
-        worst = f"up to {far:.1f} mm" if last > first else f"{far:.1f} mm"
-        tail = f" and {turned:.1f} deg" if turned > 1 else ""
-        problems.append(f"{_named(first, last)}: {side} arm: out of reach by {worst}{tail}")
-    for first, last in _runs(way.flips & way.solved):
+    off = zip(way.position_mm.tolist(), way.rotation_deg.tolist(), strict=True)
+    problems = far_problems(side, {v: d for v, d in enumerate(off) if not way.solved[v]})
+    for first, last in runs(np.flatnonzero(way.flips & way.solved).tolist()):
         problems.append(
-            f"{_named(first, last)}: {side} arm: no continuous path from the neighbouring view; a "
+            f"{named(first, last)}: {side} arm: no continuous path from the neighbouring view; a "
             f"joint would jump by more than {np.degrees(FLIP_RAD):.0f} deg"
         )
     return problems
-
-
-def _gap_problems(gaps: list[Gap], asked_mm: float) -> list[str]:
-    problems = []
-    bad = np.array([gap.distance_mm < asked_mm for gap in gaps])
-    for bodies in sorted({gap.bodies for gap in gaps if gap.distance_mm < asked_mm}):
-        for first, last in _runs(bad & [gap.bodies == bodies for gap in gaps]):
-            smallest = min(gap.distance_mm for gap in gaps[first : last + 1])
-            pair = f"{readable(bodies[0])} and {readable(bodies[1])}"
-            if smallest < 0:
-                what = f"overlap by {-smallest:.1f} mm"
-            else:
-                what = f"come within {smallest:.1f} mm, {asked_mm:g} mm are asked"
-            problems.append(f"{_named(first, last)}: {pair} {what}")
-    return problems
-
-
-def readable(body: str) -> str:
-    """A body's name as messages call it."""
-    return {"source": "source", "detector": "detector_panel"}.get(body, body)
-
-
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """First and last index of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _named(first: int, last: int) -> str:
-    return f"view {first}" if first == last else f"views {first} to {last}"

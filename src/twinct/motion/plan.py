@@ -20,7 +20,8 @@ from scipy.interpolate import BPoly
 from twinct.cell import CellModel, Clearance, Gap
 from twinct.errors import TrajectoryError
 from twinct.geometry import Floats
-from twinct.motion.follow import branch_way, gaps_along, readable
+from twinct.motion.follow import branch_way, gaps_along
+from twinct.motion.refusals import readable
 from twinct.motion.timing import FINE_S, Law, TimeLaw
 from twinct.motion.way import Way, find_way, kept_mm
 from twinct.scenario import Motion

@@ -11,10 +11,13 @@ import numpy as np
 from twinct.cell import CellModel, Clearance
 from twinct.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
-from twinct.motion.follow import FLIP_RAD, SIDES, readable, straight_path
+from twinct.motion.branches import SIDES
+from twinct.motion.follow import straight_path
+from twinct.motion.home import FLIP_RAD
 from twinct.motion.kinematics import Kinematics, mujoco, site_pose
 from twinct.motion.plan import MotionPlan, timed
 from twinct.motion.reference import Reference
+from twinct.motion.refusals import readable
 from twinct.motion.shutter import Shutter
 from twinct.motion.way import find_way
 from twinct.scenario import Motion

@@ -22,6 +22,7 @@ from twinct.geometry import Floats, Pose
 from twinct.motion.branches import SIDES, Branches, matrices
 from twinct.motion.detour import SEARCHES, Detours
 from twinct.motion.feasible import SHORTFALL_MM, Feasible, Indices
+from twinct.motion.home import home_off
 from twinct.motion.kinematics import Kinematics
 from twinct.motion.layers import (
     DETOUR_S,
@@ -32,6 +33,7 @@ from twinct.motion.layers import (
     lifted,
     promising,
 )
+from twinct.motion.refusals import far_problems, gap_problems, gap_text
 from twinct.motion.tour import shortest_tour
 from twinct.scenario import Motion
 from twinct.views import Target
@@ -61,12 +63,6 @@ DETOURS_TRIED = 20
 
 TRIED_S = 0.15
 """What a search in vain adds to what a move costs: others have their turn before more effort."""
-
-WITHDRAWN_MM = (40.0, 20.0, 10.0, 5.0)
-"""How far home may lie off the first view, outwards along the beam."""
-
-FLIP_RAD = 0.35
-"""A joint step this large, for one small step of the tools, is a flip and no motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +225,7 @@ class _Finder:
             if not good.any() and view not in far:
                 gaps[view] = self._widest(self._placed(joints, arm), (side,))
             candidates.append(_Candidates(joints[good], roll[good]))
-        return candidates, _far_problems(side, far) + _gap_problems(gaps, self._least_mm)
+        return candidates, far_problems(side, far) + gap_problems(gaps, self._least_mm)
 
     def _nearest(self, view: int, arm: int) -> tuple[Floats, Floats, tuple[float, float] | None]:
         """An arm's best try: it and its roll where it is within tolerance, else how far off."""
@@ -282,7 +278,7 @@ class _Finder:
                 )
                 gaps[view] = self._widest(best, SIDES)
         if gaps:
-            raise TrajectoryError(_gap_problems(gaps, self._least_mm))
+            raise TrajectoryError(gap_problems(gaps, self._least_mm))
         return pairs
 
     def _checked(self, start: Floats) -> Floats:
@@ -298,7 +294,7 @@ class _Finder:
         gap = self._widest(start[None], SIDES)
         self._first_mm = min(self._least_mm, gap.distance_mm - 2 * SHORTFALL_MM)
         if self._first_mm <= 0:
-            raise TrajectoryError(f"start: {_gap_text(gap, self._least_mm)}")
+            raise TrajectoryError(f"start: {gap_text(gap, self._least_mm)}")
         return start
 
     def _through(
@@ -405,38 +401,16 @@ class _Finder:
             }
             if far:
                 raise TrajectoryError(
-                    [
-                        p
-                        for side, off in far.items()
-                        for p in _far_problems(side, {views[knot]: off})
-                    ]
+                    [p for side, off in far.items() for p in far_problems(side, {views[knot]: off})]
                 )
             joints[knot] = result.joints
         return joints
 
     def _home(self, first: Target, joints: Floats) -> Floats:
-        """A configuration off the path, so that the first view too is entered in motion.
+        def clear(home: Floats) -> bool:
+            return bool(self._both.straight(home[None], joints[None], self._least_mm)[0])
 
-        Both tools drawn back along the beam, as far as reach and clearance allow.
-        """
-        beam = first.source.position - first.detector.position
-        beam = beam / max(float(np.linalg.norm(beam)), 1e-9)
-        for distance in WITHDRAWN_MM:
-            for sign in (1.0, -1.0):  # outwards; else inwards, for an arm at the end of its reach
-                step = sign * distance * beam
-                target = Target.from_poses(
-                    Pose(first.source.position + step, first.source.quat),
-                    Pose(first.detector.position - step, first.detector.quat),
-                )
-                result, largest = self._kinematics.follow(joints, target)
-                if not result.solved.all() or largest.max() > FLIP_RAD:
-                    continue
-                if self._both.straight(result.joints[None], joints[None], self._least_mm)[0]:
-                    return result.joints
-        raise TrajectoryError(
-            f"view 0: no place to start from: neither {WITHDRAWN_MM[-1]:g} mm outwards nor inwards "
-            f"can be reached with a clearance of {self._least_mm:g} mm"
-        )
+        return home_off(first, joints, self._kinematics, clear, self._least_mm)
 
 
 def _rolled(pose: Pose, angle: float) -> Pose:
@@ -445,49 +419,9 @@ def _rolled(pose: Pose, angle: float) -> Pose:
     return Pose(pose.position, turned.as_quat()) if angle else pose
 
 
-def _far_problems(side: str, far: dict[int, tuple[float, float]]) -> list[str]:
-    """Views out of reach, by how many mm and degrees."""
-    problems = []
-    for first, last in _runs(list(far)):
-        worst = np.max([far[view] for view in range(first, last + 1)], axis=0)
-        up_to = "up to " if last > first else ""
-        tail = f" and {worst[1]:.1f} deg" if worst[1] > 1 else ""
-        problems.append(
-            f"{_named(first, last)}: {side} arm: out of reach by {up_to}{worst[0]:.1f} mm{tail}"
-        )
-    return problems
-
-
-def _gap_problems(gaps: dict[int, Gap], asked_mm: float) -> list[str]:
-    """Views in which bodies are too near each other, whatever configuration is taken."""
-    problems = []
-    for bodies in sorted({gap.bodies for gap in gaps.values()}):
-        for first, last in _runs([view for view, gap in gaps.items() if gap.bodies == bodies]):
-            worst = min((gaps[v] for v in range(first, last + 1)), key=lambda g: g.distance_mm)
-            problems.append(f"{_named(first, last)}: {_gap_text(worst, asked_mm)}")
-    return problems
-
-
-def _gap_text(gap: Gap, asked_mm: float) -> str:
-    pair = " and ".join({"detector": "detector_panel"}.get(body, body) for body in gap.bodies)
-    if gap.distance_mm < 0:
-        return f"{pair} overlap by {-gap.distance_mm:.1f} mm"
-    return f"{pair} come within {gap.distance_mm:.1f} mm, {asked_mm:g} mm are asked"
-
-
 def _no_way(before: int, after: int, tried: int) -> str:
     origin = f"view {before}" if before >= 0 else "the start"
     return (
         f"from {origin} to view {after}: no way found in {tried} searches between pairs of "
         f"configurations, of {SEARCHES[0][1]} to {SEARCHES[-1][1]} straight pieces each"
     )
-
-
-def _runs(views: Sequence[int]) -> list[tuple[int, int]]:
-    """First and last of each run of consecutive numbers."""
-    parts = np.split(np.array(sorted(views)), np.flatnonzero(np.diff(sorted(views)) > 1) + 1)
-    return [(int(part[0]), int(part[-1])) for part in parts if len(part)]
-
-
-def _named(first: int, last: int) -> str:
-    return f"view {first}" if first == last else f"views {first} to {last}"
