@@ -101,7 +101,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--views", type=int, default=399)
     parser.add_argument("--trigger", nargs="+", default=["on_entry", "settled"])
-    parser.add_argument("--scheme", choices=["planned", "reactive"], default="reactive")
+    parser.add_argument("--scheme", choices=["planned", "reactive"], default="planned")
     parser.add_argument("--save", help="write the figures as JSON")
     args = parser.parse_args()
     figures = [measure(args.views, trigger, args.scheme) for trigger in args.trigger]

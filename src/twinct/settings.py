@@ -53,7 +53,7 @@ class ConflictError(ValueError):
         self.conflicts = conflicts
 
 
-FILE_KEYS = ("path", "file")
+FILE_KEYS = ("path", "file", "plan")
 """Keys that name an input file: it is made absolute, must exist, and counts by its content."""
 
 

@@ -54,3 +54,11 @@ def test_each_stage_grows_with_what_it_holds(monkeypatch: pytest.MonkeyPatch) ->
         assert more >= 4 * (256**3 - 128**3)
     both = needs(load_scenario(DEMO), "ros2")["views"]
     assert both.processes == 3 and both.memory_bytes > small["views"].memory_bytes
+
+
+def test_nothing_is_planned_and_a_gantry_takes_no_arms(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("twinct.motion.plan_motion", None)
+    arms = needs(load_scenario(DEMO, [*FEW, "motion.order=shortest"]))
+    gantry = needs(load_scenario(DEMO, [*FEW, "cell={kind: gantry}"]))
+    assert gantry["plan"].memory_bytes == gantry["specimen"].memory_bytes
+    assert gantry["views"].memory_bytes < arms["views"].memory_bytes

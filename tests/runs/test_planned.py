@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from twinct.geometry import Floats
-from twinct.runs import acquire_to_store
+from twinct.runs import acquire_to_store, report_again, run
 from twinct.scan import Scan, ScanStore, Workshop, local_rig
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import write_views
@@ -99,12 +101,59 @@ def test_both_links_follow_one_plan_and_go_on_from_each_other(
     with pytest.raises(Enough):
         acquire_to_store(workshop, path, local_rig, resume=False)
     monkeypatch.undo()
-    log = tmp_path / "log"
-    acquire_to_store(Workshop(scenario), path, ros_rigs(log), resume=True)
+    # What goes on has its plan from the store: nobody plans again.
+    monkeypatch.setattr("twinct.motion.plan_motion", None)
+    kept = ScanStore(path).plan
+    assert kept is not None and kept.digest == workshop.plan.digest  # type: ignore[union-attr]
+    acquire_to_store(Workshop(scenario, kept), path, ros_rigs(tmp_path / "log"), resume=True)
     files = {p.relative_to(scan[0]) for p in scan[0].rglob("*") if p.is_file()}
     assert files == {p.relative_to(path) for p in path.rglob("*") if p.is_file()}
     for name in files:
         assert (path / name).read_bytes() == (scan[0] / name).read_bytes(), name
+
+
+def test_the_xray_node_has_its_views_from_the_plan(
+    scenario: Scenario, scan: tuple[Path, Scan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy")
+    from twinct.ros.xray_node import _AsPlanned
+
+    monkeypatch.setattr("twinct.motion.plan_motion", None)
+    path, whole = scan
+    plan = ScanStore(path).plan
+    assert plan is not None
+    imager = _AsPlanned(scenario)
+    imager.follow(plan)
+    geometry = whole.executed.geometry(scenario.detector.panel)
+    image = imager.expose([(geometry[2], whole.executed_object[2])], 2)
+    imager.close()
+    np.testing.assert_array_equal(image, whole.transmission[2])
+
+
+@pytest.mark.tutorial
+def test_a_run_goes_on_with_the_plan_it_has(
+    scenario: Scenario,
+    scan: tuple[Path, Scan],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shutil.copytree(scan[0], tmp_path / "out" / "scan.zarr")
+    monkeypatch.setattr("twinct.motion.plan_motion", None)
+    finished = run(scenario, tmp_path / "out", link="local", resume=True)
+    assert report_again(tmp_path / "out").figures["views"] == finished.figures["views"] == VIEWS
+
+
+def test_a_scan_of_before_plans_is_a_reactive_one(scan: tuple[Path, Scan], tmp_path: Path) -> None:
+    path = tmp_path / "scan.zarr"
+    shutil.copytree(scan[0], path)
+    assert ScanStore(path).scenario.motion.scheme == "planned"
+    shutil.rmtree(path / "plan")
+    attributes = json.loads((path / "zarr.json").read_text())
+    told = json.loads(attributes["attributes"]["scenario"])
+    del told["motion"]["scheme"]
+    attributes["attributes"]["scenario"] = json.dumps(told)
+    (path / "zarr.json").write_text(json.dumps(attributes))
+    assert ScanStore(path).scenario.motion.scheme == "reactive"
 
 
 def test_a_file_of_axes_is_taken_as_it_is(scenario: Scenario, tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_a_gantry_counts_and_what_arms_read_does_not() -> None:
     assert digests("cell.kind=arms") == arms
     assert changed("trajectory.views=5") >= {"plan"}
     # What it was before there was a gantry: results of arms stay valid.
-    other_floor = digests("cell.floor_z_mm=-1500")
+    other_floor = digests("cell.floor_z_mm=-1500", "motion.scheme=reactive")
     assert other_floor["plan"].startswith("c8defc6e894a")
 
 

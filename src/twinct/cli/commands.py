@@ -17,6 +17,7 @@ from twinct.scenario import load_scenario, named_places, scenario_schema
 
 if TYPE_CHECKING:
     from twinct.runs import Run
+    from twinct.scan import Workshop
 
 app = tyro.extras.SubcommandApp()
 
@@ -47,10 +48,18 @@ Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
 @app.command
-def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
+def check(
+    scenario: ScenarioFile,
+    *,
+    save: Annotated[Path | None, tyro.conf.arg(metavar="NPZ")] = None,
+    set_: Overrides = (),
+) -> None:
     """Validate a scenario, build its specimen and plan its motion, without running it.
 
     Names every view that an arm cannot reach or that would collide.
+
+    Args:
+        save: File to write the plan to; with the key motion.plan a scenario follows it.
     """
     from twinct.runs import check_physics, check_sight, findings, require_extras, require_feasible
     from twinct.scan import Workshop
@@ -66,7 +75,21 @@ def check(scenario: ScenarioFile, *, set_: Overrides = ()) -> None:
         table = Table(title=f"{loaded.name}: can be run", show_header=False)
         for name, words in findings(workshop).items():
             table.add_row(name, words.replace("×", "x"))
+        if save is not None:
+            _save_plan(workshop, save)
     Console().print(table)
+
+
+def _save_plan(workshop: Workshop, path: Path) -> None:
+    from twinct.errors import InputError
+    from twinct.motion import save_plan
+
+    if workshop.followed is None:
+        why = "a gantry" if workshop.plan is None else "motion.scheme: reactive"
+        raise InputError(f"--save {path}: {why} follows no plan")
+    if path.suffix != ".npz":
+        raise InputError(f"--save {path}: the file of a plan ends in .npz")
+    save_plan(workshop.followed, path)
 
 
 @app.command

@@ -149,7 +149,7 @@ def _unhurried(cell: CellModel, way: Way) -> MotionPlan:
     state[:, 0] = way.joints
     time_s = np.arange(len(state), dtype=np.float64)
     plan = MotionPlan(cell.joint_names, time_s, state, way.views, way.targets, np.zeros(0), ())
-    return _with_gaps(plan, gaps_along(cell, plan.joints))
+    return with_gaps(plan, gaps_along(cell, plan.joints))
 
 
 def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) -> MotionPlan:
@@ -167,7 +167,7 @@ def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) ->
     problems: dict[int, str] = {}
     for _ in range(FINER):
         plan = _compose(cell, motion, way, _laws(law, motion, way, spacing), exposure_s)
-        problems = _too_close(plan, kept_mm(motion))
+        problems = too_close(plan, kept_mm(motion))
         if not problems:
             return plan
         spacing[np.isin(leads_to, list(problems))] /= 2
@@ -227,11 +227,14 @@ def _compose(
     time_s = np.union1d(_whole_nanoseconds(draft.time_s), views_s)
     views = np.full(len(time_s), -1)
     views[np.searchsorted(time_s, views_s)] = np.arange(len(order))
-    plan = replace(draft, time_s=time_s, state=draft.at(time_s), views=views)
-    return _with_gaps(plan, _gaps(cell, plan))
+    state = draft.at(time_s)
+    state[[0, -1], 1:] = 0.0  # but for rounding they are
+    plan = replace(draft, time_s=time_s, state=state, views=views)
+    return with_gaps(plan, gaps_of(cell, plan))
 
 
-def _with_gaps(plan: MotionPlan, gaps: list[Gap]) -> MotionPlan:
+def with_gaps(plan: MotionPlan, gaps: list[Gap]) -> MotionPlan:
+    """A plan that knows how clear the way to each view is."""
     return replace(
         plan,
         clearance_mm=np.array([gap.distance_mm for gap in gaps]),
@@ -244,7 +247,7 @@ def _whole_nanoseconds(time_s: Floats) -> Floats:
     return np.rint(time_s * 1e9) / 1e9
 
 
-def _gaps(cell: CellModel, plan: MotionPlan) -> list[Gap]:
+def gaps_of(cell: CellModel, plan: MotionPlan) -> list[Gap]:
     """The smallest gap on the way to each view, what comes after the last one included there."""
     clearance = Clearance(cell)
     ends = plan.exposures_s.copy()
@@ -257,7 +260,7 @@ def _gaps(cell: CellModel, plan: MotionPlan) -> list[Gap]:
     ]
 
 
-def _too_close(plan: MotionPlan, room: float) -> dict[int, str]:
+def too_close(plan: MotionPlan, room: float) -> dict[int, str]:
     """What is wrong with the way to which view."""
     return {
         view: f"view {view}: on the way there {' and '.join(plan.nearest[view])} come within "

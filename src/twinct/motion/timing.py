@@ -108,6 +108,21 @@ class TimeLaw:
             law = self._law(way, s, most, gain, passed)
         raise TrajectoryError(f"no timing keeps the joints' limits within {ROUNDS} rounds")
 
+    def shares(self, states: Floats) -> dict[str, Floats]:
+        """Speed, acceleration and torque as shares of what each joint may have.
+
+        Args:
+            states: position, velocity and acceleration, rad and s, (times, 3, n).
+
+        Returns:
+            (times, n) each.
+        """
+        return {
+            "speed": np.abs(states[:, 1]) / self._speed,
+            "acceleration": np.abs(states[:, 2]) / self._acceleration,
+            "torque": self._torque_shares(states) / TORQUE_SHARE,
+        }
+
     def _allowed(self, way: CubicSpline, s: Floats) -> tuple[Floats, Floats]:
         """Largest speed of s at each of its values, and the largest change of it that is left."""
         first, second, third = (np.abs(way(s, d)) for d in (1, 2, 3))

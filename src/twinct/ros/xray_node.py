@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
@@ -14,9 +14,14 @@ from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.ros import messages
 from twinct.ros.messages import Epoch, Executed, MalformedError, Stamp
 from twinct.ros.node import ROBOTS, XRAY, Diagnostics, Ledger, RefusedError, run_node
+from twinct.ros.plan import PlanListener
 from twinct.ros.senders import Members, Sender
 from twinct.ros.station import CAMERA, IMAGE, REACHED, Station
 from twinct.scenario import Scenario
+
+if TYPE_CHECKING:
+    from twinct.motion import MotionPlan
+    from twinct.scan import Workshop
 
 MEMORY_BYTES = 256 * 2**20
 """Images kept for those who ask again; never fewer than two, never more than 32."""
@@ -61,26 +66,62 @@ def spin_xray(
     Returns:
         Exit code: 0.
     """
-    panel = scenario.detector.panel
+    panel, samples = scenario.detector.panel, scenario.source.motion_samples
     own = Epoch.parse(epoch) if epoch is not None else None
+    waits = build is None and members is not None and _workshop(scenario).plan_chooses
+
+    def build_simulation() -> XRay:
+        if waits:
+            return _AsPlanned(scenario)
+        return build(scenario) if build else _workshop(scenario).imager()
+
+    def open_node(station: Station, diagnostics: Diagnostics, imager: XRay) -> Callable[[], bool]:
+        node = XRayNode(station, diagnostics, imager, panel, own, members, samples)
+        if members is None or not isinstance(imager, _AsPlanned):
+            return node.connected
+        plan = PlanListener(station, diagnostics, members, imager.follow)
+        return lambda: plan.taken and node.connected()
+
     return run_node(
         XRAY,
-        lambda: (build or _imager)(scenario),
-        lambda station, diagnostics, imager: (
-            XRayNode(
-                station, diagnostics, imager, panel, own, members, scenario.source.motion_samples
-            ).connected
-        ),
+        build_simulation,
+        open_node,
         lifeline=lifeline,
         members=members,
         largest_message=image_bytes(panel),
     )
 
 
-def _imager(scenario: Scenario) -> XRay:
+def _workshop(scenario: Scenario, plan: MotionPlan | None = None) -> Workshop:
     from twinct.scan import Workshop  # only here: it brings all that a simulation needs
 
-    return Workshop(scenario).imager()
+    return Workshop(scenario, plan)
+
+
+class _AsPlanned:
+    """The imager of a scan whose views are known only when its plan has come."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._imager: XRay | None = None
+
+    def follow(self, plan: MotionPlan) -> None:
+        """Take the commanded geometry from a plan."""
+        self._imager = _workshop(self._scenario, plan).imager()
+
+    def expose(
+        self,
+        path: Sequence[tuple[ScanGeometry, Pose]],
+        view: int = 0,
+        before: tuple[ScanGeometry, Pose] | None = None,
+    ) -> NDArray[np.float32]:
+        if self._imager is None:
+            raise RefusedError("the plan of the scan has not come")
+        return self._imager.expose(path, view, before)
+
+    def close(self) -> None:
+        if self._imager is not None:
+            self._imager.close()
 
 
 def image_bytes(panel: Panel) -> int:

@@ -109,7 +109,7 @@ def acquire_to_store(
             nonlocal store
             reached = view.reached
             if store is None:
-                robots = reached.joint_names, len(reached.state)
+                robots = reached.joint_names, len(reached.state), workshop.followed
                 store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
             store.write(index, view)
             log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)

@@ -95,14 +95,15 @@ def run(
     if not resume:
         folder.refuse_if_taken()
     folder.refuse_others()
-    if resume and folder.scan.exists():
-        ScanStore(folder.scan).refuse_other(scenario)
+    store = ScanStore(folder.scan) if resume and folder.scan.exists() else None
+    if store:
+        store.refuse_other(scenario)
     require_extras(scenario)
     check_drawing()
     if resume and folder.finished(scenario):
         progress.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
-    workshop = Workshop(scenario)
+    workshop = Workshop(scenario, store.plan if store else None)
     check_physics(workshop)
     with ExitStack() as stack:
         with seconds.stage("link"):
@@ -135,14 +136,17 @@ def report_again(path: str | Path, progress: Progress = SILENT) -> Run:
         raise InputError(f"{path} holds no finished run: {', '.join(missing)} missing")
     with storage_errors(folder.path), sole_owner(folder.lock):
         before = read_metrics(folder.metrics)
-        scenario = load_scenario(folder.scenario)
+        plan = ScanStore(folder.scan).plan
+        # A scan from before there were plans does not say so.
+        scheme = () if plan else ("motion.scheme=reactive",)
+        scenario = load_scenario(folder.scenario, scheme)
         run = Run(scenario, folder)
         if run.volume.extras["note"] != _note_of(scenario):
             raise InputError(
                 f"{folder.volume} was made with other settings than {folder.scenario.name} holds: "
                 f"finish the run with 'twinct run {folder.scenario} --out {path} --resume'"
             )
-        workshop = Workshop(scenario)
+        workshop = Workshop(scenario, plan)
         truth = truth_of(run.scan, workshop, progress)
         figures = {scenario.reconstruction.geometries[0]: judge(run.scan, run.volume, truth)}
         for which, values in before.get("image_by_geometry", {}).items():

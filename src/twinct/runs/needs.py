@@ -57,12 +57,13 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
         In the order of the stages: ``specimen``, ``plan``, ``views``, ``truth``, ``reconstruction``
         and ``report``.
     """
-    views = Workshop(scenario).commanded
+    views = Workshop(scenario).asked  # what the plan may choose takes no bytes
     grid, panel = scenario.reconstruction.grid.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"
     specimen = PROCESS_BYTES + _specimen_bytes(scenario)
-    simulations = ROOM_BYTES + GVXR_BYTES + 16 * image
+    room = ROOM_BYTES if scenario.cell.kind == "arms" else 0
+    simulations = room + GVXR_BYTES + 16 * image
     # Each node builds the specimen anew; in one process gVXR stays until the end.
     stays = GVXR_BYTES if local else 0
     acquiring = specimen + simulations if local else 3 * specimen + simulations
@@ -70,7 +71,7 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
     reconstructing = max(memory_needed(scenario, views).values())
     return {
         "specimen": Need(specimen),
-        "plan": Need(specimen + ROOM_BYTES),
+        "plan": Need(specimen + room),
         "views": Need(acquiring, scan // 2, many, 1 if local else 3),
         "truth": Need(specimen + stays + scan + 16 * voxels, 0, many),
         "reconstruction": Need(specimen + stays + reconstructing, 4 * voxels, many),

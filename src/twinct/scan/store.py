@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import zarr as _zarr
@@ -22,6 +22,9 @@ from twinct.geometry import Pose
 from twinct.scan.data import Scan, View
 from twinct.scenario import Scenario, parse_scenario, stage_digests
 from twinct.views import Instant, PosePairs
+
+if TYPE_CHECKING:
+    from twinct.motion import MotionPlan
 
 zarr: Any = _zarr
 """Typed in part only."""
@@ -72,8 +75,11 @@ class ScanStore:
         commanded: PosePairs,
         joint_names: tuple[str, ...],
         state_size: int,
+        plan: MotionPlan | None = None,
     ) -> ScanStore:
         """Make a store without views; it appears under its name only when it is complete.
+
+        A plan is kept where the arms follow one.
 
         Raises:
             ScanExistsError: there is one already.
@@ -86,6 +92,8 @@ class ScanStore:
             shutil.rmtree(draft, ignore_errors=True)
             path.parent.mkdir(parents=True, exist_ok=True)
             _write_frame(draft, scenario, commanded, joint_names, state_size)
+            if plan is not None:
+                _write_plan(draft, plan)
             draft.rename(path)
         return cls(path)
 
@@ -135,7 +143,10 @@ class ScanStore:
     @property
     def scenario(self) -> Scenario:
         """The scenario the scan was taken with."""
-        return parse_scenario(json.loads(str(self._group.attrs["scenario"])))
+        told = json.loads(str(self._group.attrs["scenario"]))
+        if "plan" not in self._group:  # nor was there a scheme, before there were plans
+            told["motion"].setdefault("scheme", "reactive")
+        return parse_scenario(told)
 
     @property
     def digests(self) -> dict[str, str]:
@@ -152,6 +163,21 @@ class ScanStore:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, source arm first."""
         return tuple(self._group.attrs["joint_names"])
+
+    @property
+    def plan(self) -> MotionPlan | None:
+        """The plan that the arms follow; None where each target is solved as it comes.
+
+        Raises:
+            InputError: it is damaged.
+        """
+        if "plan" not in self._group:
+            return None
+        from twinct.motion import plan_of_arrays
+
+        group = self._group["plan"]
+        arrays = {name: np.asarray(array[:]) for name, array in group.arrays()}
+        return plan_of_arrays({**arrays, **group.attrs}, f"{self.path}/plan")
 
     def state(self, view: int) -> NDArray[np.float64]:
         """The full simulator state of a view."""
@@ -283,6 +309,19 @@ def _columns(view: View) -> dict[str, Any]:
         "simulated_s": reached.time_s,
         "clearance_mm": reached.clearance_mm,
     }
+
+
+def _write_plan(path: Path, plan: MotionPlan) -> None:
+    """Numbers as arrays, words as attributes of their group."""
+    from twinct.motion import plan_arrays
+
+    group: Any = zarr.open_group(str(path), mode="r+").create_group("plan")
+    for name, values in plan_arrays(plan).items():
+        if values.dtype.kind == "U":
+            group.attrs[name] = values.tolist()
+        else:
+            whole = BloscCodec(cname="lz4", shuffle="shuffle")
+            group.create_array(name, data=values, chunks=values.shape, compressors=whole)
 
 
 def _write_frame(

@@ -28,9 +28,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Workshop:
-    """What a scenario describes, each part built once, when it is first asked for."""
+    """What a scenario describes, each part built once, when it is first asked for.
+
+    Attributes:
+        scenario: what it is.
+        kept_plan: the plan that a scan of it follows already; None: it is made, or read.
+    """
 
     scenario: Scenario
+    kept_plan: MotionPlan | None = None
 
     @cached_property
     def specimen(self) -> BuiltSpecimen:
@@ -106,19 +112,28 @@ class Workshop:
         """Joint configurations of all views; none with a gantry, which goes anywhere.
 
         Raises:
+            InputError: the plan's file is none.
             TrajectoryError: views that cannot be reached, or would collide.
         """
-        if isinstance(self.scenario.cell, GantryCell):
-            return None
-        from twinct.motion import plan_motion
+        if self.kept_plan or isinstance(self.scenario.cell, GantryCell):
+            return self.kept_plan
+        from twinct.motion import Asked, checked_plan, load_plan, plan_motion
 
         scenario, source = self.scenario, self.scenario.source
         exposure_s = source.exposure_ms / 1000 if source.motion_samples > 1 else 0.0
         targets = PosePairs.from_geometry(self.asked).targets()
         turns = (False, False) if scenario.motion.scheme == "reactive" else self._roll_free
+        if file := scenario.motion.plan:
+            asked = Asked(targets, turns, any_order=scenario.motion.order != "given")
+            return checked_plan(load_plan(file), self.cell, scenario.motion, asked, str(file))
         return plan_motion(
             self.cell, scenario.motion, targets, roll_free=turns, exposure_s=exposure_s
         )
+
+    @property
+    def followed(self) -> MotionPlan | None:
+        """The plan that the arms follow; None where they solve each target as it comes."""
+        return None if self.scenario.motion.scheme == "reactive" else self.plan
 
     def draw(self, path: Path, view: int, width: int = 1600, height: int = 1000) -> None:
         """Write a picture (PNG) of the room at one view, so many pixels wide and high.

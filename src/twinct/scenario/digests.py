@@ -56,6 +56,7 @@ STAGES: dict[StageName, _Stage] = {
                 "motion.order",
                 "motion.*_roll",
                 "motion.scheme",
+                "motion.plan",
                 "cell.kind",
             ),
         ),
@@ -85,6 +86,9 @@ COUNT_FOR_NONE = ("name", "description", "specimen.parts.name")
 
 _OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only arms read."""
+
+_BEFORE = {"motion.scheme": "reactive"}
+"""Defaults that were others when a stage had its version: results made with those stay valid."""
 
 _SEEDS = ("seed", "uncertainty.seed")
 """Read only by a stage that draws."""
@@ -152,7 +156,7 @@ def _told(
     for name, info in type(section).model_fields.items():
         value = getattr(section, name)
         inner = f"{key}.{name}" if key else name
-        if name not in ("kind", "algorithm") and value == info.default:
+        if name not in ("kind", "algorithm") and value == _BEFORE.get(inner, info.default):
             continue
         if sections := sections_in(value):
             parts = [_told(item, inner, reads, content) for item in sections]

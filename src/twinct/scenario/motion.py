@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from twinct.settings import NonNegative, Positive, Section, setting
@@ -36,9 +37,14 @@ class Motion(Section):
     )
     clearance_mm: NonNegative = setting(10.0, "Smallest gap between bodies that a plan may have.")
     scheme: Literal["planned", "reactive"] = setting(
-        "reactive",
+        "planned",
         "planned: the arms follow the plan, and triggers only take images; reactive: each target "
         "is solved when it arrives, from the joints as they are (the paper's figure 2).",
+    )
+    plan: Path | None = setting(
+        None,
+        "File of a plan (twinct check --save) that the arms shall follow; it is checked against "
+        "cell, views and limits. None: the plan is made.",
     )
     order: Literal["given", "shortest"] = setting(
         "given",

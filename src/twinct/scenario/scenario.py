@@ -55,7 +55,7 @@ class Scenario(Section):
     def _sections_go_together(self) -> Scenario:
         found = (
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
-            self._time_to_expose(),
+            *(self._time_to_expose(), self._plan_to_follow()),
         )
         if conflicts := [conflict for conflict in found if conflict is not None]:
             raise ConflictError(*conflicts)
@@ -101,6 +101,14 @@ class Scenario(Section):
             f"source.exposure_ms ({source.exposure_ms:g}) must be at most the time of a view, "
             f"{1000 * cell.view_s:g} ms (cell.view_s), as source.motion_samples is above 1",
             ("source.exposure_ms", "source.motion_samples", "cell.view_s"),
+        )
+
+    def _plan_to_follow(self) -> Conflict | None:
+        if self.motion.plan is None or self.motion.scheme == "planned":
+            return None
+        return Conflict(
+            f"motion.plan ({self.motion.plan}) is followed with motion.scheme: planned only",
+            ("motion.plan", "motion.scheme"),
         )
 
     def resolved(self) -> str:

@@ -1,0 +1,154 @@
+"""A plan that was made elsewhere, or before: whether these arms may drive it for these views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinct.cell import CellModel
+from twinct.errors import TrajectoryError
+from twinct.geometry import Floats, Pose
+from twinct.motion.branches import SIDES
+from twinct.motion.kinematics import Kinematics
+from twinct.motion.plan import MotionPlan, gaps_of, too_close, with_gaps
+from twinct.motion.refusals import named, runs
+from twinct.motion.timing import FINE_S, TimeLaw
+from twinct.motion.way import kept_mm
+from twinct.scenario import Motion
+from twinct.views import Target
+
+SAME_MM, SAME_DEG = 1e-3, 1e-3
+"""So near, the poses of a plan are those that are asked for."""
+
+OVER = 1.02
+"""A limit exceeded by less is kept: between waypoints the joints go as a polynomial does."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a plan must do.
+
+    Attributes:
+        targets: one for each view.
+        roll_free: whether source and panel may be turned about their own axis.
+        any_order: whether the views may be taken in another order.
+    """
+
+    targets: Sequence[Target]
+    roll_free: tuple[bool, bool] = (False, False)
+    any_order: bool = False
+
+
+def checked_plan(
+    plan: MotionPlan, cell: CellModel, motion: Motion, asked: Asked, where: str
+) -> MotionPlan:
+    """The same plan, its clearance measured anew.
+
+    Args:
+        plan: to be driven.
+        cell: the room.
+        motion: tolerances, limits, and the clearance asked for.
+        asked: the views.
+        where: the plan comes from, for messages.
+
+    Raises:
+        TrajectoryError: it is of another cell or of other views, or exceeds what joints, torques or
+            clearance allow.
+    """
+    if plan.joint_names != cell.joint_names:
+        raise TrajectoryError(
+            f"{where}: a plan of another cell: it moves {', '.join(plan.joint_names)}, this cell "
+            f"has {', '.join(cell.joint_names)}"
+        )
+    problems = _other_views(plan, asked) or _elsewhere(plan, cell, motion)
+    if not problems:
+        problems = _limits(plan, cell, motion)
+    if not problems:
+        plan = with_gaps(plan, gaps_of(cell, plan))
+        problems = list(too_close(plan, kept_mm(motion)).values())
+    if problems:
+        raise TrajectoryError([f"{where}: {problem}" for problem in problems])
+    return plan
+
+
+def _other_views(plan: MotionPlan, asked: Asked) -> list[str]:
+    if len(plan.targets) != len(asked.targets):
+        return [f"a plan of {len(plan.targets)} views, the trajectory has {len(asked.targets)}"]
+    wanted = list(asked.targets)
+    if asked.any_order:
+        places = np.array([(*t.source_m[:3], *t.detector_m[:3]) for t in wanted])
+        wanted = []
+        for target in plan.targets:
+            here = np.array((*target.source_m[:3], *target.detector_m[:3]))
+            nearest = int(np.linalg.norm(places - here, axis=1).argmin())
+            wanted.append(asked.targets[nearest])
+            places[nearest] = np.inf
+    other = [
+        view
+        for view, (has, want) in enumerate(zip(plan.targets, wanted, strict=True))
+        if not (
+            _same(has.source, want.source, asked.roll_free[0])
+            and _same(has.detector, want.detector, asked.roll_free[1])
+        )
+    ]
+    return [f"{named(*run)}: the plan has other poses than the trajectory" for run in runs(other)]
+
+
+def _same(has: Pose, want: Pose, roll_free: bool) -> bool:
+    if has.distance_mm(want) > SAME_MM:
+        return False
+    if roll_free:
+        cosine = float(has.rotation[:, 2] @ want.rotation[:, 2])
+        return np.degrees(np.arccos(min(cosine, 1.0))) <= SAME_DEG
+    return has.angle_deg(want) <= SAME_DEG
+
+
+def _elsewhere(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
+    """Views for which the plan's joints put a tool somewhere else: the cell is another."""
+    kinematics, ik = Kinematics(cell, motion.ik), motion.ik
+    off: dict[str, dict[int, tuple[float, float]]] = {side: {} for side in SIDES}
+    for view, (joints, target) in enumerate(zip(plan.joints, plan.targets, strict=True)):
+        for side, here in zip(SIDES, kinematics.poses(joints), strict=True):
+            want: Pose = getattr(target, side)
+            far = here.distance_mm(want), here.angle_deg(want)
+            if far[0] > ik.position_tolerance_mm or far[1] > ik.rotation_tolerance_deg:
+                off[side][view] = far
+    return [
+        f"{named(first, last)}: a plan of another cell: its joints put the {side} "
+        f"{max(far[v][0] for v in range(first, last + 1)):.1f} mm and "
+        f"{max(far[v][1] for v in range(first, last + 1)):.2f} deg off"
+        for side, far in off.items()
+        for first, last in runs(far)
+    ]
+
+
+def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
+    """What the joints cannot do, the worst of each kind."""
+    states = plan.at(np.arange(0.0, plan.duration_s, FINE_S))
+    low, high = cell.joint_ranges.T
+    beyond = np.maximum(low - states[:, 0], states[:, 0] - high)
+    problems = []
+    if beyond.max() > 1e-9:
+        worst = int(beyond.max(axis=0).argmax())
+        problems.append(
+            f"{cell.joint_names[worst]} goes {np.degrees(beyond.max()):.1f} deg beyond its range"
+        )
+    shares = TimeLaw(cell, motion).shares(states)
+    for what, share in shares.items():
+        if share.max() > OVER:
+            time, joint = np.unravel_index(int(share.argmax()), share.shape)
+            problems.append(
+                f"{cell.joint_names[joint]} has {100 * share.max():.0f} % of the {what} that it "
+                f"may have, at {time * FINE_S:.2f} s"
+            )
+    if motion.trigger == "settled":
+        moving = _moving(plan)
+        problems += [f"{named(*run)}: the arms do not rest, trigger: settled" for run in moving]
+    return problems
+
+
+def _moving(plan: MotionPlan) -> list[tuple[int, int]]:
+    speeds: Floats = np.abs(plan.state[plan.waypoints, 1]).max(axis=1)
+    return runs(np.flatnonzero(speeds > 0).tolist())

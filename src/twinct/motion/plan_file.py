@@ -1,0 +1,128 @@
+"""A plan as arrays: what a file and the scan store keep of it, and what is read back."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import InputError
+from twinct.files.writing import complete, storage_errors
+from twinct.motion.plan import MotionPlan
+from twinct.views import Target
+
+FORMAT = "twinct plan 1"
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+"""Time of each member of a file, so that the same plan gives the same bytes."""
+
+LARGEST_BYTES = 2**30
+"""Of one array in a file; the plan of 10,000 views has a tenth of that."""
+
+
+def plan_arrays(plan: MotionPlan) -> dict[str, NDArray[Any]]:
+    """All of a plan, by name: SI units, poses as x, y, z and a quaternion (x, y, z, w)."""
+    return {
+        "format": np.array(FORMAT),
+        "digest": np.array(plan.digest),
+        "joint_names": np.array(plan.joint_names),
+        "time_s": plan.time_s,
+        "state": plan.state,
+        "views": plan.views.astype(np.int64),
+        "source": np.array([target.source_m for target in plan.targets]),
+        "detector": np.array([target.detector_m for target in plan.targets]),
+        "clearance_mm": plan.clearance_mm,
+        "nearest": np.array(plan.nearest),
+    }
+
+
+def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
+    """The plan that ``plan_arrays`` told.
+
+    Args:
+        arrays: as it gave them; texts may be lists.
+        where: they come from, for messages.
+
+    Raises:
+        InputError: they make no plan, or not the one that their digest tells of.
+    """
+    try:
+        if str(arrays["format"]) != FORMAT:
+            raise ValueError(f"format {arrays['format']}, this twinct reads {FORMAT!r}")
+        names = tuple(map(str, arrays["joint_names"]))
+        time_s, state = (np.asarray(arrays[name], np.float64) for name in ("time_s", "state"))
+        views = np.asarray(arrays["views"]).astype(np.intp)
+        sides = [np.asarray(arrays[name], np.float64) for name in ("source", "detector")]
+        count = len(sides[0])
+        shapes = {
+            "state": (state.shape, (len(time_s), 3, len(names))),
+            "views": (views.shape, time_s.shape),
+            "source": (sides[0].shape, (count, 7)),
+            "detector": (sides[1].shape, (count, 7)),
+        }
+        for name, (shape, expected) in shapes.items():
+            if shape != expected:
+                raise ValueError(f"{name} has the shape {shape} instead of {expected}")
+        if not all(np.isfinite(values).all() for values in (time_s, state, *sides)):
+            raise ValueError("a number is not finite")
+        if len(time_s) < 2 or time_s[0] != 0 or (np.diff(time_s) <= 0).any():
+            raise ValueError("times do not rise from 0")
+        if not np.array_equal(np.sort(views[views >= 0]), np.arange(count)) or not count:
+            raise ValueError("not every view is exposed once")
+        if state[[0, -1], 1:].any():
+            raise ValueError("the arms are not at rest at both ends")
+        plan = MotionPlan(
+            joint_names=names,
+            time_s=time_s,
+            state=state,
+            views=views,
+            targets=tuple(
+                Target(tuple(source), tuple(detector))
+                for source, detector in zip(*(side.tolist() for side in sides), strict=True)
+            ),
+            clearance_mm=np.asarray(arrays["clearance_mm"], np.float64),
+            nearest=tuple((str(a), str(b)) for a, b in arrays["nearest"]),
+        )
+    except KeyError as error:
+        raise InputError(f"{where}: no plan: {error} is missing") from None
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: no plan: {error}") from None
+    if plan.digest != str(arrays["digest"]):
+        raise InputError(f"{where}: the plan is not the one that its digest tells of: damaged")
+    return plan
+
+
+def save_plan(plan: MotionPlan, path: Path) -> None:
+    """Write a plan as a NumPy archive (``.npz``); the same plan gives the same bytes.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    with storage_errors(path), complete(path) as draft:
+        with zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, values in plan_arrays(plan).items():
+                member = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
+                member.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(member, "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, values, allow_pickle=False)
+
+
+def load_plan(path: Path) -> MotionPlan:
+    """Read what ``save_plan`` wrote; whether a cell can drive it is not looked at.
+
+    Raises:
+        InputError: it is no such file, or damaged.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            large = [member for member in archive.infolist() if member.file_size > LARGEST_BYTES]
+        if large:
+            raise InputError(f"{path}: no plan: {large[0].filename} has {large[0].file_size} bytes")
+        with np.load(path, allow_pickle=False) as file:
+            return plan_of_arrays(dict(file), str(path))
+    except (OSError, EOFError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: no plan: {error}") from None

@@ -1,0 +1,96 @@
+"""Plans from elsewhere: taken where the arms can drive them for these views, refused where not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from twinct.cell import CellModel, build_cell
+from twinct.errors import TrajectoryError
+from twinct.geometry import Pose
+from twinct.motion import Asked, MotionPlan, checked_plan
+from twinct.scenario import Cell, Detector, Motion
+from twinct.views import Target
+
+AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
+
+
+def turned(target: Target, angle_deg: float) -> Target:
+    """The panel turned about its normal."""
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    detector = target.detector
+    axes = detector.rotation @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return Target.from_poses(target.source, Pose.from_matrix(detector.position, axes))
+
+
+def test_a_good_plan_is_taken_and_its_clearance_measured_anew(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    boasting = replace(plan, clearance_mm=plan.clearance_mm + 100)
+    found = checked_plan(boasting, cell, AS_IN_THE_PAPER, Asked(targets), "p.npz")
+    assert found.digest == plan.digest
+    np.testing.assert_array_equal(found.clearance_mm, plan.clearance_mm)
+
+
+def test_roll_and_order_count_where_they_are_not_free(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    rolled = [turned(target, 20) for target in targets]
+    with pytest.raises(TrajectoryError, match="p.npz: views 0 to 23: .*other poses"):
+        checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(rolled), "p.npz")
+    checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(rolled, (False, True)), "p.npz")
+    mixed = [targets[1], targets[0], *targets[2:]]
+    with pytest.raises(TrajectoryError, match="p.npz: views 0 to 1: .*other poses"):
+        checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(mixed), "p.npz")
+    checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(mixed, any_order=True), "p.npz")
+    with pytest.raises(TrajectoryError, match="a plan of 24 views, the trajectory has 23"):
+        checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(targets[:-1]), "p.npz")
+
+
+def test_a_plan_of_another_cell_is_refused(
+    head: trimesh.Trimesh, cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    arm = Cell().source_arm
+    x, y, z = arm.base_position_mm
+    moved = arm.model_copy(update={"base_position_mm": (x, y + 5, z)})
+    other = build_cell(Cell(source_arm=moved), head, Pose.identity(), Detector().panel)
+    with pytest.raises(TrajectoryError, match=r"of another cell: .* the source 5\.0 mm and 0\.00"):
+        checked_plan(plan, other, AS_IN_THE_PAPER, Asked(targets), "p.npz")
+    renamed = replace(plan, joint_names=("turn", *plan.joint_names[1:]))
+    with pytest.raises(TrajectoryError, match="of another cell: it moves turn"):
+        checked_plan(renamed, cell, AS_IN_THE_PAPER, Asked(targets), "p.npz")
+
+
+@pytest.mark.parametrize(
+    ("faster", "motion", "said"),
+    [
+        (3.0, AS_IN_THE_PAPER, "of the acceleration that it may have"),
+        (1.0, Motion(clearance_mm=40), "come within .* 42 mm are asked"),
+        (1.0, Motion(trigger="settled"), "the arms do not rest"),
+    ],
+)
+def test_limits_count(
+    cell: CellModel,
+    plan: MotionPlan,
+    targets: list[Target],
+    faster: float,
+    motion: Motion,
+    said: str,
+) -> None:
+    state = plan.state * np.array([1.0, faster, faster**2])[:, None]
+    hurried = replace(plan, time_s=plan.time_s / faster, state=state)
+    with pytest.raises(TrajectoryError, match=said):
+        checked_plan(hurried, cell, motion, Asked(targets), "p.npz")
+
+
+def test_a_joint_outside_its_range_is_named(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    """Two turns more: the poses are the same, but the joint has no such position."""
+    state = plan.state.copy()
+    state[:, 0, 3] += 4 * np.pi * np.sign(state[0, 0, 3])
+    with pytest.raises(TrajectoryError, match="source_wrist_1_joint goes .* beyond its range"):
+        checked_plan(replace(plan, state=state), cell, AS_IN_THE_PAPER, Asked(targets), "p.npz")
