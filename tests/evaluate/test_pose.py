@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from twinct.evaluate import pose_errors
+from twinct.evaluate import pose_errors, tool_speeds
 from twinct.geometry import Pose
 from twinct.views import PosePairs
 
@@ -62,3 +62,12 @@ def test_views_must_match():
         pose_errors(PosePairs((pose,) * 2, (pose,) * 2), PosePairs((pose,), (pose,)))
     with pytest.raises(ValueError, match="at least one"):
         pose_errors(PosePairs((), ()), PosePairs((), ()))
+
+
+def test_speeds_are_way_over_time():
+    """A source that goes 3 mm in 0.1 s and then rests; a panel on the diagonal."""
+    source = [Pose((x, 0, 0), (0, 0, 0, 1)) for x in (0.0, 3.0, 3.0)]
+    detector = [Pose((x, x, 0), (0, 0, 0, 1)) for x in (0.0, 1.0, 2.0)]
+    found = tool_speeds(PosePairs(tuple(source), tuple(detector)), np.array([1.0, 1.1, 1.3]))
+    assert found["source"] == pytest.approx({"mean": 15.0, "max": 30.0})
+    assert found["detector"]["max"] == pytest.approx(10 * np.sqrt(2))

@@ -54,5 +54,5 @@ def test_the_search_begins_at_home(
 ) -> None:
     monkeypatch.setattr("twinct.motion.follow.RESTARTS", 1)
     homes = branch, (*branch[:5], -branch[5])
-    planned = plan_motion(room(*homes), Motion(), targets)
+    planned = plan_motion(room(*homes), Motion(scheme="reactive"), targets)
     assert np.abs(np.degrees(planned.joints[1]) - np.hstack(homes)).max() < 15

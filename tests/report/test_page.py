@@ -215,6 +215,13 @@ def test_the_nearest_bodies_are_named(report, undrawn) -> None:
     assert "nearest are table and source_forearm" in render_report(named)
 
 
+def test_how_fast_the_tools_move_is_said(report, undrawn) -> None:
+    speeds = {"source": {"mean": 80.0, "max": 125.2}, "detector": {"mean": 70.0, "max": 90.0}}
+    told = replace(report, metrics={**report.metrics, "tool_speed_mm_s": speeds})
+    assert "up to 125 mm/s, 0.25 mm in a step" in render_report(told)
+    assert "mm/s" not in render_report(report)
+
+
 def test_a_path_of_few_views_stays_on_its_sphere() -> None:
     from twinct.report.figures import _fine
 

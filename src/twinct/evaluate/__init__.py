@@ -1,7 +1,7 @@
 """Judgement: the region every view sees, the image in it, and how well the arms arrived."""
 
 from twinct.evaluate.image import ImageFigures, image_figures
-from twinct.evaluate.pose import ArmErrors, PoseErrors, pose_errors
+from twinct.evaluate.pose import ArmErrors, PoseErrors, pose_errors, tool_speeds
 from twinct.evaluate.region import region_of_interest
 from twinct.evaluate.sight import Sight, sight
 
@@ -14,4 +14,5 @@ __all__ = [
     "pose_errors",
     "region_of_interest",
     "sight",
+    "tool_speeds",
 ]

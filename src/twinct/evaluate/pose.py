@@ -60,6 +60,21 @@ def pose_errors(commanded: PosePairs, executed: PosePairs) -> PoseErrors:
     return PoseErrors(source, _arm_errors(commanded.detector, executed.detector))
 
 
+def tool_speeds(executed: PosePairs, simulated_s: Floats) -> dict[str, dict[str, float]]:
+    """Mean and largest speed of both tools from view to view, straight, mm/s.
+
+    Args:
+        executed: poses of at least two views.
+        simulated_s: when each was taken, (views,).
+    """
+    seconds, found = np.diff(simulated_s), {}
+    for side in ("source", "detector"):
+        places = np.array([pose.position for pose in getattr(executed, side)])
+        speeds = np.linalg.norm(np.diff(places, axis=0), axis=1) / seconds
+        found[side] = {"mean": float(speeds.mean()), "max": float(speeds.max())}
+    return found
+
+
 def _arm_errors(wanted: Sequence[Pose], actual: Sequence[Pose]) -> ArmErrors:
     shift = np.array([a.position - w.position for w, a in zip(wanted, actual, strict=True)])
     before, after = (Rotation.from_quat([p.quat for p in poses]) for poses in (wanted, actual))

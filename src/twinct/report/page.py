@@ -90,7 +90,12 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
     shown = [
         f._replace(title=f.title.format(of), meaning=f.meaning.format(of)) for f in _IMAGE_FIGURES
     ]
+    speeds = metrics.get("tool_speed_mm_s", {}).values()
+    fastest_mm_s = max((speed["max"] for speed in speeds), default=0.0)
+    cell = scenario.cell
     return environment.from_string(text).render(
+        fastest_mm_s=fastest_mm_s,
+        step_mm=fastest_mm_s * (cell.timestep_ms if cell.kind == "arms" else 0.0) / 1000,
         name=scenario.name,
         description=scenario.description,
         setting=_setting(report),

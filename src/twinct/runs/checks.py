@@ -104,7 +104,10 @@ def findings(workshop: Workshop) -> dict[str, str]:
         clearance = {"motion": "a gantry, exactly where it is told"}
     else:
         worst = int(plan.clearance_mm.argmin())
-        clearance = {
+        clearance = (
+            {} if workshop.followed is None else {"motion": f"{plan.duration_s:.1f} s, planned"}
+        )
+        clearance |= {
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }

@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import MissingExtraError
-from twinct.evaluate import ImageFigures, image_figures, pose_errors, region_of_interest
+from twinct.evaluate import (
+    ImageFigures,
+    image_figures,
+    pose_errors,
+    region_of_interest,
+    tool_speeds,
+)
 from twinct.files.writing import write_json
 from twinct.progress import SILENT, Progress
 from twinct.report import ReportData, build_metrics, cross_sections, draw_pictures, write_report
@@ -98,6 +104,8 @@ def write_results(
     if isinstance(timing, Seconds):
         timing = timing.finished()
     digests = stage_digests(scenario)
+    moved = len(scan) > 1 and scenario.cell.kind == "arms"
+    speeds = tool_speeds(scan.executed, scan.simulated_s) if moved else {}
     metrics = build_metrics(
         views=len(workshop.targets),
         reached=len(scan),
@@ -110,6 +118,7 @@ def write_results(
         scenario_digest=digests["images"],
         reconstruction_digest=digests["volume"],
         residuals=results.residuals,
+        tool_speed_mm_s=speeds,
         reference_material=workshop.specimen.reference_part.material.name,
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
