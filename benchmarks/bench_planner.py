@@ -99,8 +99,7 @@ def detours(cell: CellModel, number: int) -> dict[str, object]:
         if len(pairs) and (clear := room.clear(pairs, kept_mm(MOTION))).any():
             good = pairs[clear]
             joints.append(good[rng.integers(len(good))])
-    speeds = cell.speed_limits * cell.speed_scales
-    planner = Detours(room, cell.joint_ranges, speeds, cell.arm_joints, 0)
+    planner = Detours(cell, room, np.ptp(cell.joint_ranges, axis=1) > 3 * np.pi, 0)
     seconds, found = [], 0
     for a, b in zip(joints[:-1], joints[1:], strict=True):
         if len(seconds) == number:

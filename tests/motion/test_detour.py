@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from twinct.cell import CellModel, Clearance
+from twinct.geometry import Floats
 from twinct.motion.detour import Detours
 from twinct.motion.feasible import SHORTFALL_MM, Feasible
 
@@ -35,29 +36,54 @@ from twinct.scenario import Cell, Detector
 head = trimesh.creation.icosphere(subdivisions=3)
 head.apply_scale((72.0, 90.0, 110.0))
 cell = build_cell(Cell(), head, Pose.identity(), Detector().panel)
-speeds = cell.speed_limits * cell.speed_scales
-planner = Detours(Feasible(cell), cell.joint_ranges, speeds, cell.arm_joints, 1)
+turns = np.ptp(cell.joint_ranges, axis=1) > 3 * np.pi
+planner = Detours(cell, Feasible(cell), turns, 1)
 way = planner.between(np.array({start}), np.array({end}), 10.5, 0)
 print(hashlib.sha256(way.tobytes()).hexdigest())
 """
 
 
 def planner(cell: CellModel, seed: int) -> Detours:
-    speeds = cell.speed_limits * cell.speed_scales
-    return Detours(Feasible(cell), cell.joint_ranges, speeds, cell.arm_joints, seed)
+    return Detours(cell, Feasible(cell), np.ptp(cell.joint_ranges, axis=1) > 3 * np.pi, seed)
 
 
-@pytest.mark.parametrize("effort", [0, 2])
-def test_a_way_round_is_clear_and_inside_the_ranges(cell: CellModel, effort: int) -> None:
-    assert not Feasible(cell).straight(START[None], END[None], LEAST_MM)[0]
-    way = planner(cell, 1).between(START, END, LEAST_MM, effort)
-    assert way is not None
-    np.testing.assert_array_equal(way[[0, -1]], [START, END])
-    low, high = cell.joint_ranges.T
-    assert (way >= low).all() and (way <= high).all()
+BELOW, ABOVE = np.array(
+    [[0.77, -2.95, -1.01, -2.94, 0.74, -2.66], [0.8, 2.46, 1.23, 2.52, 0.7, 3.2]]
+)
+"""Of the source arm: from the one to the other the upper arm goes over the top, a turn on."""
+
+
+def is_clear(cell: CellModel, way: Floats) -> None:
     shares = np.linspace(0, 1, 150)[:, None]
     dense = [a + shares * (b - a) for a, b in zip(way[:-1], way[1:], strict=True)]
     assert Clearance(cell).over(np.vstack(dense)).distance_mm >= LEAST_MM - SHORTFALL_MM
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_a_way_round_is_clear_and_ends_as_told(cell: CellModel, turning: bool) -> None:
+    assert not Feasible(cell).straight(START[None], END[None], LEAST_MM)[0]
+    way = planner(cell, 1).between(START, END, LEAST_MM, 0, turning=turning)
+    assert way is not None
+    np.testing.assert_array_equal(way[0], START)
+    turns = (way[-1] - END) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.rint(turns), atol=1e-12)
+    assert not turns[[2, 8]].any()  # elbows
+    if not turning:
+        np.testing.assert_array_equal(way[-1], END)
+        low, high = cell.joint_ranges.T
+        assert (way >= low).all() and (way <= high).all()
+    is_clear(cell, way)
+
+
+def test_which_turn_a_way_ends_in_is_found_with_it(cell: CellModel) -> None:
+    """With the end told as it is, the upper arm would have to go through its own foot."""
+    start, end = np.hstack([BELOW, START[6:]]), np.hstack([ABOVE, START[6:]])
+    detours = planner(cell, 1)
+    assert detours.between(start, end, LEAST_MM, 0, turning=False) is None
+    way = detours.between(start, end, LEAST_MM, 0)
+    assert way is not None
+    assert abs(way[-1, 1] - (end[1] - 2 * np.pi)) < 1e-12
+    is_clear(cell, way)
 
 
 def test_what_is_shut_in_is_given_up(cell: CellModel) -> None:

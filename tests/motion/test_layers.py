@@ -64,11 +64,16 @@ def test_pairs_are_sought_until_one_is_clear() -> None:
 def test_turns_are_added_where_they_shorten_the_way_and_stay_in_range() -> None:
     joints = np.array([[3.0, 3.0], [-3.0, -3.0], [-0.5, -0.5], [3.0, 3.0]])
     ranges = np.array([[-2 * np.pi, 2 * np.pi], [-np.pi, np.pi]])
-    found = lifted(joints, ranges, np.ones(2), first_stays=False)
+    moves = np.diff(joints, axis=0)
+    moves[:, 0] = (moves[:, 0] + np.pi) % (2 * np.pi) - np.pi
+    legs = [np.array([a, a + move]) for a, move in zip(joints, moves, strict=False)]
+    free = np.full(3, 4.0)
+    found = lifted(joints, legs, ranges, np.ones(2), free, first_stays=False)
     turns = (found - joints) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
     assert (found >= ranges[:, 0]).all() and (found <= ranges[:, 1]).all()
     np.testing.assert_array_equal(found[:, 1], joints[:, 1])
     assert abs(found[1, 0] - found[0, 0]) < 0.3
-    stays = lifted(joints + [2 * np.pi, 0], ranges + [[0, 9], [0, 0]], np.ones(2), True)
+    legs = [leg + [2 * np.pi, 0] for leg in legs]
+    stays = lifted(joints + [2 * np.pi, 0], legs, ranges + [[0, 9], [0, 0]], np.ones(2), free, True)
     assert stays[0, 0] == joints[0, 0] + 2 * np.pi

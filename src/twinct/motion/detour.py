@@ -1,12 +1,15 @@
 """Ways round: both arms together, from one configuration to another, where straight is not clear.
 
 OMPL's RRT-Connect (Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path
-planning", ICRA 2000) and its shortcuts. All of OMPL is made anew after its seed and stopped by a
-count, so that the same question has the same answer whatever ran before.
+planning", ICRA 2000) and its shortcuts. Joints that can make full turns are angles on a circle:
+which turn they end in is found with the way. Searches look at configurations only, some way apart;
+straight paths of what they find are proven. All of OMPL is made anew after its seed and stopped by
+a count, so that the same question has the same answer whatever ran before.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
@@ -14,25 +17,24 @@ from typing import Any
 
 import numpy as np
 
+from twinct.cell import CellModel
 from twinct.errors import MissingExtraError
 from twinct.geometry import Floats
-from twinct.motion.feasible import Feasible, Flags, Indices
+from twinct.motion.feasible import Feasible, Flags
+from twinct.motion.glance import Glance
 
-SEARCHES = (
-    (0.5, 100, True),
-    (1.5, 700, True),
-    (1.0, 150, False),
-    (np.pi, 500, False),
-    (np.pi, 1500, True),
-)
-"""How far beyond both ends each joint may go, rad; how many straight paths may be looked at in a
-search; whether both arms move together, or one after the other."""
+SEARCHES = ((20_000, 0.1), (100_000, 0.03))
+"""How many configurations a search may look at, and how far apart they lie on straight paths: the
+sum of the times that the joints take, s."""
 
-STEP_S = 0.4
-"""Longest step of a tree, as the time that the slowest joint takes."""
+STEP_S = 3.0
+"""Longest step of a tree, told likewise."""
 
-SHORTCUTS = 40
+SHORTCUTS = 100
 """Tries to shorten a way that was found."""
+
+GLANCES = np.array([4, 2, 6, 1, 3, 5, 7]) / 8
+"""Shares of a straight path at which a shortcut is looked at before it is proven."""
 
 
 def _ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
@@ -46,31 +48,25 @@ def _ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
 class Detours:
     """Searches ways round in one cell."""
 
-    def __init__(
-        self,
-        room: Feasible,
-        ranges: Floats,
-        speeds: Floats,
-        arms: tuple[slice, slice],
-        seed: int,
-    ) -> None:
+    def __init__(self, cell: CellModel, room: Feasible, turns: Flags, seed: int) -> None:
         """Prepare.
 
         Args:
+            cell: the room.
             room: judges straight paths of both arms.
-            ranges: of the joints, rad, (n, 2).
-            speeds: rad/s, (n,): what counts as far.
-            arms: the joints of each.
+            turns: which joints can make full turns, (n,).
             seed: of every search.
 
         Raises:
             MissingExtraError: OMPL is not installed.
         """
-        self._ompl = _ompl()
-        self._room, self._ranges, self._speeds = room, ranges, speeds
-        self._arms, self._seed = arms, seed
+        _ompl()[2].setLogLevel(_ompl()[2].LOG_NONE)
+        self._cell, self._room, self._turns, self._seed = cell, room, turns, seed
+        self._glance = Glance(cell)
 
-    def between(self, start: Floats, end: Floats, least_mm: float, effort: int) -> Floats | None:
+    def between(
+        self, start: Floats, end: Floats, least_mm: float, effort: int, *, turning: bool = True
+    ) -> Floats | None:
         """A way that is clear on the straight paths between its knots.
 
         Args:
@@ -78,54 +74,33 @@ class Detours:
             end: rad, (n,).
             least_mm: the clearance asked for.
             effort: which of SEARCHES.
+            turning: joints that can make full turns may end in any, and leave their ranges; else
+                all stay inside and end as told.
 
         Returns:
             knots, both ends included, rad, (knots, n); None: none was found.
         """
-        beyond, checks, together = SEARCHES[effort]
-        low = np.maximum(self._ranges[:, 0], np.minimum(start, end) - beyond)
-        high = np.minimum(self._ranges[:, 1], np.maximum(start, end) + beyond)
+        checks, spacing_s = SEARCHES[effort]
+        glance, room = self._glance, self._room
+        glance.keep(least_mm)
+        circles = self._turns & turning
         # Before any object with a generator of its own is made.
-        self._ompl[2].RNG.setSeed(self._seed + 1)
-        whole = _Space(self._ompl, self._room, self._speeds, start, (low, high), least_mm)
-        if together:
-            found = whole.connected(start, end, checks)
-            return None if found is None else whole.shortened(found)
-        for order in (self._arms, self._arms[::-1]):
-            middle = start.copy()
-            middle[order[0]] = end[order[0]]
-            found = []
-            for a, b, arm in ((start, middle, order[0]), (middle, end, order[1])):
-                box = (np.where(_in(arm, a), low, a), np.where(_in(arm, a), high, a))
-                leg = _Space(self._ompl, self._room, self._speeds, a, box, least_mm)
-                found.append(leg.connected(a, b, checks))
-                if found[-1] is None:
-                    break
-            else:
-                return whole.shortened(np.vstack([found[0], found[1][1:]]))
-        return None
+        _ompl()[2].RNG.setSeed(self._seed + 1)
+        space = _Space(self._cell, circles)
+        most = glance.looked + checks
+        found = space.connected(start, end, glance.clear, spacing_s, lambda: glance.looked >= most)
+        if found is None or not room.straight(found[:-1], found[1:], least_mm).all():
+            return None
 
+        def straight(a: Floats, b: Floats) -> bool:
+            between = a + GLANCES[:, None] * (b - a)
+            return all(map(glance.clear, between)) and bool(room.straight(a, b, least_mm)[0])
 
-def _in(part: slice, joints: Floats) -> Flags:
-    """Which joints are of an arm."""
-    inside = np.zeros(len(joints), bool)
-    inside[part] = True
-    return inside
-
-
-@dataclass(frozen=True, eq=False)
-class _Told:
-    """How OMPL's states tell joints: the moving ones, each divided by its speed."""
-
-    still: Floats
-    moving: Indices
-    speeds: Floats
-
-    def joints(self, state: Any) -> Floats:
-        joints = self.still.copy()
-        moved = [state[k] for k in range(len(self.moving))]
-        joints[self.moving] = moved * self.speeds[self.moving]
-        return joints
+        knots = space.shortened(found, straight)
+        # The ends to the last bit: what is in between may be rounded.
+        knots[0] = start
+        knots[-1] = end + circles * 2 * np.pi * np.rint((knots[-1] - end) / (2 * np.pi))
+        return knots
 
 
 @cache
@@ -133,84 +108,104 @@ def _validator() -> type:
     """OMPL's judge of straight paths. It must not know who holds it: OMPL's memory is counted."""
 
     class Straight(_ompl()[0].MotionValidator):
-        def __init__(self, information: Any, told: _Told, room: Feasible, least_mm: float) -> None:
+        def __init__(self, information: Any, space: _Joints, clear: Any) -> None:
             super().__init__(information)
-            self.looked = 0
-            self._told, self._room, self._least_mm = told, room, least_mm
+            self._space, self._clear = space, clear
 
         def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802
-            self.looked += 1
-            a, b = self._told.joints(first), self._told.joints(second)
-            return bool(self._room.straight(a[None], b[None], self._least_mm)[0])
+            return self._clear(*self._space.knots([first, second])[:, None])
 
     return Straight
 
 
-class _Space:
-    """OMPL's view of the joints that may move, told as the time that each takes."""
+@dataclass(frozen=True, eq=False)
+class _Joints:
+    """How OMPL's states tell joints: those on a circle as angles, the others as numbers."""
 
-    def __init__(
-        self,
-        ompl: tuple[ModuleType, ModuleType, ModuleType],
-        room: Feasible,
-        speeds: Floats,
-        still: Floats,
-        box: tuple[Floats, Floats],
-        least_mm: float,
-    ) -> None:
-        base, self._geometric, util = ompl
-        util.setLogLevel(util.LOG_NONE)
-        self._base = base
-        self._moving = np.flatnonzero(box[0] < box[1])
-        self._told = _Told(still, self._moving, speeds)
-        self._space = base.RealVectorStateSpace(len(self._moving))
-        bounds = base.RealVectorBounds(len(self._moving))
-        for k, j in enumerate(self._moving):
-            # Slack for what division and multiplication round.
-            bounds.setLow(k, box[0][j] / speeds[j] - 1e-9)
-            bounds.setHigh(k, box[1][j] / speeds[j] + 1e-9)
-        self._space.setBounds(bounds)
-        self._information = base.SpaceInformation(self._space)
-        # A straight path is judged with its ends.
-        self._information.setStateValidityChecker(lambda state: True)
-        self._straight = _validator()(self._information, self._told, room, least_mm)
-        self._information.setMotionValidator(self._straight)
-        self._information.setup()
+    circles: Flags
+
+    def one(self, state: Any) -> Floats:
+        """Rad, (n,); angles within half a turn."""
+        told = enumerate(self.circles.tolist())
+        return np.array([state[j].value if circle else state[j][0] for j, circle in told])
+
+    def knots(self, states: Any) -> Floats:
+        """Rad, (m, n); from state to state angles go the shorter way."""
+        joints = np.array([self.one(state) for state in states])
+        joints[:, self.circles] = np.unwrap(joints[:, self.circles], axis=0)
+        return joints
+
+
+class _Space:
+    """OMPL's view of both arms' joints, their distances told as the time that each takes."""
+
+    def __init__(self, cell: CellModel, circles: Flags) -> None:
+        self._base, self._geometric, _ = _ompl()
+        self._joints = _Joints(circles)
+        self._space = self._base.CompoundStateSpace()
+        speeds = cell.speed_limits * cell.speed_scales
+        for circle, (low, high), speed in zip(circles, cell.joint_ranges, speeds, strict=True):
+            if circle:
+                joint = self._base.SO2StateSpace()
+            else:
+                joint, bounds = self._base.RealVectorStateSpace(1), self._base.RealVectorBounds(1)
+                bounds.setLow(float(low))
+                bounds.setHigh(float(high))
+                joint.setBounds(bounds)
+            self._space.addSubspace(joint, float(1 / speed))
+        self._space.setup()
 
     def _state(self, joints: Floats) -> Any:
         state = self._space.allocState()
-        for k, j in enumerate(self._moving):
-            state[k] = float(joints[j] / self._told.speeds[j])
+        for j, (circle, q) in enumerate(zip(self._joints.circles, joints.tolist(), strict=True)):
+            if circle:
+                state[j].value = (q + np.pi) % (2 * np.pi) - np.pi
+            else:
+                state[j][0] = q
         return state
 
-    def connected(self, start: Floats, end: Floats, checks: int) -> Floats | None:
-        """Knots (m, n) by RRT-Connect; None where it looked at so many straight paths in vain."""
-        problem = self._base.ProblemDefinition(self._information)
+    def connected(
+        self,
+        start: Floats,
+        end: Floats,
+        clear: Callable[[Floats], bool],
+        spacing_s: float,
+        over: Callable[[], bool],
+    ) -> Floats | None:
+        """Knots (m, n) by RRT-Connect; None where it was over before."""
+        joints = self._joints
+        information = self._base.SpaceInformation(self._space)
+        information.setStateValidityChecker(lambda state: clear(joints.one(state)))
+        information.setStateValidityCheckingResolution(spacing_s / self._space.getMaximumExtent())
+        information.setup()
+        problem = self._base.ProblemDefinition(information)
         problem.setStartAndGoalStates(self._state(start), self._state(end))
-        planner = self._geometric.RRTConnect(self._information)
+        planner = self._geometric.RRTConnect(information)
         planner.setRange(STEP_S)
         planner.setProblemDefinition(problem)
         planner.setup()
-        straight = self._straight
-        most = straight.looked + checks
-        planner.solve(self._base.PlannerTerminationCondition(lambda: straight.looked >= most))
+        planner.solve(self._base.PlannerTerminationCondition(over))
         if not problem.hasExactSolution():
             return None
-        return self._knots(problem.getSolutionPath(), start, end)
+        return self._from(start, problem.getSolutionPath())
 
-    def shortened(self, knots: Floats) -> Floats:
-        """The same ends, with fewer knots on a shorter way."""
-        path = self._geometric.PathGeometric(self._information)
+    def shortened(self, knots: Floats, clear: Callable[[Floats, Floats], bool]) -> Floats:
+        """The same ends, but for full turns, with fewer knots on a shorter way."""
+        information = self._base.SpaceInformation(self._space)
+        information.setStateValidityChecker(lambda state: True)
+        straight = _validator()(information, self._joints, clear)
+        information.setMotionValidator(straight)
+        information.setup()
+        path = self._geometric.PathGeometric(information)
         for q in knots:
             path.append(self._state(q))
-        simplifier = self._geometric.PathSimplifier(self._information)
+        simplifier = self._geometric.PathSimplifier(information)
         simplifier.reduceVertices(path, SHORTCUTS, SHORTCUTS // 2)
         simplifier.partialShortcutPath(path, SHORTCUTS, SHORTCUTS // 2)
         simplifier.reduceVertices(path, SHORTCUTS, SHORTCUTS // 2)
-        return self._knots(path, knots[0], knots[-1])
+        return self._from(knots[0], path)
 
-    def _knots(self, path: Any, start: Floats, end: Floats) -> Floats:
-        """The ends to the last bit: what is in between may be rounded."""
-        knots = np.array([self._told.joints(state) for state in path.getStates()])
-        knots[0], knots[-1] = start, end
-        return knots
+    def _from(self, start: Floats, path: Any) -> Floats:
+        """Knots of a path, joints on a circle with the turns that the start has."""
+        knots = self._joints.knots(path.getStates())
+        return knots + 2 * np.pi * np.rint((start - knots[0]) / (2 * np.pi))

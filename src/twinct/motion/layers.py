@@ -150,13 +150,24 @@ class Choice:
         return np.array(path[::-1]), float(value.min())
 
 
-def lifted(joints: Floats, ranges: Floats, speeds: Floats, first_stays: bool) -> Floats:
-    """The same path with full turns added to each joint so that it moves least, inside its range.
+def lifted(
+    joints: Floats,
+    legs: Sequence[Floats],
+    ranges: Floats,
+    speeds: Floats,
+    rewinding_s: Floats,
+    first_stays: bool,
+) -> Floats:
+    """Knots with full turns added to each joint so that it moves least, inside its range.
 
     Args:
         joints: rad, (knots, n).
+        legs: the way from each knot to the next, (m, n): it starts in the one and ends in the
+            other but for full turns.
         ranges: rad, (n, 2).
         speeds: rad/s, (n,).
+        rewinding_s: what it costs where knots come to lie other full turns apart than their leg's
+            ends, (knots - 1,).
         first_stays: the first knot keeps the turns it has.
     """
     found = np.empty_like(joints)
@@ -169,11 +180,13 @@ def lifted(joints: Floats, ranges: Floats, speeds: Floats, first_stays: bool) ->
         )
         if first_stays:
             aside[0, 1:] = np.inf
-        choice = Choice(
-            [
-                np.abs(a[:, None] - b) / speeds[j] + more
-                for a, b, more in zip(options[:-1], options[1:], aside[1:], strict=True)
-            ]
-        )
-        found[:, j] = options[np.arange(len(options)), choice.best(aside[0])[0]]
+        costs = []
+        for k, leg in enumerate(legs):
+            moves = options[k + 1] - options[k][:, None]
+            follows = np.abs(moves - (leg[-1, j] - leg[0, j])) < np.pi
+            out = (turns + leg[:, j].min() < low) | (turns + leg[:, j].max() > high)
+            other = np.where(follows, np.where(out, np.inf, 0.0)[:, None], rewinding_s[k])
+            costs.append(np.abs(moves) / speeds[j] + other + aside[k + 1])
+        path, _ = Choice(costs).best(aside[0])
+        found[:, j] = options[np.arange(len(options)), path]
     return found

@@ -64,6 +64,12 @@ DETOURS_TRIED = 20
 TRIED_S = 0.15
 """What a search in vain adds to what a move costs: others have their turn before more effort."""
 
+REWINDS_TRIED = 20
+"""Places tried for turning joints back that came to the end of their ranges, at most."""
+
+REWIND_AGAIN_S = 20.0
+"""What a place where that was sought in vain costs more the next time."""
+
 
 @dataclass(frozen=True, eq=False)
 class Way:
@@ -147,7 +153,7 @@ class _Finder:
         # A joint that can go round more than once may take the shorter side.
         self._turns = np.ptp(ranges, axis=1) > 3 * np.pi
         self._arms = [Speeds(self._speeds[part], self._turns[part]) for part in cell.arm_joints]
-        self._detours = Detours(self._both, ranges, self._speeds, cell.arm_joints, seed)
+        self._detours = Detours(cell, self._both, self._turns, seed)
         full = np.arange(0.0, 360.0, ROLL_STEP_DEG)
         self._rolls = [np.radians(full if free else full[:1]) for free in roll_free]
         self._known: dict[bytes, Floats | None] = {}
@@ -323,25 +329,28 @@ class _Finder:
         while True:
             path = self._mostly_straight(choice, nodes, straight, least)
             knots = np.array([layer[node] for layer, node in zip(nodes, path, strict=True)])
-            knots = lifted(knots, self._cell.joint_ranges, self._speeds, from_start)
-            ways: list[Floats] = []
-            for k, (a, b) in enumerate(zip(knots[:-1], knots[1:], strict=True)):
-                edge = (k, int(path[k]), int(path[k + 1]))
-                way = self._between(a, b, least[k], straight[edge], tried[edge])
-                if way is None:
-                    # Other pairs of configurations have their turn before more effort is made.
-                    tried[edge] += 1
-                    more = TRIED_S if tried[edge] < len(SEARCHES) else np.inf
-                    choice.raise_cost(k, edge[1:], more)
-                    count = sum(n for (layer, *_), n in tried.items() if layer == k)
-                    total = choice.best(np.zeros(len(nodes[0])))[1]
-                    if count == DETOURS_TRIED or not np.isfinite(total):
-                        raise TrajectoryError(_no_way(views[k], views[k + 1], count))
+            edges = [(k, int(path[k]), int(path[k + 1])) for k in range(len(costs))]
+            legs: list[Floats] = []
+            for edge, a, b in zip(edges, knots[:-1], knots[1:], strict=True):
+                if straight[edge]:
+                    legs.append(np.array([a, a + self._shorter(b - a)]))
+                elif (leg := self._round(a, b, least[edge[0]], tried[edge])) is not None:
+                    legs.append(leg)
+                else:
                     break
-                ways.append(way)
-            else:
-                # A single view has no way to another.
-                return ways or [knots], [pair[node] for pair, node in zip(pairs, path, strict=True)]
+            blocked = len(legs)
+            if blocked == len(costs):
+                ways, blocked = self._in_range(knots, legs, least, from_start)
+                if ways:
+                    return ways, [pair[node] for pair, node in zip(pairs, path, strict=True)]
+            # Other pairs of configurations have their turn before more effort is made.
+            edge = edges[blocked]
+            tried[edge] += 1
+            choice.raise_cost(blocked, edge[1:], TRIED_S if tried[edge] < len(SEARCHES) else np.inf)
+            count = sum(n for (layer, *_), n in tried.items() if layer == blocked)
+            total = choice.best(np.zeros(len(nodes[0])))[1]
+            if count == DETOURS_TRIED or not np.isfinite(total):
+                raise TrajectoryError(_no_way(views[blocked], views[blocked + 1], count))
 
     def _mostly_straight(
         self,
@@ -363,8 +372,7 @@ class _Finder:
                 break
             starts = np.array([nodes[k][i] for k, i, _ in unknown])
             ends = np.array([nodes[k + 1][j] for k, _, j in unknown])
-            way = ends - starts
-            way = np.where(self._turns, (way + np.pi) % (2 * np.pi) - np.pi, way)
+            way = self._shorter(ends - starts)
             for least in np.unique(least_mm):
                 mine = [m for m, edge in enumerate(unknown) if least_mm[edge[0]] == least]
                 clear = self._both.straight(starts[mine], starts[mine] + way[mine], float(least))
@@ -375,19 +383,54 @@ class _Finder:
                         choice.raise_cost(k, (i, j), DETOUR_S)
         return path
 
-    def _between(
-        self, start: Floats, end: Floats, least_mm: float, straight: bool, effort: int
-    ) -> Floats | None:
-        """Knots of a clear way, both ends included; ``straight``: clear on the shorter side."""
-        whole = np.abs(end - start) > np.pi
-        if (whole & self._turns).any() or not straight:
-            straight = bool(self._both.straight(start[None], end[None], least_mm)[0])
-        if straight:
-            return np.array([start, end])
+    def _shorter(self, moves: Floats) -> Floats:
+        """Moves on the shorter side, of joints that can make a full turn."""
+        return np.where(self._turns, (moves + np.pi) % (2 * np.pi) - np.pi, moves)
+
+    def _round(self, start: Floats, end: Floats, least_mm: float, effort: int) -> Floats | None:
+        """Knots of a detour, which may end full turns away."""
         key = np.concatenate([start, end, [least_mm, effort]]).tobytes()
         if key not in self._known:
             self._known[key] = self._detours.between(start, end, least_mm, effort)
         return self._known[key]
+
+    def _in_range(
+        self, knots: Floats, legs: list[Floats], least_mm: Floats, from_start: bool
+    ) -> tuple[list[Floats], int]:
+        """The legs with full turns added that keep all joints in their ranges.
+
+        Where leg after leg turns a joint the same way, it has to be turned back somewhere.
+
+        Returns:
+            the legs; none where it was sought in vain, and where that was last.
+        """
+        if not legs:
+            return [
+                lifted(knots, legs, self._cell.joint_ranges, self._speeds, knots[:, 0], from_start)
+            ], 0
+        rewinding_s, blocked = np.full(len(legs), DETOUR_S), 0
+        for _ in range(REWINDS_TRIED):
+            placed = lifted(
+                knots, legs, self._cell.joint_ranges, self._speeds, rewinding_s, from_start
+            )
+            ways: list[Floats] = []
+            for k, (leg, a, b) in enumerate(zip(legs, placed[:-1], placed[1:], strict=True)):
+                if (np.abs(b - a - (leg[-1] - leg[0])) < np.pi).all():
+                    way = leg + (a - leg[0])
+                    way[[0, -1]] = a, b
+                elif self._both.straight(a[None], b[None], least_mm[k])[0]:
+                    way = np.array([a, b])
+                else:
+                    way = self._detours.between(a, b, least_mm[k], 0, turning=False)
+                if way is None:
+                    rewinding_s[k] += REWIND_AGAIN_S
+                    blocked = k
+                    break
+                ways.append(way)
+            else:
+                # A single view has no way to another.
+                return ways or [placed], 0
+        return [], blocked
 
     def _polished(self, joints: Floats, views: NDArray[np.intp], targets: list[Target]) -> Floats:
         """The same knots; mink has the last word on those with a view."""
@@ -423,5 +466,5 @@ def _no_way(before: int, after: int, tried: int) -> str:
     origin = f"view {before}" if before >= 0 else "the start"
     return (
         f"from {origin} to view {after}: no way found in {tried} searches between pairs of "
-        f"configurations, of {SEARCHES[0][1]} to {SEARCHES[-1][1]} straight pieces each"
+        f"configurations that looked at {SEARCHES[0][0]} others or more each"
     )
