@@ -12,7 +12,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
     "rtk": ("itk",),
     "ros": (
         *("rclpy", "rclpy.node", "geometry_msgs.msg", "sensor_msgs.msg", "std_msgs.msg"),
-        "trajectory_msgs.msg",
+        *("trajectory_msgs.msg", "std_srvs.srv"),
         *("diagnostic_msgs.msg", "rosgraph_msgs.msg", "builtin_interfaces.msg"),
     ),
 }

@@ -64,6 +64,14 @@ class Gantry:
             before=self._at(last) if last and self._remember else None,
         )
 
+    def home(self) -> Reached:
+        """Refused.
+
+        Raises:
+            MotionError: always.
+        """
+        raise MotionError("a gantry has no home: it is where it was last told to be")
+
     def restore(self, state: Floats) -> None:
         """Go back exactly to ``Reached.state``.
 

@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from twinct.errors import MotionError
-from twinct.views import Instant, Reached
+from twinct.views import Instant, Reached, Target
 
 STATE = 5
 REFUSED_X_M = 9.0
 """A source target beyond this x is refused by the fake robots."""
+
+
+AT_HOME_M = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class FakeRobots:
@@ -47,6 +50,11 @@ class FakeRobots:
             time_s=self.moves / 3,
             clearance_mm=100 / self.moves,
         )
+
+    def home(self):
+        if _told("short_arm"):
+            raise MotionError("the source arm is too short", ["source"])
+        return self.move(None, Target(AT_HOME_M, AT_HOME_M))
 
     def close(self):
         pass

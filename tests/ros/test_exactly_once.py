@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 from twinct.errors import LinkError, TargetRefusedError
 from twinct.ros import RosRig
@@ -41,6 +42,15 @@ def errors(diagnostics):
 
 def elsewhere(target):
     return Target((target.source_m[0] + 1e-9, *target.source_m[1:]), target.detector_m)
+
+
+def home(somebody):
+    """What the service answers to a node that asks for it."""
+    client = somebody.node.create_client(Trigger, "/scan/home")
+    somebody.until(client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    somebody.until(future.done)
+    return future.result()
 
 
 @pytest.fixture
@@ -204,6 +214,14 @@ def test_a_view_out_of_turn_is_refused_to_the_rig_too(disturbed, targets):
     disturbed.take()
 
 
+def test_nobody_sends_the_arms_of_a_scan_home(disturbed, notes):
+    moves = notes.count("move")
+    answer = home(disturbed.stranger)
+    assert not answer.success and answer.message.startswith("a scan is running")
+    assert notes.count("move") == moves
+    disturbed.take()
+
+
 def test_an_answer_that_never_comes_is_an_error(disturbed, targets, notes, monkeypatch):
     notes.render_takes(3)
     monkeypatch.setattr(disturbed.rig, "_answer_s", 0.5)
@@ -250,6 +268,12 @@ def test_a_foreign_node_drives_the_standalone_nodes(
     assert errors(diagnostics)[0]["reason"] == "the source arm is too short"
     assert errors(diagnostics)[0]["stamp"] == "6.000000000"
     assert errors(diagnostics)[0]["arm"] == "source"
+    notes.tell("short_arm", 1)
+    refused = home(somebody)
+    notes.tell("short_arm", 0)
+    assert (refused.success, refused.message) == (False, "the source arm is too short")
+    somebody.until(lambda: len(errors(diagnostics)) == 2)
+    assert errors(diagnostics)[1]["arm"] == "source"
     for process in nodes:
         process.stop()
         assert process.exit_code == 0, process.describe_end()

@@ -21,7 +21,7 @@ from twinct.cell import CellModel, Clearance, Gap
 from twinct.errors import TrajectoryError
 from twinct.geometry import Floats
 from twinct.motion.follow import branch_way, gaps_along
-from twinct.motion.refusals import readable
+from twinct.motion.refusals import late_problems, readable
 from twinct.motion.timing import FINE_S, Law, TimeLaw
 from twinct.motion.way import Way, find_way, kept_mm
 from twinct.scenario import Motion
@@ -138,7 +138,11 @@ def plan_motion(
         MissingExtraError: mink or OMPL is not installed.
     """
     if motion.scheme == "reactive":
-        return _unhurried(cell, branch_way(cell, motion, targets))
+        way = branch_way(cell, motion, targets)
+        # Servos take longer than this: what is late even so is late for certain.
+        speeds = cell.speed_limits * cell.speed_scales
+        _check_times((np.abs(np.diff(way.joints, axis=0)) / speeds).max(axis=1), motion)
+        return _unhurried(cell, way)
     way = find_way(cell, motion, targets, roll_free=roll_free)
     return timed(cell, motion, way, exposure_s)
 
@@ -158,7 +162,8 @@ def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) ->
     Views are numbered in the order in which the way comes by them.
 
     Raises:
-        TrajectoryError: the arms cannot follow it within their limits and the clearance.
+        TrajectoryError: the arms cannot follow it within their limits and the clearance, or not
+            within ``motion.timeout_s`` from view to view.
     """
     law = TimeLaw(cell, motion)
     # The view that each stretch of the way leads to.
@@ -169,9 +174,16 @@ def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) ->
         plan = _compose(cell, motion, way, _laws(law, motion, way, spacing), exposure_s)
         problems = too_close(plan, kept_mm(motion))
         if not problems:
+            _check_times(np.diff(plan.exposures_s, prepend=0.0), motion)
             return plan
         spacing[np.isin(leads_to, list(problems))] /= 2
     raise TrajectoryError(problems.values())
+
+
+def _check_times(seconds: Floats, motion: Motion) -> None:
+    """What each view takes from the one before, (views,), must be within ``motion.timeout_s``."""
+    if late := late_problems(seconds.tolist(), motion.timeout_s):
+        raise TrajectoryError(late)
 
 
 def _laws(law: TimeLaw, motion: Motion, way: Way, spacing: Floats) -> list[tuple[Law, list[int]]]:

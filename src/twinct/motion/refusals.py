@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from twinct.cell import Gap
+from twinct.motion.branches import SIDES
 
 
 def far_problems(side: str, far: Mapping[int, tuple[float, float]]) -> list[str]:
@@ -32,6 +34,16 @@ def gap_problems(gaps: Mapping[int, Gap], asked_mm: float) -> list[str]:
     return problems
 
 
+def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:
+    """Views that take longer to get to than is allowed, by the seconds that each takes."""
+    late = [view for view, needed_s in enumerate(seconds) if needed_s > allowed_s]
+    return [
+        f"{named(first, last)}: the way there takes {'up to ' if last > first else ''}"
+        f"{max(seconds[first : last + 1]):.2f} s, motion.timeout_s allows {allowed_s:g} s"
+        for first, last in runs(late)
+    ]
+
+
 def gap_text(gap: Gap, asked_mm: float) -> str:
     """Two bodies that are too near each other."""
     pair = " and ".join(map(readable, gap.bodies))
@@ -43,6 +55,11 @@ def gap_text(gap: Gap, asked_mm: float) -> str:
 def readable(body: str) -> str:
     """A body's name as messages call it."""
     return {"detector": "detector_panel"}.get(body, body)
+
+
+def arms_in(text: str) -> list[str]:
+    """The arms that such words name, themselves or one of their bodies."""
+    return [side for side in SIDES if re.search(rf"\b{side}(_| arm)", text)]
 
 
 def runs(views: Iterable[int]) -> list[tuple[int, int]]:

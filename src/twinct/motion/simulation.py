@@ -14,12 +14,13 @@ from twinct.geometry import MM_PER_M, Floats
 from twinct.motion.branches import SIDES
 from twinct.motion.follow import straight_path
 from twinct.motion.home import FLIP_RAD
+from twinct.motion.homeward import way_home
 from twinct.motion.kinematics import Kinematics, mujoco, site_pose
 from twinct.motion.plan import MotionPlan, timed
 from twinct.motion.reference import Reference
-from twinct.motion.refusals import readable
+from twinct.motion.refusals import arms_in, readable
 from twinct.motion.shutter import Shutter
-from twinct.motion.way import find_way
+from twinct.motion.way import Way, find_way
 from twinct.scenario import Motion
 from twinct.views import Instant, Reached, Target, to_seven
 
@@ -72,6 +73,7 @@ class RobotSimulation:
         motion: Motion,
         plan: MotionPlan | None,
         shutter: Shutter | None = None,
+        roll_free: tuple[bool, bool] = (False, False),
     ) -> None:
         """Start at rest in a plan's home.
 
@@ -81,12 +83,14 @@ class RobotSimulation:
             plan: what is followed; with ``motion.scheme: reactive`` its home alone counts. None
                 waits for ``follow``.
             shutter: how long an image takes; none: no time.
+            roll_free: whether source and panel may be turned about their own axis on the way to a
+                target of no plan.
 
         Raises:
             MissingExtraError: MuJoCo, mink or Ruckig is not installed.
         """
         self._cell, self._motion, self._model = cell_model, motion, cell_model.model
-        self._shutter = shutter or Shutter()
+        self._shutter, self._roll_free = shutter or Shutter(), roll_free
         self._open_steps = self._shutter.steps(self._model.opt.timestep)
         self._taken = False
         self._data = mujoco.MjData(self._model)
@@ -118,7 +122,7 @@ class RobotSimulation:
                 f"the plan is of another cell: it moves {', '.join(plan.joint_names)}, this cell "
                 f"has {', '.join(self._cell.joint_names)}"
             )
-        self._plan, self._begun_s = plan, 0.0
+        self._plan, self._begun_s, self._home = plan, 0.0, plan.home
         self._mark = 0.0 if self._motion.scheme == "reactive" else float(int(plan.digest[:12], 16))
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = self._data.userdata[: self._n] = self._data.ctrl[:] = plan.home
@@ -171,7 +175,7 @@ class RobotSimulation:
         """Go on along the plan until the trigger of a view fires.
 
         With ``motion.scheme: reactive`` the target is solved from the joints as they are. To a
-        target of no plan one is made from where the arms come to rest.
+        target of no plan one is made from where the arms come to rest, and followed from then on.
 
         Args:
             view: its number in the plan; None for a target that is in none.
@@ -185,13 +189,47 @@ class RobotSimulation:
         if self._motion.scheme == "reactive":
             return self.drive(self.solve(target), target, on_step)
         if view is None:
-            view = self._plan_to(target)
-        plan = self._plan
-        if plan is None:
+            motion, free = self._motion, self._roll_free
+            lead = self._plan_from(
+                lambda here: find_way(self._cell, motion, [target], roll_free=free, start=here)
+            )
+            return self._along(0, lead, on_step)
+        if self._plan is None:
             raise MotionError("there is no plan to follow")
-        if target != plan.targets[view]:
+        if target != self._plan.targets[view]:
             raise TargetRefusedError(f"view {view}: this target is not the one of the plan")
-        timestep = self._model.opt.timestep
+        return self._along(view, np.zeros((0, 3, self._n)), on_step)
+
+    def home(self, on_step: Callable[[mujoco.MjData], None] | None = None) -> Reached:
+        """Bring the arms to rest where they started, by a way planned from where they are.
+
+        Args:
+            on_step: called at every step, with kinematics up to date.
+
+        Raises:
+            TargetRefusedError: there is no way, which leaves the simulation as it was; or the arms
+                could not follow it.
+        """
+        lead = self._plan_from(lambda here: way_home(self._cell, self._motion, here, self._home))
+        return self._along(0, lead, on_step, settled=True)
+
+    def _along(
+        self,
+        view: int,
+        lead: Floats,
+        on_step: Callable[[mujoco.MjData], None] | None,
+        settled: bool | None = None,
+    ) -> Reached:
+        """Go on along the plan until a view's trigger fires.
+
+        Args:
+            view: its number in the plan.
+            lead: states of the reference that come before the plan begins, (steps, 3, n).
+            on_step: called at every step.
+            settled: whether the trigger waits for rest; None: as ``motion.trigger`` says.
+        """
+        plan, timestep = self._plan, self._model.opt.timestep
+        assert plan is not None
         taken = round((self.time_s - self._begun_s) / timestep)
         exposures_s = plan.exposures_s
         if view + 1 < len(exposures_s):
@@ -200,26 +238,47 @@ class RobotSimulation:
             armed_to_s = plan.duration_s + self._motion.timeout_s
         steps = max(0, math.floor(armed_to_s / timestep) - taken)
         rows = plan.at((taken + np.arange(1, steps + self._open_steps + 2)) * timestep)
-        return self._run(rows.__getitem__, steps, target, f"view {view} was missed", on_step)
+        rows[: len(lead)] = lead
+        what = f"view {view} was missed"
+        target = plan.targets[view]
+        return self._run(rows.__getitem__, steps, target, what, on_step, len(lead), settled)
 
-    def _plan_to(self, target: Target) -> int:
-        """Come to rest and plan from there to a target: view 0 of what is followed then."""
-        timestep = self._model.opt.timestep
-        if self._plan is not None:
-            left = self._begun_s + self._plan.duration_s - self.time_s
-            times = np.arange(1, max(0, math.ceil(left / timestep)) + 1) * timestep
-            for row in self._plan.at(self.time_s - self._begun_s + times):
-                self._step(row)
-        here = self._data.userdata[: self._n].copy()
+    def _plan_from(self, find: Callable[[Floats], Way]) -> Floats:
+        """Make a plan from where the arms come to rest the one that is followed.
+
+        Args:
+            find: finds the way, from joint positions, rad, (n,).
+
+        Returns:
+            States of the reference until the plan begins, (steps, 3, n).
+
+        Raises:
+            TargetRefusedError: there is no such plan; nothing is changed.
+        """
+        lead = self._to_rest()
+        here = lead[-1, 0] if len(lead) else self._data.userdata[: self._n].copy()
         try:
-            plan = timed(
-                self._cell, self._motion, find_way(self._cell, self._motion, [target], start=here)
-            )
+            self._plan = timed(self._cell, self._motion, find(here))
         except TrajectoryError as error:
-            arms = [side for side in SIDES if f"{side} arm" in str(error)]
-            raise TargetRefusedError(str(error), arms) from None
-        self._plan, self._begun_s = plan, self.time_s
-        return 0
+            # Who asks knows no view 0.
+            told = [problem.removeprefix("view 0: ") for problem in error.problems]
+            text = "; ".join(told).replace("view 0", "the target")
+            raise TargetRefusedError(text, arms_in(text)) from None
+        self._begun_s = self.time_s + len(lead) * self._model.opt.timestep
+        return lead
+
+    def _to_rest(self) -> Floats:
+        """States of the reference until it stands still, (steps, 3, n)."""
+        now, timestep = self._data.userdata[: 3 * self._n].reshape(3, -1), self._model.opt.timestep
+        if np.abs(now[1:]).max() <= STANDING:
+            return np.zeros((0, 3, self._n))
+        if self._motion.scheme == "planned" and self._plan is not None:
+            since_s = self.time_s - self._begun_s
+            steps = math.ceil((self._plan.duration_s - since_s) / timestep)
+            return self._plan.at(since_s + np.arange(1, steps + 1) * timestep)
+        path = self._reference.towards(now, now[0])
+        steps = math.ceil(path.duration / timestep)
+        return np.array([path.at(k * timestep) for k in range(1, steps + 1)])
 
     def solve(self, target: Target) -> Floats:
         """Joint positions for a target, checked for reach and for collisions on the way.
@@ -281,15 +340,20 @@ class RobotSimulation:
         target: Target,
         what: str,
         on_step: Callable[[mujoco.MjData], None] | None,
+        lead: int = 0,
+        settled: bool | None = None,
     ) -> Reached:
-        """Follow a reference until the trigger fires, for so many steps at most."""
+        """Follow a reference until the trigger fires, for so many steps at most.
+
+        It cannot fire within the first ``lead`` of them.
+        """
         model, data, motion, n = self._model, self._data, self._motion, self._n
         wanted = np.array([target.source_m[:3], target.detector_m[:3]])
         # Views of MuJoCo's memory: looking them up at every step costs as much as the step.
         spots = [data.site_xpos[site] for site in self._cell.site_ids]
         joints, speeds, torques = data.qpos, data.qvel, data.qfrc_actuator
         tolerance_m = motion.tolerance_mm / MM_PER_M
-        settled = motion.trigger == "settled"
+        settled = motion.trigger == "settled" if settled is None else settled
         open_steps = self._open_steps
         record = np.zeros((steps + open_steps + 1, 3, n))
         instants: list[Instant] = []
@@ -307,7 +371,7 @@ class RobotSimulation:
             to_source, to_detector = spots[0] - wanted[0], spots[1] - wanted[1]
             near = max(to_source @ to_source, to_detector @ to_detector) < tolerance_m**2
             # What a move finds before its first step is the last one's doing.
-            opens = step and near and (not settled or self._at_rest())
+            opens = step > lead and near and (not settled or self._at_rest())
             if instants or opens:
                 instants.append(self._instant())
                 if len(instants) > open_steps:

@@ -168,14 +168,14 @@ class _Finder:
         if self._motion.order == "shortest":
             order = shortest_tour([[c.joints for c in arm] for arm in candidates], self._arms)
         layers = [[arm[view] for view in order] for arm in candidates]
-        pairs = self._pairs(order, layers)
         views = np.array(order)
         if start is not None:
+            # A layer too: what is promising depends on where the arms are.
             start = self._checked(start)
             for arm, part in zip(layers, self._cell.arm_joints, strict=True):
                 arm.insert(0, _Candidates(start[None, part], np.zeros(1)))
-            pairs.insert(0, np.zeros((1, 2), np.intp))
             views = np.concatenate([[-1], views])
+        pairs = self._pairs(views, layers)
         ways, chosen = self._through(views, layers, pairs, start is not None)
         targets = list(self._targets)
         for layer, view in enumerate(views):
@@ -262,14 +262,17 @@ class _Finder:
             best = max(best, clearance.at(data), key=lambda gap: gap.distance_mm)
         return best
 
-    def _pairs(self, order: list[int], layers: list[list[_Candidates]]) -> list[Indices]:
+    def _pairs(self, views: Indices, layers: list[list[_Candidates]]) -> list[Indices]:
         """Pairs of candidates of both arms that are clear of each other, for every layer."""
         ranked = [
             promising([c.joints for c in arm], speeds)
             for arm, speeds in zip(layers, self._arms, strict=True)
         ]
         pairs, gaps = [], {}
-        for layer, view in enumerate(order):
+        for layer, view in enumerate(views.tolist()):
+            if view < 0:
+                pairs.append(np.zeros((1, 2), np.intp))
+                continue
             of_source, of_detector = (arm[layer].joints for arm in layers)
             found = clear_pairs(
                 (ranked[0][layer], ranked[1][layer]),

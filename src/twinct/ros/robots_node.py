@@ -1,4 +1,7 @@
-"""The robot simulation as a ROS 2 node: ``/scan/target`` in, ``/scan/reached`` out."""
+"""The robot simulation as a ROS 2 node: ``/scan/target`` in, ``/scan/reached`` out.
+
+The service ``/scan/home`` brings the arms back to where they started.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,25 @@ from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 from twinct.errors import MotionError
 from twinct.motion import MotionPlan
 from twinct.ros import messages
 from twinct.ros.messages import Epoch, MalformedError, Stamp
-from twinct.ros.node import LISTENERS, ROBOTS, SCAN, Diagnostics, Ledger, RefusedError, run_node
+from twinct.ros.node import (
+    LISTENERS,
+    NO_STAMP,
+    ROBOTS,
+    SCAN,
+    Diagnostics,
+    Ledger,
+    RefusedError,
+    run_node,
+)
 from twinct.ros.plan import PlanListener
 from twinct.ros.senders import Members, Sender
-from twinct.ros.station import CLOCK, JOINTS, REACHED, STATE, TARGET, Station
+from twinct.ros.station import CLOCK, HOME, JOINTS, REACHED, STATE, TARGET, Station
 from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
 from twinct.views import PosePairs, Reached, Target
@@ -37,6 +50,10 @@ class Robots(Protocol):
 
     def move(self, view: int | None, target: Target) -> Reached:
         """Bring both end-effectors to a target; the view of a plan, if it is one."""
+        ...
+
+    def home(self) -> Reached:
+        """Bring both end-effectors to rest where they started."""
         ...
 
     def restore(self, state: NDArray[np.float64]) -> None:
@@ -149,7 +166,7 @@ class Turns:
 
 
 class RobotsNode:
-    """Answers each target once."""
+    """Answers each target once, and brings the arms home when asked to."""
 
     def __init__(
         self,
@@ -169,6 +186,7 @@ class RobotsNode:
         self._state = station.publisher(STATE, Float64MultiArray, depth=ANSWERS)
         self._clock = station.publisher(CLOCK, Clock)
         self._targets = station.listen_to_all(TARGET, PoseArray, self._on_target)
+        station.serve(HOME, Trigger, self._on_home)
 
     def connected(self) -> bool:
         """Whether the rig and the X-ray node of the scan are there; a node on its own has none."""
@@ -228,9 +246,32 @@ class RobotsNode:
     def _answer(self, stamp: Stamp, reached: Reached) -> None:
         # The poses first: they trigger the image.
         self._reached.publish(messages.reached_message(stamp, messages.executed(reached)))
+        self._tell_joints(stamp, reached)
+
+    def _tell_joints(self, stamp: Stamp, reached: Reached) -> None:
         self._joints.publish(messages.joints_message(stamp, reached))
         self._state.publish(messages.state_message(stamp, reached))
         self._clock.publish(messages.clock_message(reached.time_s))
+
+    def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request  # it is empty
+        try:
+            if self._turns is not None:
+                raise RefusedError("a scan is running, and its arms go where it sends them")
+            reached = self._robots.home()
+        except (MotionError, RefusedError) as refused:
+            response.message = str(refused)
+            values = {"arm": ", ".join(refused.arms), "reason": refused}
+            self._diagnostics.refuse(NO_STAMP, f"home refused: {refused}", values)
+        else:
+            response.success = True
+            response.message = (
+                f"at home: simulated time {reached.time_s:.3f} s, {reached.clearance_in_words}"
+            )
+            # No poses: they would trigger an image.
+            self._tell_joints(NO_STAMP, reached)
+            self._diagnostics.tell(response.message)
+        return response
 
     def _refuse(self, stamp: Stamp, message: PoseArray, refused: Exception) -> None:
         view = self._view(stamp)

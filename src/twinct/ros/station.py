@@ -27,6 +27,7 @@ STATE = "/scan/state"
 PLAN = "/scan/plan"
 PLAN_VIEWS = "/scan/plan_views"
 COMMANDED = "/scan/commanded"
+HOME = "/scan/home"
 JOINTS = "/joint_states"
 CLOCK = "/clock"
 IMAGE = "/xray/image"
@@ -125,6 +126,10 @@ class Station:
 
         both = (True, False)
         return [self.listen(topic, kind, once, depth=depth, latched=latched) for latched in both]
+
+    def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
+        """Answer requests, inside ``wait``: the callback gets a request and an empty response."""
+        self._node.create_service(kind, service, callback)
 
     def name_of(self, topic: str, sender: Sender) -> str:
         """What a node that publishes on a topic calls itself, as far as it is discovered."""

@@ -167,7 +167,8 @@ class Workshop:
         from twinct.motion import RobotSimulation, Shutter
 
         shutter = Shutter(source.exposure_ms / 1000, source.motion_samples, lags)
-        return RobotSimulation(self.cell, scenario.motion, None if planned else self.plan, shutter)
+        plan = None if planned else self.plan
+        return RobotSimulation(self.cell, scenario.motion, plan, shutter, self._roll_free)
 
     def imager(self) -> Imager:
         """An X-ray simulation of the specimen."""

@@ -1,0 +1,52 @@
+"""The way of both arms to where they started, from wherever they are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinct.cell import CellModel, Clearance
+from twinct.errors import TrajectoryError
+from twinct.geometry import Floats
+from twinct.motion.detour import SEARCHES, Detours
+from twinct.motion.feasible import SHORTFALL_MM, Feasible
+from twinct.motion.kinematics import mujoco, site_pose
+from twinct.motion.refusals import gap_text
+from twinct.motion.way import Way, kept_mm
+from twinct.scenario import Motion
+from twinct.views import Target
+
+
+def way_home(cell: CellModel, motion: Motion, start: Floats, home: Floats, seed: int = 0) -> Way:
+    """Straight in joint space where that is clear, else a way round.
+
+    Args:
+        cell: the room.
+        motion: the clearance asked for; where an end of the way has less, that is kept instead.
+        start: where the arms are, rad, (n,).
+        home: where they shall be, rad, (n,).
+        seed: of the searches.
+
+    Returns:
+        A way with one view, at its end: the poses that the arms have at home.
+
+    Raises:
+        TrajectoryError: bodies touch where the arms are, or no way was found.
+    """
+    least = kept_mm(motion)
+    gap = Clearance(cell).over(np.array([start, home]))
+    kept = min(least, gap.distance_mm - 2 * SHORTFALL_MM)
+    if kept <= 0:
+        raise TrajectoryError(f"start: {gap_text(gap, least)}")
+    data = mujoco.MjData(cell.model)
+    data.qpos[:] = home
+    mujoco.mj_kinematics(cell.model, data)
+    target = Target.from_poses(*(site_pose(data, site) for site in cell.site_ids))
+    room, speeds = Feasible(cell), cell.speed_limits * cell.speed_scales
+    knots: Floats | None = np.array([start, home])
+    if not room.straight(start[None], home[None], kept)[0]:
+        detours = Detours(room, cell.joint_ranges, speeds, cell.arm_joints, seed)
+        tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
+        knots = next((way for way in tries if way is not None), None)
+    if knots is None:
+        raise TrajectoryError(f"no way home was found in {len(SEARCHES)} searches")
+    return Way(knots, np.append(np.full(len(knots) - 1, -1), 0), (target,))

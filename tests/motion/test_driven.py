@@ -1,0 +1,139 @@
+"""Arms that are driven: targets of no plan, the way home, and the time that a way may take."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinct.cell import CellModel, Clearance
+from twinct.errors import TargetRefusedError, TrajectoryError
+from twinct.geometry import Floats, Pose
+from twinct.motion import MotionPlan, RobotSimulation, plan_motion
+from twinct.motion.homeward import way_home
+from twinct.motion.refusals import arms_in
+from twinct.motion.way import kept_mm
+from twinct.scenario import Motion
+from twinct.views import Target
+
+PLANNED = Motion(scheme="planned")
+AT_REST_DEG = 0.02
+"""What servos at rest may be off: 0.004 deg at most in 30 ways home."""
+
+
+def off_home_deg(simulation: RobotSimulation, plan: MotionPlan) -> float:
+    return float(np.degrees(np.abs(simulation.joints - plan.home).max()))
+
+
+@pytest.mark.parametrize("scheme", ["planned", "reactive"])
+def test_home_is_reached_at_rest_from_anywhere_and_left_again(
+    cell: CellModel, plan: MotionPlan, targets: list[Target], scheme: str
+) -> None:
+    simulation = RobotSimulation(cell, PLANNED.model_copy(update={"scheme": scheme}), plan)
+    seen = []
+    assert simulation.home().time_s < 0.01  # it is there
+    assert off_home_deg(simulation, plan) < 1e-9
+    simulation.move(None, targets[20])  # still moving
+    away = simulation.time_s
+    reached = simulation.home(lambda data: seen.append(data.time))
+    assert off_home_deg(simulation, plan) < AT_REST_DEG
+    assert np.abs(reached.velocity).max() < 1e-3
+    assert not simulation.watch.contacts and reached.clearance_mm >= PLANNED.clearance_mm
+    timestep = cell.model.opt.timestep
+    assert np.allclose(np.diff([away, *seen]), [0, *[timestep] * (len(seen) - 1)], atol=1e-9)
+    executed = simulation.move(None, targets[5]).executed
+    assert executed.source.distance_mm(targets[5].source) < 1
+
+
+def test_what_is_refused_leaves_no_trace(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
+    states = []
+    for refused in (False, True):
+        simulation = RobotSimulation(cell, PLANNED, plan)
+        simulation.move(None, targets[20])  # still moving
+        if refused:
+            with pytest.raises(TargetRefusedError, match="^source arm: out of reach by"):
+                simulation.move(None, Target.from_poses(away, targets[0].detector))
+        states.append(simulation.move(None, targets[3]).state)
+    assert np.array_equal(*states)
+
+
+def test_the_same_target_again_takes_no_way(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    simulation = RobotSimulation(cell, Motion(scheme="planned", trigger="settled"), plan)
+    first, again = (simulation.move(None, targets[3]) for _ in range(2))
+    assert again.time_s - first.time_s < 1
+    assert np.degrees(np.abs(again.position - first.position).max()) < AT_REST_DEG
+
+
+def test_a_free_roll_is_chosen_for_a_target_too(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    """Both tools turned by 130 degrees: the wrists follow only where they have to."""
+    turn = Pose.exp((0, 0, 0, 0, 0, np.radians(130)))
+    turned = Target.from_poses(targets[0].source @ turn, targets[0].detector @ turn)
+    wrists_deg = {}
+    for free in (False, True):
+        simulation = RobotSimulation(cell, PLANNED, plan, roll_free=(free, free))
+        executed = simulation.move(None, turned).executed
+        wrists_deg[free] = np.degrees(np.abs(simulation.joints - plan.home)[[5, 11]])
+        for side in ("source", "detector"):
+            asked, got = getattr(turned, side), getattr(executed, side)
+            assert got.distance_mm(asked) < 1
+            assert np.degrees(np.arccos(got.rotation[:, 2] @ asked.rotation[:, 2])) < 0.5
+            assert (got.angle_deg(asked) > 100) == free
+    assert wrists_deg[False].min() > 100
+    assert wrists_deg[True].max() < 10
+
+
+def aside(cell: CellModel, home: Floats) -> Floats:
+    """Somewhere clear from where the straight way back leads one arm through another body."""
+    room, rng = Clearance(cell), np.random.default_rng(4)
+    while True:
+        start = home + rng.uniform(-2, 2, len(home))
+        if room.over(start[None]).distance_mm > 2 * PLANNED.clearance_mm:
+            if room.over(np.linspace(start, home, 30)).distance_mm < 0:
+                return start
+
+
+def test_the_way_home_goes_round_what_stands_between(cell: CellModel, plan: MotionPlan) -> None:
+    start = aside(cell, plan.home)
+    way = way_home(cell, PLANNED, start, plan.home)
+    assert np.array_equal(way.joints[[0, -1]], [start, plan.home])
+    assert way.views.tolist() == [-1] * (len(way.joints) - 1) + [0]
+    legs = [np.linspace(a, b, 200) for a, b in zip(way.joints[:-1], way.joints[1:], strict=True)]
+    assert len(legs) > 1
+    assert Clearance(cell).over(np.vstack(legs)).distance_mm >= kept_mm(PLANNED) - 0.2
+    again = way_home(cell, PLANNED, start, plan.home)
+    assert np.array_equal(again.joints, way.joints)
+
+
+def test_a_start_that_touches_is_named(cell: CellModel, plan: MotionPlan) -> None:
+    folded = plan.home.copy()
+    folded[2] = 3.0  # the elbow
+    with pytest.raises(TrajectoryError, match=r"start: source_\w+ and source_\w+ overlap by \d"):
+        way_home(cell, PLANNED, folded, plan.home)
+
+
+def test_a_time_limit_too_short_is_named_before_anything_moves(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    for scheme in ("planned", "reactive"):
+        brief = Motion(scheme=scheme, timeout_s=0.01)
+        with pytest.raises(
+            TrajectoryError, match=r"views 0 to 2: .* up to 0.\d\d s, motion.timeout_s allows 0.01"
+        ):
+            plan_motion(cell, brief, targets[:3])
+    simulation = RobotSimulation(cell, PLANNED.model_copy(update={"timeout_s": 0.5}), plan)
+    with pytest.raises(TargetRefusedError, match=r"^the way there takes 0.7\d s, motion.timeout"):
+        simulation.move(None, targets[20])
+    assert simulation.time_s == 0
+
+
+def test_arms_are_known_by_their_bodies_too() -> None:
+    assert arms_in("table and detector_wrist_2 overlap by 3 mm") == ["detector"]
+    assert arms_in("source arm: out of reach") == ["source"]
+    assert arms_in("source_forearm and detector_panel overlap") == ["source", "detector"]
+    assert arms_in("no way found, source or not") == []

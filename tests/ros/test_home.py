@@ -1,0 +1,118 @@
+"""Nodes that are driven: from target to target, and home."""
+
+import os
+import sys
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from twinct.geometry import Pose
+from twinct.ros.messages import Stamp, diagnostic_values, executed_of, target_message
+from twinct.ros.node import NO_STAMP
+from twinct.ros.processes import NodeProcess
+from twinct.scan import Workshop
+from twinct.views import Target
+
+pytestmark = [pytest.mark.ros, pytest.mark.process]
+
+ANSWER_S = 10.0
+"""What docs/ros.md says that a target takes, at most."""
+AT_HOME_DEG = 0.02
+"""Servos at rest are off by what they hold against gravity: 0.004 deg at most in 30 ways home."""
+
+
+class Driver:
+    """Somebody who knows the standard messages only."""
+
+    def __init__(self, somebody) -> None:
+        self.node = somebody
+        self.out = somebody.publisher("/scan/target", PoseArray)
+        self.reached = somebody.listen("/scan/reached", PoseArray)
+        self.joints = somebody.listen("/joint_states", JointState)
+        self.diagnostics = somebody.listen("/diagnostics", DiagnosticArray)
+        self.service = somebody.node.create_client(Trigger, "/scan/home")
+
+    def wait(self) -> None:
+        self.node.until(
+            lambda: self.out.get_subscription_count() and self.service.service_is_ready(), 60.0
+        )
+
+    def home(self) -> Trigger.Response:
+        future = self.service.call_async(Trigger.Request())
+        self.node.until(future.done, ANSWER_S)
+        self.node.stay(0.2)
+        return future.result()
+
+    def refusals(self) -> list[dict[str, str]]:
+        return [
+            {"text": s.message, **diagnostic_values(s.values)}
+            for message in self.diagnostics
+            for s in message.status
+            if s.level == s.ERROR
+        ]
+
+
+@pytest.fixture
+def driven(tmp_path, foreign, domain, monkeypatch):
+    """Starts a standalone robots node, and gives who drives it."""
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    started = []
+
+    def start(command, scenario):
+        file = tmp_path / "scenario.json"
+        file.write_text(scenario.resolved())
+        started.append(
+            NodeProcess(
+                "robots",
+                [*command, "robots", str(file)],
+                tmp_path / "robots.log",
+                environment=os.environ,
+                on_end=lambda _: None,
+            )
+        )
+        driver = Driver(foreign(domain))
+        driver.wait()
+        return driver
+
+    yield start
+    for process in started:
+        process.stop()
+
+
+def test_a_driven_node_goes_where_it_can_and_home_again(driven, short):
+    planned = type(short).model_validate(
+        {**short.model_dump(mode="json"), "motion": {"scheme": "planned"}}
+    )
+    targets, node = (
+        Workshop(planned).targets,
+        driven((sys.executable, "-m", "twinct", "node"), planned),
+    )
+    fresh = node.home()
+    assert fresh.success and "clearance" in fresh.message
+    home = np.array(node.joints[-1].position)
+    assert Stamp.of(node.joints[-1].header.stamp) == NO_STAMP
+    assert not node.reached, "an image would be taken"
+
+    # Sent while the arms move on to the first, the others have their turn after it.
+    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
+    asked = [targets[3], Target.from_poses(away, targets[0].detector), targets[0]]
+    for second, target in enumerate(asked):
+        node.out.publish(target_message(Stamp(5, second), target))
+    node.node.until(lambda: len(node.reached) == 2 and node.refusals(), 3 * ANSWER_S)
+    assert [Stamp.of(m.header.stamp) for m in node.reached] == [Stamp(5, 0), Stamp(5, 2)]
+    for message, target in zip(node.reached, asked[::2], strict=True):
+        assert executed_of(message).view.source.distance_mm(target.source) < 1
+        assert executed_of(message).view.detector.distance_mm(target.detector) < 1
+    [refusal] = node.refusals()
+    assert refusal["stamp"] == "5.000000001" and refusal["arm"] == "source"
+    assert refusal["reason"].startswith("source arm: out of reach by ")
+
+    assert np.abs(np.array(node.joints[-1].position) - home).max() > 0.1
+    assert node.home().success
+    assert np.degrees(np.abs(np.array(node.joints[-1].position) - home).max()) < AT_HOME_DEG
+    assert np.abs(node.joints[-1].velocity).max() < 1e-3
+    assert len(node.reached) == 2
