@@ -16,6 +16,7 @@ from twinct.scenario import Motion
 from twinct.views import Target
 
 PLANNED = Motion(scheme="planned")
+NOT_KNOWN = np.zeros((0, 12))
 AT_REST_DEG = 0.02
 """What servos at rest may be off: 0.004 deg at most in 30 ways home."""
 
@@ -100,21 +101,36 @@ def aside(cell: CellModel, home: Floats) -> Floats:
 
 def test_the_way_home_goes_round_what_stands_between(cell: CellModel, plan: MotionPlan) -> None:
     start = aside(cell, plan.home)
-    way = way_home(cell, PLANNED, start, plan.home)
+    way = way_home(cell, PLANNED, start, plan.home, NOT_KNOWN)
     assert np.array_equal(way.joints[[0, -1]], [start, plan.home])
     assert way.views.tolist() == [-1] * (len(way.joints) - 1) + [0]
     legs = [np.linspace(a, b, 200) for a, b in zip(way.joints[:-1], way.joints[1:], strict=True)]
     assert len(legs) > 1
     assert Clearance(cell).over(np.vstack(legs)).distance_mm >= kept_mm(PLANNED) - 0.2
-    again = way_home(cell, PLANNED, start, plan.home)
+    again = way_home(cell, PLANNED, start, plan.home, NOT_KNOWN)
     assert np.array_equal(again.joints, way.joints)
+
+
+def test_the_way_home_is_the_way_that_was_come_but_shorter(
+    cell: CellModel, plan: MotionPlan
+) -> None:
+    start = aside(cell, plan.home)
+    direct = way_home(cell, PLANNED, start, plan.home, NOT_KNOWN).joints
+    errand = direct[-1] + [*np.zeros(11), 0.5]
+    come = np.vstack([direct[-1], errand, direct[::-1]])
+    way = way_home(cell, PLANNED, start, plan.home, come[::-1]).joints
+    known = {knot.tobytes() for knot in come}
+    assert {knot.tobytes() for knot in way} <= known - {errand.tobytes()}
+    assert 2 < len(way) <= len(direct)
+    legs = [np.linspace(a, b, 200) for a, b in zip(way[:-1], way[1:], strict=True)]
+    assert Clearance(cell).over(np.vstack(legs)).distance_mm >= kept_mm(PLANNED) - 0.2
 
 
 def test_a_start_that_touches_is_named(cell: CellModel, plan: MotionPlan) -> None:
     folded = plan.home.copy()
     folded[2] = 3.0  # the elbow
     with pytest.raises(TrajectoryError, match=r"start: source_\w+ and source_\w+ overlap by \d"):
-        way_home(cell, PLANNED, folded, plan.home)
+        way_home(cell, PLANNED, folded, plan.home, NOT_KNOWN)
 
 
 def test_a_time_limit_too_short_is_named_before_anything_moves(

@@ -16,14 +16,18 @@ from twinct.scenario import Motion
 from twinct.views import Target
 
 
-def way_home(cell: CellModel, motion: Motion, start: Floats, home: Floats, seed: int = 0) -> Way:
-    """Straight in joint space where that is clear, else a way round.
+def way_home(
+    cell: CellModel, motion: Motion, start: Floats, home: Floats, back: Floats, seed: int = 0
+) -> Way:
+    """Straight in joint space where that is clear; else back as the arms came; else a way round.
 
     Args:
         cell: the room.
         motion: the clearance asked for; where an end of the way has less, that is kept instead.
         start: where the arms are, rad, (n,).
         home: where they shall be, rad, (n,).
+        back: knots of a clear way from start to home, both included, which is shortened where
+            straight ways between its knots are clear, rad, (m, n); empty: none is known.
         seed: of the searches.
 
     Returns:
@@ -37,16 +41,31 @@ def way_home(cell: CellModel, motion: Motion, start: Floats, home: Floats, seed:
     kept = min(least, gap.distance_mm - 2 * SHORTFALL_MM)
     if kept <= 0:
         raise TrajectoryError(f"start: {gap_text(gap, least)}")
+    room, knots = Feasible(cell), np.array([start, home])
+    if not room.straight(knots[:1], knots[1:], kept)[0]:
+        if len(back):
+            knots = _shortened(room, back, kept)
+        else:
+            speeds = cell.speed_limits * cell.speed_scales
+            detours = Detours(room, cell.joint_ranges, speeds, cell.arm_joints, seed)
+            tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
+            found = next((way for way in tries if way is not None), None)
+            if found is None:
+                raise TrajectoryError(f"no way home was found in {len(SEARCHES)} searches")
+            knots = found
     data = mujoco.MjData(cell.model)
     data.qpos[:] = home
     mujoco.mj_kinematics(cell.model, data)
     target = Target.from_poses(*(site_pose(data, site) for site in cell.site_ids))
-    room, speeds = Feasible(cell), cell.speed_limits * cell.speed_scales
-    knots: Floats | None = np.array([start, home])
-    if not room.straight(start[None], home[None], kept)[0]:
-        detours = Detours(room, cell.joint_ranges, speeds, cell.arm_joints, seed)
-        tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
-        knots = next((way for way in tries if way is not None), None)
-    if knots is None:
-        raise TrajectoryError(f"no way home was found in {len(SEARCHES)} searches")
     return Way(knots, np.append(np.full(len(knots) - 1, -1), 0), (target,))
+
+
+def _shortened(room: Feasible, knots: Floats, least_mm: float) -> Floats:
+    """From each knot straight to the last one that is in sight; the next one always is."""
+    kept = [0]
+    while kept[-1] < len(knots) - 1:
+        here = kept[-1]
+        ends = knots[here + 2 :]
+        seen = room.straight(np.broadcast_to(knots[here], ends.shape), ends, least_mm)
+        kept.append(here + 1 + int(np.max(np.flatnonzero(seen) + 1, initial=0)))
+    return knots[kept]

@@ -141,10 +141,12 @@ def plan_motion(
         way = branch_way(cell, motion, targets)
         # Servos take longer than this: what is late even so is late for certain.
         speeds = cell.speed_limits * cell.speed_scales
-        _check_times((np.abs(np.diff(way.joints, axis=0)) / speeds).max(axis=1), motion)
+        check_times((np.abs(np.diff(way.joints, axis=0)) / speeds).max(axis=1), motion)
         return _unhurried(cell, way)
     way = find_way(cell, motion, targets, roll_free=roll_free)
-    return timed(cell, motion, way, exposure_s)
+    plan = timed(cell, motion, way, exposure_s)
+    check_times(np.diff(plan.exposures_s, prepend=0.0), motion)
+    return plan
 
 
 def _unhurried(cell: CellModel, way: Way) -> MotionPlan:
@@ -162,8 +164,7 @@ def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) ->
     Views are numbered in the order in which the way comes by them.
 
     Raises:
-        TrajectoryError: the arms cannot follow it within their limits and the clearance, or not
-            within ``motion.timeout_s`` from view to view.
+        TrajectoryError: the arms cannot follow it within their limits and the clearance.
     """
     law = TimeLaw(cell, motion)
     # The view that each stretch of the way leads to.
@@ -174,14 +175,21 @@ def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) ->
         plan = _compose(cell, motion, way, _laws(law, motion, way, spacing), exposure_s)
         problems = too_close(plan, kept_mm(motion))
         if not problems:
-            _check_times(np.diff(plan.exposures_s, prepend=0.0), motion)
             return plan
         spacing[np.isin(leads_to, list(problems))] /= 2
     raise TrajectoryError(problems.values())
 
 
-def _check_times(seconds: Floats, motion: Motion) -> None:
-    """What each view takes from the one before, (views,), must be within ``motion.timeout_s``."""
+def check_times(seconds: Floats, motion: Motion) -> None:
+    """Refuse views that take longer than ``motion.timeout_s``.
+
+    Args:
+        seconds: what each takes from the one before, (views,).
+        motion: of the scenario.
+
+    Raises:
+        TrajectoryError: there are some.
+    """
     if late := late_problems(seconds.tolist(), motion.timeout_s):
         raise TrajectoryError(late)
 

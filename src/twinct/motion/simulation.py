@@ -16,7 +16,7 @@ from twinct.motion.follow import straight_path
 from twinct.motion.home import FLIP_RAD
 from twinct.motion.homeward import way_home
 from twinct.motion.kinematics import Kinematics, mujoco, site_pose
-from twinct.motion.plan import MotionPlan, timed
+from twinct.motion.plan import MotionPlan, check_times, timed
 from twinct.motion.reference import Reference
 from twinct.motion.refusals import arms_in, readable
 from twinct.motion.shutter import Shutter
@@ -123,6 +123,8 @@ class RobotSimulation:
                 f"has {', '.join(self._cell.joint_names)}"
             )
         self._plan, self._begun_s, self._home = plan, 0.0, plan.home
+        # Knots of the ways since home; none: the arms went by other ways than these.
+        self._trail: list[Floats] = [plan.home[None]]
         self._mark = 0.0 if self._motion.scheme == "reactive" else float(int(plan.digest[:12], 16))
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = self._data.userdata[: self._n] = self._data.ctrl[:] = plan.home
@@ -164,7 +166,7 @@ class RobotSimulation:
         if self._data.userdata[-1] != self._mark:
             raise MotionError("this state is of another plan than the one that is followed")
         mujoco.mj_step1(self._model, self._data)
-        self._taken = True
+        self._taken, self._trail = True, []
 
     def move(
         self,
@@ -186,6 +188,8 @@ class RobotSimulation:
             TargetRefusedError: out of reach, would collide, missed, or the arms could not follow.
                 The first two leave the simulation as it was.
         """
+        if self._motion.scheme == "reactive" or view is not None:
+            self._trail = []
         if self._motion.scheme == "reactive":
             return self.drive(self.solve(target), target, on_step)
         if view is None:
@@ -193,12 +197,12 @@ class RobotSimulation:
             lead = self._plan_from(
                 lambda here: find_way(self._cell, motion, [target], roll_free=free, start=here)
             )
-            return self._along(0, lead, on_step)
+            return self._along(0, "the target", lead, on_step)
         if self._plan is None:
             raise MotionError("there is no plan to follow")
         if target != self._plan.targets[view]:
             raise TargetRefusedError(f"view {view}: this target is not the one of the plan")
-        return self._along(view, np.zeros((0, 3, self._n)), on_step)
+        return self._along(view, f"view {view}", np.zeros((0, 3, self._n)), on_step)
 
     def home(self, on_step: Callable[[mujoco.MjData], None] | None = None) -> Reached:
         """Bring the arms to rest where they started, by a way planned from where they are.
@@ -210,12 +214,18 @@ class RobotSimulation:
             TargetRefusedError: there is no way, which leaves the simulation as it was; or the arms
                 could not follow it.
         """
-        lead = self._plan_from(lambda here: way_home(self._cell, self._motion, here, self._home))
-        return self._along(0, lead, on_step, settled=True)
+        back = np.vstack(self._trail)[::-1] if self._trail else np.zeros((0, self._n))
+        lead = self._plan_from(
+            lambda here: way_home(self._cell, self._motion, here, self._home, back),
+            in_time=False,
+        )
+        self._trail = [self._home[None]]
+        return self._along(0, "home", lead, on_step, settled=True)
 
     def _along(
         self,
         view: int,
+        name: str,
         lead: Floats,
         on_step: Callable[[mujoco.MjData], None] | None,
         settled: bool | None = None,
@@ -224,6 +234,7 @@ class RobotSimulation:
 
         Args:
             view: its number in the plan.
+            name: what messages call it.
             lead: states of the reference that come before the plan begins, (steps, 3, n).
             on_step: called at every step.
             settled: whether the trigger waits for rest; None: as ``motion.trigger`` says.
@@ -239,15 +250,15 @@ class RobotSimulation:
         steps = max(0, math.floor(armed_to_s / timestep) - taken)
         rows = plan.at((taken + np.arange(1, steps + self._open_steps + 2)) * timestep)
         rows[: len(lead)] = lead
-        what = f"view {view} was missed"
-        target = plan.targets[view]
+        target, what = plan.targets[view], f"{name} was missed"
         return self._run(rows.__getitem__, steps, target, what, on_step, len(lead), settled)
 
-    def _plan_from(self, find: Callable[[Floats], Way]) -> Floats:
+    def _plan_from(self, find: Callable[[Floats], Way], *, in_time: bool = True) -> Floats:
         """Make a plan from where the arms come to rest the one that is followed.
 
         Args:
             find: finds the way, from joint positions, rad, (n,).
+            in_time: whether it may take ``motion.timeout_s`` and no longer.
 
         Returns:
             States of the reference until the plan begins, (steps, 3, n).
@@ -258,13 +269,19 @@ class RobotSimulation:
         lead = self._to_rest()
         here = lead[-1, 0] if len(lead) else self._data.userdata[: self._n].copy()
         try:
-            self._plan = timed(self._cell, self._motion, find(here))
+            way = find(here)
+            plan = timed(self._cell, self._motion, way)
+            if in_time:
+                check_times(plan.exposures_s, self._motion)
         except TrajectoryError as error:
             # Who asks knows no view 0.
             told = [problem.removeprefix("view 0: ") for problem in error.problems]
             text = "; ".join(told).replace("view 0", "the target")
             raise TargetRefusedError(text, arms_in(text)) from None
+        self._plan = plan
         self._begun_s = self.time_s + len(lead) * self._model.opt.timestep
+        if self._trail:
+            self._trail.append(way.joints[1:])
         return lead
 
     def _to_rest(self) -> Floats:
