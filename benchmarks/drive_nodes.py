@@ -98,6 +98,7 @@ class Driver:
         future = self._home.call_async(Trigger.Request())
         self._until(future.done, PATIENCE_S)
         answer = future.result()
+        assert answer is not None
         return answer.success, answer.message
 
     def joints(self) -> list[float]:

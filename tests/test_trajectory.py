@@ -12,6 +12,7 @@ from twinct.scenario import AnyTrajectory
 from twinct.trajectory import commanded_views, write_views
 
 PANEL = Panel(480, 640, 0.5, 0.5)
+BEAM = "300,0,0,-300,0,0"
 
 
 def views(**keys):
@@ -85,14 +86,27 @@ def test_file_with_source_and_panel_only_gets_upright_panels(tmp_path) -> None:
         ("", "holds no view"),
         ("a,b\n1,2,3\n", ":2: a view is 6 numbers"),
         ("1,2,3,4,5,6\n1,x,3,4,5,6\n", ":2: .*not a number"),
-        ("1,2,3,1,2,3\n", "coincide"),
-        ("0,0,300,0,0,-300\n", "vertical"),
+        ("300,x,0,-300,0,0\n", ":1: .*not a number"),  # no line of names: a slip of the pen
+        ("1,2,3,1,2,3\n", ":1: source and panel coincide"),
+        ("0,0,300,0,0,-300\n", ":1: the beam is vertical"),
+        (f"# axes\n{BEAM},0,1,0,0,0,1\n\n{BEAM},0,1,0,0,0.6,0.8\n", ":4: u and v are not orth"),
+        (f"{BEAM},0,1,0,0,0,2\n", ":1: v is not a unit vector"),
+        (f"{BEAM},0,0,0,0,0,1\n", ":1: u is not a unit vector"),
+        (f"{BEAM},0,0,1,0,1,0\n", ":1: u x v points away from the source"),
     ],
 )
 def test_bad_files_are_named(tmp_path, text: str, message: str) -> None:
     (tmp_path / "v.csv").write_text(text)
     with pytest.raises(TrajectoryError, match=message):
         views(kind="file", path=tmp_path / "v.csv")
+
+
+def test_each_line_with_bad_axes_is_named(tmp_path) -> None:
+    file = tmp_path / "views.csv"
+    file.write_text(f"{BEAM},0,1,0,0,0,1\n{BEAM},0,2,0,0,0,1\n{BEAM},0,1,0,0,1,0\n")
+    with pytest.raises(TrajectoryError) as caught:
+        views(kind="file", path=file)
+    assert [problem.split(":")[1] for problem in caught.value.problems] == ["2", "3"]
 
 
 def test_a_number_that_is_not_finite_is_named_as_such(tmp_path) -> None:

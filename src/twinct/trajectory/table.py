@@ -33,10 +33,11 @@ def write_views(path: Path, geometry: ScanGeometry) -> None:
         writer.writerows([[repr(float(x)) for x in row] for row in rows])
 
 
-def _table(path: Path) -> Floats:
-    """Rows of 6 numbers (S, D) or 12 (S, D, u, v), mm; a first line of names is skipped."""
+def _table(path: Path) -> tuple[Floats, list[int]]:
+    """Rows of 6 numbers (S, D) or 12 (S, D, u, v), mm, and their lines; names may come first."""
     problems: list[str] = []
     rows: list[list[float]] = []
+    numbers: list[int] = []
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row]
@@ -47,9 +48,10 @@ def _table(path: Path) -> Floats:
         try:
             rows.append([float(cell) for cell in row])
         except ValueError:
-            if position > 0:
+            if position > 0 or any(map(_is_number, row)):
                 problems.append(f"{path}:{number}: {','.join(row)!r} holds something not a number")
             continue
+        numbers.append(number)
         if len(row) not in (6, 12):
             forms = "a view is 6 numbers (S, D) or 12 (S, D, u, v), mm"
             problems.append(f"{path}:{number}: {forms}; this line has {len(row)}")
@@ -61,24 +63,43 @@ def _table(path: Path) -> Floats:
         problems.append(f"{path}: some lines have 6 numbers and some 12; use one form")
     if problems:
         raise TrajectoryError(problems)
-    return np.array(rows)
+    return np.array(rows), numbers
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
     """What the file says; u and v upright where it gives none."""
-    path, table = section.path, _table(section.path)
-    source, detector = table[:, 0:3], table[:, 3:6]
+    table, lines = _table(section.path)
     try:
-        if table.shape[1] == 12:
-            return ScanGeometry(source, detector, table[:, 6:9], table[:, 9:12], panel)
-        beam = source - detector
-        length = np.linalg.norm(beam, axis=1)
-        if (length == 0).any():
-            raise ValueError(f"source and panel of view {int((length == 0).argmax())} coincide")
-        u, v = panel_axes(beam / length[:, None])
-        return ScanGeometry(source, detector, u, v, panel)
-    except ValueError as error:
-        raise TrajectoryError(f"{path}: {error}") from None
+        return _geometry(table, panel)
+    except (ValueError, TrajectoryError):
+        problems = []
+        for row, line in zip(table, lines, strict=True):
+            try:
+                _geometry(row[None], panel)
+            except (ValueError, TrajectoryError) as error:
+                what = str(error).removeprefix("view 0: ").replace(" of view 0", "")
+                problems.append(f"{section.path}:{line}: {what}")
+        raise TrajectoryError(problems) from None
 
 
-FILE = Family(FileTrajectory, _views, lambda section: _table(section.path).shape[1] == 6)
+def _geometry(table: Floats, panel: Panel) -> ScanGeometry:
+    source, detector = table[:, 0:3], table[:, 3:6]
+    if table.shape[1] == 12:
+        return ScanGeometry(source, detector, table[:, 6:9], table[:, 9:12], panel)
+    beam = source - detector
+    length = np.linalg.norm(beam, axis=1)
+    if (length == 0).any():
+        raise ValueError("source and panel coincide")
+    u, v = panel_axes(beam / length[:, None])
+    return ScanGeometry(source, detector, u, v, panel)
+
+
+FILE = Family(FileTrajectory, _views, lambda section: _table(section.path)[0].shape[1] == 6)
