@@ -60,7 +60,7 @@ def scan(workshop: Workshop, views: int, rig: Rig) -> tuple[list[float], dict[st
 
         start = time.perf_counter()
         watch = Stopwatch()
-        acquire(rig, workshop.scenario, workshop.targets[:views], keep, watch=watch)
+        acquire(rig, workshop.targets[:views], keep, watch=watch)
     shares = {"move": watch.motion_s / views, "expose": watch.xray_s / views}
     return np.diff([start, *ends]).tolist(), shares
 

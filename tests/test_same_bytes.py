@@ -25,6 +25,8 @@ import tifffile
 import zarr
 from llvmlite.binding import get_host_cpu_name
 
+from twinct.scan import ScanStore
+
 pytestmark = pytest.mark.process
 
 HERE = Path(__file__).parent
@@ -34,7 +36,7 @@ CTSIMU = Path(os.environ.get("CTSIMU_DATA", HERE.parents[1] / "shared/data/ctsim
 EXAMPLE = "02_simple_scan_circular"
 ARRAYS = (
     "transmission",
-    *(f"{kind}/{name}" for kind in ("commanded", "executed", "believed")
+    *(f"{kind}/{name}" for kind in ("commanded", "executed")
       for name in ("source", "detector", "u", "v", "source_quat", "detector_quat")),
 )  # fmt: skip
 SAMPLES = 24
@@ -64,9 +66,24 @@ def scanned(scenario: Path, link: str, folder: Path) -> dict[str, Any]:
     twinct("run", str(scenario), "--out", str(out), "--link", link)
     store: Any = zarr.open_group(str(out / "scan.zarr"), mode="r")
     arrays = {name: np.asarray(store[name][:]) for name in ARRAYS}
+    arrays |= believed(out / "scan.zarr")
     volume: Any = nibabel.loadsave.load(out / "volume.nii")
     arrays |= {"volume": np.asarray(volume.dataobj), "affine": np.asarray(volume.affine)}
     return {name: described(values) for name, values in arrays.items()}
+
+
+def believed(store: Path) -> dict[str, np.ndarray]:
+    """Source, panel centre and axes, as a scan holds those of the other geometries."""
+    poses = ScanStore(store).poses("believed")
+    axes = np.array([pose.rotation for pose in poses.detector])
+    return {
+        "believed/source": np.array([pose.position for pose in poses.source]),
+        "believed/detector": np.array([pose.position for pose in poses.detector]),
+        "believed/u": axes[:, :, 0],
+        "believed/v": axes[:, :, 1],
+        "believed/source_quat": np.array([pose.quat for pose in poses.source]),
+        "believed/detector_quat": np.array([pose.quat for pose in poses.detector]),
+    }
 
 
 def rendered(folder: Path) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def scan_in(folder: Path, scenario: Scenario, commanded: PosePairs, views: int) 
     for index in range(views):
         rng = np.random.default_rng(index)
         image = rng.uniform(0.1, 1.0, (5, 7)).astype(np.float32)
-        executed, believed = shifted(commanded[index], rng), shifted(commanded[index], rng)
+        executed = shifted(commanded[index], rng)
         source, detector = (to_seven(pose) for pose in executed)
         reached = Reached(
             executed=Instant(source, to_seven(Pose.identity()), detector),
@@ -57,7 +57,7 @@ def scan_in(folder: Path, scenario: Scenario, commanded: PosePairs, views: int) 
             time_s=index,
             clearance_mm=20.0,
         )
-        store.write(index, View(image, reached, believed))
+        store.write(index, View(image, reached))
     return store
 
 

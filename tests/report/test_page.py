@@ -205,7 +205,7 @@ def test_figures_are_named_after_their_material(report, undrawn) -> None:
 def test_metal_is_white_and_leaves_the_rest_grey(report, densest: float, end: float) -> None:
     section, mu = report.slices["axial"], report.mu_reference
     sections = {"axial": section._replace(truth=np.full_like(section.truth, densest * mu))}
-    window = figures._grey_window(sections, mu)
+    window = figures._grey_window(list(sections.values()), mu)
     assert (window.vmin, window.vmax) == pytest.approx((-0.1 * end * mu, 1.2 * end * mu))
 
 

@@ -195,7 +195,8 @@ def test_a_reached_pose_that_is_none_is_named(reached):
 def test_epoch_follows_from_the_scenario_and_names_views(scenario):
     epoch = Epoch.of(scenario)
     assert Epoch.parse(str(epoch)) == epoch == Epoch.of(scenario)
-    assert epoch != Epoch.of(scenario.model_copy(update={"seed": scenario.seed + 1}))
+    source = scenario.source.model_copy(update={"energy_kev": 71.0})
+    assert epoch != Epoch.of(scenario.model_copy(update={"source": source}))
     assert [epoch.view(epoch.at(view)) for view in (0, 7, 99_999)] == [0, 7, 99_999]
     assert epoch.view(Stamp(epoch.stamp.sec - 1, epoch.stamp.nanosec)) is None
     assert epoch.view(Stamp(epoch.stamp.sec, epoch.stamp.nanosec ^ 1)) is None

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import nibabel
@@ -18,35 +19,20 @@ from twinct import run
 from twinct.errors import FolderInUseError, InputError, ScanExistsError
 from twinct.files.lock import sole_owner
 from twinct.runs import Run, report_again
-from twinct.scenario import Scenario, load_scenario
+from twinct.scenario import Scenario
 
+Tiny = Callable[..., Scenario]
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
-TINY = [
-    "trajectory.views=10",
-    "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
-    "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
-    "reconstruction.grid={voxels: 20, voxel_mm: 8}",
-    "reconstruction.iterations=2",
-]
 OTHERS = {
     "algorithm": ["reconstruction.algorithm=cgls", "reconstruction.iterations=2"],
     "grid": ["reconstruction.grid={voxels: 12, voxel_mm: 14, centre_mm: [3, -5, 7]}"],
 }
 
 
-def tiny(*more: str) -> Scenario:
-    return load_scenario(DEMO, [*TINY, *more])
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return run(tiny(), tmp_path_factory.mktemp("run") / "out", link="local")
-
-
 def test_a_run_gives_scan_volume_figures_and_paths_and_says_nothing(
-    tmp_path_factory: pytest.TempPathFactory, capfd: pytest.CaptureFixture[str]
+    tiny: Tiny, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    done = run(tiny(), tmp_path_factory.mktemp("said") / "out", link="local")
+    done = run(tiny(), tmp_path / "out", link="local")
     said = capfd.readouterr()
     assert said.out == said.err == ""
     assert len(done.scan) == done.figures["views"] == 10
@@ -56,7 +42,7 @@ def test_a_run_gives_scan_volume_figures_and_paths_and_says_nothing(
 
 @pytest.mark.parametrize("key", ["algorithm", pytest.param("grid", marks=pytest.mark.tutorial)])
 def test_resuming_with_other_settings_makes_what_a_fresh_run_makes(
-    key: str, finished: Run, tmp_path: Path
+    key: str, tiny: Tiny, finished: Run, tmp_path: Path
 ) -> None:
     out, other = tmp_path / "out", tiny(*OTHERS[key])
     shutil.copytree(finished.paths.path, out)
@@ -78,7 +64,7 @@ def test_a_volume_of_other_settings_is_not_reported(finished: Run, tmp_path: Pat
         report_again(tmp_path / "out")
 
 
-def test_another_process_in_the_folder_is_named(finished: Run) -> None:
+def test_another_process_in_the_folder_is_named(tiny: Tiny, finished: Run) -> None:
     before = {p: p.stat().st_mtime_ns for p in finished.paths.path.rglob("*") if p.is_file()}
     other = tiny("reconstruction.iterations=1")
     with sole_owner(finished.paths.lock):
@@ -96,9 +82,9 @@ def test_another_process_in_the_folder_is_named(finished: Run) -> None:
 
 @pytest.mark.tutorial
 @pytest.mark.process
-def test_two_runs_at_once_leave_one_good_scan(tmp_path: Path) -> None:
+def test_two_runs_at_once_leave_one_good_scan(tiny_keys: list[str], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    keys = [word for key in TINY for word in ("--set", key)]
+    keys = [word for key in tiny_keys for word in ("--set", key)]
     both = [
         subprocess.Popen(
             [sys.executable, "-m", "twinct", "run", str(DEMO), "--link", "local", *keys]

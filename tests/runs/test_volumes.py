@@ -29,6 +29,7 @@ def settings(**reconstruction):
             "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8.0},
             "trajectory": {"kind": "circle", "views": 12},
             "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 40}}]},
+            "uncertainty": {"source": {"sigma_mm": 0}, "detector": {"sigma_mm": 0}},
             "reconstruction": {"grid": grid, "iterations": 3} | reconstruction,
         }
     )
@@ -56,7 +57,6 @@ def scan():
             commanded=poses,
             executed=poses,
             executed_object=(),
-            believed=poses,
             joint_names=(),
             joints=np.zeros((views, 0)),
             simulated_s=np.arange(views, dtype=float),

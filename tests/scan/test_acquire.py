@@ -1,12 +1,12 @@
-"""Acquisition through any rig: what the believed poses depend on."""
+"""Acquisition through any rig, and what the poses depend on that are believed of it."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from twinct.scan import View, acquire
+from twinct.scan import Scan, View, acquire
 from twinct.scenario import parse_scenario
-from twinct.views import Instant, Reached, Target
+from twinct.views import Instant, PosePairs, Reached, Target
 
 
 class Still:
@@ -40,8 +40,10 @@ def believed(seed: int, of_noise: int | None) -> list[tuple[float, ...]]:
     )
     target = Target((0.3, 0, 0, 0, 0, 0, 1), (-0.3, 0, 0, 0, 0, 0, 1))
     views: list[View] = []
-    acquire(Still(), scenario, [target] * 2, lambda _, view: views.append(view))
-    return [tuple(pose.position) for view in views for pose in view.believed]
+    acquire(Still(), [target] * 2, lambda _, view: views.append(view))
+    poses = PosePairs((target.source,) * 2, (target.detector,) * 2)
+    scan = Scan.from_views(scenario, poses, views)
+    return [tuple(pose.position) for view in range(2) for pose in scan.believed[view]]
 
 
 def test_the_noise_of_the_poses_may_have_a_seed_of_its_own() -> None:

@@ -244,7 +244,7 @@ def export(
     ],
     *,
     to: Literal["rtk", "astra", "leap", "cil", "tigre", "openct"],
-    geometry: Literal["believed", "executed", "commanded"] = "believed",
+    geometry: Annotated[str, tyro.conf.arg(metavar="NAME")] = "believed",
     values: Literal["line-integrals", "transmission"] = "line-integrals",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> None:
@@ -256,7 +256,8 @@ def export(
 
     Args:
         to: The toolkit, or openct for programs that read an OpenCT free trajectory.
-        geometry: What the system reports, where the arms really were, or what was asked of them.
+        geometry: believed (what the system reports), executed (where the arms really were),
+            commanded (what was asked of them), or one that twinct geometry has made.
         values: Pixels as -ln(I/I0), or as I/I0.
         out: Folder to write, which must not exist; export-TOOLKIT beside the scan unless given.
     """
@@ -275,6 +276,68 @@ def report(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="
     from twinct.runs import report_again
 
     _say_result(report_again(folder, TerminalProgress()))
+
+
+@app.command
+def reconstruct(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    geometry: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
+    threads: Threads = None,
+    set_: Overrides = (),
+) -> None:
+    """Reconstruct a finished run once more, beside what there is, and show both in its report.
+
+    Args:
+        folder: What ``twinct run --out`` wrote.
+        geometry: commanded, executed, believed, or one that twinct geometry has made.
+        as_: Name of the result, below DIR/reconstructions; after its algorithm where left out.
+    """
+    from twinct.runs import reconstruct_again
+    from twinct.threads import limit_threads
+
+    limit_threads(threads)
+    made = reconstruct_again(folder, set_, geometry=geometry, name=as_, progress=TerminalProgress())
+    rmse, near = (_percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))
+    TerminalProgress().say(
+        f"{made.name}: {made.in_words}, {made.geometry} geometry; RMSE {rmse}, {near} near "
+        f"the reference material\n{made.path}; report: {folder / 'report.html'}"
+    )
+
+
+@app.command
+def geometry(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
+    set_: Overrides = (),
+) -> None:
+    """List the geometries of a scan, or derive one more: what its robots would report.
+
+    Args:
+        folder: What ``twinct run --out`` wrote.
+        as_: Name of the new geometry; without it those that there are are listed.
+        set_: Keys of uncertainty, such as --set uncertainty.seed=3.
+    """
+    from twinct.errors import InputError
+    from twinct.evaluate import pose_errors
+    from twinct.runs import derive_geometry, load_scan
+    from twinct.scan import OWN
+
+    if as_ is not None:
+        derive_geometry(folder, as_, set_, TerminalProgress())
+    elif set_:
+        raise InputError(f"--set {set_[0]}: a new geometry needs a name (--as)")
+    scan = load_scan(folder)
+    table = Table("geometry", "source to executed, mm", "detector to executed, mm", "made by")
+    for name in (*OWN, *(n for n in scan.derived if n not in OWN)):
+        errors = pose_errors(scan.executed, scan.poses(name))
+        means = (f"{arm.position_mm.mean():.4f}" for arm in (errors.source, errors.detector))
+        made_by = scan.derived[name].made_by if name in scan.derived else {}
+        words = ", ".join(f"{k} {v}" for k, v in made_by.items() if not isinstance(v, dict))
+        table.add_row(name, *means, words)
+    Console().print(table)
 
 
 def _say_result(run: Run) -> None:

@@ -15,7 +15,7 @@ from twinct.errors import InputError, ScanExistsError
 from twinct.exchange import Bundle, Toolkit, Values, bundle_bytes, write_bundle
 from twinct.files.writing import require_space, storage_errors
 from twinct.runs import line_integrals
-from twinct.scan import ScanStore
+from twinct.scan import OWN, ScanStore, named_geometries
 
 
 def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: Path | None) -> None:
@@ -39,7 +39,11 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
     if views < store.views:
         say(f"{path} is under way: exporting the {views} of {store.views} views it holds")
     # A scan under way may have gone on since the views were counted.
-    geometry = store.poses(which).geometry(scenario.detector.panel)[:views]
+    derived = {} if which in OWN else named_geometries(path.parent / "geometries")
+    if which not in OWN and which not in derived:
+        raise InputError(f"--geometry {which}: there are {', '.join((*OWN, *derived))}")
+    poses = store.poses(which) if which in OWN else derived[which].poses
+    geometry = poses.geometry(scenario.detector.panel)[:views]
     require_space(out, bundle_bytes(geometry), "the export needs")
     left = "nothing of the export is left, the scan is as it was"
     with storage_errors(out, left), TerminalProgress().stage("export", views) as step:

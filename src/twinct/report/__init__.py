@@ -1,11 +1,12 @@
 """What a run found out: ``metrics.json`` for scripts, ``report.html`` for people."""
 
-from twinct.report.data import CrossSection, ReportData, cross_sections
+from twinct.report.data import Another, CrossSection, ReportData, cross_sections
 from twinct.report.metrics import build_metrics
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words
 
 __all__ = [
+    "Another",
     "CrossSection",
     "ReportData",
     "build_metrics",

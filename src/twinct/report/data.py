@@ -35,6 +35,25 @@ class CrossSection(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Another:
+    """A further reconstruction of the same scan.
+
+    Attributes:
+        name: what it is called.
+        in_words: algorithm, settings and geometry in one line.
+        figures: as ``ImageFigures.as_dict`` gives them.
+        residuals: of each iteration.
+        slices: cross-sections by name.
+    """
+
+    name: str
+    in_words: str
+    figures: Mapping[str, float | None]
+    residuals: Sequence[float]
+    slices: Mapping[str, CrossSection]
+
+
+@dataclass(frozen=True, eq=False)
 class ReportData:
     """Everything a report shows.
 
@@ -50,6 +69,7 @@ class ReportData:
             None.
         reference: name of the material whose attenuation that is.
         room_png: picture of the robot cell, or None.
+        others: further reconstructions.
         nearest: the two bodies that the plan brings nearest to each other; empty: not known.
     """
 
@@ -66,6 +86,7 @@ class ReportData:
     reference: str = "bone"
     room_png: bytes | None = None
     nearest: tuple[str, ...] = ()
+    others: Sequence[Another] = ()
 
 
 _PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}

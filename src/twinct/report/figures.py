@@ -246,14 +246,20 @@ def _limit(axes: Any, value: float, label: str) -> None:
     axes.set_ylim(top=max(axes.get_ylim()[1], 1.2 * value))
 
 
-def cross_section_grid(sections: Mapping[str, CrossSection], mu_reference: float) -> Picture:
+def cross_section_grid(
+    sections: Mapping[str, CrossSection],
+    mu_reference: float,
+    compared: Sequence[CrossSection] = (),
+) -> Picture:
     """Reconstruction, truth and their difference for each plane, with scales in mm.
 
     Reconstruction and truth share one grey window; the error has its own, symmetric about 0. The
-    outline is the boundary of the region that every view sees.
+    outline is the boundary of the region that every view sees. Windows are those that fit what it
+    is compared with, too.
     """
-    grey = _grey_window(sections, mu_reference)
-    worst = _nice(max(_typical_worst(s) for s in sections.values()) or 0.1 * mu_reference)
+    every = [*sections.values(), *compared]
+    grey = _grey_window(every, mu_reference)
+    worst = _nice(max(_typical_worst(s) for s in every) or 0.1 * mu_reference)
     diverging = mpl.colormaps["RdBu_r"].resampled(63)  # odd, so that 0 is white; noise packs better
     bounds = (section.extent_mm for section in sections.values())
     shares = [(top - bottom) / (right - left) for left, right, bottom, top in bounds]
@@ -299,8 +305,8 @@ BRIGHTEST = 2.0
 and does not leave bone or aluminium black."""
 
 
-def _grey_window(sections: Mapping[str, CrossSection], mu_reference: float) -> Normalize:
-    densest = max(float(section.truth.max()) for section in sections.values())
+def _grey_window(sections: Sequence[CrossSection], mu_reference: float) -> Normalize:
+    densest = max(float(section.truth.max()) for section in sections)
     end = min(max(densest, mu_reference), BRIGHTEST * mu_reference)
     return Normalize(-0.1 * end, 1.2 * end)
 

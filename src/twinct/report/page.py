@@ -105,8 +105,8 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         pictures=draw_pictures(report) if pictures is None else pictures,
         reference=report.reference,
         image_figures=shown,
-        image_columns=metrics.get("image_by_geometry")
-        or {scenario.reconstruction.geometries[0]: metrics["image"]},
+        image_columns=_columns(report),
+        others=[(f"slices {other.name}", other) for other in report.others],
         stages=_stages(metrics["seconds"]),
         nearest=" and ".join(report.nearest),
         arms=scenario.cell.kind == "arms",
@@ -114,6 +114,14 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         tolerance_mm=scenario.motion.tolerance_mm,
         scenario_yaml=report.scenario_yaml,
     )
+
+
+def _columns(report: ReportData) -> dict[str, Any]:
+    """Image figures by what they are of: geometries of the run's own settings, then the others."""
+    first = report.scenario.reconstruction.geometries[0]
+    own = report.metrics.get("image_by_geometry") or {first: report.metrics["image"]}
+    named = {f"{name} geometry": figures for name, figures in own.items()}
+    return named | {other.name: other.figures for other in report.others}
 
 
 def draw_pictures(report: ReportData) -> Pictures:
@@ -128,6 +136,10 @@ def draw_pictures(report: ReportData) -> Pictures:
     mu = report.mu_reference
     if mu is None and report.slices:
         mu = max(float(section.truth.max()) for section in report.slices.values())
+    courses = dict(report.metrics.get("residuals", {}))
+    courses |= {other.name: other.residuals for other in report.others}
+    compared = [*report.slices.values()] if report.others else []
+    compared += [section for other in report.others for section in other.slices.values()]
     return {
         "room": Picture(report.room_png, "image/png") if report.room_png else None,
         "path": figures.source_path(commanded, executed, isocentre),
@@ -139,10 +151,16 @@ def draw_pictures(report: ReportData) -> Pictures:
         )
         if scenario.cell.kind == "arms"
         else None,
-        "convergence": figures.convergence(report.metrics["residuals"])
-        if any(len(course) > 1 for course in report.metrics.get("residuals", {}).values())
+        "convergence": figures.convergence(courses)
+        if any(len(course) > 1 for course in courses.values())
         else None,
-        "slices": figures.cross_section_grid(report.slices, mu or 1.0) if report.slices else None,
+        "slices": figures.cross_section_grid(report.slices, mu or 1.0, compared)
+        if report.slices
+        else None,
+        **{
+            f"slices {other.name}": figures.cross_section_grid(other.slices, mu or 1.0, compared)
+            for other in report.others
+        },
         "projections": figures.projection_strip(report.projections, report.panel)
         if report.projections
         else None,

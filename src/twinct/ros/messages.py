@@ -78,8 +78,8 @@ class Epoch:
     @classmethod
     def of(cls, scenario: Scenario) -> Epoch:
         """The epoch of a scenario's scan."""
-        digests = stage_digests(scenario)
-        sec, nanosec = (int(digests[s][:15], 16) % _NANO for s in ("images", "believed"))
+        digest = stage_digests(scenario)["images"]
+        sec, nanosec = (int(part, 16) % _NANO for part in (digest[:15], digest[15:30]))
         return cls(Stamp(_NANO + sec, nanosec))
 
     @classmethod

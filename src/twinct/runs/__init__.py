@@ -1,9 +1,11 @@
 """A run: from scenario to scan to volume to figures, in memory or in a folder."""
 
 from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
+from twinct.runs.again import derive_geometry, load_scan, reconstruct_again
 from twinct.runs.checks import check_physics, check_sight, findings, require_extras
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, report_again, run
+from twinct.runs.kept import Reconstruction
 from twinct.runs.needs import Need, needs
 from twinct.runs.reporting import Truth, judge, truth_of
 from twinct.runs.volumes import line_integrals, reconstruct, require_feasible
@@ -11,17 +13,21 @@ from twinct.runs.volumes import line_integrals, reconstruct, require_feasible
 __all__ = [
     "Folder",
     "Need",
+    "Reconstruction",
     "Run",
     "Truth",
     "acquire_to_store",
     "check_physics",
     "check_sight",
+    "derive_geometry",
     "findings",
     "judge",
     "line_integrals",
+    "load_scan",
     "machine_frames",
     "needs",
     "reconstruct",
+    "reconstruct_again",
     "report_again",
     "require_extras",
     "require_feasible",

@@ -74,7 +74,7 @@ def simulate(
             views.append(view)
             step()
 
-        acquire(rig, scenario, workshop.targets, keep)
+        acquire(rig, workshop.targets, keep)
     return Scan.from_views(scenario, workshop.commanded_poses, views)
 
 
@@ -115,7 +115,7 @@ def acquire_to_store(
             log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
             step()
 
-        acquire(rig, scenario, targets, keep, first=first, watch=watch)
+        acquire(rig, targets, keep, first=first, watch=watch)
     assert store is not None
     return store
 

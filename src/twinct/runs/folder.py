@@ -11,7 +11,7 @@ import yaml
 
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import check_folder, draft_of
-from twinct.scenario import Scenario, stage_digests
+from twinct.scenario import Scenario, load_scenario, stage_digests
 
 
 class _Below:
@@ -34,6 +34,8 @@ class Folder:
         volume: the reconstruction.
         metrics: the figures.
         report: the report.
+        geometries: derived from the scan, a file each.
+        reconstructions: others of the same scan, a folder each.
         checkpoints: reconstructions that are under way.
         scenario: as it was run, defaults included.
         seconds: of a run that is under way.
@@ -47,6 +49,8 @@ class Folder:
     volume = _Below("volume.nii")
     metrics = _Below("metrics.json")
     report = _Below("report.html")
+    geometries = _Below("geometries")
+    reconstructions = _Below("reconstructions")
     checkpoints = _Below("checkpoints")
     scenario = _Below("scenario.yaml")
     seconds = _Below("seconds.json")
@@ -58,6 +62,14 @@ class Folder:
     def results(self) -> tuple[Path, ...]:
         """What a finished run leaves."""
         return self.scan, self.volume, self.metrics, self.report
+
+    def scenario_of_run(self, overrides: tuple[str, ...] = (), *, planned: bool) -> Scenario:
+        """The scenario that the run was made with, some of its keys changed.
+
+        A scan from before there were plans, which is not ``planned``, does not say so.
+        """
+        scheme = () if planned else ("motion.scheme=reactive",)
+        return load_scenario(self.scenario, (*scheme, *overrides))
 
     def finished(self, scenario: Scenario) -> bool:
         """Whether everything of this very scenario is there."""

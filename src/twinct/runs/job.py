@@ -27,7 +27,7 @@ from twinct.runs.folder import Folder, as_yaml, read_metrics
 from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
-from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space
+from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, named_geometries
 from twinct.scenario import Scenario, load_scenario, stage_digests
 from twinct.threads import limit_threads
 from twinct.volume import Volume
@@ -44,8 +44,9 @@ class Run:
 
     @cached_property
     def scan(self) -> Scan:
-        """Images and poses of all views."""
-        return replace(ScanStore(self.paths.scan).read(), scenario=self.scenario)
+        """Images and poses of all views, and the geometries that were derived from them."""
+        derived = named_geometries(self.paths.geometries)
+        return replace(ScanStore(self.paths.scan).read(), scenario=self.scenario, derived=derived)
 
     @cached_property
     def volume(self) -> Volume:
@@ -137,9 +138,7 @@ def report_again(path: str | Path, progress: Progress = SILENT) -> Run:
     with storage_errors(folder.path), sole_owner(folder.lock):
         before = read_metrics(folder.metrics)
         plan = ScanStore(folder.scan).plan
-        # A scan from before there were plans does not say so.
-        scheme = () if plan else ("motion.scheme=reactive",)
-        scenario = load_scenario(folder.scenario, scheme)
+        scenario = folder.scenario_of_run(planned=plan is not None)
         run = Run(scenario, folder)
         if run.volume.extras["note"] != _note_of(scenario):
             raise InputError(
@@ -210,6 +209,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, progress
     with seconds.stage("truth"):
         # The store's own scenario may name another reconstruction: this run's counts.
         scan = Run(scenario, folder).scan
+        scan.reported.write(folder.geometries)
         truth = truth_of(scan, workshop, progress)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}

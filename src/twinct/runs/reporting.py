@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,8 +22,16 @@ from twinct.evaluate import (
 )
 from twinct.files.writing import write_json
 from twinct.progress import SILENT, Progress
-from twinct.report import ReportData, build_metrics, cross_sections, draw_pictures, write_report
+from twinct.report import (
+    Another,
+    ReportData,
+    build_metrics,
+    cross_sections,
+    draw_pictures,
+    write_report,
+)
 from twinct.runs.folder import Folder, as_yaml
+from twinct.runs.kept import Reconstruction, kept_reconstructions
 from twinct.runs.seconds import Seconds, Timing
 from twinct.scan import Scan, Workshop
 from twinct.scenario import stage_digests
@@ -97,9 +105,9 @@ def write_results(
 
     The timing is of this run, still counting, or of the run that is reported again.
     """
-    scenario = workshop.scenario
+    scenario, others = workshop.scenario, kept_reconstructions(folder.reconstructions)
     with timing.stage("report") if isinstance(timing, Seconds) else nullcontext():
-        data = _report_data(scan, workshop, results)
+        data = replace(_report_data(scan, workshop, results), others=_others(others.values()))
         pictures = draw_pictures(data)
     if isinstance(timing, Seconds):
         timing = timing.finished()
@@ -119,10 +127,33 @@ def write_results(
         reconstruction_digest=digests["volume"],
         residuals=results.residuals,
         tool_speed_mm_s=speeds,
+        reconstructions={
+            kept.name: {
+                "in_words": kept.in_words,
+                "geometry": kept.geometry,
+                "digest": kept.digest,
+                "image": kept.figures.as_dict(),
+                "seconds": kept.seconds,
+            }
+            for kept in others.values()
+        },
         reference_material=workshop.specimen.reference_part.material.name,
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)
+
+
+def _others(kept: Iterable[Reconstruction]) -> list[Another]:
+    return [
+        Another(
+            one.name,
+            f"{one.in_words}, {one.geometry} geometry",
+            one.figures.as_dict(),
+            one.residuals,
+            one.slices,
+        )
+        for one in kept
+    ]
 
 
 def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData:

@@ -8,8 +8,9 @@ import logging
 import math
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +29,7 @@ from twinct.recon.steps import Step
 from twinct.recon.surroundings import surroundings_bytes, without_surroundings
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.scan import Scan
-from twinct.scenario import Scenario, stage_digests
+from twinct.scenario import SECTIONS, Scenario, parse_scenario, stage_digests
 from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
@@ -48,17 +49,21 @@ def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
 def reconstruct(
     scan: Scan,
     *,
+    algorithm: str | None = None,
     geometry: str | None = None,
     mask: ArrayLike | None = None,
     checkpoints: Path | None = None,
     watch: Callable[[int, float], None] | None = None,
     progress: Progress = SILENT,
+    **settings: Any,
 ) -> Volume:
-    """Reconstruct a scan as its scenario says.
+    """Reconstruct a scan as its scenario says, or otherwise.
 
     Args:
         scan: projections and poses.
-        geometry: ``commanded``, ``executed`` or ``believed``; the scenario's first where None.
+        algorithm: another than the scenario's, whose keys it takes over as far as it has them.
+        geometry: ``commanded``, ``executed``, ``believed`` or the name of a derived one; the
+            scenario's first where None.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
         checkpoints: folder in which each iteration is kept, and from which a later call with the
             same projections, poses, mask and settings goes on; not of an algorithm that cannot.
@@ -66,6 +71,8 @@ def reconstruct(
             and the root mean square of p - A x, taken during it before each update; not for
             algorithms that have none.
         progress: told of each update.
+        **settings: other values of keys of the section ``reconstruction``, such as
+            ``iterations=3`` or ``grid={"voxels": 64, "voxel_mm": 2.5}``.
 
     Returns:
         Attenuation, 1/mm.
@@ -74,6 +81,28 @@ def reconstruct(
         MissingExtraError: the algorithm is not installed.
         InputError: the algorithm cannot do this scan or this mask, or the memory does not suffice.
     """
+    if algorithm is not None or settings:
+        scan = replace(scan, scenario=_otherwise(scan.scenario, algorithm, settings))
+    return _reconstruct(scan, geometry, mask, checkpoints, watch, progress)
+
+
+def _otherwise(scenario: Scenario, name: str | None, settings: dict[str, Any]) -> Scenario:
+    told = scenario.model_dump(mode="json")
+    section = told["reconstruction"]
+    if name is not None:
+        keys = SECTIONS[name].model_fields if name in SECTIONS else section
+        section = {key: section[key] for key in keys if key in section} | {"algorithm": name}
+    return parse_scenario(told | {"reconstruction": section | settings})
+
+
+def _reconstruct(
+    scan: Scan,
+    geometry: str | None,
+    mask: ArrayLike | None,
+    checkpoints: Path | None,
+    watch: Callable[[int, float], None] | None,
+    progress: Progress,
+) -> Volume:
     scenario = scan.scenario
     section = scenario.reconstruction
     algorithm = algorithms()[section.algorithm]

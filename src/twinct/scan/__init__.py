@@ -1,13 +1,16 @@
 """Acquisition: the rig contract, the rig in one process, the scan and its store."""
 
 from twinct.scan.acquire import Stopwatch, acquire
-from twinct.scan.data import Scan, View
+from twinct.scan.data import Scan, View, reported
+from twinct.scan.named import OWN, NamedGeometry, checked_name, named_geometries
 from twinct.scan.rig import LocalRig, Rig, local_rig
 from twinct.scan.store import ScanStore, check_space
 from twinct.scan.workshop import Workshop
 
 __all__ = [
+    "OWN",
     "LocalRig",
+    "NamedGeometry",
     "Rig",
     "Scan",
     "ScanStore",
@@ -16,5 +19,8 @@ __all__ = [
     "Workshop",
     "acquire",
     "check_space",
+    "checked_name",
     "local_rig",
+    "named_geometries",
+    "reported",
 ]

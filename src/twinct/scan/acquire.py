@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from twinct.scan.data import View
 from twinct.scan.rig import Rig
-from twinct.scenario import Scenario
-from twinct.uncertainty import believed_poses
 from twinct.views import Target
 
 
@@ -28,7 +26,6 @@ class Stopwatch:
 
 def acquire(
     rig: Rig,
-    scenario: Scenario,
     targets: Sequence[Target],
     keep: Callable[[int, View], None],
     *,
@@ -39,7 +36,6 @@ def acquire(
 
     Args:
         rig: what moves and takes images.
-        scenario: for the noise between executed and believed poses.
         targets: of all views.
         keep: called with the index and the view.
         first: index of the first view to take.
@@ -53,11 +49,7 @@ def acquire(
         moved = time.perf_counter()
         image = rig.expose(index)
         exposed = time.perf_counter()
-        executed = reached.executed
-        believed = believed_poses(
-            executed.source, executed.detector, scenario.uncertainty, scenario.believed_seed, index
-        )
-        keep(index, View(image, reached, believed))
+        keep(index, View(image, reached))
         watch.xray_s += exposed - moved
         watch.storing_s += time.perf_counter() - exposed
         if before_s is not None:  # a resumed scan cannot tell how long its first move took

@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
 from twinct.geometry import Pose
+from twinct.scan.named import OWN, NamedGeometry
 from twinct.scenario import Scenario
+from twinct.uncertainty import Evidence, reported_poses
 from twinct.views import Instant, PosePairs, Reached
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One acquired view: I/I0 (rows, columns), and what robots had and the system reports."""
+    """One acquired view: I/I0 (rows, columns), and what the robots had."""
 
     transmission: NDArray[np.float32]
     reached: Reached
-    believed: tuple[Pose, Pose]
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
     """All views of a scan.
 
-    Images were made with ``executed``; reconstruction sees ``believed`` only; ``commanded`` is what
-    the trajectory asked for.
+    Images were made with ``executed``; ``commanded`` is what the trajectory asked for. What is
+    believed is derived from a scan, in one way or several, and never part of it.
 
     Attributes:
+        scenario: what was scanned; its uncertainty says what is ``believed``.
         transmission: I/I0, (views, rows, columns), float32.
         executed_object: ``world_from_object`` of each view.
         joint_names: source arm first.
@@ -37,6 +42,7 @@ class Scan:
         simulated_s: simulated time at exposure, (views,).
         clearance_mm: smallest gap on the way to each view, (views,).
         exposure: instants of each view's exposure; empty where an image takes no time.
+        derived: other geometries of these views, by name.
     """
 
     scenario: Scenario
@@ -44,12 +50,22 @@ class Scan:
     commanded: PosePairs
     executed: PosePairs
     executed_object: tuple[Pose, ...]
-    believed: PosePairs
     joint_names: tuple[str, ...]
     joints: NDArray[np.float64]
     simulated_s: NDArray[np.float64]
     clearance_mm: NDArray[np.float64]
     exposure: tuple[tuple[Instant, ...], ...] = ()
+    derived: Mapping[str, NamedGeometry] = field(default_factory=dict[str, NamedGeometry])
+
+    @cached_property
+    def believed(self) -> PosePairs:
+        """The poses that the robots report, as the scenario's uncertainty says."""
+        return self.reported.poses
+
+    @cached_property
+    def reported(self) -> NamedGeometry:
+        """The same, with what made it."""
+        return reported(self.scenario, self.joint_names, self.joints, self.executed)
 
     @classmethod
     def from_views(cls, scenario: Scenario, commanded: PosePairs, views: list[View]) -> Scan:
@@ -62,7 +78,6 @@ class Scan:
             commanded=commanded,
             executed=PosePairs(*zip(*executed, strict=True)),
             executed_object=tuple(r.executed.object for r in reached),
-            believed=PosePairs(*zip(*(view.believed for view in views), strict=True)),
             joint_names=reached[0].joint_names,
             joints=np.stack([r.position for r in reached]),
             simulated_s=np.array([r.time_s for r in reached]),
@@ -80,12 +95,27 @@ class Scan:
         return f"Scan({self.scenario.name!r}, {len(self)} views, {columns} x {rows} px)"
 
     def poses(self, which: str) -> PosePairs:
-        """Poses of one of the three geometries: ``commanded``, ``executed`` or ``believed``.
+        """Poses of a geometry: ``commanded``, ``executed``, ``believed``, or a derived one's name.
 
         Raises:
-            InputError: it is another word.
+            InputError: there is none of this name.
         """
-        named = {"commanded": self.commanded, "executed": self.executed, "believed": self.believed}
-        if which not in named:
-            raise InputError(f"geometry {which!r} is none of {', '.join(named)}")
-        return named[which]
+        if which in OWN:
+            return cast(PosePairs, getattr(self, which))
+        if which not in self.derived:
+            raise InputError(f"geometry {which!r} is none of {', '.join((*OWN, *self.derived))}")
+        return self.derived[which].poses
+
+
+def reported(
+    scenario: Scenario,
+    joint_names: tuple[str, ...],
+    joints: NDArray[np.float64],
+    executed: PosePairs,
+    name: str = "believed",
+) -> NamedGeometry:
+    """What the robots report of some views, as the scenario's uncertainty says."""
+    evidence = Evidence(scenario.cell, joint_names, joints, executed)
+    uncertainty, seed = scenario.uncertainty, scenario.believed_seed
+    made_by = {"model": "repeatability", **uncertainty.model_dump(mode="json"), "seed": seed}
+    return NamedGeometry(name, reported_poses(evidence, uncertainty, seed), made_by)

@@ -19,7 +19,7 @@ from zarr.codecs import BloscCodec
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
-from twinct.scan.data import Scan, View
+from twinct.scan.data import Scan, View, reported
 from twinct.scenario import Scenario, parse_scenario, stage_digests
 from twinct.views import Instant, PosePairs
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 zarr: Any = _zarr
 """Typed in part only."""
 
-FORMAT = 2
-READABLE = (1, FORMAT)
+FORMAT = 3
+READABLE = (1, 2, FORMAT)
 ACQUIRED = 1
 EXPOSURE = "executed/exposure"
 """Present where an exposure has several instants."""
@@ -150,10 +150,11 @@ class ScanStore:
 
     @property
     def digests(self) -> dict[str, str]:
-        """Digests of images and believed poses: of their scenario, and its files as they were.
+        """Digest of the images: of their scenario, and its files as they were.
 
-        Format 1 had others: they are made from the scenario that the store holds, and of its files
-        as they are now, so that a file changed since the scan is not noticed.
+        Format 1 had another: it is made from the scenario that the store holds, and of its files
+        as they are now, so that a file changed since the scan is not noticed. Format 2 had one of
+        the believed poses besides, which were part of the store.
         """
         if self._format == 1:
             return _kept_digests(self.scenario)
@@ -222,7 +223,6 @@ class ScanStore:
             commanded=self.poses("commanded"),
             executed=self.poses("executed"),
             executed_object=self._poses("executed/object", self.views),
-            believed=self.poses("believed"),
             joint_names=self.joint_names,
             joints=self._array("joints")[:],
             simulated_s=self._array("simulated_s")[:],
@@ -248,6 +248,9 @@ class ScanStore:
     def poses(self, which: str) -> PosePairs:
         """``commanded``, ``executed`` or ``believed`` poses of the views on disk."""
         views = self.acquired
+        if which == "believed":
+            joints = np.asarray(self._array("joints")[:views])
+            return reported(self.scenario, self.joint_names, joints, self.poses("executed")).poses
         pairs = (self._poses(f"{which}/{body}", views) for body in ("source", "detector"))
         return PosePairs(*pairs)
 
@@ -273,8 +276,7 @@ class ScanStore:
 
 
 def _kept_digests(scenario: Scenario) -> dict[str, str]:
-    digests = stage_digests(scenario)
-    return {"images": digests["images"], "believed": digests["believed"]}
+    return {"images": stage_digests(scenario)["images"]}
 
 
 def _chunk(index: int, dimensions: int) -> str:
@@ -283,7 +285,7 @@ def _chunk(index: int, dimensions: int) -> str:
 
 
 def _pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
-    """What is stored of one view's commanded, executed or believed poses."""
+    """What is stored of one view's commanded or executed poses."""
     axes = detector.rotation
     return {
         f"{which}/source": source.position,
@@ -298,13 +300,14 @@ def _pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
 def _columns(view: View) -> dict[str, Any]:
     reached, executed = view.reached, view.reached.executed
     columns = _pose_columns("executed", executed.source, executed.detector)
-    columns |= _pose_columns("believed", *view.believed)
     if reached.exposure:
         columns[EXPOSURE] = reached.exposure
     return columns | {
         "executed/object": executed.object.position,
         "executed/object_quat": executed.object.quat,
         "joints": reached.position,
+        "joint_velocity": reached.velocity,
+        "joint_torque": reached.effort,
         "state": reached.state,
         "simulated_s": reached.time_s,
         "clearance_mm": reached.clearance_mm,
@@ -356,15 +359,15 @@ def _write_frame(
     add("transmission", panel.shape, "f4", compressed=True)
     rows = [_pose_columns("commanded", *commanded[view]) for view in range(views)]
     for name, value in rows[0].items():
-        for which in ("executed", "believed"):
-            add(name.replace("commanded", which), value.shape)
+        add(name.replace("commanded", "executed"), value.shape)
         column = np.array([row[name] for row in rows])
         group.create_array(name, data=column, compressors=None)
     add("executed/object", (3,))
     add("executed/object_quat", (4,))
     if scenario.source.motion_samples > 1:
         add(EXPOSURE, (scenario.source.motion_samples, 3, 7))
-    add("joints", (len(joint_names),))
+    for name in ("joints", "joint_velocity", "joint_torque"):
+        add(name, (len(joint_names),))
     add("state", (state_size,))
     add("simulated_s", ())
     add("clearance_mm", ())

@@ -26,7 +26,7 @@ from twinct.scenario.detector import (
 from twinct.scenario.digests import stage_digests
 from twinct.scenario.loading import load_scenario, named_places, parse_scenario, scenario_schema
 from twinct.scenario.motion import InverseKinematics, Motion
-from twinct.scenario.reconstruction import Grid, Reconstruction, Surroundings
+from twinct.scenario.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
 from twinct.scenario.scenario import AnyTrajectory, Scenario
 from twinct.scenario.source import (
     FileSpectrum,
@@ -91,6 +91,7 @@ __all__ = [
     "QuantumNoise",
     "RandomBadPixels",
     "Readout",
+    "SECTIONS",
     "Reconstruction",
     "Response",
     "Scatter",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast
+from typing import TYPE_CHECKING, Annotated, Any, Union, cast
 
 from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
@@ -47,7 +47,8 @@ class Grid(Section):
         )
 
 
-GeometryName = Literal["commanded", "executed", "believed"]
+GeometryName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+"""``commanded``, ``executed``, ``believed``, or what a geometry derived from the scan is called."""
 
 
 class Surroundings(Section):
@@ -75,8 +76,9 @@ class Reconstruction(Section):
     )
     geometry: GeometryName | tuple[GeometryName, ...] = setting(
         "believed",
-        "Geometry to reconstruct from; several are judged side by side, and the first "
-        "one's volume is kept.",
+        "Geometry to reconstruct from: commanded, executed, believed, or the name of one derived "
+        "from the scan (twinct geometry); several are judged side by side, and the first one's "
+        "volume is kept.",
         source="the paper",
     )
     grid: Grid = setting(Grid(), "The voxels.")

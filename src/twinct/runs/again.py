@@ -1,0 +1,184 @@
+"""A scan asked again: other geometries and other reconstructions of a run that was made."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import time
+from collections.abc import Iterable
+from contextlib import ExitStack
+from pathlib import Path
+
+from twinct.errors import InputError, ScanExistsError
+from twinct.files.lock import sole_owner
+from twinct.files.writing import storage_errors
+from twinct.progress import SILENT, Progress
+from twinct.report import cross_sections
+from twinct.runs.folder import Folder
+from twinct.runs.job import Run, report_again
+from twinct.runs.kept import Reconstruction, kept_reconstructions
+from twinct.runs.reporting import judge, truth_of
+from twinct.runs.volumes import reconstruct, require_feasible
+from twinct.scan import OWN, NamedGeometry, Scan, ScanStore, Workshop, checked_name, reported
+from twinct.scenario import Scenario, stage_digests
+from twinct.volume import Volume
+
+
+def load_scan(path: str | Path) -> Scan:
+    """A finished scan: the folder of a run, with the geometries derived from it, or a scan.zarr.
+
+    Raises:
+        InputError: there is none, or it is damaged.
+        ScanExistsError: not all of its views were acquired yet.
+    """
+    path = Path(path)
+    if (path / "zarr.json").is_file():
+        return ScanStore(path).read()
+    folder = Folder(path)
+    return Run(_scenario_of(folder), folder).scan
+
+
+def derive_geometry(
+    path: str | Path, name: str, overrides: Iterable[str] = (), progress: Progress = SILENT
+) -> NamedGeometry:
+    """What the robots of a scan would report with other noise: a geometry beside it.
+
+    Args:
+        path: folder of a run.
+        name: of the geometry.
+        overrides: ``uncertainty.KEY=VALUE`` against the run's scenario.
+        progress: told of the stage.
+
+    Raises:
+        InputError: another key, a name that is taken, no scan.
+    """
+    folder, overrides = Folder(Path(path)), tuple(overrides)
+    _refuse_others(overrides, "uncertainty")
+    scenario = _scenario_of(folder, overrides)
+    if checked_name(name) in OWN:
+        raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
+    with sole_owner(folder.lock), progress.stage(f"geometry {name}", 1) as step:
+        scan = Run(scenario, folder).scan
+        found = reported(scenario, scan.joint_names, scan.joints, scan.executed, name)
+        if name in scan.derived and scan.derived[name].digest != found.digest:
+            raise ScanExistsError(f"{folder.geometries / name}.json is another geometry: --as")
+        found.write(folder.geometries)
+        step()
+    return found
+
+
+def reconstruct_again(
+    path: str | Path,
+    overrides: Iterable[str] = (),
+    *,
+    geometry: str | None = None,
+    name: str | None = None,
+    progress: Progress = SILENT,
+) -> Reconstruction:
+    """Add a reconstruction to a finished run, and tell of it in its figures and its report.
+
+    The same one is never made twice: what is there is given back.
+
+    Args:
+        path: folder of a run.
+        overrides: ``reconstruction.KEY=VALUE`` against the run's scenario.
+        geometry: name of the one to reconstruct from; the scenario's first where None.
+        name: of the reconstruction; after its algorithm and geometry where None.
+        progress: told of stages.
+
+    Raises:
+        InputError: another key, a geometry that is not there, a name that is taken, or what the
+            algorithm or the memory refuse; nothing has been written then.
+    """
+    folder, overrides = Folder(Path(path)), tuple(overrides)
+    _refuse_others(overrides, "reconstruction")
+    if missing := [p.name for p in (*folder.results, folder.scenario) if not p.exists()]:
+        raise InputError(f"{path} holds no finished run: {', '.join(missing)} missing")
+    scenario = _scenario_of(folder, overrides)
+    which = geometry or scenario.reconstruction.geometries[0]
+    with ExitStack() as stack:
+        stack.enter_context(storage_errors(folder.path))
+        stack.enter_context(sole_owner(folder.lock))
+        scan = Run(_with_geometry(scenario, which), folder).scan
+        scan.poses(which)
+        kept = kept_reconstructions(folder.reconstructions)
+        of_geometry = scan.derived[which].digest if which in scan.derived else ""
+        digest = stage_digests(scan.scenario)["volume"] + of_geometry
+        digest = hashlib.sha256(digest.encode()).hexdigest()
+        if there := next((r for r in kept.values() if r.digest == digest), None):
+            if name not in (None, there.name):
+                raise ScanExistsError(f"{there.path} is this very reconstruction: --as")
+            progress.say(f"{there.path} is this very reconstruction")
+            return there
+        name = checked_name(name) if name else _free_name(scan.scenario, which, kept)
+        if name in kept:
+            raise ScanExistsError(f"{kept[name].path} is another reconstruction: --as")
+        found, volume = _made(scan, folder, which, (name, digest, of_geometry), progress)
+        found.keep(volume)
+    report_again(folder.path, progress)
+    return found
+
+
+def _made(
+    scan: Scan, folder: Folder, which: str, called: tuple[str, str, str], progress: Progress
+) -> tuple[Reconstruction, Volume]:
+    scenario = scan.scenario
+    workshop = Workshop(scenario, ScanStore(folder.scan).plan)
+    require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
+    truth = truth_of(scan, workshop, progress)
+    residuals: list[float] = []
+    start = time.perf_counter()
+    volume = reconstruct(
+        scan,
+        geometry=which,
+        checkpoints=folder.checkpoints,
+        watch=lambda _, residual: residuals.append(residual),
+        progress=progress,
+    )
+    seconds = time.perf_counter() - start
+    grid = scenario.reconstruction.grid.volume_grid
+    name, digest, of_geometry = called
+    found = Reconstruction(
+        name=name,
+        digest=digest,
+        geometry=which,
+        geometry_digest=of_geometry,
+        in_words=scenario.reconstruction.in_words,
+        settings=scenario.reconstruction.model_dump(mode="json"),
+        figures=judge(scan, volume, truth),
+        residuals=tuple(residuals),
+        seconds=seconds,
+        slices=cross_sections(volume.array, truth.volume, truth.region, grid),
+        path=folder.reconstructions / name,
+    )
+    return found, volume
+
+
+def _free_name(scenario: Scenario, which: str, kept: dict[str, Reconstruction]) -> str:
+    section = scenario.reconstruction
+    base = section.algorithm if which == "believed" else f"{section.algorithm}-{which}"
+    numbered = (f"{base}-{number}" for number in itertools.count(2))
+    return next(name for name in itertools.chain([base], numbered) if name not in kept)
+
+
+def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:
+    """The scenario that a run was made with, with some keys changed."""
+    if not folder.scenario.is_file() or not folder.scan.is_dir():
+        raise InputError(
+            f"{folder.path} is no folder of a run: scenario.yaml and scan.zarr make one"
+        )
+    return folder.scenario_of_run(overrides, planned=ScanStore(folder.scan).plan is not None)
+
+
+def _with_geometry(scenario: Scenario, which: str) -> Scenario:
+    section = scenario.reconstruction.model_copy(update={"geometry": which})
+    return scenario.model_copy(update={"reconstruction": section})
+
+
+def _refuse_others(overrides: tuple[str, ...], section: str) -> None:
+    others = [o for o in overrides if not o.startswith((f"{section}.", f"{section}="))]
+    if others:
+        raise InputError(
+            f"--set {others[0]}: only keys of {section} can be changed here; a scan with others is "
+            "another run"
+        )

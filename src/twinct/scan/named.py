@@ -1,0 +1,116 @@
+"""Geometries that were derived from a scan: each with a name, what made it, and a digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twinct.errors import InputError
+from twinct.files.writing import storage_errors, write_text
+from twinct.geometry import Pose
+from twinct.views import PosePairs
+
+OWN = ("commanded", "executed", "believed")
+"""Names that every scan has."""
+
+FORMAT = "twinct geometry 1"
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+@dataclass(frozen=True, eq=False)
+class NamedGeometry:
+    """Where source and panel of all views are taken to be.
+
+    Attributes:
+        name: letters, digits, dots, hyphens.
+        poses: of each view.
+        made_by: what made it: a model or a method with its settings, as plain data.
+    """
+
+    name: str
+    poses: PosePairs
+    made_by: Mapping[str, Any]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the poses and of what made them, in hexadecimal."""
+        told = {"made_by": self.made_by, **self._numbers()}
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+    def _numbers(self) -> dict[str, list[list[float]]]:
+        return {side: _rows(getattr(self.poses, side)) for side in ("source", "detector")}
+
+    def write(self, folder: Path) -> Path:
+        """Write ``NAME.json`` into a folder; positions in mm, quaternions (x, y, z, w).
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        told = {"format": FORMAT, "made_by": self.made_by, "digest": self.digest}
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            path = folder / f"{self.name}.json"
+            write_text(path, json.dumps(told | self._numbers(), indent=1) + "\n")
+        return path
+
+    @classmethod
+    def read(cls, path: Path) -> NamedGeometry:
+        """Read what ``write`` wrote.
+
+        Raises:
+            InputError: it is no such file, or damaged.
+        """
+        try:
+            told = json.loads(path.read_text(encoding="utf-8"))
+            if told["format"] != FORMAT:
+                raise ValueError(f"format {told['format']!r}, this twinct reads {FORMAT!r}")
+            sides = [_poses(told[side]) for side in ("source", "detector")]
+            if len(sides[0]) != len(sides[1]):
+                raise ValueError("source and detector have not the same number of views")
+            found = cls(checked_name(path.stem), PosePairs(*sides), dict(told["made_by"]))
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise InputError(f"{path}: no geometry: {error}") from None
+        if found.digest != told["digest"]:
+            raise InputError(f"{path}: the geometry is not the one that its digest tells of")
+        return found
+
+
+def named_geometries(folder: Path) -> dict[str, NamedGeometry]:
+    """All geometries in a folder, by name; none where there is no folder.
+
+    Raises:
+        InputError: one is damaged.
+    """
+    return {path.stem: NamedGeometry.read(path) for path in sorted(folder.glob("*.json"))}
+
+
+def checked_name(name: str) -> str:
+    """A name that may be a file's.
+
+    Raises:
+        InputError: it may not.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(
+            f"name {name!r}: letters, digits, dots, hyphens and underscores make a name, at most 64"
+        )
+    return name
+
+
+def _rows(poses: Sequence[Pose]) -> list[list[float]]:
+    return [[*pose.position.tolist(), *pose.quat.tolist()] for pose in poses]
+
+
+def _poses(rows: Sequence[Sequence[float]]) -> tuple[Pose, ...]:
+    if any(len(row) != 7 for row in rows):
+        raise ValueError("a pose has seven numbers")
+    return tuple(Pose(np.array(row[:3]), np.array(row[3:])) for row in rows)

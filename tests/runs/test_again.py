@@ -1,0 +1,112 @@
+"""A scan asked again: what is beside a run is what a fresh run would give, and nothing is mixed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct import load_scan, reconstruct
+from twinct.errors import InputError, ScanExistsError
+from twinct.runs import Run, derive_geometry, reconstruct_again
+from twinct.runs.kept import Reconstruction
+from twinct.scan import NamedGeometry
+from twinct.uncertainty import believed_poses
+
+
+@pytest.fixture
+def folder(finished: Run, tmp_path: Path) -> Path:
+    return shutil.copytree(finished.paths.path, tmp_path / "out")
+
+
+def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
+    folder: Path, finished: Run
+) -> None:
+    before = (folder / "volume.nii").read_bytes()
+    keys = ["reconstruction.algorithm=cgls", "reconstruction.grid={voxels: 12, voxel_mm: 12}"]
+    made = reconstruct_again(folder, keys, geometry="executed")
+    assert (made.name, made.geometry) == ("cgls-executed", "executed")
+    assert (folder / "volume.nii").read_bytes() == before
+    grid = {"voxels": 12, "voxel_mm": 12}
+    fresh = reconstruct(finished.scan, algorithm="cgls", geometry="executed", grid=grid)
+    np.testing.assert_array_equal(made.volume.array, fresh.array)
+    np.testing.assert_allclose(made.volume.grid.affine, fresh.grid.affine, atol=1e-6)
+    figures = json.loads((folder / "metrics.json").read_text())
+    assert figures["image"] == finished.figures["image"]
+    told = figures["reconstructions"]["cgls-executed"]
+    assert told["image"]["rmse_rel"] == pytest.approx(made.figures.rmse_rel)
+    page = (folder / "report.html").read_text()
+    assert "<b>cgls-executed</b>" in page and page.count("Cross-sections of") == 2
+    # The very same is not made twice, another must have another name.
+    again = reconstruct_again(folder, keys, geometry="executed")
+    assert (again.name, again.digest, again.seconds) == (made.name, made.digest, made.seconds)
+    with pytest.raises(ScanExistsError, match="cgls-executed is another reconstruction"):
+        reconstruct_again(folder, geometry="executed", name="cgls-executed")
+
+
+def test_ten_reports_of_the_poses_need_one_scan(folder: Path, finished: Run) -> None:
+    images = {p: p.stat().st_mtime_ns for p in (folder / "scan.zarr").rglob("*")}
+    for seed in range(10):
+        derive_geometry(folder, f"seed{seed}", [f"uncertainty.seed={seed}"])
+    scan = load_scan(folder)
+    for seed in (0, 9):
+        found = scan.poses(f"seed{seed}")
+        for view in range(len(scan)):
+            noise = scan.scenario.uncertainty
+            assert found[view] == believed_poses(*scan.executed[view], noise, seed, view)
+    assert len({geometry.digest for geometry in scan.derived.values()}) == 10  # seed 1 is the run's
+    assert {p: p.stat().st_mtime_ns for p in (folder / "scan.zarr").rglob("*")} == images
+    volume = reconstruct(scan, geometry="seed3", iterations=1)
+    other = reconstruct(scan, geometry="seed4", iterations=1)
+    assert np.abs(volume.array - other.array).max() > 0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "options", "said"),
+    [
+        ([], {"geometry": "xyz"}, "'xyz' is none of commanded, executed, believed"),
+        (["detector.columns=9"], {}, "only keys of reconstruction"),
+        ([], {"name": "../up"}, "make a name"),
+        (["reconstruction.relaxation=7"], {}, "relaxation"),
+    ],
+)
+def test_what_cannot_be_asked_is_said_and_nothing_is_written(
+    finished: Run, overrides: list[str], options: dict[str, str], said: str
+) -> None:
+    folder = finished.paths.path
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(InputError, match=said):
+        reconstruct_again(folder, overrides, **options)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_where_there_is_no_run_it_is_said(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no finished run"):
+        reconstruct_again(tmp_path)
+    with pytest.raises(InputError, match="no folder of a run"):
+        load_scan(tmp_path)
+    with pytest.raises(InputError, match="no reconstruction of a run"):
+        Reconstruction.read(tmp_path)
+
+
+def test_a_geometry_that_was_changed_is_refused(finished: Run, folder: Path) -> None:
+    file = folder / "geometries" / "believed.json"
+    whole = NamedGeometry.read(file)
+    assert whole.poses.source == finished.scan.believed.source
+    told = json.loads(file.read_text())
+    told["source"][3][0] += 1e-9
+    file.write_text(json.dumps(told))
+    with pytest.raises(InputError, match="digest"):
+        load_scan(folder)
+    file.write_text(file.read_text()[:50])
+    with pytest.raises(InputError, match="no geometry"):
+        load_scan(folder)
+
+
+def test_names_of_a_scan_cannot_be_taken(finished: Run) -> None:
+    for name, said in (("executed", "every scan has"), ("a/b", "make a name")):
+        with pytest.raises(InputError, match=said):
+            derive_geometry(finished.paths.path, name)
