@@ -46,8 +46,8 @@ def way_home(
         if len(back):
             knots = _shortened(room, back, kept)
         else:
-            speeds = cell.speed_limits * cell.speed_scales
-            detours = Detours(room, cell.joint_ranges, speeds, cell.arm_joints, seed)
+            # All joints end as told: home is one turn, not the next.
+            detours = Detours(cell, room, np.zeros(len(start), bool), seed)
             tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
             found = next((way for way in tries if way is not None), None)
             if found is None:
