@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -33,8 +32,11 @@ STEP_S = 3.0
 SHORTCUTS = 100
 """Tries to shorten a way that was found."""
 
-GLANCES = np.array([4, 2, 6, 1, 3, 5, 7]) / 8
-"""Shares of a straight path at which a shortcut is looked at before it is proven."""
+FINE_S = 0.1
+"""How far apart configurations lie that are looked at on a shortcut, told likewise."""
+
+ASIDE_MM = (2.0, 8.0)
+"""What shortcuts keep beside the clearance asked for, lest a proof finds less between two looks."""
 
 
 def _ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
@@ -82,6 +84,10 @@ class Detours:
         """
         checks, spacing_s = SEARCHES[effort]
         glance, room = self._glance, self._room
+
+        def proven(knots: Floats) -> bool:
+            return bool(room.straight(knots[:-1], knots[1:], least_mm).all())
+
         glance.keep(least_mm)
         circles = self._turns & turning
         # Before any object with a generator of its own is made.
@@ -89,33 +95,19 @@ class Detours:
         space = _Space(self._cell, circles)
         most = glance.looked + checks
         found = space.connected(start, end, glance.clear, spacing_s, lambda: glance.looked >= most)
-        if found is None or not room.straight(found[:-1], found[1:], least_mm).all():
+        if found is None or not proven(found):
             return None
-
-        def straight(a: Floats, b: Floats) -> bool:
-            between = a + GLANCES[:, None] * (b - a)
-            return all(map(glance.clear, between)) and bool(room.straight(a, b, least_mm)[0])
-
-        knots = space.shortened(found, straight)
+        for aside_mm in ASIDE_MM:
+            glance.keep(least_mm + aside_mm)
+            knots = space.shortened(found, glance.clear)
+            if proven(knots):
+                break
+        else:
+            knots = found
         # The ends to the last bit: what is in between may be rounded.
         knots[0] = start
         knots[-1] = end + circles * 2 * np.pi * np.rint((knots[-1] - end) / (2 * np.pi))
         return knots
-
-
-@cache
-def _validator() -> type:
-    """OMPL's judge of straight paths. It must not know who holds it: OMPL's memory is counted."""
-
-    class Straight(_ompl()[0].MotionValidator):
-        def __init__(self, information: Any, space: _Joints, clear: Any) -> None:
-            super().__init__(information)
-            self._space, self._clear = space, clear
-
-        def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802
-            return self._clear(*self._space.knots([first, second])[:, None])
-
-    return Straight
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,11 +165,7 @@ class _Space:
         over: Callable[[], bool],
     ) -> Floats | None:
         """Knots (m, n) by RRT-Connect; None where it was over before."""
-        joints = self._joints
-        information = self._base.SpaceInformation(self._space)
-        information.setStateValidityChecker(lambda state: clear(joints.one(state)))
-        information.setStateValidityCheckingResolution(spacing_s / self._space.getMaximumExtent())
-        information.setup()
+        information = self._judged(clear, spacing_s)
         problem = self._base.ProblemDefinition(information)
         problem.setStartAndGoalStates(self._state(start), self._state(end))
         planner = self._geometric.RRTConnect(information)
@@ -189,13 +177,9 @@ class _Space:
             return None
         return self._from(start, problem.getSolutionPath())
 
-    def shortened(self, knots: Floats, clear: Callable[[Floats, Floats], bool]) -> Floats:
+    def shortened(self, knots: Floats, clear: Callable[[Floats], bool]) -> Floats:
         """The same ends, but for full turns, with fewer knots on a shorter way."""
-        information = self._base.SpaceInformation(self._space)
-        information.setStateValidityChecker(lambda state: True)
-        straight = _validator()(information, self._joints, clear)
-        information.setMotionValidator(straight)
-        information.setup()
+        information = self._judged(clear, FINE_S)
         path = self._geometric.PathGeometric(information)
         for q in knots:
             path.append(self._state(q))
@@ -204,6 +188,13 @@ class _Space:
         simplifier.partialShortcutPath(path, SHORTCUTS, SHORTCUTS // 2)
         simplifier.reduceVertices(path, SHORTCUTS, SHORTCUTS // 2)
         return self._from(knots[0], path)
+
+    def _judged(self, clear: Callable[[Floats], bool], spacing_s: float) -> Any:
+        joints, information = self._joints, self._base.SpaceInformation(self._space)
+        information.setStateValidityChecker(lambda state: clear(joints.one(state)))
+        information.setStateValidityCheckingResolution(spacing_s / self._space.getMaximumExtent())
+        information.setup()
+        return information
 
     def _from(self, start: Floats, path: Any) -> Floats:
         """Knots of a path, joints on a circle with the turns that the start has."""
