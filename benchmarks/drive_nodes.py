@@ -36,7 +36,7 @@ RADIUS_M = 0.3
 PATIENCE_S = 120.0
 """Longer than any answer may take: the node hangs."""
 
-SCAN_S = 60.0
+START_S = 600.0
 """Time for the node to start."""
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -92,7 +92,7 @@ class Driver:
                 kind, topic, lambda message, topic=topic: self._hear(topic, message), LATCHED
             )
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, LATCHED)
-        self._until(self._home.service_is_ready, SCAN_S)
+        self._until(self._home.service_is_ready, START_S)
 
     def home(self) -> tuple[bool, str]:
         future = self._home.call_async(Trigger.Request())

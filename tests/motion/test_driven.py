@@ -9,9 +9,11 @@ from twinct.cell import CellModel, Clearance
 from twinct.errors import TargetRefusedError, TrajectoryError
 from twinct.geometry import Floats, Pose
 from twinct.motion import MotionPlan, RobotSimulation, plan_motion
+from twinct.motion.detour import Detours
+from twinct.motion.feasible import Feasible
 from twinct.motion.homeward import way_home
 from twinct.motion.refusals import arms_in
-from twinct.motion.way import kept_mm
+from twinct.motion.way import find_way, kept_mm
 from twinct.scenario import Motion
 from twinct.views import Target
 
@@ -124,6 +126,22 @@ def test_the_way_home_is_the_way_that_was_come_but_shorter(
     assert 2 < len(way) <= len(direct)
     legs = [np.linspace(a, b, 200) for a, b in zip(way[:-1], way[1:], strict=True)]
     assert Clearance(cell).over(np.vstack(legs)).distance_mm >= kept_mm(PLANNED) - 0.2
+
+
+def test_a_search_ends_by_its_count(
+    cell: CellModel, plan: MotionPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = aside(cell, plan.home)
+    with pytest.raises(TrajectoryError, match=r"no way home was found, 1\d\d ones looked at"):
+        way_home(cell, PLANNED, start, plan.home, NOT_KNOWN, most_looks=100)
+    monkeypatch.setattr(Feasible, "straight", lambda self, a, b, least_mm: np.zeros(len(a), bool))
+    with pytest.raises(TrajectoryError, match=r"from the start to view 0: no way found in 1 sear"):
+        find_way(cell, PLANNED, plan.targets[:1], start=start, most_looks=100)
+    touching = plan.home.copy()
+    touching[2] = 3.0  # the elbow
+    detours = Detours(cell, Feasible(cell), np.zeros(12, bool), seed=0)
+    assert detours.between(plan.home, touching, kept_mm(PLANNED), 0) is None
+    assert detours.looked < 10
 
 
 def test_a_start_that_touches_is_named(cell: CellModel, plan: MotionPlan) -> None:

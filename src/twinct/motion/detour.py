@@ -50,7 +50,9 @@ def _ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
 class Detours:
     """Searches ways round in one cell."""
 
-    def __init__(self, cell: CellModel, room: Feasible, turns: Flags, seed: int) -> None:
+    def __init__(
+        self, cell: CellModel, room: Feasible, turns: Flags, seed: int, most: float = np.inf
+    ) -> None:
         """Prepare.
 
         Args:
@@ -58,13 +60,25 @@ class Detours:
             room: judges straight paths of both arms.
             turns: which joints can make full turns, (n,).
             seed: of every search.
+            most: configurations that all searches together may look at, but for the last one's
+                shortcuts.
 
         Raises:
             MissingExtraError: OMPL is not installed.
         """
         _ompl()[2].setLogLevel(_ompl()[2].LOG_NONE)
         self._cell, self._room, self._turns, self._seed = cell, room, turns, seed
-        self._glance = Glance(cell)
+        self._glance, self._most = Glance(cell), most
+
+    @property
+    def looked(self) -> int:
+        """How many configurations were looked at."""
+        return self._glance.looked
+
+    @property
+    def over(self) -> bool:
+        """Whether no search may look at any more."""
+        return self.looked >= self._most
 
     def between(
         self, start: Floats, end: Floats, least_mm: float, effort: int, *, turning: bool = True
@@ -93,7 +107,9 @@ class Detours:
         # Before any object with a generator of its own is made.
         _ompl()[2].RNG.setSeed(self._seed + 1)
         space = _Space(self._cell, circles)
-        most = glance.looked + checks
+        if self.over or not (glance.clear(start) and glance.clear(end)):
+            return None
+        most = min(glance.looked + checks, self._most)
         found = space.connected(start, end, glance.clear, spacing_s, lambda: glance.looked >= most)
         if found is None or not proven(found):
             return None

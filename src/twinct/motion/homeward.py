@@ -17,7 +17,14 @@ from twinct.views import Target
 
 
 def way_home(
-    cell: CellModel, motion: Motion, start: Floats, home: Floats, back: Floats, seed: int = 0
+    cell: CellModel,
+    motion: Motion,
+    start: Floats,
+    home: Floats,
+    back: Floats,
+    *,
+    seed: int = 0,
+    most_looks: float = np.inf,
 ) -> Way:
     """Straight in joint space where that is clear; else back as the arms came; else a way round.
 
@@ -29,6 +36,7 @@ def way_home(
         back: knots of a clear way from start to home, both included, which is shortened where
             straight ways between its knots are clear, rad, (m, n); empty: none is known.
         seed: of the searches.
+        most_looks: configurations that the searches may look at.
 
     Returns:
         A way with one view, at its end: the poses that the arms have at home.
@@ -47,11 +55,11 @@ def way_home(
             knots = _shortened(room, back, kept)
         else:
             # All joints end as told: home is one turn, not the next.
-            detours = Detours(cell, room, np.zeros(len(start), bool), seed)
+            detours = Detours(cell, room, np.zeros(len(start), bool), seed, most_looks)
             tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
             found = next((way for way in tries if way is not None), None)
             if found is None:
-                raise TrajectoryError(f"no way home was found in {len(SEARCHES)} searches")
+                raise TrajectoryError(f"no way home was found, {detours.looked} ones looked at")
             knots = found
     data = mujoco.MjData(cell.model)
     data.qpos[:] = home

@@ -30,6 +30,12 @@ REFUSED_SHARE = 0.5
 The rest is room for the solver's tolerance and the servos' lag.
 """
 
+MOST_LOOKS = 120_000
+"""Configurations that the search for a way to a target of no plan, or home, may look at.
+
+That takes about 5 s: an answer is promised within 10.
+"""
+
 BREAKAWAY_RAD_S = 0.002
 """Speed from which a joint's dry friction is compensated in full."""
 
@@ -195,7 +201,14 @@ class RobotSimulation:
         if view is None:
             motion, free = self._motion, self._roll_free
             lead = self._plan_from(
-                lambda here: find_way(self._cell, motion, [target], roll_free=free, start=here)
+                lambda here: find_way(
+                    self._cell,
+                    motion,
+                    [target],
+                    roll_free=free,
+                    start=here,
+                    most_looks=MOST_LOOKS,
+                )
             )
             return self._along(0, "the target", lead, on_step)
         if self._plan is None:
@@ -216,7 +229,9 @@ class RobotSimulation:
         """
         back = np.vstack(self._trail)[::-1] if self._trail else np.zeros((0, self._n))
         lead = self._plan_from(
-            lambda here: way_home(self._cell, self._motion, here, self._home, back),
+            lambda here: way_home(
+                self._cell, self._motion, here, self._home, back, most_looks=MOST_LOOKS
+            ),
             in_time=False,
         )
         self._trail = [self._home[None]]

@@ -114,6 +114,7 @@ def find_way(
     roll_free: tuple[bool, bool] = (False, False),
     start: Floats | None = None,
     seed: int = 0,
+    most_looks: float = np.inf,
 ) -> Way:
     """Find a way through all targets.
 
@@ -124,13 +125,14 @@ def find_way(
         roll_free: whether source and panel may be turned about their own axis.
         start: where the arms are, rad, (n,); without it the way starts just off its first view.
         seed: of searches and detours.
+        most_looks: configurations that searches for detours may look at.
 
     Raises:
         TrajectoryError: views that cannot be had, or no way from one to the next; every problem
             names views, arm, reason and how far off.
         MissingExtraError: mink or OMPL is not installed.
     """
-    return _Finder(cell_model, motion, list(targets), roll_free, seed).find(start)
+    return _Finder(cell_model, motion, list(targets), roll_free, seed, most_looks).find(start)
 
 
 class _Finder:
@@ -143,6 +145,7 @@ class _Finder:
         targets: list[Target],
         roll_free: tuple[bool, bool],
         seed: int,
+        most_looks: float,
     ) -> None:
         self._cell, self._motion, self._targets, self._seed = cell, motion, targets, seed
         self._least_mm = kept_mm(motion)
@@ -153,7 +156,7 @@ class _Finder:
         # A joint that can go round more than once may take the shorter side.
         self._turns = np.ptp(ranges, axis=1) > 3 * np.pi
         self._arms = [Speeds(self._speeds[part], self._turns[part]) for part in cell.arm_joints]
-        self._detours = Detours(cell, self._both, self._turns, seed)
+        self._detours = Detours(cell, self._both, self._turns, seed, most_looks)
         full = np.arange(0.0, 360.0, ROLL_STEP_DEG)
         self._rolls = [np.radians(full if free else full[:1]) for free in roll_free]
         self._known: dict[bytes, Floats | None] = {}
@@ -352,8 +355,9 @@ class _Finder:
             choice.raise_cost(blocked, edge[1:], TRIED_S if tried[edge] < len(SEARCHES) else np.inf)
             count = sum(n for (layer, *_), n in tried.items() if layer == blocked)
             total = choice.best(np.zeros(len(nodes[0])))[1]
-            if count == DETOURS_TRIED or not np.isfinite(total):
-                raise TrajectoryError(_no_way(views[blocked], views[blocked + 1], count))
+            if count == DETOURS_TRIED or not np.isfinite(total) or self._detours.over:
+                told = _no_way(views[blocked], views[blocked + 1], count, self._detours.looked)
+                raise TrajectoryError(told)
 
     def _mostly_straight(
         self,
@@ -465,9 +469,9 @@ def _rolled(pose: Pose, angle: float) -> Pose:
     return Pose(pose.position, turned.as_quat()) if angle else pose
 
 
-def _no_way(before: int, after: int, tried: int) -> str:
+def _no_way(before: int, after: int, tried: int, looked: int) -> str:
     origin = f"view {before}" if before >= 0 else "the start"
     return (
         f"from {origin} to view {after}: no way found in {tried} searches between pairs of "
-        f"configurations that looked at {SEARCHES[0][0]} others or more each"
+        f"configurations, {looked} others looked at"
     )
