@@ -190,7 +190,9 @@ def main() -> None:
     os.environ["ROS_DOMAIN_ID"] = str(args.domain)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     rolls = [f"motion.{arm}_roll={args.roll}" for arm in ("source", "detector")]
-    sets = [part for key in ("motion.scheme=planned", *rolls) for part in ("--set", key)]
+    # As fast as the joints let it: scenarios that extend the paper keep its slow tools.
+    keys = ["motion.scheme=planned", "motion.tool_speed_mm_s=null", *rolls]
+    sets = [part for key in keys for part in ("--set", key)]
     command = [sys.executable, "-m", "twinct", "node", "robots", args.scenario, *sets]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         try:

@@ -141,12 +141,12 @@ def plan_motion(
         way = branch_way(cell, motion, targets)
         # Servos take longer than this: what is late even so is late for certain.
         speeds = cell.speed_limits * cell.speed_scales
-        check_times((np.abs(np.diff(way.joints, axis=0)) / speeds).max(axis=1), motion)
+        least_s = (np.abs(np.diff(way.joints, axis=0)) / speeds).max(axis=1)
+        if late := late_problems(least_s.tolist(), motion.timeout_s):
+            raise TrajectoryError(late)
         return _unhurried(cell, way)
     way = find_way(cell, motion, targets, roll_free=roll_free)
-    plan = timed(cell, motion, way, exposure_s)
-    check_times(np.diff(plan.exposures_s, prepend=0.0), motion)
-    return plan
+    return timed(cell, motion, way, exposure_s)
 
 
 def _unhurried(cell: CellModel, way: Way) -> MotionPlan:
@@ -178,20 +178,6 @@ def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) ->
             return plan
         spacing[np.isin(leads_to, list(problems))] /= 2
     raise TrajectoryError(problems.values())
-
-
-def check_times(seconds: Floats, motion: Motion) -> None:
-    """Refuse views that take longer than ``motion.timeout_s``.
-
-    Args:
-        seconds: what each takes from the one before, (views,).
-        motion: of the scenario.
-
-    Raises:
-        TrajectoryError: there are some.
-    """
-    if late := late_problems(seconds.tolist(), motion.timeout_s):
-        raise TrajectoryError(late)
 
 
 def _laws(law: TimeLaw, motion: Motion, way: Way, spacing: Floats) -> list[tuple[Law, list[int]]]:

@@ -38,7 +38,7 @@ def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:
     """Views that take longer to get to than is allowed, by the seconds that each takes."""
     late = [view for view, needed_s in enumerate(seconds) if needed_s > allowed_s]
     return [
-        f"{named(first, last)}: the way there takes {'up to ' if last > first else ''}"
+        f"{named(first, last)}: the way there takes {'up to ' if last > first else ''}at least "
         f"{max(seconds[first : last + 1]):.2f} s, motion.timeout_s allows {allowed_s:g} s"
         for first, last in runs(late)
     ]

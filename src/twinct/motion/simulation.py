@@ -16,7 +16,7 @@ from twinct.motion.follow import straight_path
 from twinct.motion.home import FLIP_RAD
 from twinct.motion.homeward import way_home
 from twinct.motion.kinematics import Kinematics, mujoco, site_pose
-from twinct.motion.plan import MotionPlan, check_times, timed
+from twinct.motion.plan import MotionPlan, timed
 from twinct.motion.reference import Reference
 from twinct.motion.refusals import arms_in, readable
 from twinct.motion.shutter import Shutter
@@ -231,8 +231,7 @@ class RobotSimulation:
         lead = self._plan_from(
             lambda here: way_home(
                 self._cell, self._motion, here, self._home, back, most_looks=MOST_LOOKS
-            ),
-            in_time=False,
+            )
         )
         self._trail = [self._home[None]]
         return self._along(0, "home", lead, on_step, settled=True)
@@ -268,12 +267,11 @@ class RobotSimulation:
         target, what = plan.targets[view], f"{name} was missed"
         return self._run(rows.__getitem__, steps, target, what, on_step, len(lead), settled)
 
-    def _plan_from(self, find: Callable[[Floats], Way], *, in_time: bool = True) -> Floats:
+    def _plan_from(self, find: Callable[[Floats], Way]) -> Floats:
         """Make a plan from where the arms come to rest the one that is followed.
 
         Args:
             find: finds the way, from joint positions, rad, (n,).
-            in_time: whether it may take ``motion.timeout_s`` and no longer.
 
         Returns:
             States of the reference until the plan begins, (steps, 3, n).
@@ -286,8 +284,6 @@ class RobotSimulation:
         try:
             way = find(here)
             plan = timed(self._cell, self._motion, way)
-            if in_time:
-                check_times(plan.exposures_s, self._motion)
         except TrajectoryError as error:
             # Who asks knows no view 0.
             told = [problem.removeprefix("view 0: ") for problem in error.problems]

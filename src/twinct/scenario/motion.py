@@ -74,4 +74,8 @@ class Motion(Section):
     settle_speed_mm_s: Positive = setting(
         0.05, "Speed of both end-effectors below which they count as at rest."
     )
-    timeout_s: Positive = setting(10.0, "Simulated time in which a move must arrive.")
+    timeout_s: Positive = setting(
+        10.0,
+        "Simulated time in which a move must arrive; with scheme: planned, how much later than "
+        "planned the last one may.",
+    )
