@@ -84,13 +84,8 @@ def driven(tmp_path, foreign, domain, monkeypatch):
 
 
 def test_a_driven_node_goes_where_it_can_and_home_again(driven, short):
-    planned = type(short).model_validate(
-        {**short.model_dump(mode="json"), "motion": {"scheme": "planned"}}
-    )
-    targets, node = (
-        Workshop(planned).targets,
-        driven((sys.executable, "-m", "twinct", "node"), planned),
-    )
+    targets = Workshop(short).targets
+    node = driven((sys.executable, "-m", "twinct", "node"), short)
     fresh = node.home()
     assert fresh.success and "clearance" in fresh.message
     home = np.array(node.joints[-1].position)

@@ -15,6 +15,9 @@ from twinct.motion.way import Way, kept_mm
 from twinct.scenario import Motion
 from twinct.views import Target
 
+AT_ONCE = 8
+"""Knots of the way back that are looked for at once, the last ones first."""
+
 
 def way_home(
     cell: CellModel,
@@ -70,10 +73,15 @@ def way_home(
 
 def _shortened(room: Feasible, knots: Floats, least_mm: float) -> Floats:
     """From each knot straight to the last one that is in sight; the next one always is."""
-    kept = [0]
-    while kept[-1] < len(knots) - 1:
+    kept, last = [0], len(knots) - 1
+    while kept[-1] < last:
         here = kept[-1]
-        ends = knots[here + 2 :]
-        seen = room.straight(np.broadcast_to(knots[here], ends.shape), ends, least_mm)
-        kept.append(here + 1 + int(np.max(np.flatnonzero(seen) + 1, initial=0)))
+        following = here + 1
+        for stop in range(last + 1, here + 2, -AT_ONCE):
+            ends = knots[max(stop - AT_ONCE, here + 2) : stop]
+            seen = room.straight(np.broadcast_to(knots[here], ends.shape), ends, least_mm)
+            if seen.any():
+                following = stop - len(ends) + int(np.flatnonzero(seen)[-1])
+                break
+        kept.append(following)
     return knots[kept]

@@ -12,6 +12,7 @@ from twinct.cell import CellModel, Clearance
 from twinct.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.motion.branches import SIDES
+from twinct.motion.feasible import Feasible
 from twinct.motion.follow import straight_path
 from twinct.motion.home import FLIP_RAD
 from twinct.motion.homeward import way_home
@@ -20,7 +21,7 @@ from twinct.motion.plan import MotionPlan, timed
 from twinct.motion.reference import Reference
 from twinct.motion.refusals import arms_in, readable
 from twinct.motion.shutter import Shutter
-from twinct.motion.way import Way, find_way
+from twinct.motion.way import Way, find_way, kept_mm
 from twinct.scenario import Motion
 from twinct.views import Instant, Reached, Target, to_seven
 
@@ -292,7 +293,9 @@ class RobotSimulation:
         self._plan = plan
         self._begun_s = self.time_s + len(lead) * self._model.opt.timestep
         if self._trail:
-            self._trail.append(way.joints[1:])
+            ends = self._home[None], way.joints[-1:]
+            direct = Feasible(self._cell).straight(*ends, kept_mm(self._motion))[0]
+            self._trail = list(ends) if direct else [*self._trail, way.joints[1:]]
         return lead
 
     def _to_rest(self) -> Floats:
