@@ -1,8 +1,10 @@
-"""What the planner says of single poses of both tools, against a referee.
+"""What the planner says of single views, against a referee that shares hardly anything with it.
 
-    python benchmarks/bench_referee.py [--arm ur10e lbr_iiwa14] [--scenario FILE]
+    python benchmarks/bench_referee.py [--arm ur10e lbr_iiwa14] [--scenario FILE] [--results FILE]
 
-Views are drawn at random about the isocentre until the referee has so many that can be held.
+Views are drawn about the isocentre until the referee has so many that can be held; the turns about
+the beam are free for a ``ur10e`` and fixed for an ``lbr_iiwa14``. One JSON line a view; those in
+the file of results are not judged again.
 """
 
 from __future__ import annotations
@@ -10,31 +12,38 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from bench_planner import PANEL
-from bench_trajectories import MOTION, cell_of, simulated
+from bench_trajectories import MOTION, cell_of, simulated, told_in
 from referee import Referee
 
 from twinct.cell import CellModel
 from twinct.errors import TrajectoryError
-from twinct.geometry import Floats, Pose
-from twinct.motion import find_way
+from twinct.geometry import Pose
+from twinct.motion import Way, find_way
 from twinct.motion.plan import timed
-from twinct.motion.way import Way, kept_mm
+from twinct.motion.way import kept_mm
 from twinct.scenario import Cell
 from twinct.trajectory import ArcTrajectory, on_sphere
 from twinct.trajectory.orbit import orbit_views
 from twinct.views import PosePairs, Target
 
-IIWA_BASE_MM = 650.0
-"""From the isocentre to the foot of each ``lbr_iiwa14``, which is shorter than a UR10e."""
+RESULTS = Path(__file__).parent.parent / "docs" / "data" / "referee.jsonl"
+
+BASE_MM = {"ur10e": 850.0, "lbr_iiwa14": 650.0}
+"""From the isocentre to the foot of each arm."""
+
+WITHIN_DEG = {"ur10e": (115, 40), "lbr_iiwa14": (90, 25)}
+"""Longitudes and latitudes of views: somewhat more than can be held."""
 
 
-def drawn(rng: np.random.Generator) -> Target:
-    """A view from anywhere between latitudes -50 and 50, with the isocentre moved a little."""
-    latitude = np.arcsin(rng.uniform(-1, 1) * np.sin(np.radians(50)))
+def drawn(index: int, within_deg: tuple[float, float]) -> Target:
+    """A view of an isocentre moved a little."""
+    rng = np.random.default_rng([0, index])
+    longitude, latitude = np.radians(rng.uniform(-1, 1, 2) * within_deg)
     sod = rng.uniform(250, 350)
     section = ArcTrajectory(
         kind="arc",
@@ -43,97 +52,93 @@ def drawn(rng: np.random.Generator) -> Target:
         sod_mm=sod,
         sdd_mm=sod + rng.uniform(250, 350),
     )
-    source = on_sphere(rng.uniform(-np.pi, np.pi), latitude, sod)
-    return PosePairs.from_geometry(orbit_views(section, PANEL, source[None])).targets()[0]
+    source = on_sphere(np.array([longitude]), np.array([latitude]), sod)
+    return PosePairs.from_geometry(orbit_views(section, PANEL, source)).targets()[0]
 
 
 def right(cell: CellModel, way: Way, referee: Referee) -> bool:
     """Whether forward kinematics, limits and all distances agree with a way's view."""
-    joints: Floats = way.joints[-1]
-    gap_mm = referee.gap_mm(joints)
+    joints = way.joints[-1]
+    low, high = cell.joint_ranges.T
+    inside = (joints >= low).all() and (joints <= high).all()
     data = mujoco.MjData(cell.model)
     data.qpos[:] = joints
     mujoco.mj_kinematics(cell.model, data)
-    low, high = cell.joint_ranges.T
-    asked = (way.targets[0].source, way.targets[0].detector)
-    for site, pose in zip(cell.site_ids, asked, strict=True):
+    there = []
+    for site, pose in zip(
+        cell.site_ids, (way.targets[0].source, way.targets[0].detector), strict=True
+    ):
         turned = data.site_xmat[site].reshape(3, 3)
         here = Pose.from_matrix(data.site_xpos[site] * 1000, turned)
-        if (
-            here.distance_mm(pose) > MOTION.ik.position_tolerance_mm + 1e-6
-            or here.angle_deg(pose) > MOTION.ik.rotation_tolerance_deg + 1e-6
-        ):
-            return False
-    return bool((joints >= low).all() and (joints <= high).all() and gap_mm >= MOTION.clearance_mm)
+        there.append(here.distance_mm(pose) <= MOTION.ik.position_tolerance_mm + 1e-6)
+        there.append(here.angle_deg(pose) <= MOTION.ik.rotation_tolerance_deg + 1e-6)
+    return bool(inside and all(there) and referee.gap_mm(joints) >= MOTION.clearance_mm)
+
+
+def judged(
+    cell: CellModel, referee: Referee, target: Target, free: bool, simulate: bool
+) -> dict[str, Any]:
+    """Both verdicts on a view."""
+    held = referee.holds(target.source, target.detector, (free, free)) is not None
+    try:
+        way = find_way(cell, MOTION, [target], roll_free=(free, free))
+    except TrajectoryError as error:
+        return {"held": held, "planned": False} | ({"refusal": str(error)} if held else {})
+    told = {"held": held, "planned": True, "right": right(cell, way, referee)}
+    return told | (simulated(cell, timed(cell, MOTION, way)) if simulate else {})
 
 
 def compare(
-    cell: CellModel, roll_free: tuple[bool, bool], positives: int, simulations: int
-) -> dict[str, object]:
-    """Verdicts of both on the same views."""
-    rng = np.random.default_rng(0)
+    name: str, cell: CellModel, results: Path, positives: int, simulations: int
+) -> dict[str, Any]:
+    """Verdicts of both on as many views as it takes."""
+    model = cell.cell.source_arm.model
     referee = Referee(cell, kept_mm(MOTION), MOTION.ik)
-    asked = held = more = wrong = followed = 0
-    missed: list[str] = []
-    bad: list[object] = []
-    while held < positives:
-        target = drawn(rng)
-        asked += 1
-        can = referee.holds(target.source, target.detector, roll_free) is not None
-        held += can
-        try:
-            way = find_way(cell, MOTION, [target], roll_free=roll_free)
-        except TrajectoryError as error:
-            if can:
-                missed.append(str(error))
-            continue
-        more += not can
-        if not right(cell, way, referee):
-            wrong += 1
-        elif followed < simulations:
-            told = simulated(cell, timed(cell, MOTION, way))
-            gap = told.get("clearance_every_step_mm", 0.0)
-            if not isinstance(gap, float) or gap < MOTION.clearance_mm:
-                bad.append(told)
-            followed += 1
-        if asked % 50 == 0:
-            print(asked, held, len(missed), flush=True)
+    told = [line for line in told_in(results) if line["cell"] == name]
+    while sum(line["held"] for line in told) < positives:
+        target = drawn(len(told), WITHIN_DEG[model or "ur10e"])
+        simulate = sum("exposed" in line for line in told) < simulations
+        told.append({"cell": name} | judged(cell, referee, target, model == "ur10e", simulate))
+        with results.open("a") as file:
+            file.write(json.dumps(told[-1]) + "\n")
+    held = [line for line in told if line["held"]]
+    followed = [line for line in told if "exposed" in line]
     return {
-        "asked": asked,
-        "held_by_the_referee": held,
-        "of_these_refused": len(missed),
-        "refusals": missed,
-        "held_by_the_planner_alone": more,
-        "wrong": wrong,
-        "simulated": followed,
-        "of_these_bad": bad,
+        "cell": name,
+        "asked": len(told),
+        "held_by_the_referee": len(held),
+        "of_these_refused": [line["refusal"] for line in held if not line["planned"]],
+        "planned_and_not_held": sum(line["planned"] for line in told)
+        - sum(line["planned"] for line in held),
+        "planned_and_wrong": sum(not line.get("right", True) for line in told),
+        "simulated": len(followed),
+        "of_these_exposed": sum(line["exposed"] for line in followed),
+        "least_clearance_mm": min(line.get("clearance_every_step_mm", 0.0) for line in followed),
     }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--arm", nargs="+", default=["ur10e", "lbr_iiwa14"])
-    parser.add_argument("--scenario", type=Path, help="whose cell, instead of the default ones")
+    parser.add_argument("--arm", nargs="+", default=list(BASE_MM))
+    parser.add_argument("--scenario", type=Path, help="whose cell, instead of the arms' own")
     parser.add_argument("--positives", type=int, default=500)
     parser.add_argument("--simulations", type=int, default=100)
+    parser.add_argument("--results", type=Path, default=RESULTS)
     args = parser.parse_args()
     if args.scenario:
         cells = {str(args.scenario): cell_of(args.scenario)}
     else:
-        cells = {arm: cell_of(None if arm == "ur10e" else _with(arm)) for arm in args.arm}
+        cells = {arm: cell_of(with_two(arm)) for arm in args.arm}
     for name, cell in cells.items():
-        free = cell.cell.source_arm.model == "ur10e"
-        told = compare(cell, (free, free), args.positives, args.simulations)
-        print(json.dumps({"arm": name} | told, indent=2), flush=True)
+        told = compare(name, cell, args.results, args.positives, args.simulations)
+        print(json.dumps(told, indent=2), flush=True)
 
 
-def _with(arm: str) -> Cell:
-    return Cell.model_validate(
-        {
-            "source_arm": {"model": arm, "base_position_mm": (IIWA_BASE_MM, 0, 0)},
-            "detector_arm": {"model": arm, "base_position_mm": (-IIWA_BASE_MM, 0, 0)},
-        }
-    )
+def with_two(arm: str) -> Cell:
+    """Two arms that face each other."""
+    section = {"model": arm, "base_position_mm": (BASE_MM[arm], 0, 0)}
+    other = section | {"base_position_mm": (-BASE_MM[arm], 0, 0)}
+    return Cell.model_validate({"source_arm": section, "detector_arm": other})
 
 
 if __name__ == "__main__":

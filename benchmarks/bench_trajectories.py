@@ -13,6 +13,7 @@ import json
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bench_planner import HEAD_SEMI_AXES_MM, PANEL
@@ -53,7 +54,7 @@ def refereed(cell: CellModel, named: Named) -> list[int]:
     return out
 
 
-def simulated(cell: CellModel, plan: MotionPlan) -> dict[str, object]:
+def simulated(cell: CellModel, plan: MotionPlan) -> dict[str, Any]:
     """What happens when the arms follow a plan."""
     simulation = RobotSimulation(cell, MOTION, plan)
     exposed, off_deg, gap_mm = 0, 0.0, np.inf
@@ -74,9 +75,9 @@ def simulated(cell: CellModel, plan: MotionPlan) -> dict[str, object]:
     }
 
 
-def figures(cell: CellModel, named: Named, gap_minutes: float) -> dict[str, object]:
+def figures(cell: CellModel, named: Named, gap_minutes: float) -> dict[str, Any]:
     """All about one trajectory."""
-    told: dict[str, object] = {"name": named.name, "views": len(named.targets)}
+    told: dict[str, Any] = {"name": named.name, "views": len(named.targets)}
     out = told["out_of_reach"] = refereed(cell, named)
     begin = time.process_time()
     try:
@@ -96,15 +97,20 @@ def figures(cell: CellModel, named: Named, gap_minutes: float) -> dict[str, obje
     return told | simulated(cell, plan)
 
 
+def told_in(results: Path) -> list[dict[str, Any]]:
+    """What a file of results holds; an empty one is made ready."""
+    results.parent.mkdir(parents=True, exist_ok=True)
+    results.touch()
+    return [json.loads(line) for line in results.read_text().splitlines()]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--scenario", type=Path, help="whose cell; without it the default cell")
     parser.add_argument("--gap-minutes", type=float, default=10.0)
     parser.add_argument("--results", type=Path, default=RESULTS)
     args = parser.parse_args()
-    args.results.parent.mkdir(parents=True, exist_ok=True)
-    lines = args.results.read_text().splitlines() if args.results.exists() else []
-    done = {told["name"]: told for told in map(json.loads, lines)}
+    done = {told["name"]: told for told in told_in(args.results)}
     cell = cell_of(args.scenario)
     for named in sixty(PANEL):
         if named.name not in done:
@@ -115,17 +121,17 @@ def main() -> None:
     print(json.dumps(summary(list(done.values())), indent=2))
 
 
-def summary(all_told: list[dict[str, object]]) -> dict[str, object]:
+def summary(all_told: list[dict[str, Any]]) -> dict[str, Any]:
     reachable = [told for told in all_told if not told["out_of_reach"]]
     exposed = [told for told in reachable if told.get("exposed") == told["views"]]
-    ratios = [abs(t["simulated_s"] / t["predicted_s"] - 1) for t in exposed]  # pyright: ignore
+    ratios = [abs(t["simulated_s"] / t["predicted_s"] - 1) for t in exposed]
     return {
         "trajectories": len(all_told),
         "every_view_reachable": len(reachable),
         "planned_and_all_exposed": len(exposed),
         "gaps": [t for t in reachable if t not in exposed],
-        "least_clearance_mm": min(t["clearance_every_step_mm"] for t in exposed),  # pyright: ignore
-        "joints_off_deg": max(t["joints_off_deg"] for t in exposed),  # pyright: ignore
+        "least_clearance_mm": min(t["clearance_every_step_mm"] for t in exposed),
+        "joints_off_deg": max(t["joints_off_deg"] for t in exposed),
         "predicted_against_simulated": max(ratios),
         "refused_with_their_views": sum("problems" in t for t in all_told if t["out_of_reach"]),
     }

@@ -43,7 +43,7 @@ class Referee:
         self._cell, self._least_m, self._seed = cell, least_mm / MM_PER_M, seed
         self._data, self._line = mujoco.MjData(cell.model), np.zeros(6)
         bodies = cell.model.geom_bodyid[cell.pairs]
-        of = [(cell.lever[:, part] > 0).any(axis=1)[bodies].any(axis=1) for part in cell.arm_joints]
+        of = [(cell.lever[bodies, part] > 0).any(axis=(1, 2)) for part in cell.arm_joints]
         self._pairs = [
             cell.pairs[of[0] & ~of[1]].tolist(),
             cell.pairs[of[1] & ~of[0]].tolist(),

@@ -77,3 +77,18 @@ def test_turns_are_added_where_they_shorten_the_way_and_stay_in_range() -> None:
     legs = [leg + [2 * np.pi, 0] for leg in legs]
     stays = lifted(joints + [2 * np.pi, 0], legs, ranges + [[0, 9], [0, 0]], np.ones(2), free, True)
     assert stays[0, 0] == joints[0, 0] + 2 * np.pi
+
+
+def test_legs_keep_their_turns_until_a_range_ends() -> None:
+    """Three of almost a turn each: one has to be gone back on, where it is said to be cheapest."""
+    joints = np.array([[0.0], [1.0], [2.0], [3.0]])
+    legs = [np.array([q, q + 1 - 2 * np.pi]) for q in joints[:-1]]
+    ranges = np.array([[-2 * np.pi, 2 * np.pi]])
+    found = lifted(joints, legs, ranges, np.ones(1), np.array([9.0, 1.0, 9.0]), False)
+    leg = 1 - 2 * np.pi
+    np.testing.assert_allclose(np.diff(found[:, 0]), [leg, 1.0, leg])
+    # A leg that goes beyond the range in between cannot be followed there.
+    wide = [np.array([[0.0], [7.0], [1.0]])]
+    found = lifted(joints[:2], wide, ranges, np.ones(1), np.ones(1), False)
+    np.testing.assert_allclose(np.diff(found[:, 0]), [1.0])
+    assert found[0, 0] < -1.0
