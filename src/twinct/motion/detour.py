@@ -111,7 +111,7 @@ class Detours:
             return None
         most = min(glance.looked + checks, self._most)
         found = space.connected(start, end, glance.clear, spacing_s, lambda: glance.looked >= most)
-        if found is None or not proven(found):
+        if found is None:
             return None
         for aside_mm in ASIDE_MM:
             glance.keep(least_mm + aside_mm)
@@ -119,7 +119,8 @@ class Detours:
             if proven(knots):
                 break
         else:
-            knots = found
+            if not proven(knots := found):
+                return None
         # The ends to the last bit: what is in between may be rounded.
         knots[0] = start
         knots[-1] = end + circles * 2 * np.pi * np.rint((knots[-1] - end) / (2 * np.pi))
