@@ -5,7 +5,7 @@ MuJoCo is imported when a cell is built, not when this package is.
 
 from twinct.cell._mujoco import mujoco_module
 from twinct.cell.clearance import Clearance, Gap
-from twinct.cell.render import check_drawing, check_picture_size, render_cell
+from twinct.cell.render import Marks, check_drawing, check_picture_size, render_cell
 from twinct.cell.scene import CellModel, GantryModel, build_cell, build_gantry
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Clearance",
     "GantryModel",
     "Gap",
+    "Marks",
     "build_cell",
     "build_gantry",
     "check_drawing",

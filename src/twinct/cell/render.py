@@ -2,17 +2,48 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from twinct.cell._mujoco import mujoco_module
 from twinct.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
 from twinct.errors import InputError, StorageError
+from twinct.geometry import MM_PER_M, Floats, Pose
 
 _ADVICE = "leave MUJOCO_GL unset, which takes EGL and needs no display"
+
+
+MOST_SHOWN = 10_000
+"""Geoms and balls that one picture holds."""
+
+RED = (0.90, 0.08, 0.08, 1.0)
+GHOST_RGBA = (0.15, 0.45, 0.95, 0.35)
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """What a picture shows beside the room itself.
+
+    Attributes:
+        red: bodies drawn in red.
+        ghosts: tools drawn translucent where they are not: ``source`` or ``detector``, and where
+            its focal spot or panel centre shall be.
+        points: small balls: positions, (p, 3), mm.
+        colours: of the balls, red, green, blue and opacity in [0, 1], (p, 4).
+        radius_mm: of the balls.
+    """
+
+    red: tuple[str, ...] = ()
+    ghosts: tuple[tuple[str, Pose], ...] = ()
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    colours: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    radius_mm: float = 8.0
 
 
 def check_drawing() -> None:
@@ -49,6 +80,7 @@ def render_cell(
     joints: Sequence[float] | np.ndarray | None = None,
     width: int = 1600,
     height: int = 1000,
+    marks: Marks | None = None,
 ) -> None:
     """Write a picture of the whole cell.
 
@@ -58,6 +90,7 @@ def render_cell(
         joints: joint positions, source arm first, rad; zeros, or no arms, where None.
         width: pixels.
         height: pixels.
+        marks: what is shown beside the room.
 
     Raises:
         StorageError: the file cannot be written.
@@ -65,7 +98,8 @@ def render_cell(
     mujoco = mujoco_module()
     from PIL import Image
 
-    model = cell_model.model
+    marks = marks or Marks()
+    model = _reddened(cell_model.model, marks.red) if marks.red else cell_model.model
     data = mujoco.MjData(model)
     if joints is not None:
         data.qpos[:] = np.asarray(joints, dtype=np.float64)
@@ -80,7 +114,7 @@ def render_cell(
     option.geomgroup[:] = (1, 1, 1, 0, 0, 0)
     option.sitegroup[:] = 0
     try:
-        drawing = mujoco.Renderer(model, height, width)
+        drawing = mujoco.Renderer(model, height, width, max_geom=MOST_SHOWN)
     except Exception as error:  # MuJoCo's FatalError, and what EGL's and OSMesa's loaders raise
         chosen = os.environ.get("MUJOCO_GL", "")
         raise InputError(
@@ -90,8 +124,42 @@ def render_cell(
     with drawing as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
         renderer.update_scene(data, camera, option)
+        _add(renderer.scene, model, data, marks)
         pixels = renderer.render()
     try:
         Image.fromarray(pixels).save(path_png, format="PNG")
     except OSError as error:
         raise StorageError(f"{path_png}: {error.strerror or error}") from error
+
+
+def _reddened(model: Any, bodies: tuple[str, ...]) -> Any:
+    """A copy in which some bodies are red."""
+    model = copy.copy(model)
+    for geom in range(model.ngeom):
+        if model.body(model.geom_bodyid[geom]).name in bodies:
+            model.geom_matid[geom] = -1
+            model.geom_rgba[geom] = RED
+    return model
+
+
+def _add(scene: Any, model: Any, data: Any, marks: Marks) -> None:
+    """Ghosts and balls into what is drawn."""
+    mujoco = mujoco_module()
+
+    def add(kind: Any, size: Any, position: Any, rotation: Any, rgba: Any) -> None:
+        if scene.ngeom < scene.maxgeom:
+            geom = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(geom, kind, size, position, rotation, np.float32(rgba))
+            scene.ngeom += 1
+
+    for side, pose in marks.ghosts:
+        site, tool = model.site(side).id, model.body(side).id
+        here = Pose.from_matrix(data.site_xpos[site] * MM_PER_M, data.site_xmat[site].reshape(3, 3))
+        moved = pose @ here.inverse()
+        for geom in np.flatnonzero(model.geom_bodyid == tool):
+            position = moved.apply(data.geom_xpos[geom] * MM_PER_M) / MM_PER_M
+            turned = moved.rotation @ data.geom_xmat[geom].reshape(3, 3)
+            add(model.geom_type[geom], model.geom_size[geom], position, turned.ravel(), GHOST_RGBA)
+    size = np.full(3, marks.radius_mm / MM_PER_M)
+    for position, rgba in zip(marks.points / MM_PER_M, marks.colours, strict=True):
+        add(mujoco.mjtGeom.mjGEOM_SPHERE, size, position, np.eye(3).ravel(), rgba)

@@ -36,6 +36,11 @@ PANEL_COVER_MM = 4.0
 """Housing about the active area: a border all round, so deep, so much of it before the pixels."""
 
 
+ZONE = "zone "
+"""Before the name of a forbidden zone in its body's."""
+
+ZONE_RGBA = (0.88, 0.20, 0.12, 0.28)
+
 TOOLS_MM = 200.0
 """By how much the housings of source and panel make a gantry's picture larger."""
 
@@ -117,7 +122,7 @@ def build_cell(
 
     Raises:
         MissingExtraError: MuJoCo, or Menagerie where it is asked for, is not installed.
-        ScenarioError: an arm or a measure that cannot be built.
+        ScenarioError: an arm or a measure that cannot be built, or a zone that covers the specimen.
     """
     spec = _room(cell.floor_z_mm)
     spec.option.timestep = cell.timestep_ms / 1000
@@ -129,12 +134,15 @@ def build_cell(
         tool = _mount(spec, cell, side, arm, loaded).add_body(name=side)
         (_source_tool if side == "source" else _panel_tool)(tool, arm, panel)
         arms.append(loaded)
+    _zones(spec, cell)
     names = _servos(spec, arms, cell)
     _exclude_adjacent(spec)
     # Per joint: position, velocity and acceleration of the reference that the servos follow; then
     # the mark of the plan that it comes from.
     spec.nuserdata = 3 * len(names) + 1
-    return _compiled(spec, cell, panel, arms, names)
+    built = _compiled(spec, cell, panel, arms, names)
+    _specimen_outside_zones(built)
+    return built
 
 
 def build_gantry(
@@ -254,6 +262,50 @@ def _table(
     foot = min(15.0, (bottom_mm - top) / 3)
     _rod(holder, "holder_rest", (x, y, bottom_mm - foot), (x, y, bottom_mm), 2 * radius, "post")
     _rod(holder, "holder_foot", (x, y, top), (x, y, top + foot), 2 * radius, "housing")
+
+
+def _zones(spec: mujoco.MjSpec, cell: Cell) -> None:
+    """Each a body of its own, translucent."""
+    kinds = mujoco_module().mjtGeom
+    for index, zone in enumerate(cell.zones):
+        shape = zone.shape
+        if shape.kind == "box":
+            kind, size = kinds.mjGEOM_BOX, np.array(shape.size_mm) / 2
+        elif shape.kind == "sphere":
+            kind, size = kinds.mjGEOM_SPHERE, np.array([shape.radius_mm, 0, 0])
+        else:
+            length = shape.height_mm if shape.kind == "cylinder" else shape.length_mm
+            kind = kinds.mjGEOM_CYLINDER if shape.kind == "cylinder" else kinds.mjGEOM_CAPSULE
+            size = np.array([shape.radius_mm, length / 2, 0])
+        position, quat = zone.world_from_zone.to_metres()
+        body = spec.worldbody.add_body(
+            name=f"{ZONE}{zone.name}", pos=position, quat=np.roll(quat, 1)
+        )
+        name = f"zone_{index}"
+        body.add_geom(name=name, type=kind, size=size * MM, rgba=ZONE_RGBA, group=VISUAL_GROUP)
+
+
+def _specimen_outside_zones(built: CellModel) -> None:
+    """Refuse zones that the specimen reaches into.
+
+    Raises:
+        ScenarioError: naming them.
+    """
+    mujoco, model = mujoco_module(), built.model
+    data, line, problems = mujoco.MjData(model), np.zeros(6), []
+    mujoco.mj_kinematics(model, data)
+    hulls = [g for g in range(model.ngeom) if model.geom(g).name == "specimen"]
+    for index, zone in enumerate(built.cell.zones):
+        for hull in hulls:
+            geom = model.geom(f"zone_{index}").id
+            gap = mujoco.mj_geomDistance(model, data, geom, hull, 10.0, line)
+            if gap < 0:
+                problems.append(
+                    f"cell.zones.{index}: zone {zone.name!r} covers the specimen, by "
+                    f"{-gap / MM:.1f} mm: nothing could be imaged without entering it"
+                )
+    if problems:
+        raise ScenarioError(problems)
 
 
 def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmModel) -> Any:

@@ -52,15 +52,19 @@ def check(
     scenario: ScenarioFile,
     *,
     save: Annotated[Path | None, tyro.conf.arg(metavar="NPZ")] = None,
+    picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
     set_: Overrides = (),
 ) -> None:
     """Validate a scenario, build its specimen and plan its motion, without running it.
 
-    Names every view that an arm cannot reach or that would collide.
+    Names every view that an arm cannot reach or that would collide, a change that would cure that,
+    and draws the first of them.
 
     Args:
         save: File to write the plan to; with the key motion.plan a scenario follows it.
+        picture: File for the picture of a view that cannot be had.
     """
+    from twinct.cli.reach import explained
     from twinct.runs import check_physics, check_sight, findings, require_extras, require_feasible
     from twinct.scan import Workshop
 
@@ -69,6 +73,8 @@ def check(
     workshop, terminal = Workshop(loaded), TerminalProgress()
     with named_places(scenario, set_):
         check_physics(workshop)
+        with explained(workshop, picture):
+            _ = workshop.plan
         require_feasible(loaded, workshop.commanded)
         for warning in check_sight(workshop):
             terminal.say(warning, warning=True)
@@ -133,6 +139,9 @@ def render(
 ) -> None:
     """Picture of the operating room at one view.
 
+    A view that cannot be had is drawn all the same: what collides in red, source or panel as a
+    ghost where it shall be, its arm in the nearest configuration.
+
     Args:
         out: File to write.
         view: Which view source and panel shall be at.
@@ -140,6 +149,7 @@ def render(
         height: Height of the picture in pixels.
     """
     from twinct.cell import check_drawing, check_picture_size
+    from twinct.cli.reach import draw_anyway
     from twinct.errors import InputError
     from twinct.extras import require
     from twinct.files.writing import check_picture, storage_errors
@@ -156,8 +166,72 @@ def render(
         raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
     with named_places(scenario, set_), storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        workshop.draw(out, view, width, height)
+        for problem in draw_anyway(workshop, out, view, width, height):
+            TerminalProgress().say(problem, warning=True)
     Console().print(f"wrote {out}", highlight=False)
+
+
+@app.command
+def reach(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    radii: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MM")] = (),
+    odd: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None,
+    directions: int = 1000,
+    connected: Flag = False,
+    set_: Overrides = (),
+) -> None:
+    """Where source and panel can go: directions all over the sphere, at one radius or several.
+
+    Source and panel may be turned about the beam.
+
+    Args:
+        out: Folder for reach.json, reach.csv, and pictures of the sphere and of the room.
+        radii: Distances from the isocentre to the source (default: the scenario's).
+        odd: Distance from the isocentre to the panel (default: the scenario's).
+        directions: How many.
+        connected: Also seek collision-free ways between them, which takes minutes.
+    """
+    from twinct.cli.reach import reach_command
+
+    reach_command(scenario, set_, out, radii, odd, directions, connected)
+
+
+@app.command
+def place(
+    scenario: ScenarioFile,
+    *,
+    sphere: Flag = False,
+    save: Annotated[Path | None, tyro.conf.arg(metavar="YAML")] = None,
+    x: tuple[float, float] = (-1000.0, 1000.0),
+    y: tuple[float, float] = (-1000.0, 1000.0),
+    z: tuple[float, float] = (-800.0, 400.0),
+    standoff: tuple[float, float] = (100.0, 300.0),
+    tool_rotation: tuple[float, float] = (-180.0, 180.0),
+    samples: int = 128,
+    seed: int = 0,
+    set_: Overrides = (),
+) -> None:
+    """Where the arms had better stand for a scenario's trajectory, or for most of the sphere.
+
+    Args:
+        sphere: Serve as many directions as can be, source and panel turned about the beam.
+        save: Write a scenario with the keys that were found.
+        x: Lowest and highest position of a base, mm.
+        y: Lowest and highest position of a base, mm.
+        z: Lowest and highest position of a base, mm.
+        standoff: From flange to focal spot and panel centre, mm.
+        tool_rotation: Turn of the tools about the flange axis, deg.
+        samples: Places of each arm alone that are looked at first.
+        seed: Of the search.
+    """
+    from twinct.cli.reach import place_command
+    from twinct.reach import Bounds
+
+    place_command(
+        scenario, set_, sphere, save, Bounds(x, y, z, standoff, tool_rotation), samples, seed
+    )
 
 
 @app.command

@@ -69,6 +69,12 @@ class Workshop:
 
         return roll_free(self.scenario.motion, self.scenario.trajectory, self.scenario.source)
 
+    @property
+    def roll_free(self) -> tuple[bool, bool]:
+        """Whether source and panel may be turned about the beam, as far as the scheme can."""
+        reactive = self.scenario.motion.scheme == "reactive"
+        return (False, False) if reactive else self._roll_free
+
     @cached_property
     def commanded_poses(self) -> PosePairs:
         """The same, as poses of the two end-effectors."""
@@ -99,6 +105,13 @@ class Workshop:
         """The same room with the specimen as it looks, for pictures."""
         return self._cell_with(self.specimen.surface())
 
+    def cell_of(self, section: Cell) -> CellModel:
+        """The operating room as another section has it."""
+        from twinct.cell import build_cell
+
+        pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
+        return build_cell(section, self.hull, pose, panel)
+
     def _cell_with(self, mesh: Trimesh) -> CellModel:
         from twinct.cell import build_cell
 
@@ -122,12 +135,11 @@ class Workshop:
         scenario, source = self.scenario, self.scenario.source
         exposure_s = source.exposure_ms / 1000 if source.motion_samples > 1 else 0.0
         targets = PosePairs.from_geometry(self.asked).targets()
-        turns = (False, False) if scenario.motion.scheme == "reactive" else self._roll_free
         if file := scenario.motion.plan:
-            asked = Asked(targets, turns, any_order=scenario.motion.order != "given")
+            asked = Asked(targets, self.roll_free, any_order=scenario.motion.order != "given")
             return checked_plan(load_plan(file), self.cell, scenario.motion, asked, str(file))
         return plan_motion(
-            self.cell, scenario.motion, targets, roll_free=turns, exposure_s=exposure_s
+            self.cell, scenario.motion, targets, roll_free=self.roll_free, exposure_s=exposure_s
         )
 
     @property

@@ -1,7 +1,17 @@
 """The scenario: one YAML file that initialises everything."""
 
 from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, TwoMaterialHardening
-from twinct.scenario.cell import AnyCell, Arm, Cell, DetectorArm, GantryCell, SourceArm, Table
+from twinct.scenario.cell import (
+    AnyCell,
+    Arm,
+    Capsule,
+    Cell,
+    DetectorArm,
+    GantryCell,
+    SourceArm,
+    Table,
+    Zone,
+)
 from twinct.scenario.composition import Composition
 from twinct.scenario.detector import (
     BadPixels,
@@ -24,7 +34,13 @@ from twinct.scenario.detector import (
     SnrNoise,
 )
 from twinct.scenario.digests import stage_digests
-from twinct.scenario.loading import load_scenario, named_places, parse_scenario, scenario_schema
+from twinct.scenario.loading import (
+    load_scenario,
+    named_places,
+    parse_scenario,
+    scenario_schema,
+    write_scenario,
+)
 from twinct.scenario.motion import InverseKinematics, Motion
 from twinct.scenario.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
 from twinct.scenario.scenario import AnyTrajectory, Scenario
@@ -60,6 +76,7 @@ __all__ = [
     "BadPixels",
     "BeamHardening",
     "Box",
+    "Capsule",
     "Cell",
     "Composition",
     "Correction",
@@ -112,9 +129,11 @@ __all__ = [
     "TubeSpectrum",
     "TwoMaterialHardening",
     "Uncertainty",
+    "Zone",
     "load_scenario",
     "named_places",
     "parse_scenario",
     "scenario_schema",
     "stage_digests",
+    "write_scenario",
 ]

@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from twinct.geometry import Pose
+from twinct.scenario.specimen import Box, Cylinder, Sphere
 from twinct.settings import (
     Conflict,
     ConflictError,
@@ -145,6 +147,30 @@ class Table(Section):
     holder_radius_mm: Positive = setting(30.0, "Radius of the specimen holder's post.")
 
 
+class Capsule(Section):
+    """A cylinder with round ends along the zone's z axis, centred."""
+
+    kind: Literal["capsule"]
+    radius_mm: Positive = Field(description="Radius.")
+    length_mm: Positive = Field(description="Between the centres of the round ends.")
+
+
+class Zone(Section):
+    """A part of the room that the arms keep clear of, such as a patient's shoulders or staff."""
+
+    name: str = Field(min_length=1, description="What messages call it.")
+    shape: Annotated[Box | Sphere | Cylinder | Capsule, Field(discriminator="kind")] = Field(
+        description="Its shape."
+    )
+    position_mm: Vector = setting((0.0, 0.0, 0.0), "Its middle in the world.")
+    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
+
+    @property
+    def world_from_zone(self) -> Pose:
+        """Where it is."""
+        return Pose.from_euler(self.position_mm, self.rotation_deg)
+
+
 DEFAULT_KIND = "arms"
 
 
@@ -157,6 +183,17 @@ class Cell(Section):
     table: Table = setting(Table(), "The table.")
     floor_z_mm: Finite = setting(-1200.0, "Height of the floor.")
     timestep_ms: float = setting(2.0, "Step of the dynamic simulation.", gt=0, le=10)
+    zones: tuple[Zone, ...] = setting(
+        (), "Forbidden zones: the arms keep clear of them; no image shows them."
+    )
+
+    @model_validator(mode="after")
+    def _zones_have_names_of_their_own(self) -> Cell:
+        names = [zone.name for zone in self.zones]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            what = f"{', '.join(twice)}: two zones have the same name"
+            raise ConflictError(Conflict(what, ("zones",)))
+        return self
 
 
 class GantryCell(Section):

@@ -47,6 +47,7 @@ STAGES: dict[StageName, _Stage] = {
         (
             *("trajectory", "detector.columns", "detector.rows", "detector.pixel_pitch_mm"),
             *("specimen.position_mm", "specimen.rotation_deg", "cell.table", "cell.floor_z_mm"),
+            "cell.zones",
             *("cell.*_arm.model", "cell.*_arm.base_position_mm", "cell.*_arm.base_rotation_deg"),
             *("cell.*_arm.file", "cell.*_arm.base", "cell.*_arm.flange", "cell.*_arm.home"),
             *("cell.*_arm.standoff_mm", "cell.*_arm.tool_rotation_deg"),

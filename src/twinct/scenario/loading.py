@@ -10,9 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import yaml
 from pydantic import ValidationError
 
 from twinct.errors import InputError, ScenarioError
+from twinct.files.writing import write_text
 from twinct.scenario.messages import place, problems
 from twinct.scenario.reading import Draft, drafted, key_of
 from twinct.scenario.scenario import Scenario
@@ -43,6 +45,17 @@ def load_scenario(
             f"{place(draft, key_of(key))}no file at {file}" for key, file in missing.items()
         )
     return scenario
+
+
+def write_scenario(
+    path: Path, source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
+) -> None:
+    """Write what a scenario sets, with all that it extends and overrides, as one file.
+
+    The other arguments are those of ``load_scenario``; files that it names become absolute.
+    """
+    text = yaml.safe_dump(drafted(source, overrides).data, sort_keys=False, allow_unicode=True)
+    write_text(path, text)
 
 
 @contextmanager

@@ -1,0 +1,230 @@
+"""The commands about reach: where the arms can go, where to stand, why a view cannot be had."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from twinct.cli.progress import TerminalProgress
+from twinct.errors import InputError, TrajectoryError
+from twinct.extras import require
+from twinct.files.writing import check_folder, check_picture, storage_errors
+from twinct.reach import (
+    Bounds,
+    Holder,
+    Poses,
+    fibonacci_directions,
+    place,
+    poses_of,
+    reach,
+    reasons,
+    shown,
+)
+from twinct.reach.results import draw_room, draw_sphere, shares, write_tables
+from twinct.scan import Workshop
+from twinct.scenario import Cell, Scenario, load_scenario, named_places, write_scenario
+from twinct.trajectory import OrbitSettings
+
+SEARCHED_VIEWS = 60
+"""Views of a trajectory by which a search goes, evenly among all."""
+
+SEARCHED_DIRECTIONS = 150
+"""Directions by which a search for the most of the sphere goes."""
+
+JUDGED_DIRECTIONS = 1000
+"""Directions by which its end is judged."""
+
+
+def arms_of(scenario: Scenario) -> Cell:
+    """The section with two arms.
+
+    Raises:
+        InputError: it is a gantry, which goes anywhere.
+        MissingExtraError: what arms need is not installed.
+    """
+    if not isinstance(scenario.cell, Cell):
+        raise InputError(f"cell.kind: {scenario.cell.kind}: it goes anywhere; reach is of arms")
+    require("robots")
+    return scenario.cell
+
+
+def _orbit(workshop: Workshop) -> tuple[float, float, np.ndarray]:
+    """SOD, ODD and isocentre, mm; of views from a file their means about the specimen."""
+    section = workshop.scenario.trajectory
+    if isinstance(section, OrbitSettings):
+        return section.sod_mm, section.sdd_mm - section.sod_mm, np.array(section.isocentre_mm)
+    centre = workshop.scenario.specimen.world_from_specimen.position
+    views = workshop.asked
+    far = [
+        np.linalg.norm(points - centre, axis=1).mean() for points in (views.source, views.detector)
+    ]
+    return float(far[0]), float(far[1]), centre
+
+
+def reach_command(
+    scenario: Path,
+    set_: Sequence[str],
+    out: Path | None,
+    radii: Sequence[float],
+    odd: float | None,
+    directions: int,
+    connected: bool,
+) -> None:
+    """Ask, print the shares, and write tables and pictures where a folder is named."""
+    loaded = load_scenario(scenario, set_)
+    arms_of(loaded)
+    if out is not None:
+        check_folder(out)
+    workshop = Workshop(loaded)
+    with named_places(scenario, set_):
+        sod, its_odd, centre = _orbit(workshop)
+        found = reach(
+            workshop.cell,
+            loaded.motion,
+            directions=directions,
+            sod_mm=radii or (sod,),
+            odd_mm=its_odd if odd is None else odd,
+            isocentre_mm=centre,
+            connected=connected,
+            progress=TerminalProgress(),
+        )
+        rows = shares(found)
+    table = Table(title=f"{loaded.name}: of {directions} directions")
+    table.add_column("SOD, mm")
+    names = [n for n in ("source", "detector", "both", "connected") if n in rows[0]]
+    for name in (*names, "median clearance", "median joint margin"):
+        table.add_column(name)
+    for row in rows:
+        figures = [f"{100 * row[name]:.1f} %" for name in names]
+        gap, margin = row.get("median_clearance_mm"), row.get("median_margin_deg")
+        figures += ["-" if gap is None else f"{gap:.1f} mm"]
+        figures += ["-" if margin is None else f"{margin:.0f} deg"]
+        table.add_row(f"{row['sod_mm']:g}", *figures)
+    Console().print(table)
+    if out is None:
+        return
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+        write_tables(found, out)
+        for k, one in enumerate(found.sod_mm.tolist()):
+            draw_sphere(found, out / f"sphere_{one:g}.png", k, loaded.name)
+            draw_room(found, workshop.room, out / f"room_{one:g}.png", k)
+    Console().print(f"wrote {out}", highlight=False)
+
+
+def place_command(
+    scenario: Path,
+    set_: Sequence[str],
+    sphere: bool,
+    save: Path | None,
+    bounds: Bounds,
+    samples: int,
+    seed: int,
+) -> None:
+    """Search, print what to write into the scenario, and write one with it where asked."""
+    loaded = load_scenario(scenario, set_)
+    cell = arms_of(loaded)
+    workshop, progress = Workshop(loaded), TerminalProgress()
+    with named_places(scenario, set_):
+        free, searched, judged = _views_to_serve(workshop, sphere)
+        found = place(
+            cell,
+            workshop.cell_of,
+            loaded.motion,
+            searched,
+            roll_free=free,
+            bounds=bounds,
+            samples=samples,
+            seed=seed,
+            progress=progress,
+        )
+        before, after = (
+            Holder(workshop.cell_of(one), loaded.motion, roll_free=free).held(judged).mean()
+            for one in (cell, found.cell)
+        )
+    what = "directions" if sphere else "views"
+    progress.say(
+        f"both arms hold {100 * before:.1f} % of {len(judged)} {what} before, {100 * after:.1f} % "
+        f"after; {found.judged} cells were judged by {len(searched)} {what}, seed {seed}"
+    )
+    for override in found.overrides:
+        progress.say(override)
+    if save is not None:
+        with storage_errors(save):
+            write_scenario(save, scenario, [*set_, *found.overrides])
+        progress.say(f"wrote {save}")
+
+
+def _views_to_serve(workshop: Workshop, sphere: bool) -> tuple[tuple[bool, bool], Poses, Poses]:
+    """Which rolls are free, the views by which the search goes, and those that judge its end."""
+    if sphere:
+        sod, odd, centre = _orbit(workshop)
+        panel = workshop.scenario.detector.panel
+        searched, judged = (
+            poses_of(fibonacci_directions(count), sod, odd, centre, panel)
+            for count in (SEARCHED_DIRECTIONS, JUDGED_DIRECTIONS)
+        )
+        return (True, True), searched, judged
+    poses = _asked(workshop)
+    some = np.unique(np.linspace(0, len(poses) - 1, SEARCHED_VIEWS).astype(int))
+    return workshop.roll_free, poses[some], poses
+
+
+def _asked(workshop: Workshop) -> Poses:
+    return Poses.of(workshop.asked.source_poses(), workshop.asked.detector_poses())
+
+
+@contextmanager
+def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
+    """Let views that cannot be had be told with the cure that was found, and a picture of one.
+
+    Raises:
+        TrajectoryError: the same, with more sentences.
+    """
+    try:
+        yield
+    except TrajectoryError as error:
+        scenario = workshop.scenario
+        if not isinstance(scenario.cell, Cell):
+            raise
+        poses, free = _asked(workshop), workshop.roll_free
+        views, words = reasons(scenario.cell, workshop.cell_of, scenario.motion, poses, free)
+        if views:
+            words += _pictured(workshop, picture, views[0])
+        raise TrajectoryError([*error.problems, *words]) from error
+
+
+def draw_anyway(workshop: Workshop, path: Path, view: int, width: int, height: int) -> list[str]:
+    """Picture of a view, also of one that cannot be had; returns what is wrong with it then."""
+    from twinct.cell import render_cell
+
+    try:
+        workshop.draw(path, view, width, height)
+        return []
+    except TrajectoryError as error:
+        if not isinstance(workshop.scenario.cell, Cell):
+            raise
+        one = shown(_holder(workshop), _asked(workshop), view)
+        render_cell(workshop.room, path, one.joints, width, height, one.marks)
+        return list(one.words or error.problems)
+
+
+def _pictured(workshop: Workshop, picture: Path, view: int) -> list[str]:
+    """Draw a view; how to find the picture, or why there is none."""
+    from twinct.cell import render_cell
+
+    check_picture(picture)
+    one = shown(_holder(workshop), _asked(workshop), view)
+    with storage_errors(picture):
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        render_cell(workshop.room, picture, one.joints, marks=one.marks)
+    return [f"picture of view {view}: {picture}"]
+
+
+def _holder(workshop: Workshop) -> Holder:
+    return Holder(workshop.cell, workshop.scenario.motion, roll_free=workshop.roll_free)

@@ -1,0 +1,21 @@
+"""Where the arms can go, where they had better stand, and why a view cannot be had."""
+
+from twinct.reach.holding import Holder, Poses
+from twinct.reach.place import Bounds, Placement, place
+from twinct.reach.sphere import Reach, fibonacci_directions, poses_of, reach
+from twinct.reach.why import View, reasons, shown
+
+__all__ = [
+    "Bounds",
+    "Holder",
+    "Placement",
+    "Poses",
+    "Reach",
+    "View",
+    "fibonacci_directions",
+    "place",
+    "poses_of",
+    "reach",
+    "reasons",
+    "shown",
+]

@@ -1,0 +1,120 @@
+"""Which held directions are joined by collision-free ways.
+
+Configurations of neighbouring directions are joined by straight joint paths where those are clear,
+the nearest first, and only between parts that are not joined yet. What is left apart from the
+largest part is tried with detours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
+from scipy.spatial import KDTree
+
+from twinct.geometry import Floats
+from twinct.motion.detour import Detours
+from twinct.motion.feasible import Feasible, Flags, Indices
+from twinct.progress import Progress
+from twinct.reach.holding import Holder
+
+NEIGHBOURS = 8
+"""Directions about each, itself included, between whose configurations ways are sought."""
+
+FARTHEST_RAD = 1.5
+"""Largest turn of a joint on a straight path that is tried."""
+
+AT_ONCE = 32
+"""Straight paths judged together."""
+
+TRIES = 3
+"""Detours tried from a part to the largest one, from the nearest pairs of configurations on."""
+
+EFFORT = 1
+"""Which of the detours' efforts is made."""
+
+
+def joined(
+    holder: Holder, directions: Floats, nodes: Mapping[int, Floats], progress: Progress
+) -> list[int]:
+    """The largest set of directions that ways join.
+
+    Args:
+        holder: of the cell.
+        directions: unit vectors, (d, 3).
+        nodes: configurations of the directions that are held, (m, n) each.
+        progress: hears how far it is.
+    """
+    if not nodes:
+        return []
+    cell, least_mm = holder.cell, holder.least_mm
+    joints = np.vstack(list(nodes.values()))
+    whose = np.repeat(list(nodes), [len(of) for of in nodes.values()])
+    turns = np.ptp(cell.joint_ranges, axis=1) > 3 * np.pi
+    room, parts = Feasible(cell), DisjointSet(range(len(joints)))
+    edges = _edges(directions, joints, whose, turns)
+    with progress.stage("straight ways", len(edges)) as step:
+        for start in range(0, len(edges), AT_ONCE):
+            some = edges[start : start + AT_ONCE]
+            open_ = [(a, b) for a, b in some.tolist() if not parts.connected(a, b)]
+            for _ in some:
+                step()
+            if not open_:
+                continue
+            a, b = np.array(open_).T
+            good = room.straight(joints[a], joints[a] + _way(joints[a], joints[b], turns), least_mm)
+            for one, other in zip(a[good].tolist(), b[good].tolist(), strict=True):
+                parts.merge(one, other)
+    speeds = cell.speed_limits * cell.speed_scales
+    detours = Detours(room, cell.joint_ranges, speeds, cell.arm_joints, 0)
+    of_node = np.array([parts[node] for node in range(len(joints))])
+    largest = _largest(of_node, whose)
+    others = [part for part in np.unique(of_node) if part != largest]
+    with progress.stage("detours", len(others)) as step:
+        for part in others:
+            step()
+            of_node = np.array([parts[node] for node in range(len(joints))])
+            main, mine = np.flatnonzero(of_node == parts[largest]), np.flatnonzero(of_node == part)
+            if np.isin(whose[mine], whose[main]).all():
+                continue
+            far = np.abs(_way(joints[mine][:, None], joints[main], turns)).max(axis=2)
+            pairs = np.stack([mine, main[far.argmin(axis=1)]], axis=1)
+            for a, b in pairs[np.argsort(far.min(axis=1), kind="stable")][:TRIES].tolist():
+                if detours.between(joints[a], joints[b], least_mm, EFFORT) is not None:
+                    parts.merge(a, b)
+                    break
+    of_node = np.array([parts[node] for node in range(len(joints))])
+    return sorted(set(whose[of_node == _largest(of_node, whose)].tolist()))
+
+
+def _way(start: Floats, end: Floats, turns: Flags) -> Floats:
+    """What each joint turns, on the shorter side where it can go round."""
+    way = end - start
+    return np.where(turns, (way + np.pi) % (2 * np.pi) - np.pi, way)
+
+
+def _edges(directions: Floats, joints: Floats, whose: Indices, turns: Flags) -> Indices:
+    """Each node with the nearest one of each direction about its own, nearest first, (e, 2)."""
+    views = np.unique(whose)
+    _, near = KDTree(directions[views]).query(directions[views], min(NEIGHBOURS, len(views)))
+    found = []
+    for view, others in zip(views, views[near.reshape(len(views), -1)], strict=True):
+        mine = np.flatnonzero(whose == view)
+        for other in others:
+            theirs = np.flatnonzero(whose == other)
+            far = np.abs(_way(joints[mine][:, None], joints[theirs], turns)).max(axis=2)
+            far[mine[:, None] == theirs] = np.inf
+            found.append(np.stack([far.min(axis=1), mine, theirs[far.argmin(axis=1)]], axis=1))
+    edges = np.vstack(found)
+    edges = edges[edges[:, 0] < FARTHEST_RAD]
+    edges = edges[np.argsort(edges[:, 0], kind="stable"), 1:].astype(np.intp)
+    _, first = np.unique(np.sort(edges, axis=1), axis=0, return_index=True)
+    return edges[np.sort(first)]
+
+
+def _largest(of_node: Indices, whose: Indices) -> int:
+    """Of the parts the one with configurations of the most directions."""
+    labels, part = np.unique(of_node, return_inverse=True)
+    views = np.unique(np.stack([part, whose], axis=1), axis=0)[:, 0]
+    return int(labels[np.bincount(views).argmax()])

@@ -1,0 +1,201 @@
+"""Which poses the arms can hold, clear of themselves, of the room and of each other.
+
+Each arm alone first, which is independent of the other, then pairs until one is clear. Where the
+last joint turns the tool about the beam, a free roll is that joint's alone: the rest is solved
+once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twinct.cell import CellModel
+from twinct.geometry import Floats, Pose
+from twinct.motion import Kinematics
+from twinct.motion.branches import SEARCH_STARTS, SIDES, Branches, Configurations, matrices
+from twinct.motion.feasible import Feasible
+from twinct.motion.way import kept_mm
+from twinct.scenario import Motion
+
+ROLLS_DEG = np.array([0.0, 90.0, 45.0, 135.0, 180.0, 270.0, 225.0, 315.0, *range(15, 360, 15)])
+"""Turns about the beam, in the order in which they are tried where they are free."""
+
+ROLLS_KEPT = 2
+"""Clear turns of a branch that are told; more tell nothing of reach."""
+
+PAIRS_AT_ONCE = 8
+"""Pairs of configurations of one view that are judged together."""
+
+SAME_MM, SAME_RAD = 1e-6, 1e-9
+"""A last joint that moves the tool by less than this, its turn aside, only turns it."""
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Where source and panel shall be in each of some views, ``world_from_tool``, (p, 4, 4), mm."""
+
+    source: Floats
+    detector: Floats
+
+    @classmethod
+    def of(cls, sources: Sequence[Pose], detectors: Sequence[Pose]) -> Poses:
+        """From poses."""
+        return cls(matrices(list(sources)), matrices(list(detectors)))
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return len(self.source)
+
+    def __getitem__(self, views: Sequence[int] | NDArray[np.intp]) -> Poses:
+        """Some of them."""
+        return Poses(self.source[views], self.detector[views])
+
+
+class Holder:
+    """Asks of one cell what its arms can hold; keeps the clearance that a way keeps."""
+
+    def __init__(
+        self,
+        cell: CellModel,
+        motion: Motion,
+        *,
+        roll_free: tuple[bool, bool] = (True, True),
+        starts: int = SEARCH_STARTS,
+        rolls: int = len(ROLLS_DEG),
+        seed: int = 0,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            cell: the room.
+            motion: tolerances, and the clearance asked for.
+            roll_free: whether source and panel may be turned about their own axis.
+            starts: random starts for each pose of an arm without closed form.
+            rolls: how many of ROLLS_DEG are tried at most.
+            seed: of that search.
+        """
+        self.cell, self.least_mm = cell, kept_mm(motion)
+        self.motion, self._starts, self._seed = motion, starts, seed
+        self._rolls = [np.radians(ROLLS_DEG[: rolls if free else 1]) for free in roll_free]
+        self._cross = Feasible(cell, "cross")
+
+    def alone(self, poses: Floats, arm: int) -> Configurations:
+        """What holds poses of one arm, clear of itself and the room.
+
+        Args:
+            poses: ``world_from_tool``, (p, 4, 4), mm.
+            arm: 0 source, 1 detector.
+        """
+        branches = Branches(self.cell, arm, self.motion.ik, self._seed)
+        room, rolls = Feasible(self.cell, SIDES[arm]), self._rolls[arm]
+        found = branches.of(poses, self._starts)
+        if not self._last_joint_rolls(arm):
+            return self._rolled(branches, room, poses, arm)
+        low, high = self.cell.joint_ranges[self.cell.arm_joints[arm]][-1]
+        count, kept = np.zeros(len(found.pose), int), []
+        for roll in rolls:
+            open_ = np.flatnonzero(count < ROLLS_KEPT)
+            joints = found.joints[open_].copy()
+            joints[:, -1] = (joints[:, -1] + roll + np.pi) % (2 * np.pi) - np.pi
+            if roll == 0:  # as it was found, which is inside its range
+                joints[:, -1] = found.joints[open_, -1]
+            good = (joints[:, -1] >= low) & (joints[:, -1] <= high)
+            good[good] = room.clear(self.placed(joints[good], arm), self.least_mm)
+            count[open_] += good
+            kept.append((joints[good], found.pose[open_[good]]))
+        joints, pose = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+        order = np.argsort(pose, kind="stable")
+        return Configurations(joints[order], pose[order])
+
+    def can(self, poses: Floats, arm: int) -> Flags:
+        """Whether an arm holds poses, clear of itself and the room; less work than ``alone``."""
+        branches = Branches(self.cell, arm, self.motion.ik, self._seed)
+        room, held = Feasible(self.cell, SIDES[arm]), np.zeros(len(poses), bool)
+        found = branches.of(poses, self._starts)
+        # One configuration after the other of each pose, until one is clear.
+        turn = np.arange(len(found.pose)) - np.searchsorted(found.pose, found.pose)
+        for k in range(int(turn.max(initial=-1)) + 1):
+            mine = np.flatnonzero((turn == k) & ~held[found.pose])
+            clear = room.clear(self.placed(found.joints[mine], arm), self.least_mm)
+            held[found.pose[mine[clear]]] = True
+        left = np.flatnonzero(~held)
+        if len(self._rolls[arm]) > 1 and len(left):
+            held[left[np.unique(self.alone(poses[left], arm).pose)]] = True
+        return held
+
+    def any_clearance(self, poses: Floats, arm: int) -> Configurations:
+        """What holds poses of one arm, whatever it collides with."""
+        return Branches(self.cell, arm, self.motion.ik, self._seed).of(poses, self._starts)
+
+    def held(self, poses: Poses) -> Flags:
+        """Which views both arms can hold, clear of each other too, (p,)."""
+        return self.held_by(poses)[0]
+
+    def held_by(self, poses: Poses) -> tuple[Flags, Flags]:
+        """Which views both arms can hold, (p,), and each alone, (2, p)."""
+        found = self.alone(poses.source, 0), self.alone(poses.detector, 1)
+        held, alone = np.zeros(len(poses), bool), np.zeros((2, len(poses)), bool)
+        for flags, of in zip(alone, found, strict=True):
+            flags[of.pose] = True
+        for view in np.flatnonzero(alone.all(axis=0)).tolist():
+            held[view] = len(self.pairs(found[0], found[1], view)) > 0
+        return held, alone
+
+    def _rolled(
+        self, branches: Branches, room: Feasible, poses: Floats, arm: int
+    ) -> Configurations:
+        """The same for an arm whose last joint does more than turn the tool."""
+        turned = np.zeros((len(self._rolls[arm]), 4, 4))
+        turned[:, 3, 3] = 1
+        turned[:, :3, :3] = Rotation.from_euler("z", self._rolls[arm][:, None]).as_matrix()
+        found = branches.of((poses[:, None] @ turned).reshape(-1, 4, 4), self._starts)
+        clear = room.clear(self.placed(found.joints, arm), self.least_mm)
+        return Configurations(found.joints[clear], found.pose[clear] // len(turned))
+
+    def _last_joint_rolls(self, arm: int) -> bool:
+        kinematics = Kinematics(self.cell, self.motion.ik)
+        joints = np.full(len(self.cell.joint_names), 0.3)
+        before = kinematics.poses(joints)[arm]
+        joints[self.cell.arm_joints[arm].stop - 1] += 1.0
+        after = before.inverse() @ kinematics.poses(joints)[arm]
+        turned = Rotation.from_euler("z", 1.0) * Rotation.from_quat(after.quat).inv()
+        here = np.linalg.norm(after.position) < SAME_MM
+        return bool(here and turned.magnitude() < SAME_RAD)
+
+    def placed(self, joints: Floats, arm: int) -> Floats:
+        """Configurations of one arm among those of the cell, (m, n)."""
+        placed = np.zeros((len(joints), len(self.cell.joint_names)))
+        placed[:, self.cell.arm_joints[arm]] = joints
+        return placed
+
+    def pairs(
+        self, source: Configurations, detector: Configurations, view: int, enough: int = 1
+    ) -> Floats:
+        """Configurations of both arms that hold a view, clear of each other, (m, n).
+
+        Args:
+            source: what holds its poses.
+            detector: what holds its.
+            view: index of the pose of both.
+            enough: the search ends with so many, or some more.
+        """
+        a, b = (
+            c.joints[slice(*np.searchsorted(c.pose, (view, view + 1)))] for c in (source, detector)
+        )
+        # Along the diagonals, so that no configuration has to wait for all of another.
+        i, j = np.indices((len(a), len(b))).reshape(2, -1)
+        order = np.argsort(i + j, kind="stable")
+        joints, found = np.hstack([a[i[order]], b[j[order]]]), []
+        for start in range(0, len(joints), PAIRS_AT_ONCE):
+            part = joints[start : start + PAIRS_AT_ONCE]
+            found.append(part[self._cross.clear(part, self.least_mm)])
+            if sum(map(len, found)) >= enough:
+                break
+        return np.vstack([joints[:0], *found])

@@ -1,0 +1,292 @@
+"""Where the arms had better stand: base positions and stand-offs that serve given views best.
+
+A search in two stages, the same for the same seed. First each arm alone, which does not depend on
+the other: spread over the bounds by a Halton sequence, its own pose among them, it is asked which
+views it can hold. Then the most promising pairs are judged together, and the best of them improved
+coordinate by coordinate with steps that are halved when none helps (pattern search; Hooke and
+Jeeves, "Direct search solution of numerical and statistical problems", JACM 8, 1961).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from twinct.cell import CellModel
+from twinct.errors import InputError, ScenarioError
+from twinct.geometry import Floats
+from twinct.motion.branches import SIDES
+from twinct.progress import SILENT, Progress
+from twinct.reach.holding import Flags, Holder, Poses
+from twinct.scenario import Cell, Motion
+
+SAMPLES = 128
+"""Places of each arm alone, its own besides."""
+
+PAIRS = 24
+"""Pairs of places that are judged together."""
+
+USES = 3
+"""Of these, so many have the same place of an arm."""
+
+IMPROVED = 2
+"""Of these, so many are improved."""
+
+STEPS = (80.0, 40.0, 20.0)
+"""Steps of the improvement, mm, and deg of the tool's rotation; half of it for the stand-off."""
+
+ALONE_COUNTS = 0.05
+"""What views that an arm holds alone count beside those of both: plateaus have a slope."""
+
+BASES_APART_MM = 450.0
+"""Two bases are at least so far from each other."""
+
+STARTS = 8
+"""Random starts of the search for a pose, for arms without closed form."""
+
+ROLLS = 2
+"""Turns about the beam that are tried while searching: upright and across."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Where the arms may stand, each a range (lowest, highest).
+
+    Attributes:
+        x_mm: of each base.
+        y_mm: likewise.
+        z_mm: likewise.
+        standoff_mm: of source and panel.
+        tool_rotation_deg: of source and panel, where they may not be turned about the beam.
+    """
+
+    x_mm: tuple[float, float] = (-1000.0, 1000.0)
+    y_mm: tuple[float, float] = (-1000.0, 1000.0)
+    z_mm: tuple[float, float] = (-800.0, 400.0)
+    standoff_mm: tuple[float, float] = (100.0, 300.0)
+    tool_rotation_deg: tuple[float, float] = (-180.0, 180.0)
+
+    def __post_init__(self) -> None:
+        """Refuse what is no range."""
+        for name, (low, high) in vars(self).items():
+            if not (np.isfinite([low, high]).all() and low <= high):
+                raise InputError(f"bounds of {name}: {low:g} to {high:g} is no range")
+
+    @property
+    def ranges(self) -> Floats:
+        """As an array, (5, 2)."""
+        return np.array(list(vars(self).values()))
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """What a search found.
+
+    Attributes:
+        cell: the section with the base poses, stand-offs and tool rotations that were found.
+        before: which of the views both arms held before, (p,).
+        after: which they hold now, (p,).
+        judged: how many cells were judged.
+    """
+
+    cell: Cell
+    before: Flags
+    after: Flags
+    judged: int
+
+    @property
+    def overrides(self) -> list[str]:
+        """The keys that were sought, each as ``--set`` takes it."""
+        return [
+            f"cell.{side}_arm.{key}={list(value) if isinstance(value, tuple) else value}"
+            for side in SIDES
+            for key in ("base_position_mm", "base_rotation_deg", "standoff_mm", "tool_rotation_deg")
+            for value in (getattr(getattr(self.cell, f"{side}_arm"), key),)
+        ]
+
+
+def place(
+    cell: Cell,
+    build: Callable[[Cell], CellModel],
+    motion: Motion,
+    poses: Poses,
+    *,
+    roll_free: tuple[bool, bool] = (True, True),
+    bounds: Bounds | None = None,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    progress: Progress = SILENT,
+) -> Placement:
+    """Find where the arms serve most of some views.
+
+    Base rotations stay but for the turn about the vertical, with which a base faces the middle of
+    the views.
+
+    Args:
+        cell: the room, with the arms as they stand.
+        build: composes a room.
+        motion: tolerances, and the clearance asked for.
+        poses: the views; a few hundred tell enough.
+        roll_free: whether source and panel may be turned about the beam.
+        bounds: where the arms may stand.
+        samples: places of each arm that are looked at first.
+        seed: of the search.
+        progress: hears how far it is.
+
+    Raises:
+        MissingExtraError: mink is not installed.
+    """
+    search = _Search(cell, build, motion, poses, roll_free, bounds or Bounds(), seed)
+    return search.run(samples, progress)
+
+
+class _Search:
+    def __init__(
+        self,
+        cell: Cell,
+        build: Callable[[Cell], CellModel],
+        motion: Motion,
+        poses: Poses,
+        roll_free: tuple[bool, bool],
+        bounds: Bounds,
+        seed: int,
+    ) -> None:
+        self._cell, self._build, self._motion, self._poses = cell, build, motion, poses
+        self._roll_free, self._ranges, self._seed = roll_free, bounds.ranges, seed
+        self._middle = (poses.source[:, :3, 3] + poses.detector[:, :3, 3]).mean(axis=0) / 2
+        self._known: dict[bytes, tuple[float, Flags]] = {}
+        # A turn about the beam makes the tool's rotation one with it.
+        self._open = [slice(0, 4 if free else 5) for free in roll_free]
+
+    def run(self, samples: int, progress: Progress) -> Placement:
+        own = np.array([self._told(arm) for arm in range(2)])
+        alone = []
+        with progress.stage("places of each arm", 2 * (samples + 1)) as step:
+            for arm in range(2):
+                points = qmc.Halton(5, rng=self._seed).random(samples)
+                points = qmc.scale(points, *self._ranges.T + [[0], [1e-9]])
+                points[:, self._open[arm].stop :] = own[arm, self._open[arm].stop :]
+                alone.append([])
+                for point in (own[arm], *points):
+                    step()
+                    alone[arm].append((point, self._alone(point, arm)))
+        before = self._judged(own)
+        pairs = self._promising(alone)
+        with progress.stage("pairs of places", len(pairs)) as step:
+            for pair in pairs:
+                self._judged(pair)
+                step()
+        best = sorted([own, *pairs], key=lambda pair: -self._judged(pair)[0])[:IMPROVED]
+        with progress.stage("improved", len(best) * len(STEPS)) as step:
+            best = [self._improved(pair, step) for pair in best]
+        best = max(best, key=lambda pair: self._judged(pair)[0])
+        return Placement(self._as_cell(best), before[1], self._judged(best)[1], len(self._known))
+
+    def _told(self, arm: int) -> Floats:
+        """Where an arm is: base x, y, z, stand-off, tool rotation."""
+        section = (self._cell.source_arm, self._cell.detector_arm)[arm]
+        return np.array([*section.base_position_mm, section.standoff_mm, section.tool_rotation_deg])
+
+    def _as_cell(self, pair: Floats) -> Cell:
+        arms = {}
+        for arm, point in enumerate(pair):
+            section = (self._cell.source_arm, self._cell.detector_arm)[arm]
+            if not np.array_equal(point, self._told(arm)):
+                x, y, z, standoff, turn = (round(float(value), 1) for value in point)
+                facing = np.degrees(np.arctan2(self._middle[1] - y, self._middle[0] - x))
+                rotation = (*section.base_rotation_deg[:2], round(float(facing), 1))
+                section = section.model_copy(
+                    update={
+                        "base_position_mm": (x, y, z),
+                        "base_rotation_deg": rotation,
+                        "standoff_mm": standoff,
+                        "tool_rotation_deg": turn,
+                    }
+                )
+            arms[f"{SIDES[arm]}_arm"] = section
+        return self._cell.model_copy(update=arms)
+
+    def _holder(self, cell: Cell) -> Holder | None:
+        try:
+            model = self._build(cell)
+        except ScenarioError:  # such as a stand-off that leaves no room for the panel's housing
+            return None
+        return Holder(
+            model,
+            self._motion,
+            roll_free=self._roll_free,
+            starts=STARTS,
+            rolls=ROLLS,
+            seed=self._seed,
+        )
+
+    def _alone(self, point: Floats, arm: int) -> Flags:
+        """Which views an arm holds with the other far away."""
+        pair = np.array([self._told(0), self._told(1)])
+        pair[arm] = point
+        holder = self._holder(self._as_cell(pair))
+        if holder is None:
+            return np.zeros(len(self._poses), bool)
+        return holder.can((self._poses.source, self._poses.detector)[arm], arm)
+
+    def _promising(self, alone: list[list[tuple[Floats, Flags]]]) -> list[Floats]:
+        """Pairs of places whose arms alone hold the most views in common."""
+        masks = [np.array([flags for _, flags in of]).astype(int) for of in alone]
+        count, pairs = masks[0] @ masks[1].T, []
+        uses = [np.zeros(len(of), int) for of in alone]
+        for index in np.argsort(-count, axis=None, kind="stable").tolist():
+            i, j = divmod(index, count.shape[1])
+            pair = np.array([alone[0][i][0], alone[1][j][0]])
+            if uses[0][i] < USES and uses[1][j] < USES and self._allowed(pair):
+                uses[0][i] += 1
+                uses[1][j] += 1
+                pairs.append(pair)
+                if len(pairs) == PAIRS:
+                    break
+        return pairs
+
+    def _allowed(self, pair: Floats) -> bool:
+        return bool(np.linalg.norm(pair[0, :2] - pair[1, :2]) >= BASES_APART_MM)
+
+    def _judged(self, pair: Floats) -> tuple[float, Flags]:
+        """How good a pair of places is, and which views both arms hold there."""
+        key = pair.tobytes()
+        if key not in self._known:
+            self._known[key] = self._judge(pair)
+        return self._known[key]
+
+    def _judge(self, pair: Floats) -> tuple[float, Flags]:
+        holder = self._holder(self._as_cell(pair))
+        if holder is None:
+            return -1.0, np.zeros(len(self._poses), bool)
+        held, alone = holder.held_by(self._poses)
+        score = held.mean() + ALONE_COUNTS * alone.mean(axis=1).sum()
+        return float(score), held
+
+    def _improved(self, pair: Floats, step: Callable[[], None]) -> Floats:
+        for size in STEPS:
+            while True:
+                moved = self._moved(pair, size)
+                if moved is pair:
+                    break
+                pair = moved
+            step()
+        return pair
+
+    def _moved(self, pair: Floats, size: float) -> Floats:
+        """The pair after one round of steps, each taken where it helps; itself if none does."""
+        best = pair
+        low, high = self._ranges.T
+        for arm in range(2):
+            for k in range(self._open[arm].stop):
+                for sign in (1, -1):
+                    trial = best.copy()
+                    trial[arm, k] += sign * size * (0.5 if k == 3 else 1.0)
+                    inside = low[k] <= trial[arm, k] <= high[k] and self._allowed(trial)
+                    if inside and self._judged(trial)[0] > self._judged(best)[0]:
+                        best = trial
+                        break
+        return best

@@ -1,0 +1,133 @@
+"""A reach as a table, and as pictures on the sphere and in the room."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twinct.cell import CellModel, Marks, render_cell
+from twinct.files.writing import write_json
+from twinct.geometry import Floats
+from twinct.reach.sphere import Reach
+
+MAP = "viridis"
+
+NOBODY_RGBA = (0.45, 0.45, 0.45, 0.35)
+"""Directions in the room that are not held."""
+
+WIDEST_MM = 30.0
+"""Clearance at the end of the colours."""
+
+
+def shares(reach: Reach) -> list[dict[str, float]]:
+    """For each radius: shares of the directions, and the middle of clearances and margins."""
+    rows: list[dict[str, float]] = []
+    for k, sod in enumerate(reach.sod_mm.tolist()):
+        row = {"sod_mm": sod, "odd_mm": reach.odd_mm, "directions": len(reach.directions)}
+        row |= {n: float(getattr(reach, n)[k].mean()) for n in ("source", "detector", "both")}
+        if reach.connected is not None:
+            row["connected"] = float(reach.connected[k].mean())
+        if reach.both[k].any():
+            row["median_clearance_mm"] = float(np.nanmedian(reach.clearance_mm[k]))
+            row["median_margin_deg"] = float(np.nanmedian(reach.margin_deg[k]))
+        rows.append(row)
+    return rows
+
+
+def longitude_latitude_deg(directions: Floats) -> tuple[Floats, Floats]:
+    """Longitude in (-180, 180], 0 is +x, and latitude, of unit vectors (d, 3)."""
+    x, y, z = directions.T
+    return np.degrees(np.arctan2(y, x)), np.degrees(np.arcsin(z))
+
+
+def write_tables(reach: Reach, folder: Path) -> None:
+    """Write ``reach.json``, the shares, and ``reach.csv``, a row for each direction."""
+    write_json(
+        folder / "reach.json", {"isocentre_mm": list(reach.isocentre_mm), "radii": shares(reach)}
+    )
+    longitude, latitude = longitude_latitude_deg(reach.directions)
+    names = ["source", "detector", "both"] + ["connected"] * (reach.connected is not None)
+    with (folder / "reach.csv").open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        head = ["sod_mm", "longitude_deg", "latitude_deg", "x", "y", "z", *names]
+        table.writerow([*head, "clearance_mm", "margin_deg"])
+        for k, sod in enumerate(reach.sod_mm.tolist()):
+            flags = [getattr(reach, name)[k].astype(int).tolist() for name in names]
+            figures = [
+                ["" if np.isnan(value) else f"{value:.2f}" for value in column]
+                for column in (reach.clearance_mm[k], reach.margin_deg[k])
+            ]
+            place = np.round(np.column_stack([longitude, latitude]), 3).tolist()
+            for where, towards, *rest in zip(
+                place, reach.directions.tolist(), *flags, *figures, strict=True
+            ):
+                table.writerow([sod, *where, *(f"{x:.6f}" for x in towards), *rest])
+
+
+def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> None:
+    """Write a picture (PNG) of one radius: each arm alone, both by clearance, and by margin.
+
+    Directions to the source in Mollweide's equal-area projection.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    longitude, latitude = (np.radians(a) for a in longitude_latitude_deg(reach.directions))
+    figure = Figure(figsize=(12, 7.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    size = 9000 / len(longitude) + 2
+    both = reach.both[radius]
+    joined = both if reach.connected is None else reach.connected[radius]
+    panels: list[tuple[str, Any, Any]] = [
+        (f"{side} arm alone: {100 * held.mean():.1f} %", held, None)
+        for side, held in (("source", reach.source[radius]), ("panel's", reach.detector[radius]))
+    ]
+    told = "" if reach.connected is None else f", {100 * joined.mean():.1f} % joined by ways"
+    share = f"both: {100 * both.mean():.1f} %{told}"
+    panels += [
+        (share, both, (reach.clearance_mm[radius], "clearance, mm", WIDEST_MM)),
+        (
+            "both: margin of the joints",
+            both,
+            (reach.margin_deg[radius], "to a range's end, deg", None),
+        ),
+    ]
+    for k, (text, held, figures) in enumerate(panels):
+        axes: Any = figure.add_subplot(2, 2, k + 1, projection="mollweide")
+        axes.scatter(longitude[~held], latitude[~held], s=size, c="0.85", linewidths=0)
+        values = held[held] if figures is None else figures[0][held]
+        look = {"vmin": 0, "vmax": 1.25} if figures is None else {"vmin": 0, "vmax": figures[2]}
+        spots = axes.scatter(
+            longitude[held], latitude[held], s=size, c=values, cmap=MAP, linewidths=0, **look
+        )
+        if figures is not None:
+            figure.colorbar(spots, ax=axes, label=figures[1], shrink=0.7)
+            apart = held & ~joined
+            axes.scatter(
+                *(longitude[apart], latitude[apart]), s=size, facecolors="none", edgecolors="red"
+            )
+        axes.grid(alpha=0.4)
+        axes.set_title(text, fontsize=10)
+        axes.set_xlabel("longitude of the source, deg", fontsize=8)
+        axes.set_ylabel("latitude, deg", fontsize=8)
+        axes.tick_params(labelsize=7)
+    figure.suptitle(f"{title}: SOD {reach.sod_mm[radius]:g} mm, ODD {reach.odd_mm:g} mm")
+    figure.savefig(path, dpi=110)
+
+
+def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0) -> None:
+    """Write a picture (PNG) of the room with a ball where the source is of each direction.
+
+    Coloured by clearance where both arms hold it; the arms stand in the pair with the largest.
+    """
+    import matplotlib
+
+    held, gaps = reach.both[radius], reach.clearance_mm[radius]
+    colours = np.tile(NOBODY_RGBA, (len(held), 1))
+    colours[held] = matplotlib.colormaps[MAP](np.clip(gaps[held] / WIDEST_MM, 0, 1))
+    points = reach.isocentre_mm + reach.sod_mm[radius] * reach.directions
+    joints = reach.joints[radius, int(np.nanargmax(gaps))] if held.any() else None
+    render_cell(cell, path, joints, marks=Marks(points=points, colours=colours, radius_mm=7))

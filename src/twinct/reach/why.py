@@ -1,0 +1,215 @@
+"""Why a view cannot be had, what would cure it, and what it looks like all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinct.cell import CellModel, Clearance, Gap, Marks
+from twinct.errors import ScenarioError
+from twinct.geometry import Floats, Pose
+from twinct.motion import Kinematics
+from twinct.motion.branches import SIDES
+from twinct.motion.feasible import Indices
+from twinct.motion.refusals import far_problems, gap_text
+from twinct.reach.holding import Holder, Poses
+from twinct.scenario import Cell, Motion
+from twinct.views import Target
+
+FAILING = 8
+"""Views that cannot be held, evenly among all of them, for which a cure is sought."""
+
+OTHERS = 24
+"""Views that can be held, evenly among them, which a cure must not lose."""
+
+STARTS = 8
+"""Random starts of the search for an arm's nearest configuration, or for all of a pose."""
+
+WIDEST_OF = 64
+"""Configurations of both arms of which the largest clearance is told, at most."""
+
+SHIFTS_MM = (50.0, 100.0, 200.0)
+STANDOFFS_MM = (-25.0, 25.0, -50.0, 50.0, -100.0, 100.0)
+RADII = (0.95, 1.05, 0.9, 1.1, 0.8, 1.2)
+"""Changes that are tried, the smallest first."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One view as well as the arms can have it.
+
+    Attributes:
+        joints: the configuration with which they hold it, or come nearest to it, rad, (n,).
+        marks: what is wrong there: bodies in red, tools that are not where they shall be as ghosts.
+        words: what is wrong, one sentence each; none where both arms hold it.
+    """
+
+    joints: Floats
+    marks: Marks
+    words: tuple[str, ...]
+
+
+def shown(holder: Holder, poses: Poses, view: int) -> View:
+    """The best that both arms can do for a view.
+
+    Args:
+        holder: of the cell; what it says of the roll counts.
+        poses: of all views.
+        view: which one.
+    """
+    one, both = poses[[view]], (poses.source[view], poses.detector[view])
+    alone = holder.alone(one.source, 0), holder.alone(one.detector, 1)
+    pairs = holder.pairs(*alone, 0)
+    if len(pairs):
+        return View(pairs[0], Marks(), ())
+    options, ghosts, words = [], [], []
+    for arm, matrix in enumerate(both):
+        joints = alone[arm].joints
+        if not len(joints):
+            joints = holder.any_clearance(matrix[None], arm).joints
+        if not len(joints):
+            joints, off = _nearest(holder, both, arm)
+            words += [
+                f"view {view}: {p.partition(': ')[2]}"
+                for p in far_problems(SIDES[arm], {view: off})
+            ]
+            ghosts.append((SIDES[arm], Pose.from_matrix(matrix[:3, 3], matrix[:3, :3])))
+        options.append(joints)
+    joints, gap = _widest(holder.cell, options)
+    red = ()
+    if gap.distance_mm < holder.least_mm and not ghosts:
+        words.append(f"view {view}: {gap_text(gap, holder.least_mm)}")
+        red = gap.bodies
+    return View(joints, Marks(red=red, ghosts=tuple(ghosts)), tuple(words))
+
+
+def _nearest(
+    holder: Holder, both: tuple[Floats, Floats], arm: int
+) -> tuple[Floats, tuple[float, float]]:
+    """An arm's configuration nearest to its pose, (1, k), and how far off it is, mm and deg."""
+    kinematics, cell = Kinematics(holder.cell, holder.motion.ik), holder.cell
+    target = Target.from_poses(*(Pose.from_matrix(m[:3, 3], m[:3, :3]) for m in both))
+    low, high = (
+        np.maximum(cell.joint_ranges.T[0], -np.pi),
+        np.minimum(cell.joint_ranges.T[1], np.pi),
+    )
+    rng, tries = np.random.default_rng(0), []
+    for _ in range(STARTS):
+        result = kinematics.solve(rng.uniform(low, high), target)
+        off = float(result.position_mm[arm]), float(result.rotation_deg[arm])
+        tries.append((off, result.joints[cell.arm_joints[arm]]))
+    off, joints = min(tries, key=lambda one: one[0])
+    return joints[None], off
+
+
+def _widest(cell: CellModel, options: list[Floats]) -> tuple[Floats, Gap]:
+    """Of pairs of configurations that with the largest clearance."""
+    i, j = np.indices([len(of) for of in options]).reshape(2, -1)
+    order = np.argsort(i + j, kind="stable")[:WIDEST_OF]
+    pairs = np.hstack([options[0][i[order]], options[1][j[order]]])
+    clearance = Clearance(cell)
+    gaps = [clearance.over(q[None]) for q in pairs]
+    best = int(np.argmax([gap.distance_mm for gap in gaps]))
+    return pairs[best], gaps[best]
+
+
+def reasons(
+    cell: Cell,
+    build: Callable[[Cell], CellModel],
+    motion: Motion,
+    poses: Poses,
+    roll_free: tuple[bool, bool],
+) -> tuple[list[int], list[str]]:
+    """Which views cannot be held, and the smallest change that was found to cure that.
+
+    A cure is sought for some of them, so many by FAILING, and must not lose some others, so many by
+    OTHERS; whether the ways between views are clear is not looked at.
+
+    Args:
+        cell: the room, as its section.
+        build: composes a room.
+        motion: tolerances, and the clearance asked for.
+        poses: all views.
+        roll_free: whether source and panel may be turned about the beam.
+
+    Returns:
+        indices of the views that cannot be held, and sentences.
+    """
+    held = Holder(build(cell), motion, roll_free=roll_free).held(poses)
+    failing, fine = np.flatnonzero(~held), np.flatnonzero(held)
+    if not len(failing):
+        told = "each view alone can be held: it is the way between them that is not found"
+        if motion.scheme == "reactive":
+            told += "; motion.scheme: planned looks for ways round and changes of configuration"
+        return [], [told]
+    asked, kept = _some(failing, FAILING), _some(fine, OTHERS)
+    looked_at = np.concatenate([asked, kept])
+    scope = f"the {len(asked)} of {len(failing)} views out of reach that were tried"
+    best, best_words = 0, ""
+    for words, changed, turned, scale in _changes(cell, roll_free):
+        some = _scaled(poses[looked_at], scale)
+        try:
+            now = Holder(build(changed), motion, roll_free=turned).held(some)
+        except ScenarioError:  # such as a stand-off without room for the panel
+            continue
+        if now.all():
+            return failing.tolist(), [f"cure: {words}: {scope} can be held with it"]
+        gained = int(now[: len(asked)].sum())
+        if now[len(asked) :].all() and gained > best:
+            best, best_words = gained, words
+    if best:
+        return failing.tolist(), [
+            f"cure in part: {best_words}: {best} of {scope} can be held with it"
+        ]
+    tried = "turns about the beam, base shifts to 200 mm, stand-offs to 100 mm, radii to 20 %"
+    return failing.tolist(), [f"no cure of {scope} by one change: {tried}; see twinct place"]
+
+
+def _some(views: Indices, count: int) -> Indices:
+    return views[np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).astype(int))]
+
+
+def _scaled(poses: Poses, scale: float) -> Poses:
+    """Source and panel moved along the beam, about its middle."""
+    middle = (poses.source[:, :3, 3] + poses.detector[:, :3, 3]) / 2
+    moved = Poses(poses.source.copy(), poses.detector.copy())
+    for matrices in (moved.source, moved.detector):
+        matrices[:, :3, 3] = middle + scale * (matrices[:, :3, 3] - middle)
+    return moved
+
+
+def _changes(
+    cell: Cell, roll_free: tuple[bool, bool]
+) -> Iterator[tuple[str, Cell, tuple[bool, bool], float]]:
+    """What is tried: in words, the cell, which rolls are free, and the scale of the radius."""
+    for free in ((roll_free[0], True), (True, True)):
+        if free != roll_free:
+            opened = zip(SIDES, free, roll_free, strict=True)
+            keys = [f"motion.{side}_roll: free" for side, now, before in opened if now > before]
+            yield " and ".join(keys), cell, free, 1.0
+    arms = [(side, getattr(cell, f"{side}_arm")) for side in SIDES]
+    shifts = [
+        (abs(shift), side, arm, "base_position_mm", axis, shift)
+        for side, arm in arms
+        for axis in range(3)
+        for size in SHIFTS_MM
+        for shift in (size, -size)
+    ] + [
+        (abs(shift), side, arm, "standoff_mm", 0, shift)
+        for side, arm in arms
+        for shift in STANDOFFS_MM
+    ]
+    for _, side, arm, key, axis, shift in sorted(shifts, key=lambda change: change[0]):
+        value = np.atleast_1d(np.array(getattr(arm, key), dtype=np.float64))
+        value[axis] += shift
+        if key == "standoff_mm" and value[0] <= 0:
+            continue
+        told = value.tolist() if len(value) > 1 else float(value[0])
+        update = {key: tuple(told) if isinstance(told, list) else told}
+        changed = cell.model_copy(update={f"{side}_arm": arm.model_copy(update=update)})
+        yield f"cell.{side}_arm.{key}: {told}", changed, roll_free, 1.0
+    for scale in RADII:
+        words = f"trajectory.sod_mm and sdd_mm times {scale:g}"
+        yield words, cell, roll_free, scale
