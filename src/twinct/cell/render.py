@@ -22,7 +22,7 @@ _ADVICE = "leave MUJOCO_GL unset, which takes EGL and needs no display"
 MOST_SHOWN = 10_000
 """Geoms and balls that one picture holds."""
 
-RED = (0.90, 0.08, 0.08, 1.0)
+RED = (0.90, 0.08, 0.08)
 GHOST_RGBA = (0.15, 0.45, 0.95, 0.35)
 
 
@@ -137,8 +137,11 @@ def _reddened(model: Any, bodies: tuple[str, ...]) -> Any:
     model = copy.copy(model)
     for geom in range(model.ngeom):
         if model.body(model.geom_bodyid[geom]).name in bodies:
+            opacity = (
+                1.0 if model.geom_matid[geom] >= 0 else 0.5
+            )  # forbidden zones stay translucent
             model.geom_matid[geom] = -1
-            model.geom_rgba[geom] = RED
+            model.geom_rgba[geom] = (*RED, opacity)
     return model
 
 

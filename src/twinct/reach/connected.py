@@ -29,9 +29,9 @@ AT_ONCE = 32
 """Straight paths judged together."""
 
 TRIES = 3
-"""Detours tried from a part to the largest one, from the nearest pairs of configurations on."""
+"""Detours tried from a direction to the largest part, from the nearest configurations on."""
 
-EFFORT = 1
+EFFORT = 0
 """Which of the detours' efforts is made."""
 
 
@@ -70,13 +70,13 @@ def joined(
     detours = Detours(room, cell.joint_ranges, speeds, cell.arm_joints, 0)
     of_node = np.array([parts[node] for node in range(len(joints))])
     largest = _largest(of_node, whose)
-    others = [part for part in np.unique(of_node) if part != largest]
-    with progress.stage("detours", len(others)) as step:
-        for part in others:
+    apart = sorted(set(nodes) - set(whose[of_node == largest].tolist()))
+    with progress.stage("detours", len(apart)) as step:
+        for view in apart:
             step()
             of_node = np.array([parts[node] for node in range(len(joints))])
-            main, mine = np.flatnonzero(of_node == parts[largest]), np.flatnonzero(of_node == part)
-            if np.isin(whose[mine], whose[main]).all():
+            main, mine = np.flatnonzero(of_node == parts[largest]), np.flatnonzero(whose == view)
+            if np.isin(mine, main).any():
                 continue
             far = np.abs(_way(joints[mine][:, None], joints[main], turns)).max(axis=2)
             pairs = np.stack([mine, main[far.argmin(axis=1)]], axis=1)

@@ -146,7 +146,7 @@ def reasons(
         return [], [told]
     asked, kept = _some(failing, FAILING), _some(fine, OTHERS)
     looked_at = np.concatenate([asked, kept])
-    scope = f"the {len(asked)} of {len(failing)} views out of reach that were tried"
+    scope = f"the {len(asked)} views tried, of {len(failing)} that cannot be held"
     best, best_words = 0, ""
     for words, changed, turned, scale in _changes(cell, roll_free):
         some = _scaled(poses[looked_at], scale)
@@ -155,16 +155,16 @@ def reasons(
         except ScenarioError:  # such as a stand-off without room for the panel
             continue
         if now.all():
-            return failing.tolist(), [f"cure: {words}: {scope} can be held with it"]
+            return failing.tolist(), [f"cure: {words}, with which {scope}, can be"]
         gained = int(now[: len(asked)].sum())
         if now[len(asked) :].all() and gained > best:
             best, best_words = gained, words
     if best:
         return failing.tolist(), [
-            f"cure in part: {best_words}: {best} of {scope} can be held with it"
+            f"cure in part: {best_words}, with which {best} of {scope}, can be"
         ]
     tried = "turns about the beam, base shifts to 200 mm, stand-offs to 100 mm, radii to 20 %"
-    return failing.tolist(), [f"no cure of {scope} by one change: {tried}; see twinct place"]
+    return failing.tolist(), [f"no cure by one change for {scope}: {tried}; see twinct place"]
 
 
 def _some(views: Indices, count: int) -> Indices:

@@ -1,0 +1,20 @@
+from __future__ import annotations
+
+import pytest
+import trimesh
+
+from twinct.cell import CellModel, build_cell
+from twinct.geometry import Pose
+from twinct.scenario import Cell, Detector
+
+
+@pytest.fixture(scope="session")
+def head() -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.apply_scale((72.0, 90.0, 110.0))
+    return mesh
+
+
+@pytest.fixture(scope="session")
+def cell(head: trimesh.Trimesh) -> CellModel:
+    return build_cell(Cell(), head, Pose.identity(), Detector().panel)

@@ -1,0 +1,53 @@
+"""The search for better places: what it improves, inside its bounds, the same every time."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+
+from twinct.cell import CellModel, build_cell
+from twinct.errors import InputError
+from twinct.geometry import Pose
+from twinct.reach import Bounds, Holder, Placement, fibonacci_directions, place, poses_of
+from twinct.scenario import Cell, Detector, Motion
+
+MOTION = Motion(trigger="settled")
+BOUNDS = Bounds(x_mm=(-900, 900), y_mm=(-900, 900), z_mm=(-400, 100), standoff_mm=(100, 200))
+
+
+@pytest.fixture(scope="module")
+def build(head: trimesh.Trimesh) -> Callable[[Cell], CellModel]:
+    return lambda cell: build_cell(cell, head, Pose.identity(), Detector().panel)
+
+
+@pytest.fixture(autouse=True)
+def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"PAIRS": 3, "IMPROVED": 1, "STEPS": (100.0,)}.items():
+        monkeypatch.setattr(sys.modules["twinct.reach.place"], name, value)
+
+
+def searched(build: Callable[[Cell], CellModel]) -> Placement:
+    poses = poses_of(fibonacci_directions(24), 300, 300, np.zeros(3), Detector().panel)
+    return place(Cell(), build, MOTION, poses, bounds=BOUNDS, samples=6, seed=3)
+
+
+def test_it_serves_more_inside_its_bounds(build: Callable[[Cell], CellModel]) -> None:
+    poses = poses_of(fibonacci_directions(24), 300, 300, np.zeros(3), Detector().panel)
+    found = searched(build)
+    assert found.after.sum() > found.before.sum() > 5
+    assert np.array_equal(Holder(build(found.cell), MOTION).held(poses), found.after)
+    for arm in (found.cell.source_arm, found.cell.detector_arm):
+        at = [*arm.base_position_mm, arm.standoff_mm]
+        for value, (low, high) in zip(at, BOUNDS.ranges, strict=False):
+            assert low <= value <= high
+    assert searched(build).overrides == found.overrides
+    assert found.overrides[0].startswith("cell.source_arm.base_position_mm=[")
+
+
+def test_bounds_are_ranges() -> None:
+    with pytest.raises(InputError, match="z_mm: 3 to 2"):
+        Bounds(z_mm=(3, 2))

@@ -1,0 +1,82 @@
+"""Views that cannot be had: what is said, what would cure them, and how they are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+
+from twinct.cell import CellModel, build_cell
+from twinct.geometry import Pose
+from twinct.motion import Kinematics
+from twinct.reach import Holder, Poses, poses_of, reasons, shown
+from twinct.scenario import Capsule, Cell, Detector, Motion, Zone
+from twinct.trajectory import on_sphere
+
+MOTION = Motion(trigger="settled", scheme="planned")
+FIXED = (False, False)
+
+
+@pytest.fixture(scope="module")
+def build(head: trimesh.Trimesh) -> Callable[[Cell], CellModel]:
+    return lambda cell: build_cell(cell, head, Pose.identity(), Detector().panel)
+
+
+def at(*longitudes_deg: float, latitude_deg: float = 0.0) -> Poses:
+    latitudes = np.full(len(longitudes_deg), np.radians(latitude_deg))
+    directions = on_sphere(np.radians(longitudes_deg), latitudes, 1.0)
+    return poses_of(directions, 300, 300, np.zeros(3), Detector().panel)
+
+
+def test_a_pose_out_of_reach_is_a_ghost(cell: CellModel) -> None:
+    poses = at(0, 180)
+    view = shown(Holder(cell, MOTION, roll_free=FIXED), poses, 1)
+    assert [side for side, _ in view.marks.ghosts] == ["source", "detector"]
+    assert view.marks.ghosts[0][1].position == pytest.approx([-300, 0, 0])
+    assert "view 1: source arm: out of reach by 2" in view.words[0]  # by 210 mm
+    source, _ = Kinematics(cell, MOTION.ik).poses(view.joints)
+    assert 200 < np.linalg.norm(source.position - [-300, 0, 0]) < 220
+
+
+def test_a_view_that_can_be_held_is_shown_as_it_is(cell: CellModel) -> None:
+    view = shown(Holder(cell, MOTION, roll_free=FIXED), at(0), 0)
+    assert not view.words and not view.marks.red and not view.marks.ghosts
+
+
+def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellModel]) -> None:
+    nurse = Zone(
+        name="nurse",
+        shape=Capsule(kind="capsule", radius_mm=200, length_mm=1300),
+        position_mm=(200.0, 700.0, -350.0),
+    )
+    cell, poses = Cell(zones=(nurse,)), at(0, 30, 60)
+    view = shown(Holder(build(cell), MOTION, roll_free=FIXED), poses, 2)
+    assert view.marks.red[0].startswith("source_") and view.marks.red[1] == "zone nurse"
+    assert "zone nurse" in view.words[0]
+    views, words = reasons(cell, build, MOTION, poses, FIXED)
+    assert views == [2]
+    assert words[0].startswith("cure: cell.source_arm.")
+    key, _, value = words[0].removeprefix("cure: cell.source_arm.").partition(": ")
+    cured = (
+        float(value.split(",")[0])
+        if key == "standoff_mm"
+        else tuple(eval(value.split(", with")[0]))
+    )
+    arm = cell.source_arm.model_copy(update={key: cured})
+    held = Holder(build(cell.model_copy(update={"source_arm": arm})), MOTION, roll_free=FIXED)
+    assert held.held(poses).all()
+
+
+def test_no_single_change_turns_an_arm_round(build: Callable[[Cell], CellModel]) -> None:
+    views, words = reasons(Cell(), build, MOTION, at(0, 180), FIXED)
+    assert views == [1]
+    assert words[0].startswith("no cure by one change for the 1 views tried, of 1")
+
+
+def test_the_way_between_is_told_apart(build: Callable[[Cell], CellModel]) -> None:
+    motion = Motion(trigger="settled")
+    views, words = reasons(Cell(), build, motion, at(0, 10), FIXED)
+    assert not views
+    assert "each view alone can be held" in words[0] and "motion.scheme: planned" in words[0]
