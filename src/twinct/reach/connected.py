@@ -66,8 +66,7 @@ def joined(
             good = room.straight(joints[a], joints[a] + _way(joints[a], joints[b], turns), least_mm)
             for one, other in zip(a[good].tolist(), b[good].tolist(), strict=True):
                 parts.merge(one, other)
-    speeds = cell.speed_limits * cell.speed_scales
-    detours = Detours(room, cell.joint_ranges, speeds, cell.arm_joints, 0)
+    detours = Detours(cell, room, turns, 0)
     of_node = np.array([parts[node] for node in range(len(joints))])
     largest = _largest(of_node, whose)
     apart = sorted(set(nodes) - set(whose[of_node == largest].tolist()))
