@@ -76,7 +76,7 @@ def test_no_single_change_turns_an_arm_round(build: Callable[[Cell], CellModel])
 
 
 def test_the_way_between_is_told_apart(build: Callable[[Cell], CellModel]) -> None:
-    motion = Motion(trigger="settled")
+    motion = Motion(scheme="reactive", trigger="settled")
     views, words = reasons(Cell(), build, motion, at(0, 10), FIXED)
     assert not views
     assert "each view alone can be held" in words[0] and "motion.scheme: planned" in words[0]
