@@ -42,6 +42,10 @@ class TrajectoryError(InputError):
     """Views that an arm cannot reach, or that would collide."""
 
 
+class NoWayError(TrajectoryError):
+    """No way from one view to the next was found, though both can be had."""
+
+
 class ScanExistsError(InputError):
     """The output folder already holds a scan, or one of another scenario."""
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from twinct.cell import CellModel, Clearance
-from twinct.errors import TargetRefusedError, TrajectoryError
+from twinct.errors import NoWayError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Floats, Pose
 from twinct.motion import MotionPlan, RobotSimulation, plan_motion
 from twinct.motion.detour import Detours
 from twinct.motion.feasible import Feasible
 from twinct.motion.homeward import way_home
 from twinct.motion.refusals import arms_in
-from twinct.motion.way import find_way, kept_mm
+from twinct.motion.way import Way, find_way, kept_mm
 from twinct.scenario import Motion
 from twinct.views import Target
 
@@ -142,6 +142,35 @@ def test_a_search_ends_by_its_count(
     detours = Detours(cell, Feasible(cell), np.zeros(12, bool), seed=0)
     assert detours.between(plan.home, touching, kept_mm(PLANNED), 0) is None
     assert detours.looked < 10
+
+
+def test_where_no_way_is_found_one_over_home_is(
+    cell: CellModel,
+    plan: MotionPlan,
+    targets: list[Target],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Wherever a search from elsewhere than home fails."""
+    came = []
+
+    def from_home_only(*args: object, start: Floats, **keys: object) -> Way:
+        if not np.array_equal(start, plan.home):
+            raise NoWayError("no way found")
+        return find_way(*args, start=start, **keys)
+
+    simulation = RobotSimulation(cell, PLANNED, plan)
+    simulation.move(None, targets[20])
+    monkeypatch.setattr("twinct.motion.simulation.find_way", from_home_only)
+    simulation.move(
+        None, targets[10], lambda data: came.append(np.abs(data.qpos - plan.home).max())
+    )
+    assert np.degrees(min(came)) < 0.5 and np.degrees(came[0]) > 10
+    assert simulation.watch.torque_share.max() < 1 and not simulation.watch.contacts
+    simulation.restore(simulation.move(None, targets[3]).state)
+    with pytest.raises(TargetRefusedError, match="no way found"):  # nor is the way back known
+        simulation.move(None, targets[5])
+    assert simulation.home().clearance_mm >= PLANNED.clearance_mm
+    simulation.move(None, targets[5])
 
 
 def test_a_start_that_touches_is_named(cell: CellModel, plan: MotionPlan) -> None:

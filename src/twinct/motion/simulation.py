@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from twinct.cell import CellModel, Clearance
-from twinct.errors import MotionError, TargetRefusedError, TrajectoryError
+from twinct.errors import MotionError, NoWayError, TargetRefusedError, TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.motion.branches import SIDES
 from twinct.motion.feasible import Feasible
@@ -31,10 +32,10 @@ REFUSED_SHARE = 0.5
 The rest is room for the solver's tolerance and the servos' lag.
 """
 
-MOST_LOOKS = 120_000
-"""Configurations that the search for a way to a target of no plan, or home, may look at.
+MOST_LOOKS = 60_000
+"""Configurations that the search for a way to a target of no plan may look at, and again from home.
 
-That takes about 5 s: an answer is promised within 10.
+Both take about 5 s: an answer is promised within 10.
 """
 
 BREAKAWAY_RAD_S = 0.002
@@ -200,17 +201,7 @@ class RobotSimulation:
         if self._motion.scheme == "reactive":
             return self.drive(self.solve(target), target, on_step)
         if view is None:
-            motion, free = self._motion, self._roll_free
-            lead = self._plan_from(
-                lambda here: find_way(
-                    self._cell,
-                    motion,
-                    [target],
-                    roll_free=free,
-                    start=here,
-                    most_looks=MOST_LOOKS,
-                )
-            )
+            lead = self._plan_from(lambda here: self._way_to(target, here))
             return self._along(0, "the target", lead, on_step)
         if self._plan is None:
             raise MotionError("there is no plan to follow")
@@ -228,14 +219,31 @@ class RobotSimulation:
             TargetRefusedError: there is no way, which leaves the simulation as it was; or the arms
                 could not follow it.
         """
-        back = np.vstack(self._trail)[::-1] if self._trail else np.zeros((0, self._n))
-        lead = self._plan_from(
-            lambda here: way_home(
-                self._cell, self._motion, here, self._home, back, most_looks=MOST_LOOKS
-            )
-        )
-        self._trail = [self._home[None]]
+        lead = self._plan_from(self._way_home)
         return self._along(0, "home", lead, on_step, settled=True)
+
+    def _way_to(self, target: Target, here: Floats) -> Way:
+        """From where the arms are; where none is found and the way back is known, over home."""
+        found = partial(
+            find_way,
+            self._cell,
+            self._motion,
+            [target],
+            roll_free=self._roll_free,
+            most_looks=MOST_LOOKS,
+        )
+        try:
+            return found(start=here)
+        except NoWayError:
+            if not self._trail or np.array_equal(here, self._home):
+                raise
+            back, on = self._way_home(here), found(start=self._home)
+            views = np.append(np.full(len(back.joints) - 1, -1), on.views)
+            return Way(np.vstack([back.joints[:-1], on.joints]), views, on.targets)
+
+    def _way_home(self, here: Floats) -> Way:
+        back = np.vstack(self._trail)[::-1] if self._trail else np.zeros((0, self._n))
+        return way_home(self._cell, self._motion, here, self._home, back, most_looks=MOST_LOOKS)
 
     def _along(
         self,
@@ -292,7 +300,9 @@ class RobotSimulation:
             raise TargetRefusedError(text, arms_in(text)) from None
         self._plan = plan
         self._begun_s = self.time_s + len(lead) * self._model.opt.timestep
-        if self._trail:
+        if len(at_home := np.flatnonzero((way.joints == self._home).all(axis=1))):
+            self._trail = [way.joints[at_home[-1] :]]
+        elif self._trail:
             ends = self._home[None], way.joints[-1:]
             direct = Feasible(self._cell).straight(*ends, kept_mm(self._motion))[0]
             self._trail = list(ends) if direct else [*self._trail, way.joints[1:]]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twinct.cell import CellModel, Clearance, Gap, mujoco_module
-from twinct.errors import TrajectoryError
+from twinct.errors import NoWayError, TrajectoryError
 from twinct.geometry import Floats, Pose
 from twinct.motion.branches import SIDES, Branches, matrices
 from twinct.motion.detour import SEARCHES, Detours
@@ -128,8 +128,9 @@ def find_way(
         most_looks: configurations that searches for detours may look at.
 
     Raises:
-        TrajectoryError: views that cannot be had, or no way from one to the next; every problem
-            names views, arm, reason and how far off.
+        TrajectoryError: views that cannot be had; every problem names views, arm, reason and how
+            far off.
+        NoWayError: no way was found from one to the next.
         MissingExtraError: mink or OMPL is not installed.
     """
     return _Finder(cell_model, motion, list(targets), roll_free, seed, most_looks).find(start)
@@ -357,7 +358,7 @@ class _Finder:
             total = choice.best(np.zeros(len(nodes[0])))[1]
             if count == DETOURS_TRIED or not np.isfinite(total) or self._detours.over:
                 told = _no_way(views[blocked], views[blocked + 1], count, self._detours.looked)
-                raise TrajectoryError(told)
+                raise NoWayError(told)
 
     def _mostly_straight(
         self,
