@@ -1,0 +1,79 @@
+"""reach, place, and what check and render say of a view that cannot be had."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from twinct.cli import run_command
+from twinct.scenario import Cell, load_scenario
+
+DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")
+BALL = ("--set", "specimen.parts=[{shape: {kind: sphere, radius_mm: 80}}]")
+TURNED = ("--set", "trajectory={kind: circle, views: 4}")
+
+
+@pytest.mark.tutorial
+def test_reach_writes_its_folder(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "reach"
+    asked = ("--radii", "300", "--directions", "30", "--out", str(out))
+    assert run_command(["reach", DEMO, *BALL, *asked]) == 0
+    told = json.loads((out / "reach.json").read_text())["radii"][0]
+    assert told["directions"] == 30 and 0.3 < told["both"] < 0.6
+    assert {p.name for p in out.iterdir()} == {
+        *("reach.json", "reach.csv", "sphere_300.png", "room_300.png")
+    }
+    assert f"{100 * told['both']:.1f} %" in capfd.readouterr().out
+
+
+def test_reach_is_of_arms(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["reach", DEMO, "--set", "cell={kind: gantry}"]) == 2
+    assert "cell.kind: gantry" in capfd.readouterr().err
+
+
+def test_place_saves_a_scenario(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+
+    import twinct.reach  # noqa: F401
+
+    for name, value in {"PAIRS": 2, "IMPROVED": 1, "STEPS": ()}.items():
+        monkeypatch.setattr(sys.modules["twinct.reach.place"], name, value)
+    saved = tmp_path / "mine.yaml"
+    views = ("--set", "trajectory.views=6")
+    asked = ("--samples", "2", "--save", str(saved), *views, *BALL)
+    assert run_command(["place", DEMO, *asked]) == 0
+    said = capfd.readouterr().out
+    scenario = load_scenario(saved)
+    assert isinstance(scenario.cell, Cell)
+    assert scenario.trajectory.model_dump()["views"] == 6
+    assert "both arms hold 100.0 % of 6 views before, 100.0 % after" in said
+    shown = re.search(r"cell.source_arm.base_position_mm=(.*)", said)
+    assert shown is not None
+    assert json.loads(shown[1]) == list(scenario.cell.source_arm.base_position_mm)
+
+
+@pytest.mark.tutorial
+def test_check_names_a_cure_and_draws(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "why" / "view.png"
+    assert run_command(["check", DEMO, *BALL, *TURNED, "--picture", str(picture)]) == 2
+    said = capfd.readouterr().err
+    assert "view 2: source arm: out of reach by 209.9 mm" in said
+    assert "no cure by one change for the 1 views tried" in said
+    assert f"picture of view 2: {picture}" in said
+    assert picture.exists()
+
+
+def test_render_draws_what_cannot_be_had(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "view.png"
+    small = ("--width", "400", "--height", "250", "--out", str(out))
+    assert run_command(["render", DEMO, *BALL, *TURNED, "--view", "2", *small]) == 0
+    assert "view 2: source arm: out of reach by 210.6 mm" in capfd.readouterr().err
+    red, _, blue = np.moveaxis(np.asarray(Image.open(out).convert("RGB"), float), 2, 0)
+    assert (blue - red > 80).mean() > 0.003  # the ghosts
