@@ -78,8 +78,9 @@ def _make(arguments: list[str]) -> None:
 
 
 def _twinct(arguments: list[str]) -> None:
-    """A run's scenario is there and takes the keys."""
+    """The scenario is there and takes the keys."""
     command, scenario, *rest = arguments
-    assert command == "run"
+    assert command in ("run", "check", "reach")
+    rest = [word for word in rest if (command, word) != ("reach", "--connected")]
     load_scenario(ROOT / scenario, rest[1::2])
     assert set(rest[::2]) <= {"--set"}
