@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -18,7 +19,7 @@ import trimesh
 from twinct.cell import build_cell
 from twinct.geometry import Pose
 from twinct.motion import RobotSimulation, plan_motion
-from twinct.scenario import Cell, Detector, Motion
+from twinct.scenario import Cell, Detector, Motion, load_scenario
 from twinct.trajectory import SinusoidTrajectory, commanded_views
 from twinct.views import PosePairs, Target
 
@@ -47,7 +48,9 @@ def measure(views: int, trigger: str, scheme: str) -> dict[str, object]:
         }
     )
     start = time.perf_counter()
-    cell = build_cell(Cell(), head, Pose.identity(), Detector().panel)
+    paper = load_scenario(Path(__file__).parents[1] / "scenarios" / "paper.yaml").cell
+    assert isinstance(paper, Cell)
+    cell = build_cell(paper, head, Pose.identity(), Detector().panel)
     built = time.perf_counter()
     plan = plan_motion(cell, motion, targets)
     planned = time.perf_counter()

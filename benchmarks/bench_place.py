@@ -40,16 +40,23 @@ def about(directions: Floats) -> Poses:
     return poses_of(directions, 300, 300, np.zeros(3), PANEL)
 
 
+FIRST = Cell(
+    source_arm=SourceArm(base_position_mm=(850.0, 0.0, 0.0), standoff_mm=150.0),
+    detector_arm=DetectorArm(base_position_mm=(-850.0, 0.0, 0.0), standoff_mm=150.0),
+)
+"""The paper's cell."""
+
+
 def sphere(longer: bool) -> None:
     build, whole = builder(), about(fibonacci_directions(1000))
     print(
-        json.dumps({"before": float(Holder(build(Cell()), MOTION).held(whole).mean())}), flush=True
+        json.dumps({"before": float(Holder(build(FIRST), MOTION).held(whole).mean())}), flush=True
     )
     if longer:
         search.IMPROVED, search.STEPS = 4, (120.0, 60.0, 30.0, 15.0)
     for seed in (1, 2) if longer else (0,):
         poses = about(fibonacci_directions(250 if longer else 150))
-        found = place(Cell(), build, MOTION, poses, samples=384 if longer else 128, seed=seed)
+        found = place(FIRST, build, MOTION, poses, samples=384 if longer else 128, seed=seed)
         after = float(Holder(build(found.cell), MOTION).held(whole).mean())
         told = {"seed": seed, "after": after, "judged": found.judged, "keys": found.overrides}
         print(json.dumps(told), flush=True)

@@ -102,7 +102,11 @@ def turned(axis: int, angle: float, shift: tuple[float, float, float]) -> np.nda
 
 def test_urdf_stands_in_the_room_with_its_limits() -> None:
     joints = np.random.default_rng(3).uniform(-2, 2, 6)
-    place = {"base_position_mm": (900, 10, -200), "base_rotation_deg": (0, 0, 30)}
+    place = {
+        "base_position_mm": (900, 10, -200),
+        "base_rotation_deg": (0, 0, 30),
+        "standoff_mm": 150,
+    }
     cell, data = in_the_cell(file=URDF, base="base_link", **place)
     assert cell.joint_names[:6] == tuple(f"source_{name}" for name in JOINTS)
     np.testing.assert_allclose(cell.torque_limits[:6], [300, 300, 200, 80, 80, 60])

@@ -57,7 +57,7 @@ def test_a_zone_is_where_it_is_told(
 
 def test_clearance_counts_zones(head: trimesh.Trimesh) -> None:
     # All joints at zero: the arms are stretched out sideways.
-    beside_the_base = {"shape": SHAPES["sphere"], "position_mm": [1250, 0, 200]}
+    beside_the_base = {"shape": SHAPES["sphere"], "position_mm": [1150, 0, 50]}
     gaps = [
         Clearance(build_cell(cell, head, Pose.identity(), Detector().panel)).over(np.zeros((1, 12)))
         for cell in (Cell(), cell_with(nurse=beside_the_base))

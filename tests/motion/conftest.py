@@ -1,14 +1,19 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import trimesh
 
 from twinct.cell import CellModel, build_cell
 from twinct.geometry import Pose
 from twinct.motion import MotionPlan, plan_motion
-from twinct.scenario import Cell, Detector, Motion
+from twinct.scenario import Cell, Detector, Motion, load_scenario
 from twinct.trajectory import SinusoidTrajectory, commanded_views
 from twinct.views import PosePairs, Target
+
+PAPER_CELL = load_scenario(Path(__file__).parents[2] / "scenarios" / "paper.yaml").cell
+assert isinstance(PAPER_CELL, Cell)
 
 VIEWS = 24
 
@@ -25,7 +30,7 @@ def head() -> trimesh.Trimesh:
 
 @pytest.fixture(scope="session")
 def cell(head: trimesh.Trimesh) -> CellModel:
-    return build_cell(Cell(), head, Pose.identity(), Detector().panel)
+    return build_cell(PAPER_CELL, head, Pose.identity(), Detector().panel)
 
 
 @pytest.fixture(scope="session")

@@ -32,10 +32,11 @@ from twinct.cell import build_cell
 from twinct.geometry import Pose
 from twinct.motion.detour import Detours
 from twinct.motion.feasible import Feasible
-from twinct.scenario import Cell, Detector
+from twinct.scenario import Detector, load_scenario
 head = trimesh.creation.icosphere(subdivisions=3)
 head.apply_scale((72.0, 90.0, 110.0))
-cell = build_cell(Cell(), head, Pose.identity(), Detector().panel)
+section = load_scenario("scenarios/paper.yaml").cell
+cell = build_cell(section, head, Pose.identity(), Detector().panel)
 turns = np.ptp(cell.joint_ranges, axis=1) > 3 * np.pi
 planner = Detours(cell, Feasible(cell), turns, 1)
 way = planner.between(np.array({start}), np.array({end}), 10.5, 0)

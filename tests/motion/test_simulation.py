@@ -177,9 +177,13 @@ def test_half_the_torque_cannot_follow(
     scale: float, head: trimesh.Trimesh, paper_targets: list[Target]
 ) -> None:
     """The rated payload of 12.5 kg at the far end of the path needs more than half the torque."""
-    section = Cell.model_validate({"source_arm": {"tool_mass_kg": 12.5, "torque_scale": scale}})
+    own = {"source_arm": {"tool_mass_kg": 12.5, "torque_scale": scale}, "detector_arm": {}}
+    for (arm, keys), x in zip(own.items(), (850.0, -850.0), strict=True):  # as in the paper
+        own[arm] = keys | {"base_position_mm": (x, 0.0, 0.0), "standoff_mm": 150.0}
+    strong = own | {"source_arm": own["detector_arm"] | {"base_position_mm": (850.0, 0.0, 0.0)}}
     cell, strong_cell = (
-        build_cell(s, head, Pose.identity(), Detector().panel) for s in (section, Cell())
+        build_cell(Cell.model_validate(s), head, Pose.identity(), Detector().panel)
+        for s in (own, strong)
     )
     targets = paper_targets[:4]
     if scale < 1:

@@ -12,11 +12,16 @@ from twinct.cell import CellModel, build_cell
 from twinct.geometry import Pose
 from twinct.motion import Kinematics
 from twinct.reach import Holder, Poses, poses_of, reasons, shown
-from twinct.scenario import Capsule, Cell, Detector, Motion, Zone
+from twinct.scenario import Capsule, Cell, Detector, DetectorArm, Motion, SourceArm, Zone
 from twinct.trajectory import on_sphere
 
 MOTION = Motion(trigger="settled", scheme="planned")
 FIXED = (False, False)
+FIRST = Cell(
+    source_arm=SourceArm(base_position_mm=(850.0, 0.0, 0.0), standoff_mm=150.0),
+    detector_arm=DetectorArm(base_position_mm=(-850.0, 0.0, 0.0), standoff_mm=150.0),
+)
+"""The paper's."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +56,7 @@ def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellMo
         shape=Capsule(kind="capsule", radius_mm=200, length_mm=1300),
         position_mm=(200.0, 700.0, -350.0),
     )
-    cell, poses = Cell(zones=(nurse,)), at(0, 30, 60)
+    cell, poses = FIRST.model_copy(update={"zones": (nurse,)}), at(0, 30, 60)
     view = shown(Holder(build(cell), MOTION, roll_free=FIXED), poses, 2)
     assert view.marks.red[0].startswith("source_") and view.marks.red[1] == "zone nurse"
     assert "zone nurse" in view.words[0]
@@ -70,13 +75,13 @@ def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellMo
 
 
 def test_no_single_change_turns_an_arm_round(build: Callable[[Cell], CellModel]) -> None:
-    views, words = reasons(Cell(), build, MOTION, at(0, 180), FIXED)
+    views, words = reasons(FIRST, build, MOTION, at(0, 180), FIXED)
     assert views == [1]
     assert words[0].startswith("no cure by one change for the 1 views tried, of 1")
 
 
 def test_the_way_between_is_told_apart(build: Callable[[Cell], CellModel]) -> None:
     motion = Motion(scheme="reactive", trigger="settled")
-    views, words = reasons(Cell(), build, motion, at(0, 10), FIXED)
+    views, words = reasons(FIRST, build, motion, at(0, 10), FIXED)
     assert not views
     assert "each view alone can be held" in words[0] and "motion.scheme: planned" in words[0]

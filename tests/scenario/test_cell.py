@@ -78,7 +78,10 @@ def test_a_gantry_counts_and_what_arms_read_does_not() -> None:
     assert digests("cell.kind=arms") == arms
     assert changed("trajectory.views=5") >= {"plan"}
     # What it was before there was a gantry: results of arms stay valid.
-    other_floor = digests("cell.floor_z_mm=-1500", "motion.scheme=reactive")
+    before = ("cell.source_arm", 850), ("cell.detector_arm", -850)
+    then = [f"{arm}.base_position_mm=[{x}, 0, 0]" for arm, x in before]
+    then += [f"{arm}.standoff_mm=150" for arm, _ in before]
+    other_floor = digests("cell.floor_z_mm=-1500", "motion.scheme=reactive", *then)
     assert other_floor["plan"].startswith("c8defc6e894a")
 
 

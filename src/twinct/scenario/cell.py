@@ -61,7 +61,7 @@ class Arm(Section):
         (0.0, 0.0, 0.0), "Extrinsic rotations of the base about x, y, z."
     )
     standoff_mm: Positive = setting(
-        150.0, "From flange to focal spot, or to panel centre, along the flange axis."
+        100.0, "From flange to focal spot, or to panel centre, along the flange axis."
     )
     tool_rotation_deg: Finite = setting(
         0.0, "Turn of the tool about the flange axis when it was mounted."
@@ -124,7 +124,9 @@ class Arm(Section):
 class SourceArm(Arm):
     """The arm with the X-ray source."""
 
-    base_position_mm: Vector = setting((850.0, 0.0, 0.0), "Origin of the arm's base in the world.")
+    base_position_mm: Vector = setting(
+        (750.0, 0.0, -150.0), "Origin of the arm's base in the world.", source="docs/reach.md"
+    )
     base_rotation_deg: Vector = setting(
         (0.0, 0.0, 180.0), "Extrinsic rotations of the base about x, y, z."
     )
@@ -134,7 +136,9 @@ class SourceArm(Arm):
 class DetectorArm(Arm):
     """The arm with the panel."""
 
-    base_position_mm: Vector = setting((-850.0, 0.0, 0.0), "Origin of the arm's base in the world.")
+    base_position_mm: Vector = setting(
+        (-750.0, 0.0, -150.0), "Origin of the arm's base in the world.", source="docs/reach.md"
+    )
     tool_mass_kg: Positive = setting(4.0, "Mass of the panel.")
 
 

@@ -88,7 +88,13 @@ COUNT_FOR_NONE = ("name", "description", "specimen.parts.name")
 _OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only arms read."""
 
-_BEFORE = {"motion.scheme": "reactive"}
+_BEFORE: dict[str, object] = {
+    "motion.scheme": "reactive",
+    "cell.source_arm.base_position_mm": (850.0, 0.0, 0.0),
+    "cell.source_arm.standoff_mm": 150.0,
+    "cell.detector_arm.base_position_mm": (-850.0, 0.0, 0.0),
+    "cell.detector_arm.standoff_mm": 150.0,
+}
 """Defaults that were others when a stage had its version: results made with those stay valid."""
 
 _SEEDS = ("seed", "uncertainty.seed")
@@ -157,7 +163,9 @@ def _told(
     for name, info in type(section).model_fields.items():
         value = getattr(section, name)
         inner = f"{key}.{name}" if key else name
-        if name not in ("kind", "algorithm") and value == _BEFORE.get(inner, info.default):
+        changed_since = any(other.startswith(f"{inner}.") for other in _BEFORE)
+        at_default = not changed_since and value == _BEFORE.get(inner, info.default)
+        if name not in ("kind", "algorithm") and at_default:
             continue
         if sections := sections_in(value):
             parts = [_told(item, inner, reads, content) for item in sections]
