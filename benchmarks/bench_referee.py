@@ -3,8 +3,8 @@
     python benchmarks/bench_referee.py [--arm ur10e lbr_iiwa14] [--scenario FILE] [--results FILE]
 
 Views are drawn about the isocentre until the referee has so many that can be held; the turns about
-the beam are free for a ``ur10e`` and fixed for an ``lbr_iiwa14``. One JSON line a view; those in
-the file of results are not judged again.
+the beam are free for a ``ur10e`` and fixed for an ``lbr_iiwa14``. One JSON line a view and cell;
+those in the file of results are not judged again.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from bench_planner import PANEL
-from bench_trajectories import MOTION, cell_of, simulated, told_in
+from bench_trajectories import MOTION, cell_of, mark, simulated, told_in
 from referee import Referee
 
 from twinct.cell import CellModel
@@ -31,7 +31,7 @@ from twinct.trajectory import ArcTrajectory, on_sphere
 from twinct.trajectory.orbit import orbit_views
 from twinct.views import PosePairs, Target
 
-RESULTS = Path(__file__).parent.parent / "docs" / "data" / "referee.jsonl"
+RESULTS = Path(__file__).parent / "results" / "referee.jsonl"
 
 BASE_MM = {"ur10e": 850.0, "lbr_iiwa14": 650.0}
 """From the isocentre to the foot of each arm."""
@@ -94,11 +94,13 @@ def compare(
     """Verdicts of both on as many views as it takes."""
     model = cell.cell.source_arm.model
     referee = Referee(cell, kept_mm(MOTION), MOTION.ik)
-    told = [line for line in told_in(results) if line["cell"] == name]
+    told = [line for line in told_in(results) if line["cell"] == mark(cell)]
     while sum(line["held"] for line in told) < positives:
         target = drawn(len(told), WITHIN_DEG[model or "ur10e"])
         simulate = sum("exposed" in line for line in told) < simulations
-        told.append({"cell": name} | judged(cell, referee, target, model == "ur10e", simulate))
+        told.append(
+            {"cell": mark(cell)} | judged(cell, referee, target, model == "ur10e", simulate)
+        )
         with results.open("a") as file:
             file.write(json.dumps(told[-1]) + "\n")
     held = [line for line in told if line["held"]]

@@ -2,13 +2,14 @@
 
     python benchmarks/bench_trajectories.py [--scenario FILE] [--gap-minutes 10] [--results FILE]
 
-One JSON line a trajectory; those in the file of results are not done again. Of a gap that the
-planner does not close, a search of its own tells whether it can be closed.
+One JSON line a trajectory and cell; those in the file of results are not done again. Of a gap that
+the planner does not close, a search of its own tells whether it can be closed.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import re
 import time
@@ -28,7 +29,7 @@ from twinct.geometry import Pose
 from twinct.motion import MotionPlan, RobotSimulation, plan_motion
 from twinct.scenario import Cell, Motion, load_scenario
 
-RESULTS = Path(__file__).parent.parent / "docs" / "data" / "trajectories.jsonl"
+RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
 
 MOTION = Motion(scheme="planned", trigger="settled")
 
@@ -41,6 +42,11 @@ def cell_of(given: Path | Cell | None) -> CellModel:
     head = icosphere(subdivisions=4)
     head.apply_scale(HEAD_SEMI_AXES_MM)
     return build_cell(section, head, Pose.identity(), PANEL)
+
+
+def mark(cell: CellModel) -> str:
+    """What tells results in one cell from those in another."""
+    return hashlib.sha256(cell.cell.model_dump_json().encode()).hexdigest()[:12]
 
 
 def refereed(cell: CellModel, named: Named) -> list[int]:
@@ -77,7 +83,7 @@ def simulated(cell: CellModel, plan: MotionPlan) -> dict[str, Any]:
 
 def figures(cell: CellModel, named: Named, gap_minutes: float) -> dict[str, Any]:
     """All about one trajectory."""
-    told: dict[str, Any] = {"name": named.name, "views": len(named.targets)}
+    told: dict[str, Any] = {"cell": mark(cell), "name": named.name, "views": len(named.targets)}
     out = told["out_of_reach"] = refereed(cell, named)
     begin = time.process_time()
     try:
@@ -110,8 +116,8 @@ def main() -> None:
     parser.add_argument("--gap-minutes", type=float, default=10.0)
     parser.add_argument("--results", type=Path, default=RESULTS)
     args = parser.parse_args()
-    done = {told["name"]: told for told in told_in(args.results)}
     cell = cell_of(args.scenario)
+    done = {told["name"]: told for told in told_in(args.results) if told["cell"] == mark(cell)}
     for named in sixty(PANEL):
         if named.name not in done:
             done[named.name] = told = figures(cell, named, args.gap_minutes)
