@@ -53,10 +53,13 @@ def test_roll_and_order_count_where_they_are_not_free(
 def test_a_plan_of_another_cell_is_refused(
     head: trimesh.Trimesh, cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
-    arm = Cell().source_arm
+    section = cell.cell
+    assert isinstance(section, Cell)
+    arm = section.source_arm
     x, y, z = arm.base_position_mm
     moved = arm.model_copy(update={"base_position_mm": (x, y + 5, z)})
-    other = build_cell(Cell(source_arm=moved), head, Pose.identity(), Detector().panel)
+    there = section.model_copy(update={"source_arm": moved})
+    other = build_cell(there, head, Pose.identity(), Detector().panel)
     with pytest.raises(TrajectoryError, match=r"of another cell: .* the source 5\.0 mm and 0\.00"):
         checked_plan(plan, other, AS_IN_THE_PAPER, Asked(targets), "p.npz")
     renamed = replace(plan, joint_names=("turn", *plan.joint_names[1:]))

@@ -40,6 +40,7 @@ def searched(build: Callable[[Cell], CellModel]) -> Placement:
     return place(FIRST, build, MOTION, poses, bounds=BOUNDS, samples=4, seed=3)
 
 
+@pytest.mark.tutorial
 def test_it_serves_more_inside_its_bounds(build: Callable[[Cell], CellModel]) -> None:
     poses = poses_of(fibonacci_directions(16), 300, 300, np.zeros(3), Detector().panel)
     found = searched(build)

@@ -74,6 +74,7 @@ def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellMo
     assert held.held(poses).all()
 
 
+@pytest.mark.tutorial
 def test_no_single_change_turns_an_arm_round(build: Callable[[Cell], CellModel]) -> None:
     views, words = reasons(FIRST, build, MOTION, at(0, 180), FIXED)
     assert views == [1]

@@ -83,6 +83,7 @@ def test_the_report_is_complete_with_and_without_what_draws(finished: Run, tmp_p
     assert "The operating room at the middle view" in drawn
 
 
+@pytest.mark.tutorial
 @pytest.mark.ros
 @pytest.mark.process
 def test_both_links_give_the_same_bytes_and_go_on_from_each_other(

@@ -75,6 +75,7 @@ def test_commanded_poses_are_those_the_plan_chose(
     assert scan[1].clearance_mm.min() >= scenario.motion.clearance_mm
 
 
+@pytest.mark.tutorial
 @pytest.mark.ros
 @pytest.mark.process
 def test_both_links_follow_one_plan_and_go_on_from_each_other(

@@ -72,12 +72,15 @@ def check(
     require_extras(loaded)
     workshop, terminal = Workshop(loaded), TerminalProgress()
     with named_places(scenario, set_):
+        if workshop.plan_chooses:  # else what the views see is known without a plan
+            with explained(workshop, picture):
+                _ = workshop.plan
         check_physics(workshop)
-        with explained(workshop, picture):
-            _ = workshop.plan
         require_feasible(loaded, workshop.commanded)
         for warning in check_sight(workshop):
             terminal.say(warning, warning=True)
+        with explained(workshop, picture):
+            _ = workshop.plan
         table = Table(title=f"{loaded.name}: can be run", show_header=False)
         for name, words in findings(workshop).items():
             table.add_row(name, words.replace("×", "x"))
