@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct import load_scan, reconstruct
+from twinct import load_scan, reconstruct, run
 from twinct.errors import InputError, ScanExistsError
 from twinct.runs import Run, derive_geometry, reconstruct_again
 from twinct.runs.kept import Reconstruction
@@ -110,3 +110,9 @@ def test_names_of_a_scan_cannot_be_taken(finished: Run) -> None:
     for name, said in (("executed", "every scan has"), ("a/b", "make a name")):
         with pytest.raises(InputError, match=said):
             derive_geometry(finished.paths.path, name)
+
+
+def test_a_run_has_three_geometries(tiny, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'believd' is none of commanded, executed, believed"):
+        run(tiny("reconstruction.geometry=believd"), tmp_path / "out", link="local")
+    assert not (tmp_path / "out").exists()

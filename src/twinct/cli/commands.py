@@ -65,13 +65,21 @@ def check(
         picture: File for the picture of a view that cannot be had.
     """
     from twinct.cli.reach import explained
-    from twinct.runs import check_physics, check_sight, findings, require_extras, require_feasible
+    from twinct.runs import (
+        check_geometries,
+        check_physics,
+        check_sight,
+        findings,
+        require_extras,
+        require_feasible,
+    )
     from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
     workshop, terminal = Workshop(loaded), TerminalProgress()
     with named_places(scenario, set_):
+        check_geometries(loaded)
         if workshop.plan_chooses:  # else what the views see is known without a plan
             with explained(workshop, picture):
                 _ = workshop.plan

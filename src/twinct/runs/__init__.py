@@ -2,7 +2,13 @@
 
 from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
 from twinct.runs.again import derive_geometry, load_scan, reconstruct_again
-from twinct.runs.checks import check_physics, check_sight, findings, require_extras
+from twinct.runs.checks import (
+    check_geometries,
+    check_physics,
+    check_sight,
+    findings,
+    require_extras,
+)
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, report_again, run
 from twinct.runs.kept import Reconstruction
@@ -17,6 +23,7 @@ __all__ = [
     "Run",
     "Truth",
     "acquire_to_store",
+    "check_geometries",
     "check_physics",
     "check_sight",
     "derive_geometry",

@@ -7,7 +7,7 @@ from twinct.evaluate import sight
 from twinct.extras import require
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
-from twinct.scan import Workshop
+from twinct.scan import OWN, Workshop
 from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.size import SpecimenSize, specimen_size
 
@@ -123,6 +123,20 @@ def findings(workshop: Workshop) -> dict[str, str]:
         "reconstruction": scenario.reconstruction.in_words,
         "digest": stage_digests(scenario)["images"],
     }
+
+
+def check_geometries(scenario: Scenario) -> None:
+    """Refuse a run that would reconstruct from what its scan cannot have.
+
+    Raises:
+        InputError: a geometry that is none of the three of every scan.
+    """
+    others = [name for name in scenario.reconstruction.geometries if name not in OWN]
+    if others:
+        raise InputError(
+            f"reconstruction.geometry: {others[0]!r} is none of {', '.join(OWN)}; from a geometry "
+            "that was derived from a scan 'twinct reconstruct DIR --geometry NAME' reconstructs"
+        )
 
 
 def require_extras(scenario: Scenario) -> None:

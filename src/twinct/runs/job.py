@@ -22,7 +22,7 @@ from twinct.files.writing import storage_errors, write_text
 from twinct.progress import SILENT, Progress
 from twinct.report import physics_in_words
 from twinct.runs.acquisition import Link, RigFactory, acquire_to_store, rig_factory
-from twinct.runs.checks import check_physics, check_sight, require_extras
+from twinct.runs.checks import check_geometries, check_physics, check_sight, require_extras
 from twinct.runs.folder import Folder, as_yaml, read_metrics
 from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
@@ -100,6 +100,7 @@ def run(
     if store:
         store.refuse_other(scenario)
     require_extras(scenario)
+    check_geometries(scenario)
     check_drawing()
     if resume and folder.finished(scenario):
         progress.say(f"{folder.path} is complete; the report is {folder.report}")
