@@ -15,7 +15,7 @@ from twinct.files.writing import storage_errors
 from twinct.progress import SILENT, Progress
 from twinct.report import cross_sections
 from twinct.runs.folder import Folder
-from twinct.runs.job import Run, report_again
+from twinct.runs.job import Run, finished_run, report_again
 from twinct.runs.kept import Reconstruction, kept_reconstructions
 from twinct.runs.reporting import judge, truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
@@ -92,8 +92,7 @@ def reconstruct_again(
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     _refuse_others(overrides, "reconstruction")
-    if missing := [p.name for p in (*folder.results, folder.scenario) if not p.exists()]:
-        raise InputError(f"{path} holds no finished run: {', '.join(missing)} missing")
+    finished_run(folder)
     scenario = _scenario_of(folder, overrides)
     which = geometry or scenario.reconstruction.geometries[0]
     with ExitStack() as stack:

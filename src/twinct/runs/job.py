@@ -125,6 +125,25 @@ def run(
     return Run(scenario, folder)
 
 
+def finished_run(folder: Folder) -> Run:
+    """The run that a folder holds.
+
+    Raises:
+        InputError: it holds no finished run, or one that was being made anew.
+    """
+    needed = (folder.scan, folder.volume, folder.metrics, folder.scenario)
+    if missing := [p.name for p in needed if not p.exists()]:
+        raise InputError(f"{folder.path} holds no finished run: {', '.join(missing)} missing")
+    scenario = folder.scenario_of_run(planned=ScanStore(folder.scan).plan is not None)
+    run = Run(scenario, folder)
+    if run.volume.extras["note"] != _note_of(scenario):
+        raise InputError(
+            f"{folder.volume} was made with other settings than {folder.scenario.name} holds: "
+            f"finish the run with 'twinct run {folder.scenario} --out {folder.path} --resume'"
+        )
+    return run
+
+
 def report_again(path: str | Path, progress: Progress = SILENT) -> Run:
     """Judge a finished run again and rewrite its figures and its report.
 
@@ -132,21 +151,10 @@ def report_again(path: str | Path, progress: Progress = SILENT) -> Run:
         InputError: the folder holds no finished run, or one that was being made anew.
     """
     folder = Folder(Path(path))
-    needed = (folder.scan, folder.volume, folder.metrics, folder.scenario)
-    missing = [p.name for p in needed if not p.exists()]
-    if missing:
-        raise InputError(f"{path} holds no finished run: {', '.join(missing)} missing")
+    run = finished_run(folder)
     with storage_errors(folder.path), sole_owner(folder.lock):
-        before = read_metrics(folder.metrics)
-        plan = ScanStore(folder.scan).plan
-        scenario = folder.scenario_of_run(planned=plan is not None)
-        run = Run(scenario, folder)
-        if run.volume.extras["note"] != _note_of(scenario):
-            raise InputError(
-                f"{folder.volume} was made with other settings than {folder.scenario.name} holds: "
-                f"finish the run with 'twinct run {folder.scenario} --out {path} --resume'"
-            )
-        workshop = Workshop(scenario, plan)
+        before, scenario = read_metrics(folder.metrics), run.scenario
+        workshop = Workshop(scenario, ScanStore(folder.scan).plan)
         truth = truth_of(run.scan, workshop, progress)
         figures = {scenario.reconstruction.geometries[0]: judge(run.scan, run.volume, truth)}
         for which, values in before.get("image_by_geometry", {}).items():
