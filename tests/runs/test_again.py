@@ -30,6 +30,7 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
     made = reconstruct_again(folder, keys, geometry="executed")
     assert (made.name, made.geometry) == ("cgls-executed", "executed")
     assert (folder / "volume.nii").read_bytes() == before
+    assert not (folder / "checkpoints").exists()
     grid = {"voxels": 12, "voxel_mm": 12}
     fresh = reconstruct(finished.scan, algorithm="cgls", geometry="executed", grid=grid)
     np.testing.assert_array_equal(made.volume.array, fresh.array)
@@ -96,6 +97,8 @@ def test_a_geometry_that_was_changed_is_refused(finished: Run, folder: Path) -> 
     file = folder / "geometries" / "believed.json"
     whole = NamedGeometry.read(file)
     assert whole.poses.source == finished.scan.believed.source
+    (file.parent / ".believed.json.partial.json").write_text("{")  # of a killed write
+    assert list(load_scan(folder).derived) == ["believed"]
     told = json.loads(file.read_text())
     told["source"][3][0] += 1e-9
     file.write_text(json.dumps(told))

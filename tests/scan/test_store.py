@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -249,6 +250,9 @@ def test_a_store_of_version_0_1_is_read_and_resumed(tmp_path, scenario, commande
     assert store.acquired == 2
     with pytest.raises(ScanExistsError, match="another scenario"):
         ScanStore.resume(path, harder(scenario))
+    for name in ("joint_velocity", "joint_torque"):  # it had none
+        shutil.rmtree(path / name)
+    assert fill(path, scenario, commanded, range(2, VIEWS)).read().joints.shape == (VIEWS, 2)
 
 
 def test_what_is_believed_is_no_part_of_a_scan(tmp_path, scenario, commanded) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import shutil
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -114,6 +115,7 @@ def reconstruct_again(
             raise ScanExistsError(f"{kept[name].path} is another reconstruction: --as")
         found, volume = _made(scan, folder, which, (name, digest, of_geometry), progress)
         found.keep(volume)
+        shutil.rmtree(folder.checkpoints, ignore_errors=True)
     report_again(folder.path, progress)
     return found
 

@@ -90,7 +90,9 @@ def named_geometries(folder: Path) -> dict[str, NamedGeometry]:
     Raises:
         InputError: one is damaged.
     """
-    return {path.stem: NamedGeometry.read(path) for path in sorted(folder.glob("*.json"))}
+    # What a killed write left begins with a dot.
+    paths = sorted(p for p in folder.glob("*.json") if not p.name.startswith("."))
+    return {path.stem: NamedGeometry.read(path) for path in paths}
 
 
 def checked_name(name: str) -> str:

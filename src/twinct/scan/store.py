@@ -196,6 +196,8 @@ class ScanStore:
             ValueError: something of the view has another shape than the scan; nothing is written.
         """
         columns = _columns(view)
+        if self._format < FORMAT:  # begun by an older twinct, which did not keep them
+            del columns["joint_velocity"], columns["joint_torque"]
         for name, values in {"transmission": view.transmission, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):
                 raise ValueError(f"{name} of view {index} has {np.shape(values)}, the scan {shape}")
