@@ -5,12 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Panel, Pose, ScanGeometry
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from twinct.cell import CellModel
 
 STARTS = {"subprocess.Popen": 0, "os.posix_spawn": 0, "os.system": 0}
 """Audit events of a process that starts, and the argument that names it."""
@@ -88,3 +94,24 @@ def random_geometry() -> Callable[..., ScanGeometry]:
         return ScanGeometry(*(np.array(column) for column in zip(*rows, strict=True)), panel)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def head() -> trimesh.Trimesh:
+    """An ellipsoid of a head's size."""
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.apply_scale((72.0, 90.0, 110.0))
+    return mesh
+
+
+@pytest.fixture(scope="session")
+def cell(head: trimesh.Trimesh) -> CellModel:
+    """The paper's room about it."""
+    from twinct.cell import build_cell
+    from twinct.scenario import Cell, Detector, load_scenario
+
+    section = load_scenario(Path(__file__).parents[1] / "scenarios" / "paper.yaml").cell
+    assert isinstance(section, Cell)
+    return build_cell(section, head, Pose.identity(), Detector().panel)

@@ -1,36 +1,17 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
-import trimesh
 
-from twinct.cell import CellModel, build_cell
-from twinct.geometry import Pose
+from twinct.cell import CellModel
 from twinct.motion import MotionPlan, plan_motion
-from twinct.scenario import Cell, Detector, Motion, load_scenario
+from twinct.scenario import Detector, Motion
 from twinct.trajectory import SinusoidTrajectory, commanded_views
 from twinct.views import PosePairs, Target
-
-PAPER_CELL = load_scenario(Path(__file__).parents[2] / "scenarios" / "paper.yaml").cell
-assert isinstance(PAPER_CELL, Cell)
 
 VIEWS = 24
 
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
 """As in scenarios/paper.yaml."""
-
-
-@pytest.fixture(scope="session")
-def head() -> trimesh.Trimesh:
-    mesh = trimesh.creation.icosphere(subdivisions=3)
-    mesh.apply_scale((72.0, 90.0, 110.0))
-    return mesh
-
-
-@pytest.fixture(scope="session")
-def cell(head: trimesh.Trimesh) -> CellModel:
-    return build_cell(PAPER_CELL, head, Pose.identity(), Detector().panel)
 
 
 @pytest.fixture(scope="session")
