@@ -130,6 +130,25 @@ class Reached:
 
 
 @dataclass(frozen=True, eq=False)
+class JointSample:
+    """Joints at one instant, while they move.
+
+    Attributes:
+        time_s: simulated time.
+        joint_names: prefixed ``source_`` and ``detector_``, source first.
+        position: rad, (joints,).
+        velocity: rad/s, (joints,).
+        effort: N m, (joints,).
+    """
+
+    time_s: float
+    joint_names: tuple[str, ...]
+    position: Floats
+    velocity: Floats
+    effort: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class PosePairs:
     """Source and detector poses of all views: one of commanded, executed, believed.
 

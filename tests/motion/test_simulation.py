@@ -14,9 +14,9 @@ from twinct.cell import CellModel, Clearance, build_cell
 from twinct.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Pose
 from twinct.motion import MotionPlan, RobotSimulation, plan_motion
-from twinct.motion.simulation import SATURATED
+from twinct.motion.simulation import SAMPLE_S, SATURATED
 from twinct.scenario import Cell, Detector, Motion
-from twinct.views import Reached, Target
+from twinct.views import JointSample, Reached, Target
 
 SIDES = ("source", "detector")
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
@@ -122,6 +122,25 @@ def test_a_restored_simulation_goes_on_bit_for_bit(
         assert again.clearance_mm == reached[view].clearance_mm
         for name in ("position", "velocity", "effort", "state"):
             assert np.array_equal(getattr(again, name), getattr(reached[view], name)), name
+
+
+def test_moving_joints_are_told_every_20_ms_and_change_nothing(
+    cell: CellModel, plan: MotionPlan, targets: list[Target]
+) -> None:
+    quiet, told = (RobotSimulation(cell, AS_IN_THE_PAPER, plan) for _ in range(2))
+    samples: list[JointSample] = []
+    steps: dict[float, np.ndarray] = {}
+    told.on_joints = samples.append
+    for view, target in enumerate(targets[:4]):
+        reached = told.move(view, target, lambda d: steps.update({d.time: d.qpos.copy()}))
+        assert np.array_equal(reached.state, quiet.move(view, target).state)
+    last_s = samples[-1].time_s
+    assert [s.time_s for s in samples] == pytest.approx(np.arange(0.02, last_s + 0.01, 0.02))
+    assert told.time_s - last_s < SAMPLE_S
+    for sample in samples:
+        assert np.array_equal(sample.position, steps[sample.time_s])
+    speeds = np.gradient([s.position for s in samples], SAMPLE_S, axis=0)[1:-1]
+    assert np.abs(speeds - [s.velocity for s in samples[1:-1]]).max() < 0.01 * np.abs(speeds).max()
 
 
 def test_a_state_of_another_cell_is_refused(cell: CellModel, plan: MotionPlan) -> None:

@@ -24,7 +24,7 @@ from twinct.motion.refusals import arms_in, readable
 from twinct.motion.shutter import Shutter
 from twinct.motion.way import Way, find_way, kept_mm
 from twinct.scenario import Motion
-from twinct.views import Instant, Reached, Target, to_seven
+from twinct.views import Instant, JointSample, Reached, Target, to_seven
 
 REFUSED_SHARE = 0.5
 """A target is refused where its path leaves less than this share of a plan's clearance.
@@ -46,6 +46,9 @@ STANDING = 1e-9
 
 SATURATED = 0.999
 """Share of its torque limit from which a joint counts as at the limit."""
+
+SAMPLE_S = 0.02
+"""Simulated time from one sample of the moving joints to the next, at most."""
 
 
 @dataclass
@@ -73,7 +76,10 @@ class RobotSimulation:
 
     Attributes:
         watch: torques, speeds and contacts over every step of the last move.
+        on_joints: hears of the joints every ``SAMPLE_S``, on a grid of the simulated time.
     """
+
+    on_joints: Callable[[JointSample], None] | None = None
 
     def __init__(
         self,
@@ -106,6 +112,7 @@ class RobotSimulation:
         self._reference = Reference(cell_model, motion)
         self._clearance = Clearance(cell_model)
         self._scratch = mujoco.MjData(self._model)
+        self._sample_steps = max(1, int(SAMPLE_S / self._model.opt.timestep + 1e-9))
         self._n = len(cell_model.joint_names)
         self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
         # The servo's own damping and the joint's friction both pull back a moving joint.
@@ -409,6 +416,8 @@ class RobotSimulation:
                     watch.contacts.add((first, second))
             if on_step is not None:
                 on_step(data)
+            if self.on_joints is not None and step:
+                self._sample(self.on_joints)
             to_source, to_detector = spots[0] - wanted[0], spots[1] - wanted[1]
             near = max(to_source @ to_source, to_detector @ to_detector) < tolerance_m**2
             # What a move finds before its first step is the last one's doing.
@@ -424,6 +433,13 @@ class RobotSimulation:
             self._step(reference(step))
         self._judge(watch, record)
         raise self._late(wanted, what)
+
+    def _sample(self, tell: Callable[[JointSample], None]) -> None:
+        """Tell of the joints where the time is on the samples' grid."""
+        data = self._data
+        if round(data.time / self._model.opt.timestep) % self._sample_steps == 0:
+            now = data.qpos.copy(), data.qvel.copy(), data.qfrc_actuator.copy()
+            tell(JointSample(float(data.time), self.joint_names, *now))
 
     def _step(self, state: Floats) -> None:
         """One step of the servos towards position, velocity and acceleration, (3, n)."""
