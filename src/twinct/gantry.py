@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from twinct.errors import MotionError
 from twinct.geometry import Floats, Pose
 from twinct.scenario import GantryCell, Source
-from twinct.views import Instant, Reached, SevenNumbers, Target, from_seven, to_seven
+from twinct.views import Instant, JointSample, Reached, SevenNumbers, Target, from_seven, to_seven
 
 STATE = 15
 """Numbers of a state: simulated time, and the two poses of the last target."""
@@ -19,7 +21,12 @@ class Gantry:
     There are no joints, and nothing is looked at that could collide: the clearance is NaN. Where
     an image takes its time, it is centred on the moment of the view, and both end-effectors go on
     in the screw motion that led from the view before to this one, at constant speed.
+
+    Attributes:
+        on_joints: would hear of joints; there are none.
     """
+
+    on_joints: Callable[[JointSample], None] | None = None
 
     def __init__(
         self, cell: GantryCell, source: Source, specimen: Pose, *, remember: bool = False

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from twinct.cli.ctsimu import ctsimu
-from twinct.cli.progress import TerminalProgress
+from twinct.cli.progress import on_terminal, say
 from twinct.scenario import load_scenario, named_places, scenario_schema
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def check(
 
     loaded = load_scenario(scenario, set_)
     require_extras(loaded)
-    workshop, terminal = Workshop(loaded), TerminalProgress()
+    workshop = Workshop(loaded)
     with named_places(scenario, set_):
         check_geometries(loaded)
         if workshop.plan_chooses:  # else what the views see is known without a plan
@@ -86,7 +86,7 @@ def check(
         check_physics(workshop)
         require_feasible(loaded, workshop.commanded)
         for warning in check_sight(workshop):
-            terminal.say(warning, warning=True)
+            say(warning, warning=True)
         with explained(workshop, picture):
             _ = workshop.plan
         table = Table(title=f"{loaded.name}: can be run", show_header=False)
@@ -131,9 +131,9 @@ def run(
     from twinct import runs
 
     loaded = load_scenario(scenario, set_)
-    with named_places(scenario, set_):
+    with named_places(scenario, set_), on_terminal() as audience:
         finished = runs.run(
-            loaded, out, link=link, resume=resume, threads=threads, progress=TerminalProgress()
+            loaded, out, link=link, resume=resume, threads=threads, observers=audience
         )
     _say_result(finished)
 
@@ -178,7 +178,7 @@ def render(
     with named_places(scenario, set_), storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         for problem in draw_anyway(workshop, out, view, width, height):
-            TerminalProgress().say(problem, warning=True)
+            say(problem, warning=True)
     Console().print(f"wrote {out}", highlight=False)
 
 
@@ -360,7 +360,9 @@ def report(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="
     """
     from twinct.runs import report_again
 
-    _say_result(report_again(folder, TerminalProgress()))
+    with on_terminal() as audience:
+        again = report_again(folder, audience)
+    _say_result(again)
 
 
 @app.command
@@ -383,9 +385,10 @@ def reconstruct(
     from twinct.threads import limit_threads
 
     limit_threads(threads)
-    made = reconstruct_again(folder, set_, geometry=geometry, name=as_, progress=TerminalProgress())
+    with on_terminal() as audience:
+        made = reconstruct_again(folder, set_, geometry=geometry, name=as_, observers=audience)
     rmse, near = (_percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))
-    TerminalProgress().say(
+    say(
         f"{made.name}: {made.in_words}, {made.geometry} geometry; RMSE {rmse}, {near} near "
         f"the reference material\n{made.path}; report: {folder / 'report.html'}"
     )
@@ -411,7 +414,8 @@ def geometry(
     from twinct.scan import OWN
 
     if as_ is not None:
-        derive_geometry(folder, as_, set_, TerminalProgress())
+        with on_terminal() as audience:
+            derive_geometry(folder, as_, set_, audience)
     elif set_:
         raise InputError(f"--set {set_[0]}: a new geometry needs a name (--as)")
     scan = load_scan(folder)
@@ -429,7 +433,7 @@ def _say_result(run: Run) -> None:
     """The main figures in two lines."""
     image, pose = run.figures["image"], run.figures["pose_error"]
     material = run.figures.get("reference_material", "bone")  # older runs do not say
-    TerminalProgress().say(
+    say(
         f"{run.figures['reached']} of {run.figures['views']} views; "
         f"RMSE {_percent(image['rmse_rel'])} of mu({material}), "
         f"{_percent(image['rmse_bone_rel'])} near {material}; "

@@ -45,7 +45,7 @@ def render(
         seed: Seed of the noise, 0 or more.
         resume: Go on with a rendering that was interrupted.
     """
-    from twinct.cli.progress import TerminalProgress
+    from twinct.cli.progress import on_terminal
     from twinct.ctsimu import Options, load_ctsimu, render
     from twinct.errors import MemoryShortageError
     from twinct.files.writing import check_folder
@@ -55,7 +55,7 @@ def render(
     loaded = load_ctsimu(scenario)
     options = Options(samples, spot_points, seed)
     try:
-        with TerminalProgress().stage("projections", loaded.frames) as step:
+        with on_terminal() as audience, audience.stage("projections", loaded.frames) as step:
             files = render(loaded, out, options, resume=resume, step=step)
     except MemoryError as error:
         columns, rows = reversed(loaded.frame(0).panel.shape)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from twinct.cli.progress import TerminalProgress
+from twinct.cli.progress import on_terminal
 from twinct.errors import InputError, ScanExistsError
 from twinct.exchange import Bundle, Toolkit, Values, bundle_bytes, write_bundle
 from twinct.files.writing import require_space, storage_errors
@@ -46,7 +46,11 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
     geometry = poses.geometry(scenario.detector.panel)[:views]
     require_space(out, bundle_bytes(geometry), "the export needs")
     left = "nothing of the export is left, the scan is as it was"
-    with storage_errors(out, left), TerminalProgress().stage("export", views) as step:
+    with (
+        storage_errors(out, left),
+        on_terminal() as audience,
+        audience.stage("export", views) as step,
+    ):
 
         def images() -> Iterator[NDArray[np.float32]]:
             for view in range(views):

@@ -3,15 +3,39 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from rich import progress
 from rich.console import Console
 
+from twinct.observers import (
+    Audience,
+    Event,
+    Observer,
+    Said,
+    StageBegan,
+    StageEnded,
+    StageStep,
+    audience_of,
+)
+
 _LINE_EVERY_S = 30.0
 _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False}
+
+
+@contextmanager
+def on_terminal() -> Iterator[Audience]:
+    """An audience that shows how far work is."""
+    kinds = (StageBegan, StageStep, StageEnded, Said)
+    with audience_of([Observer(TerminalProgress(), kinds)]) as audience:
+        yield audience
+
+
+def say(text: str, *, warning: bool = False) -> None:
+    """Print one message."""
+    TerminalProgress()(Said(text, warning))
 
 
 class TerminalProgress:
@@ -20,38 +44,42 @@ class TerminalProgress:
     def __init__(self) -> None:
         """Look whether stderr is a terminal."""
         self._console = Console(stderr=True)
+        self._bar: progress.Progress | None = None
+        self._shown = 0.0
 
-    @contextmanager
-    def stage(self, name: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
-        """See ``twinct.progress.Progress.stage``."""
-        if self._console.is_terminal:
-            columns = (
-                progress.TextColumn("{task.description:<28}"),
-                progress.BarColumn(bar_width=None),
-                progress.MofNCompleteColumn(),
-                progress.TimeElapsedColumn(),
-                progress.TimeRemainingColumn(),
-            )
-            with progress.Progress(*columns, console=self._console) as bar:
-                task = bar.add_task(name, total=total, completed=done)
-                yield lambda: bar.advance(task)
-            return
-        count, start = done, time.monotonic()
-        shown = start
+    def __call__(self, event: Event) -> None:
+        """Show an event, if it is one of stages."""
+        match event:
+            case StageBegan(name, total, done):
+                self._shown = time.monotonic()
+                if self._console.is_terminal:
+                    self._bar = self._new_bar()
+                    self._bar.add_task(name, total=total, completed=done)
+                    self._bar.start()
+            case StageStep(name, total, done) if self._bar:
+                self._bar.update(self._bar.task_ids[0], completed=done)
+            case StageStep(name, total, done) if done < total:
+                if time.monotonic() - self._shown > _LINE_EVERY_S:
+                    self._shown = time.monotonic()
+                    self._console.print(f"{name}: {done} of {total}", highlight=False)
+            case StageEnded() if self._bar:
+                self._bar.stop()
+                self._bar = None
+            case StageEnded(name, total, done, seconds, broken=False):
+                text = f"{name}: {done} of {total}, {seconds:.1f} s"
+                self._console.print(text, highlight=False)
+            case Said(text, warning):
+                console = self._console if warning else Console()
+                console.print(f"twinct: warning: {text}" if warning else text, **_PLAIN)
+            case _:
+                pass
 
-        def step() -> None:
-            nonlocal count, shown
-            count += 1
-            now = time.monotonic()
-            if now - shown > _LINE_EVERY_S and count < total:
-                shown = now
-                self._console.print(f"{name}: {count} of {total}", highlight=False)
-
-        yield step
-        seconds = time.monotonic() - start
-        self._console.print(f"{name}: {count} of {total}, {seconds:.1f} s", highlight=False)
-
-    def say(self, text: str, *, warning: bool = False) -> None:
-        """See ``twinct.progress.Progress.say``: warnings on stderr, all else on stdout."""
-        console = self._console if warning else Console()
-        console.print(f"twinct: warning: {text}" if warning else text, **_PLAIN)
+    def _new_bar(self) -> progress.Progress:
+        return progress.Progress(
+            progress.TextColumn("{task.description:<28}"),
+            progress.BarColumn(bar_width=None),
+            progress.MofNCompleteColumn(),
+            progress.TimeElapsedColumn(),
+            progress.TimeRemainingColumn(),
+            console=self._console,
+        )

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from twinct.cli.progress import TerminalProgress
+from twinct.cli.progress import on_terminal, say
 from twinct.errors import InputError, TrajectoryError
 from twinct.extras import require
 from twinct.files.writing import check_folder, check_picture, storage_errors
@@ -81,7 +81,7 @@ def reach_command(
     if out is not None:
         check_folder(out)
     workshop = Workshop(loaded)
-    with named_places(scenario, set_):
+    with named_places(scenario, set_), on_terminal() as audience:
         sod, its_odd, centre = _orbit(workshop)
         found = reach(
             workshop.cell,
@@ -91,7 +91,7 @@ def reach_command(
             odd_mm=its_odd if odd is None else odd,
             isocentre_mm=centre,
             connected=connected,
-            progress=TerminalProgress(),
+            progress=audience,
         )
         rows = shares(found)
     table = Table(title=f"{loaded.name}: of {directions} directions")
@@ -129,8 +129,8 @@ def place_command(
     """Search, print what to write into the scenario, and write one with it where asked."""
     loaded = load_scenario(scenario, set_)
     cell = arms_of(loaded)
-    workshop, progress = Workshop(loaded), TerminalProgress()
-    with named_places(scenario, set_):
+    workshop = Workshop(loaded)
+    with named_places(scenario, set_), on_terminal() as audience:
         free, searched, judged = _views_to_serve(workshop, sphere)
         found = place(
             cell,
@@ -141,23 +141,23 @@ def place_command(
             bounds=bounds,
             samples=samples,
             seed=seed,
-            progress=progress,
+            progress=audience,
         )
         before, after = (
             Holder(workshop.cell_of(one), loaded.motion, roll_free=free).held(judged).mean()
             for one in (cell, found.cell)
         )
     what = "directions" if sphere else "views"
-    progress.say(
+    say(
         f"both arms hold {100 * before:.1f} % of {len(judged)} {what} before, {100 * after:.1f} % "
         f"after; {found.judged} cells were judged by {len(searched)} {what}, seed {seed}"
     )
     for override in found.overrides:
-        progress.say(override)
+        say(override)
     if save is not None:
         with storage_errors(save):
             write_scenario(save, scenario, [*set_, *found.overrides])
-        progress.say(f"wrote {save}")
+        say(f"wrote {save}")
 
 
 def _views_to_serve(workshop: Workshop, sphere: bool) -> tuple[tuple[bool, bool], Poses, Poses]:

@@ -33,7 +33,7 @@ from twinct.ros.robots_node import describe
 from twinct.ros.senders import Members, Sender
 from twinct.ros.station import DIAGNOSTICS, IMAGE, JOINTS, REACHED, STATE, TARGET, Station
 from twinct.scenario import Scenario
-from twinct.views import Reached, Target
+from twinct.views import JointSample, Reached, Target
 
 if TYPE_CHECKING:
     from twinct.motion import MotionPlan
@@ -123,6 +123,7 @@ class RosRig:
         self._ended: list[NodeProcess] = []
         self._station: Station | None = None
         self._closing = False
+        self._tell_joints: Callable[[JointSample], None] | None = None
         self._teardown = ExitStack()
         with ExitStack() as stack:
             domain = domain or Domain()
@@ -309,6 +310,10 @@ class RosRig:
         got = self._views[self._asked[1]]
         self._wait("image", lambda: IMAGE in got)
         return got[IMAGE]
+
+    def listen(self, tell: Callable[[JointSample], None]) -> None:
+        """See ``Rig.listen``."""
+        self._tell_joints = tell
 
     def _stop_nodes(self) -> None:
         for node in self._nodes:

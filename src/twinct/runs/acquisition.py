@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twinct.errors import InputError
 from twinct.geometry import Pose, ScanGeometry
-from twinct.progress import SILENT, Progress
+from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
 from twinct.scan import Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire, local_rig
 from twinct.scenario import Scenario
@@ -29,7 +29,7 @@ RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
 
 
 @contextmanager
-def rig_factory(link: Link, logs: Path, progress: Progress) -> Generator[RigFactory, None, None]:
+def rig_factory(link: Link, logs: Path, audience: Audience) -> Generator[RigFactory, None, None]:
     """What starts the simulations; whatever can be missing for that is missed here.
 
     The ROS domain is taken and said at once, so that who wants to follow the scan joins in time.
@@ -48,16 +48,17 @@ def rig_factory(link: Link, logs: Path, progress: Progress) -> Generator[RigFact
 
     require_ros()
     with closing(Domain()) as domain:
-        progress.say(f"ROS 2: domain {domain.id} (ROS_DOMAIN_ID)")
+        audience.say(f"ROS 2: domain {domain.id} (ROS_DOMAIN_ID)")
         yield ros_rigs(logs, domain)
 
 
 def simulate(
-    scenario: Scenario, *, workshop: Workshop | None = None, progress: Progress = SILENT
+    scenario: Scenario, *, workshop: Workshop | None = None, observers: Observers = ()
 ) -> Scan:
     """Plan, move and expose every view in this process, without files and without ROS.
 
-    A workshop holds parts already built of this scenario.
+    A workshop holds parts already built of this scenario; observers hear of plan, moving joints
+    and views.
 
     Raises:
         InputError: a file or material of the source or the detector that cannot be used.
@@ -68,10 +69,18 @@ def simulate(
     check_physics(workshop)
     views: list[View] = []
     views_to_take = len(workshop.targets)
-    with local_rig(workshop, 0, None) as rig, progress.stage("views", views_to_take) as step:
+    with (
+        audience_of(observers) as audience,
+        local_rig(workshop, 0, None) as rig,
+        audience.stage("views", views_to_take) as step,
+    ):
+        if audience.wants(JointSample):
+            rig.listen(audience.tell)
+        audience.tell(PlanMade(scenario, workshop.commanded_poses, workshop.followed))
 
-        def keep(_: int, view: View) -> None:
+        def keep(index: int, view: View) -> None:
             views.append(view)
+            audience.tell(ViewStored(index, views_to_take, view.frozen()))
             step()
 
         acquire(rig, workshop.targets, keep)
@@ -85,7 +94,7 @@ def acquire_to_store(
     *,
     resume: bool,
     watch: Stopwatch | None = None,
-    progress: Progress = SILENT,
+    observers: Observers = (),
 ) -> ScanStore:
     """Take the views that the store lacks; each is on disk before the next is requested.
 
@@ -101,9 +110,13 @@ def acquire_to_store(
         return store
     state = store.state(first - 1) if store and first else None
     with (
+        audience_of(observers) as audience,
         closing(make_rig(workshop, first, state)) as rig,
-        progress.stage("views", len(targets), first) as step,
+        audience.stage("views", len(targets), first) as step,
     ):
+        if audience.wants(JointSample):
+            rig.listen(audience.tell)
+        audience.tell(PlanMade(scenario, workshop.commanded_poses, workshop.followed))
 
         def keep(index: int, view: View) -> None:
             nonlocal store
@@ -113,6 +126,7 @@ def acquire_to_store(
                 store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
             store.write(index, view)
             log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
+            audience.tell(ViewStored(index, len(targets), view.frozen()))
             step()
 
         acquire(rig, targets, keep, first=first, watch=watch)

@@ -13,7 +13,7 @@ from pathlib import Path
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.lock import sole_owner
 from twinct.files.writing import storage_errors
-from twinct.progress import SILENT, Progress
+from twinct.observers import Audience, Observers, audience_of
 from twinct.report import cross_sections
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, finished_run, report_again
@@ -40,7 +40,7 @@ def load_scan(path: str | Path) -> Scan:
 
 
 def derive_geometry(
-    path: str | Path, name: str, overrides: Iterable[str] = (), progress: Progress = SILENT
+    path: str | Path, name: str, overrides: Iterable[str] = (), observers: Observers = ()
 ) -> NamedGeometry:
     """What the robots of a scan would report with other noise: a geometry beside it.
 
@@ -48,7 +48,7 @@ def derive_geometry(
         path: folder of a run.
         name: of the geometry.
         overrides: ``uncertainty.KEY=VALUE`` against the run's scenario.
-        progress: told of the stage.
+        observers: hear of the stage.
 
     Raises:
         InputError: another key, a name that is taken, no scan.
@@ -58,7 +58,11 @@ def derive_geometry(
     scenario = _scenario_of(folder, overrides)
     if checked_name(name) in OWN:
         raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
-    with sole_owner(folder.lock), progress.stage(f"geometry {name}", 1) as step:
+    with (
+        sole_owner(folder.lock),
+        audience_of(observers) as audience,
+        audience.stage(f"geometry {name}", 1) as step,
+    ):
         scan = Run(scenario, folder).scan
         found = reported(scenario, scan.joint_names, scan.joints, scan.executed, name)
         if name in scan.derived and scan.derived[name].digest != found.digest:
@@ -74,7 +78,7 @@ def reconstruct_again(
     *,
     geometry: str | None = None,
     name: str | None = None,
-    progress: Progress = SILENT,
+    observers: Observers = (),
 ) -> Reconstruction:
     """Add a reconstruction to a finished run, and tell of it in its figures and its report.
 
@@ -85,7 +89,7 @@ def reconstruct_again(
         overrides: ``reconstruction.KEY=VALUE`` against the run's scenario.
         geometry: name of the one to reconstruct from; the scenario's first where None.
         name: of the reconstruction; after its algorithm and geometry where None.
-        progress: told of stages.
+        observers: hear of stages and iterations.
 
     Raises:
         InputError: another key, a geometry that is not there, a name that is taken, or what the
@@ -97,6 +101,7 @@ def reconstruct_again(
     scenario = _scenario_of(folder, overrides)
     which = geometry or scenario.reconstruction.geometries[0]
     with ExitStack() as stack:
+        audience = stack.enter_context(audience_of(observers))
         stack.enter_context(storage_errors(folder.path))
         stack.enter_context(sole_owner(folder.lock))
         scan = Run(_with_geometry(scenario, which), folder).scan
@@ -108,25 +113,25 @@ def reconstruct_again(
         if there := next((r for r in kept.values() if r.digest == digest), None):
             if name not in (None, there.name):
                 raise ScanExistsError(f"{there.path} is this very reconstruction: --as")
-            progress.say(f"{there.path} is this very reconstruction")
+            audience.say(f"{there.path} is this very reconstruction")
             return there
         name = checked_name(name) if name else _free_name(scan.scenario, which, kept)
         if name in kept:
             raise ScanExistsError(f"{kept[name].path} is another reconstruction: --as")
-        found, volume = _made(scan, folder, which, (name, digest, of_geometry), progress)
+        found, volume = _made(scan, folder, which, (name, digest, of_geometry), audience)
         found.keep(volume)
         shutil.rmtree(folder.checkpoints, ignore_errors=True)
-    report_again(folder.path, progress)
+    report_again(folder.path, observers)
     return found
 
 
 def _made(
-    scan: Scan, folder: Folder, which: str, called: tuple[str, str, str], progress: Progress
+    scan: Scan, folder: Folder, which: str, called: tuple[str, str, str], audience: Audience
 ) -> tuple[Reconstruction, Volume]:
     scenario = scan.scenario
     workshop = Workshop(scenario, ScanStore(folder.scan).plan)
     require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
-    truth = truth_of(scan, workshop, progress)
+    truth = truth_of(scan, workshop, audience)
     residuals: list[float] = []
     start = time.perf_counter()
     volume = reconstruct(
@@ -134,7 +139,7 @@ def _made(
         geometry=which,
         checkpoints=folder.checkpoints,
         watch=lambda _, residual: residuals.append(residual),
-        progress=progress,
+        observers=audience,
     )
     seconds = time.perf_counter() - start
     grid = scenario.reconstruction.grid.volume_grid

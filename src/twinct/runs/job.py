@@ -19,7 +19,7 @@ from twinct.errors import InputError
 from twinct.evaluate import ImageFigures
 from twinct.files.lock import sole_owner
 from twinct.files.writing import storage_errors, write_text
-from twinct.progress import SILENT, Progress
+from twinct.observers import Audience, Observers, audience_of
 from twinct.report import physics_in_words
 from twinct.runs.acquisition import Link, RigFactory, acquire_to_store, rig_factory
 from twinct.runs.checks import check_geometries, check_physics, check_sight, require_extras
@@ -70,7 +70,7 @@ def run(
     link: Link = "ros2",
     resume: bool = False,
     threads: int | None = None,
-    progress: Progress = SILENT,
+    observers: Observers = (),
 ) -> Run:
     """Run a scenario from the plan to the report.
 
@@ -81,7 +81,8 @@ def run(
         resume: go on with what is there. Views are never taken twice; a volume that was made with
             other settings is made anew.
         threads: that each process may use; see ``limit_threads``.
-        progress: hears of stages, the ROS domain and warnings.
+        observers: hear of the plan, moving joints, views, iterations, stages and warnings; see
+            ``twinct.observers``.
 
     Raises:
         InputError: whatever can be known before work starts; nothing has been written then.
@@ -103,14 +104,16 @@ def run(
     check_geometries(scenario)
     check_drawing()
     if resume and folder.finished(scenario):
-        progress.say(f"{folder.path} is complete; the report is {folder.report}")
+        with audience_of(observers) as audience:
+            audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
     workshop = Workshop(scenario, store.plan if store else None)
     check_physics(workshop)
     with ExitStack() as stack:
+        audience = stack.enter_context(audience_of(observers))
         with seconds.stage("link"):
-            make_rig = stack.enter_context(rig_factory(link, folder.logs, progress))
-        warnings = _prepare(workshop, folder, seconds, progress)
+            make_rig = stack.enter_context(rig_factory(link, folder.logs, audience))
+        warnings = _prepare(workshop, folder, seconds, audience)
         stack.enter_context(storage_errors(folder.path))
         folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
@@ -120,8 +123,8 @@ def run(
         _note(workshop, folder, link, warnings)
         if resume:
             seconds.go_on()
-        _take_views(workshop, folder, seconds, make_rig, progress, resume=resume)
-        _make_volumes(workshop, folder, seconds, progress)
+        _take_views(workshop, folder, seconds, make_rig, audience, resume=resume)
+        _make_volumes(workshop, folder, seconds, audience)
     return Run(scenario, folder)
 
 
@@ -144,7 +147,7 @@ def finished_run(folder: Folder) -> Run:
     return run
 
 
-def report_again(path: str | Path, progress: Progress = SILENT) -> Run:
+def report_again(path: str | Path, observers: Observers = ()) -> Run:
     """Judge a finished run again and rewrite its figures and its report.
 
     Raises:
@@ -152,10 +155,10 @@ def report_again(path: str | Path, progress: Progress = SILENT) -> Run:
     """
     folder = Folder(Path(path))
     run = finished_run(folder)
-    with storage_errors(folder.path), sole_owner(folder.lock):
+    with storage_errors(folder.path), sole_owner(folder.lock), audience_of(observers) as audience:
         before, scenario = read_metrics(folder.metrics), run.scenario
         workshop = Workshop(scenario, ScanStore(folder.scan).plan)
-        truth = truth_of(run.scan, workshop, progress)
+        truth = truth_of(run.scan, workshop, audience)
         figures = {scenario.reconstruction.geometries[0]: judge(run.scan, run.volume, truth)}
         for which, values in before.get("image_by_geometry", {}).items():
             figures.setdefault(which, ImageFigures(**values))
@@ -165,16 +168,16 @@ def report_again(path: str | Path, progress: Progress = SILENT) -> Run:
     return run
 
 
-def _prepare(workshop: Workshop, folder: Folder, seconds: Seconds, progress: Progress) -> list[str]:
+def _prepare(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Audience) -> list[str]:
     """All that is done before anything is written; what a user should know."""
     require_feasible(workshop.scenario, workshop.commanded)
     check_space(folder.path, workshop.scenario, len(workshop.targets))
-    with seconds.stage("specimen"), progress.stage("specimen", 1) as step:
+    with seconds.stage("specimen"), audience.stage("specimen", 1) as step:
         warnings = check_sight(workshop)
         step()
     for warning in warnings:
-        progress.say(warning, warning=True)
-    with seconds.stage("plan"), progress.stage("plan", 1) as step:
+        audience.say(warning, warning=True)
+    with seconds.stage("plan"), audience.stage("plan", 1) as step:
         workshop.plan  # noqa: B018 - planned here, before anything is written
         step()
     return warnings
@@ -196,30 +199,30 @@ def _take_views(
     folder: Folder,
     seconds: Seconds,
     make_rig: RigFactory,
-    progress: Progress,
+    audience: Audience,
     *,
     resume: bool,
 ) -> None:
     def started(workshop: Workshop, first: int, state: NDArray[np.float64] | None) -> Rig:
-        with progress.stage("start of both simulations", 1) as step:
+        with audience.stage("start of both simulations", 1) as step:
             rig = make_rig(workshop, first, state)
             step()
         return rig
 
     with seconds.views() as watch:
         acquire_to_store(
-            workshop, folder.scan, started, resume=resume, watch=watch, progress=progress
+            workshop, folder.scan, started, resume=resume, watch=watch, observers=audience
         )
 
 
-def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, progress: Progress) -> None:
+def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Audience) -> None:
     """Reconstruct from each geometry, judge, keep the first volume, report."""
     scenario = workshop.scenario
     with seconds.stage("truth"):
         # The store's own scenario may name another reconstruction: this run's counts.
         scan = Run(scenario, folder).scan
         scan.reported.write(folder.geometries)
-        truth = truth_of(scan, workshop, progress)
+        truth = truth_of(scan, workshop, audience)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}
     kept: Volume | None = None
@@ -231,13 +234,13 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, progress
                 geometry=which,
                 checkpoints=folder.checkpoints,
                 watch=lambda _, residual, course=course: course.append(residual),
-                progress=progress,
+                observers=audience,
             )
         if kept is None:
             kept = volume
             with seconds.stage("storing"):
                 volume.write(folder.volume, _note_of(scenario))
-        with seconds.stage("judge"), progress.stage(f"judge, {which} geometry", 1) as step:
+        with seconds.stage("judge"), audience.stage(f"judge, {which} geometry", 1) as step:
             figures[which] = judge(scan, volume, truth)
             step()
         del volume

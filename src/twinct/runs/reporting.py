@@ -21,7 +21,7 @@ from twinct.evaluate import (
     tool_speeds,
 )
 from twinct.files.writing import write_json
-from twinct.progress import SILENT, Progress
+from twinct.observers import Audience
 from twinct.report import (
     Another,
     ReportData,
@@ -58,7 +58,7 @@ class Truth:
     mu_reference: float
 
 
-def truth_of(scan: Scan, workshop: Workshop, progress: Progress = SILENT) -> Truth:
+def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -> Truth:
     """The truth of a scan, where the specimen really was, and the region every view sees."""
     from twinct.xray.build import effective_energy_kev
 
@@ -67,7 +67,7 @@ def truth_of(scan: Scan, workshop: Workshop, progress: Progress = SILENT) -> Tru
     energy = effective_energy_kev(scenario.source, scenario.detector)
     # The specimen stands still: any view's pose would do, but for rounding.
     stands = scan.executed_object[len(scan) // 2]
-    with progress.stage("truth", 2) as step:
+    with (audience or Audience()).stage("truth", 2) as step:
         volume = workshop.specimen.truth(grid, energy, stands)
         step()
         region = region_of_interest(scan.executed.geometry(scenario.detector.panel), grid)

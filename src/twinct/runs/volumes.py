@@ -1,4 +1,4 @@
-"""From a scan to a volume, as the scenario says: any algorithm, checkpoints, progress."""
+"""From a scan to a volume, as the scenario says: any algorithm, checkpoints, observers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twinct.draws import view_rng
 from twinct.errors import InputError
 from twinct.files.writing import complete, storage_errors
 from twinct.geometry import ScanGeometry, VolumeGrid
-from twinct.progress import SILENT, Progress
+from twinct.observers import Audience, IterationDone, Observers, audience_of
 from twinct.recon.algorithm import Problem
 from twinct.recon.algorithms import algorithms
 from twinct.recon.engine import asked_for
@@ -54,7 +54,7 @@ def reconstruct(
     mask: ArrayLike | None = None,
     checkpoints: Path | None = None,
     watch: Callable[[int, float], None] | None = None,
-    progress: Progress = SILENT,
+    observers: Observers = (),
     **settings: Any,
 ) -> Volume:
     """Reconstruct a scan as its scenario says, or otherwise.
@@ -70,7 +70,7 @@ def reconstruct(
         watch: called after each iteration, also those of the call before, with its number from 1
             and the root mean square of p - A x, taken during it before each update; not for
             algorithms that have none.
-        progress: told of each update.
+        observers: hear of each iteration, with its volume.
         **settings: other values of keys of the section ``reconstruction``, such as
             ``iterations=3`` or ``grid={"voxels": 64, "voxel_mm": 2.5}``.
 
@@ -83,7 +83,8 @@ def reconstruct(
     """
     if algorithm is not None or settings:
         scan = replace(scan, scenario=_otherwise(scan.scenario, algorithm, settings))
-    return _reconstruct(scan, geometry, mask, checkpoints, watch, progress)
+    with audience_of(observers) as audience:
+        return _reconstruct(scan, geometry, mask, checkpoints, watch, audience)
 
 
 def _otherwise(scenario: Scenario, name: str | None, settings: dict[str, Any]) -> Scenario:
@@ -101,7 +102,7 @@ def _reconstruct(
     mask: ArrayLike | None,
     checkpoints: Path | None,
     watch: Callable[[int, float], None] | None,
-    progress: Progress,
+    audience: Audience,
 ) -> Volume:
     scenario = scan.scenario
     section = scenario.reconstruction
@@ -125,7 +126,7 @@ def _reconstruct(
     A = Projector(poses, grid)
     integrals = hardening_corrected(scenario, line_integrals(scan.transmission), A, pixels)
     if around := section.surroundings:
-        with progress.stage("surroundings", around.iterations * len(A)) as tick:
+        with audience.stage("surroundings", around.iterations * len(A)) as tick:
             integrals = without_surroundings(
                 A, integrals, **dict(around), mask=pixels, callback=lambda _: tick()
             )
@@ -133,7 +134,16 @@ def _reconstruct(
         section = section.model_copy(update={"iterations": iterations - done})
     updates = algorithm.updates(section, len(scan))
     name = f"{algorithm.name}, {which} geometry"
-    with progress.stage(name, iterations * updates, done * updates) as tick:
+
+    def told(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
+        if watch is not None:
+            watch(iteration, residual)
+        if audience.wants(IterationDone):
+            whole = Volume(volume.copy(), grid)
+            course = iteration, iterations, residual
+            audience.tell(IterationDone(algorithm.name, which, *course, whole))
+
+    with audience.stage(name, iterations * updates, done * updates) as tick:
         problem = Problem(
             projector=A,
             line_integrals=integrals,
@@ -141,7 +151,7 @@ def _reconstruct(
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
-            callback=_Follower(tick, kept, watch, done, residuals),
+            callback=_Follower(tick, kept, told, done, residuals),
         )
         return algorithm.solve(problem, section)
 
@@ -202,7 +212,7 @@ class _Follower:
 
     tick: Callable[[], None]
     kept: _Checkpoints
-    watch: Callable[[int, float], None] | None
+    told: Callable[[int, float, NDArray[np.float32]], None]
     done: int
     residuals: list[float]
     square: float = field(default=0.0, init=False)
@@ -222,8 +232,7 @@ class _Follower:
             return
         self.residuals.append(residual)
         self.kept.keep(number, step.volume, self.residuals)
-        if self.watch is not None:
-            self.watch(number, residual)
+        self.told(number, residual, step.volume)
 
 
 @dataclass(frozen=True)

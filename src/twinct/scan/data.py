@@ -25,6 +25,12 @@ class View:
     transmission: NDArray[np.float32]
     reached: Reached
 
+    def frozen(self) -> View:
+        """The same, with an image that cannot be written to."""
+        image = self.transmission.view()
+        image.flags.writeable = False
+        return View(image, self.reached)
+
 
 @dataclass(frozen=True, eq=False)
 class Scan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from twinct.geometry import Panel
 from twinct.scan.workshop import Workshop
-from twinct.views import Reached, Target
+from twinct.views import JointSample, Reached, Target
 
 if TYPE_CHECKING:
     from twinct.gantry import Gantry
@@ -41,6 +42,13 @@ class Rig(Protocol):
         """
         ...
 
+    def listen(self, tell: Callable[[JointSample], None]) -> None:
+        """Tell of the joints while they move, at least 50 times in a second of simulated time.
+
+        A gantry has none.
+        """
+        ...
+
     def close(self) -> None:
         """Give everything back; a second call does nothing."""
         ...
@@ -67,6 +75,10 @@ class LocalRig:
         path = [instant.placed(self._panel) for instant in reached.path]
         before = reached.before.placed(self._panel) if reached.before else None
         return self._imager.expose(path, view, before)
+
+    def listen(self, tell: Callable[[JointSample], None]) -> None:
+        """See ``Rig.listen``."""
+        self._robots.on_joints = tell
 
     def close(self) -> None:
         """See ``Rig.close``."""

@@ -1,0 +1,32 @@
+"""Who listens to a run: events, and how they are told without holding it up."""
+
+from twinct.observers.audience import Audience, Observer, Observers, audience_of
+from twinct.observers.events import (
+    Event,
+    IterationDone,
+    Missed,
+    PlanMade,
+    Said,
+    StageBegan,
+    StageEnded,
+    StageStep,
+    ViewStored,
+)
+from twinct.views import JointSample
+
+__all__ = [
+    "Audience",
+    "Event",
+    "IterationDone",
+    "JointSample",
+    "Missed",
+    "Observer",
+    "Observers",
+    "PlanMade",
+    "Said",
+    "StageBegan",
+    "StageEnded",
+    "StageStep",
+    "ViewStored",
+    "audience_of",
+]
