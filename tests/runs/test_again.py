@@ -48,6 +48,36 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
         reconstruct_again(folder, geometry="executed", name="cgls-executed")
 
 
+def test_a_run_goes_on_with_a_geometry_that_was_derived_from_its_scan(
+    folder: Path, finished: Run
+) -> None:
+    scenario = finished.scenario
+    section = scenario.reconstruction.model_copy(update={"geometry": ("executed", "calibrated")})
+    other = scenario.model_copy(update={"reconstruction": section})
+    with pytest.raises(InputError, match=r"'calibrated' is none of commanded, executed, believed"):
+        run(other, folder, link="local", resume=True)
+    derive_geometry(folder, "calibrated", ["uncertainty.seed=7"])
+    again = run(other, folder, link="local", resume=True)
+    assert set(again.figures["image_by_geometry"]) == {"executed", "calibrated"}
+    told = again.figures["geometries"]["calibrated"]
+    assert told["made_by"]["seed"] == 7
+    assert 0 < told["pose_error"]["source"]["position_mm"]["mean"] < 0.3
+    assert "<th>calibrated</th>" in again.paths.report.read_text()
+    # Another geometry of this name is another result.
+    (folder / "geometries" / "calibrated.json").unlink()
+    derive_geometry(folder, "calibrated", ["uncertainty.seed=8"])
+    assert not again.paths.finished(other)
+
+
+def test_a_geometry_of_another_scan_is_refused(folder: Path) -> None:
+    derive_geometry(folder, "calibrated", ["uncertainty.seed=7"])
+    file = folder / "geometries" / "calibrated.json"
+    found = NamedGeometry.read(file)
+    NamedGeometry("other", found.poses, {**found.made_by, "executed": "0" * 64}).write(file.parent)
+    with pytest.raises(InputError, match="'other' was derived from another scan: it has 10 views"):
+        load_scan(folder)
+
+
 def test_ten_reports_of_the_poses_need_one_scan(folder: Path, finished: Run) -> None:
     images = {p: p.stat().st_mtime_ns for p in (folder / "scan.zarr").rglob("*")}
     for seed in range(10):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from twinct.errors import InputError, MissingExtraError, TrajectoryError
 from twinct.evaluate import sight
 from twinct.extras import require
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
-from twinct.scan import OWN, Workshop
+from twinct.scan import OWN, Workshop, named_geometries
 from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.size import SpecimenSize, specimen_size
 
@@ -125,17 +127,22 @@ def findings(workshop: Workshop) -> dict[str, str]:
     }
 
 
-def check_geometries(scenario: Scenario) -> None:
+def check_geometries(scenario: Scenario, derived: Path | None = None) -> None:
     """Refuse a run that would reconstruct from what its scan cannot have.
 
+    Args:
+        scenario: what is to be run.
+        derived: folder of the geometries that were derived from its scan, if there is one already.
+
     Raises:
-        InputError: a geometry that is none of the three of every scan.
+        InputError: a geometry that is none of every scan, nor one of those.
     """
-    others = [name for name in scenario.reconstruction.geometries if name not in OWN]
+    known = (*OWN, *(named_geometries(derived) if derived else ()))
+    others = [name for name in scenario.reconstruction.geometries if name not in known]
     if others:
         raise InputError(
-            f"reconstruction.geometry: {others[0]!r} is none of {', '.join(OWN)}; from a geometry "
-            "that was derived from a scan 'twinct reconstruct DIR --geometry NAME' reconstructs"
+            f"reconstruction.geometry: {others[0]!r} is none of {', '.join(known)}; 'twinct "
+            "geometry DIR --as NAME' derives one from a finished scan"
         )
 
 

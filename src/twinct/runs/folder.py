@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import yaml
 
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import check_folder, draft_of
+from twinct.scan import OWN, named_geometries
 from twinct.scenario import Scenario, load_scenario, stage_digests
 
 
@@ -75,8 +77,18 @@ class Folder:
         """Whether everything of this very scenario is there."""
         if not all(p.exists() for p in self.results):
             return False
+        told = read_metrics(self.metrics).get("reconstruction_digest")
+        return told == self.volume_digest(scenario)
+
+    def volume_digest(self, scenario: Scenario) -> str:
+        """Of all that the volume depends on, derived geometries included."""
         digest = stage_digests(scenario)["volume"]
-        return read_metrics(self.metrics).get("reconstruction_digest") == digest
+        derived = [name for name in scenario.reconstruction.geometries if name not in OWN]
+        if derived:
+            there = named_geometries(self.geometries)
+            digest += "".join(there[name].digest for name in derived if name in there)
+            digest = hashlib.sha256(digest.encode()).hexdigest()
+        return digest
 
     def refuse_others(self) -> None:
         """Raise where something else than a run of before is in the way."""

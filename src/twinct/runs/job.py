@@ -101,7 +101,7 @@ def run(
     if store:
         store.refuse_other(scenario)
     require_extras(scenario)
-    check_geometries(scenario)
+    check_geometries(scenario, folder.geometries if store else None)
     check_drawing()
     if resume and folder.finished(scenario):
         with audience_of(observers) as audience:
@@ -139,7 +139,7 @@ def finished_run(folder: Folder) -> Run:
         raise InputError(f"{folder.path} holds no finished run: {', '.join(missing)} missing")
     scenario = folder.scenario_of_run(planned=ScanStore(folder.scan).plan is not None)
     run = Run(scenario, folder)
-    if run.volume.extras["note"] != _note_of(scenario):
+    if run.volume.extras["note"] != _note_of(folder, scenario):
         raise InputError(
             f"{folder.volume} was made with other settings than {folder.scenario.name} holds: "
             f"finish the run with 'twinct run {folder.scenario} --out {folder.path} --resume'"
@@ -239,7 +239,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience
         if kept is None:
             kept = volume
             with seconds.stage("storing"):
-                volume.write(folder.volume, _note_of(scenario))
+                volume.write(folder.volume, _note_of(folder, scenario))
         with seconds.stage("judge"), audience.stage(f"judge, {which} geometry", 1) as step:
             figures[which] = judge(scan, volume, truth)
             step()
@@ -250,9 +250,9 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience
     folder.seconds.unlink(missing_ok=True)
 
 
-def _note_of(scenario: Scenario) -> str:
+def _note_of(folder: Folder, scenario: Scenario) -> str:
     """What ties a volume to the settings that made it."""
-    return f"twinct {stage_digests(scenario)['volume'][:32]}"
+    return f"twinct {folder.volume_digest(scenario)[:32]}"
 
 
 @contextmanager

@@ -124,7 +124,7 @@ def write_results(
         simulated_seconds=float(scan.simulated_s[-1]),
         real_time_factor=timing.real_time_factor,
         scenario_digest=digests["images"],
-        reconstruction_digest=digests["volume"],
+        reconstruction_digest=folder.volume_digest(scenario),
         residuals=results.residuals,
         tool_speed_mm_s=speeds,
         reconstructions={
@@ -137,10 +137,23 @@ def write_results(
             }
             for kept in others.values()
         },
+        geometries=_geometries(scan),
         reference_material=workshop.specimen.reference_part.material.name,
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)
+
+
+def _geometries(scan: Scan) -> dict[str, Any]:
+    """What is believed of the poses, in each way: what made it, how far it is off."""
+    return {
+        found.name: {
+            "made_by": dict(found.made_by),
+            "digest": found.digest,
+            "pose_error": pose_errors(scan.executed, found.poses).summary(),
+        }
+        for found in {"believed": scan.reported, **scan.derived}.values()
+    }
 
 
 def _others(kept: Iterable[Reconstruction]) -> list[Another]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twinct.errors import InputError
 from twinct.geometry import Pose
-from twinct.scan.named import OWN, NamedGeometry
+from twinct.scan.named import OWN, NamedGeometry, poses_digest
 from twinct.scenario import Scenario
 from twinct.uncertainty import Evidence, reported_poses
 from twinct.views import Instant, PosePairs, Reached
@@ -62,6 +62,22 @@ class Scan:
     clearance_mm: NDArray[np.float64]
     exposure: tuple[tuple[Instant, ...], ...] = ()
     derived: Mapping[str, NamedGeometry] = field(default_factory=dict[str, NamedGeometry])
+
+    def __post_init__(self) -> None:
+        """Take no geometry that was derived from another scan.
+
+        Raises:
+            InputError: naming it.
+        """
+        own = {"views": len(self), "executed": poses_digest(self.executed)} if self.derived else {}
+        for name, found in self.derived.items():
+            its = {"views": len(found.poses), "executed": found.made_by.get("executed")}
+            if its["views"] != own["views"] or its["executed"] not in (None, own["executed"]):
+                raise InputError(
+                    f"geometry {name!r} was derived from another scan: it has {its['views']} views "
+                    f"made for executed poses {str(its['executed'])[:12]}, this scan has "
+                    f"{own['views']} and {str(own['executed'])[:12]}"
+                )
 
     @cached_property
     def believed(self) -> PosePairs:
@@ -124,4 +140,5 @@ def reported(
     evidence = Evidence(scenario.cell, joint_names, joints, executed)
     uncertainty, seed = scenario.uncertainty, scenario.believed_seed
     made_by = {"model": "repeatability", **uncertainty.model_dump(mode="json"), "seed": seed}
+    made_by["executed"] = poses_digest(executed)
     return NamedGeometry(name, reported_poses(evidence, uncertainty, seed), made_by)

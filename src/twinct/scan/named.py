@@ -33,7 +33,8 @@ class NamedGeometry:
     Attributes:
         name: letters, digits, dots, hyphens.
         poses: of each view.
-        made_by: what made it: a model or a method with its settings, as plain data.
+        made_by: what made it: a model or a method with its settings, as plain data. ``executed``
+            in it is the digest of the executed poses that it was made for.
     """
 
     name: str
@@ -106,6 +107,14 @@ def checked_name(name: str) -> str:
             f"name {name!r}: letters, digits, dots, hyphens and underscores make a name, at most 64"
         )
     return name
+
+
+def poses_digest(poses: PosePairs) -> str:
+    """SHA-256 of source and detector poses, in hexadecimal: which scan's they are."""
+    digest = hashlib.sha256()
+    for pose in (*poses.source, *poses.detector):
+        digest.update(pose.position.tobytes() + pose.quat.tobytes())
+    return digest.hexdigest()
 
 
 def _rows(poses: Sequence[Pose]) -> list[list[float]]:
