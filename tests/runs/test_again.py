@@ -11,10 +11,17 @@ import pytest
 
 from twinct import load_scan, reconstruct, run
 from twinct.errors import InputError, ScanExistsError
+from twinct.recon.algorithms import algorithms
 from twinct.runs import Run, derive_geometry, reconstruct_again
 from twinct.runs.kept import Reconstruction
 from twinct.scan import NamedGeometry
+from twinct.scenario import load_scenario
 from twinct.uncertainty import believed_poses
+
+AFFINE_MM = 1e-5
+"""NIfTI holds a volume's affine in single precision."""
+
+DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
 
 @pytest.fixture
@@ -149,3 +156,29 @@ def test_a_run_has_three_geometries(tiny, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'believd' is none of commanded, executed, believed"):
         run(tiny("reconstruction.geometry=believd"), tmp_path / "out", link="local")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.tutorial
+@pytest.mark.parametrize("voxels", ["16", "[10, 12, 14]"])
+def test_each_algorithm_gives_the_volume_of_a_fresh_run(
+    tiny_keys: list[str], tmp_path: Path, voxels: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    circle = ["cell={kind: gantry}", "trajectory={kind: circle, views: 12}"]  # as fdk needs it
+    asked = run(load_scenario(DEMO, [*tiny_keys, *circle]), tmp_path / "asked", link="local")
+    # What is drawn and written of a result is the other tests' matter, and takes longest.
+    monkeypatch.setattr("twinct.runs.job.write_results", lambda *_: None)
+    monkeypatch.setattr("twinct.runs.again.report_again", lambda *_: None)
+    names = sorted(algorithms())
+    assert len(names) >= 7
+    for name in names:
+        section = f"algorithm: {name}, geometry: believed, grid: {{voxels: {voxels}, voxel_mm: 9}}"
+        more = [f"reconstruction={{{section}}}"]
+        fresh = load_scenario(DEMO, [*tiny_keys[:3], *circle, *more])
+        out = tmp_path / name
+        shutil.copytree(asked.paths.scan, out / "scan.zarr")
+        wanted = run(fresh, out, link="local", resume=True).volume
+        made = reconstruct_again(asked.paths.path, more).volume
+        np.testing.assert_array_equal(made.array, wanted.array, err_msg=name)
+        grid = fresh.reconstruction.grid.volume_grid
+        assert made.grid.shape == grid.shape
+        np.testing.assert_allclose(made.grid.affine, grid.affine, atol=AFFINE_MM)
