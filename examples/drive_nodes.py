@@ -13,7 +13,7 @@ import rclpy
 from geometry_msgs.msg import Pose, PoseArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, TimeReference
 
 from twinct.scenario import load_scenario
 from twinct.trajectory import commanded_views
@@ -32,6 +32,10 @@ def message_of(pose) -> Pose:
     return message
 
 
+def stamp_of(message) -> tuple[int, int]:
+    return message.header.stamp.sec, message.header.stamp.nanosec
+
+
 class Driver(Node):
     """Sends a target, waits for its image, sends the next."""
 
@@ -43,7 +47,10 @@ class Driver(Node):
             :5
         ]
         self.view = 0
+        self.taken: dict[int, tuple[int, int]] = {}
+        self.image: Image | None = None
         self.publisher = self.create_publisher(PoseArray, "/scan/target", LATCHED)
+        self.create_subscription(TimeReference, "/scan/views", self.on_view, LATCHED)
         self.create_subscription(Image, "/xray/image", self.on_image, LATCHED)
         self.create_timer(REPEAT_S, self.ask)
         self.ask()
@@ -55,10 +62,20 @@ class Driver(Node):
         message.poses = [message_of(pose) for pose in self.targets[self.view]]
         self.publisher.publish(message)
 
+    def on_view(self, message: TimeReference) -> None:
+        """The answer to a target has the time at which the image was taken."""
+        self.taken[message.time_ref.sec - 1000] = stamp_of(message)
+        self.go_on()
+
     def on_image(self, message: Image) -> None:
-        if message.header.stamp.sec != 1000 + self.view:
+        self.image = message
+        self.go_on()
+
+    def go_on(self) -> None:
+        if self.image is None or stamp_of(self.image) != self.taken.get(self.view):
             return
-        print(f"view {self.view}: mean {np.frombuffer(message.data, dtype=np.float32).mean():.4f}")
+        mean = np.frombuffer(self.image.data, dtype=np.float32).mean()
+        print(f"view {self.view}: mean {mean:.4f}")
         self.view += 1
         if self.view == len(self.targets):
             raise SystemExit

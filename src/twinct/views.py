@@ -91,8 +91,8 @@ class Reached:
     """What the robot simulation has at the step that triggers the image.
 
     Attributes:
-        executed: where everything was; in the middle of an exposure that takes its time, whereas
-            joints, state and time are those at its end.
+        executed: where everything was; in the middle of an exposure that takes its time, as the
+            joints are, whereas state and time are those at its end.
         joint_names: prefixed ``source_`` and ``detector_``, source first.
         position: joint positions, (joints,), rad.
         velocity: joint speeds, (joints,), rad/s.
@@ -104,6 +104,7 @@ class Reached:
         exposure: instants of equal duration over the exposure; none where it is a single one.
         before: where the arms were when the move began, which is where the last view was taken;
             only where the detector's lag asks for it.
+        since_middle_s: from the middle of the exposure to ``time_s``.
     """
 
     executed: Instant
@@ -116,6 +117,12 @@ class Reached:
     clearance_mm: float
     exposure: tuple[Instant, ...] = ()
     before: Instant | None = None
+    since_middle_s: float = 0.0
+
+    @property
+    def middle_s(self) -> float:
+        """Simulated time of ``executed`` and joints; no two views of a scan have the same."""
+        return self.time_s - self.since_middle_s
 
     @property
     def clearance_in_words(self) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from twinct.errors import MotionError
-from twinct.views import Instant, Reached, Target
+from twinct.views import Instant, JointSample, Reached, Target
 
 STATE = 5
 REFUSED_X_M = 9.0
@@ -23,6 +23,7 @@ class FakeRobots:
     """Reaches every target up to a number that depends on how many moves came before."""
 
     joint_names = ("source_a", "source_b", "detector_a", "detector_b")
+    on_joints = None
 
     def __init__(self):
         self.moves = 0
@@ -36,6 +37,9 @@ class FakeRobots:
         _note("move", target.source_m)
         self.moves += 1
         joints = np.arange(4) / 3 + self.moves
+        if self.on_joints is not None:
+            under_way = joints - 0.5, joints / 5, joints / 9
+            self.on_joints(JointSample(self.moves / 3 - 0.1, self.joint_names, *under_way))
         return Reached(
             executed=Instant(
                 source_m=(target.source_m[0] + self.moves * 1e-4 / 3, *target.source_m[1:]),
@@ -49,6 +53,7 @@ class FakeRobots:
             state=np.array([self.moves, *np.random.default_rng(self.moves).normal(size=STATE)]),
             time_s=self.moves / 3,
             clearance_mm=100 / self.moves,
+            since_middle_s=1 / 300,
         )
 
     def home(self):

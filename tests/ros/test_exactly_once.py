@@ -8,7 +8,8 @@ from contextlib import closing
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -25,6 +26,7 @@ from twinct.ros.messages import (
 from twinct.ros.node import Ledger, RefusedError
 from twinct.ros.processes import NodeProcess
 from twinct.ros.robots_node import Turns
+from twinct.ros.topics import IMAGE
 from twinct.scan import Workshop
 from twinct.views import Target
 
@@ -38,6 +40,16 @@ def errors(diagnostics):
         for status in message.status
         if status.level == DiagnosticStatus.ERROR
     ]
+
+
+def taken(moves):
+    """When the tiny robots take the view after so many moves."""
+    return Stamp.at(moves / 3 - 1 / 300)
+
+
+def views_of(messages):
+    """When each target was reached, by the target's stamp."""
+    return {Stamp.of(m.time_ref): Stamp.of(m.header.stamp) for m in messages}
 
 
 def elsewhere(target):
@@ -124,13 +136,12 @@ class Disturbed:
         self.reached = stranger.listen("/scan/reached", PoseArray)
         self.images = stranger.listen("/xray/image", Image)
         self.joints = stranger.listen("/joint_states", JointState)
+        self.views = stranger.listen("/scan/views", TimeReference)
+        self.clock = stranger.listen("/clock", Clock)
         stranger.until(
             lambda: (
                 self.out.get_subscription_count()
-                and all(
-                    stranger.node.count_publishers(topic)
-                    for topic in ("/diagnostics", "/scan/reached", "/xray/image", "/joint_states")
-                )
+                and all(stranger.node.count_publishers(topic) for topic in stranger.heard)
             )
         )
         self.next = 0
@@ -162,7 +173,7 @@ def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets, n
     stranger.until(lambda: len(errors(disturbed.diagnostics)) >= 4)
     for _ in range(3):
         disturbed.take()
-    stranger.until(lambda: min(len(disturbed.images), len(disturbed.joints)) >= 4)
+    stranger.until(lambda: len(disturbed.images) >= 4 and len(disturbed.joints) >= 8)
 
     found = errors(disturbed.diagnostics)
     assert [error["view"] for error in found] == ["", "1", "0", "3"]
@@ -170,8 +181,10 @@ def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets, n
         found, ["its stamps", "has others", "used before", "view 1 comes next"], strict=True
     ):
         assert part in error["reason"]
-    expected = [epoch.at(view) for view in range(4)]
-    for messages in (disturbed.reached, disturbed.images, disturbed.joints):
+    expected = [taken(view + 1) for view in range(4)]
+    assert views_of(disturbed.views) == {epoch.at(v): expected[v] for v in range(4)}
+    assert [message.source for message in disturbed.views] == [f"view {v}" for v in range(4)]
+    for messages in (disturbed.reached, disturbed.images, disturbed.joints[1::2]):
         assert [Stamp.of(message.header.stamp) for message in messages] == expected
     assert executed_of(disturbed.reached[0]).view == first.executed
     assert notes.count("move") == notes.count("render") == disturbed.next
@@ -195,16 +208,16 @@ def test_the_rig_asks_again_when_an_answer_is_lost(disturbed, targets, notes, mo
     disturbed.next += 1
     notes.render_takes(0.5)
     disturbed.rig.move(view, targets[view])
-    keep, lost = disturbed.rig._view, []
+    keep, lost = disturbed.rig._keep, []
     monkeypatch.setattr(
         disturbed.rig,
-        "_view",
-        lambda stamp: keep(stamp) if lost else lost.append(stamp),
+        "_keep",
+        lambda topic, *what: keep(topic, *what) if lost else lost.append(topic),
     )
     start = time.monotonic()
     disturbed.rig.expose(view)
     notes.render_takes(0)
-    assert lost == [disturbed.rig.epoch.at(view)] and time.monotonic() - start > 1.0
+    assert lost == [IMAGE] and time.monotonic() - start > 1.0
     assert notes.count("move") == notes.count("render") == disturbed.next
 
 
@@ -241,6 +254,7 @@ def test_a_foreign_node_drives_the_standalone_nodes(
     images = somebody.listen("/xray/image", Image)
     cameras = somebody.listen("/xray/camera_info", CameraInfo)
     states = somebody.listen("/scan/state", Float64MultiArray)
+    views = somebody.listen("/scan/views", TimeReference)
     diagnostics = somebody.listen("/diagnostics", DiagnosticArray)
     nodes = [node(fake_command, "robots"), node(fake_command, "xray")]
     somebody.until(
@@ -252,17 +266,14 @@ def test_a_foreign_node_drives_the_standalone_nodes(
     )
     for view, target in enumerate(targets[:4]):
         stamp = Stamp(5, view)
-        heard = (reached, images, cameras, states)
-        for messages in heard:
-            messages.clear()
+        states.clear()
 
         def answered(stamp: Stamp = stamp) -> bool:  # an answer to one before may come late
-            told = [m[-1].header.stamp for m in (reached, images, cameras) if m]
-            return len(told) == 3 and all(Stamp.of(t) == stamp for t in told) and bool(states)
+            told = {Stamp.of(m[-1].header.stamp) for m in (reached, images, cameras) if m}
+            return told == {views_of(views).get(stamp)} and bool(states)
 
         somebody.ask(out, target_message(stamp, target), answered)
-        for message in (reached[-1], images[-1], cameras[-1]):
-            assert Stamp.of(message.header.stamp) == stamp
+        assert views_of(views)[stamp] == taken(view + 1) and views[-1].source == "target"
     far = Target((fakes.REFUSED_X_M + 1, *targets[0].source_m[1:]), targets[0].detector_m)
     somebody.ask(out, target_message(Stamp(6, 0), far), lambda: errors(diagnostics))
     assert errors(diagnostics)[0]["reason"] == "the source arm is too short"
@@ -293,7 +304,7 @@ def test_a_late_x_ray_node_images_the_view_that_was_reached(
     somebody.ask(out, target_message(Stamp(5, 0), targets[0]), lambda: reached)
     node(fake_command, "xray")
     somebody.ask(out, target_message(Stamp(5, 0), targets[0]), lambda: images)
-    assert Stamp.of(images[0].header.stamp) == Stamp(5, 0)
+    assert Stamp.of(images[0].header.stamp) == taken(1)
     assert notes.count("render") == renders + 1
 
 

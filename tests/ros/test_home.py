@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, TimeReference
 from std_srvs.srv import Trigger
 
 from twinct.geometry import Pose
 from twinct.ros.messages import Stamp, diagnostic_values, executed_of, target_message
-from twinct.ros.node import NO_STAMP
 from twinct.ros.processes import NodeProcess
 from twinct.scan import Workshop
 from twinct.views import Target
@@ -33,6 +32,7 @@ class Driver:
         self.out = somebody.publisher("/scan/target", PoseArray)
         self.reached = somebody.listen("/scan/reached", PoseArray)
         self.joints = somebody.listen("/joint_states", JointState)
+        self.views = somebody.listen("/scan/views", TimeReference)
         self.diagnostics = somebody.listen("/diagnostics", DiagnosticArray)
         self.service = somebody.node.create_client(Trigger, "/scan/home")
 
@@ -89,7 +89,8 @@ def test_a_driven_node_goes_where_it_can_and_home_again(driven, short):
     fresh = node.home()
     assert fresh.success and "clearance" in fresh.message
     home = np.array(node.joints[-1].position)
-    assert Stamp.of(node.joints[-1].header.stamp) == NO_STAMP
+    at_home_s = Stamp.of(node.joints[-1].header.stamp).time_s
+    assert at_home_s > 0
     assert not node.reached, "an image would be taken"
 
     # Sent while the arms move on to the first, the others have their turn after it.
@@ -98,7 +99,10 @@ def test_a_driven_node_goes_where_it_can_and_home_again(driven, short):
     for second, target in enumerate(asked):
         node.out.publish(target_message(Stamp(5, second), target))
     node.node.until(lambda: len(node.reached) == 2 and node.refusals(), 3 * ANSWER_S)
-    assert [Stamp.of(m.header.stamp) for m in node.reached] == [Stamp(5, 0), Stamp(5, 2)]
+    assert [Stamp.of(m.time_ref) for m in node.views] == [Stamp(5, 0), Stamp(5, 2)]
+    taken = [Stamp.of(m.header.stamp) for m in node.reached]
+    assert taken == [Stamp.of(m.header.stamp) for m in node.views]
+    assert at_home_s < taken[0].time_s < taken[1].time_s
     for message, target in zip(node.reached, asked[::2], strict=True):
         assert executed_of(message).view.source.distance_mm(target.source) < 1
         assert executed_of(message).view.detector.distance_mm(target.detector) < 1

@@ -33,6 +33,7 @@ def reached(random_pose):
         state=np.concatenate([rng.normal(size=40), [np.nextafter(0, 1), -0.0, 1e308]]),
         time_s=1 / 3,
         clearance_mm=float(np.nextafter(10, 11)),
+        since_middle_s=1 / 7,
     )
 
 
@@ -55,7 +56,7 @@ def test_reached_round_trip(reached):
     messages.checked_joints(joints), messages.checked_state(state)
     back = messages.reached_of(messages.executed_of(poses), joints, state)
 
-    for name in ("executed", "joint_names", "time_s", "clearance_mm"):
+    for name in ("executed", "joint_names", "time_s", "clearance_mm", "since_middle_s"):
         assert getattr(back, name) == getattr(reached, name), name
     for name in ("position", "velocity", "effort", "state"):
         assert getattr(back, name).tobytes() == getattr(reached, name).tobytes(), name
@@ -105,10 +106,10 @@ def test_what_is_no_image_of_the_panel_is_refused(spoil, reason):
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (lambda m: spoilt(m, data=[]), "data has 0 numbers, expected 45"),
-        (lambda m: spoilt(m, data=m.data[:-1]), "data has 44 numbers, expected 45"),
+        (lambda m: spoilt(m, data=[]), "data has 0 numbers, expected 46"),
+        (lambda m: spoilt(m, data=m.data[:-1]), "data has 45 numbers, expected 46"),
         (lambda m: spoilt(m, data=[np.nan, *m.data[1:]]), "data holds numbers that are not finite"),
-        (lambda m: m.layout.dim[0].__setattr__("size", 0) or spoilt(m, data=m.data[:2]), "no sim"),
+        (lambda m: m.layout.dim[0].__setattr__("size", 0) or spoilt(m, data=m.data[:3]), "no sim"),
     ],
 )
 def test_what_is_no_state_is_refused(reached, spoil, reason):
@@ -138,12 +139,12 @@ def test_a_gantry_has_no_joints_and_no_clearance(reached):
     assert np.isnan(state.data[1])
     with pytest.raises(MalformedError, match="not finite"):
         messages.checked_state(state)
-    for index in (0, 2):
+    for index in (0, 2, 3):
         data = [np.inf if i == index else number for i, number in enumerate(state.data)]
         broken = spoilt(messages.state_message(STAMP, bare), data=data)
         with pytest.raises(MalformedError, match="not finite"):
             messages.checked_state(broken, arms=False)
-    with pytest.raises(MalformedError, match="data has 0 numbers, expected 45"):
+    with pytest.raises(MalformedError, match="data has 0 numbers, expected 46"):
         messages.checked_state(spoilt(state, data=[]), arms=False)
     with pytest.raises(MalformedError, match="joints of a gantry"):
         messages.checked_joints(messages.joints_message(STAMP, reached), arms=False)
@@ -206,6 +207,20 @@ def test_epoch_follows_from_the_scenario_and_names_views(scenario):
 
 def test_state_without_a_stamp_belongs_to_no_view():
     assert messages.state_stamp(Float64MultiArray()) is None
+
+
+def test_a_view_leads_from_when_it_was_taken_to_its_target():
+    message = over_the_wire(messages.view_message(Stamp.at(1 / 3), STAMP, 5))
+    assert Stamp.of(message.header.stamp) == Stamp(0, 333_333_333)
+    assert (Stamp.of(message.time_ref), message.source) == (STAMP, "view 5")
+    assert messages.view_message(STAMP, STAMP, None).source == "target"
+
+
+def test_moving_joints_round_trip(reached):
+    told = messages.joints_of(over_the_wire(messages.joints_message(STAMP, reached)))
+    assert (told.joint_names, told.time_s) == (reached.joint_names, STAMP.time_s)
+    for name in ("position", "velocity", "effort"):
+        assert getattr(told, name).tobytes() == getattr(reached, name).tobytes(), name
 
 
 def test_clock_carries_simulated_time():

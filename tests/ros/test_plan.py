@@ -14,10 +14,11 @@ pytest.importorskip("rclpy")
 from twinct.geometry import Pose
 from twinct.motion import MotionPlan
 from twinct.ros.messages import MalformedError, Stamp
-from twinct.ros.node import SCAN, Diagnostics
+from twinct.ros.node import Diagnostics
 from twinct.ros.plan import PlanListener, plan_messages, plan_of, publish_plan
 from twinct.ros.senders import Members
-from twinct.ros.station import COMMANDED, PLAN, PLAN_VIEWS, Station
+from twinct.ros.station import Station
+from twinct.ros.topics import COMMANDED, PLAN, PLAN_VIEWS, SCAN
 from twinct.views import Target
 
 STAMP = Stamp(1000, 7)

@@ -15,7 +15,7 @@ from twinct.views import Reached, Target
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 POSES = ("executed", "exposure", "before")
-NUMBERS = (*POSES, "joint_names", "time_s", "clearance_mm")
+NUMBERS = (*POSES, "joint_names", "time_s", "clearance_mm", "since_middle_s")
 ARRAYS = ("position", "velocity", "effort", "state")
 
 
@@ -64,8 +64,9 @@ def fake_ros_rig(scenario, fakes, command):
 
 @pytest.mark.parametrize("make", [fake_local_rig, fake_ros_rig])
 def test_contract(make, scenario, targets, fakes, fake_command, notes):
-    views = []
+    views, joints = [], []
     with closing(make(scenario, fakes, fake_command)) as rig:
+        rig.listen(joints.append)
         with pytest.raises(ValueError, match="view 0 was not reached"):
             rig.expose(0)
         for view in range(3):
@@ -84,6 +85,12 @@ def test_contract(make, scenario, targets, fakes, fake_command, notes):
         assert caught.value.arms == ("source",)
     rig.close()
 
+    under_way = [sample for sample in joints if sample.effort[1] > 0]  # not those of the views
+    times = [sample.time_s for sample in under_way[:3]]
+    assert times == pytest.approx([1 / 3 - 0.1, 2 / 3 - 0.1, 0.9])
+    for sample, (reached, _) in zip(under_way, views, strict=False):
+        assert sample.joint_names == reached.joint_names
+        assert (sample.position == reached.position - 0.5).all()
     for view, (reached, image) in enumerate(views):
         assert isinstance(reached, Reached)
         assert image.shape == scenario.detector.panel.shape and image.dtype == np.float32

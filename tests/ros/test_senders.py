@@ -5,26 +5,21 @@ from contextlib import closing
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray
 
 from twinct.errors import LinkError
 from twinct.ros import RosRig, messages
+from twinct.ros.messages import Stamp
 from twinct.ros.senders import Members
 from twinct.ros.station import Station
+from twinct.ros.topics import IMAGE, JOINTS, REACHED, STATE, VIEWS
 from twinct.scan import LocalRig
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TOPICS = {
-    "/scan/reached": PoseArray,
-    "/joint_states": JointState,
-    "/scan/state": Float64MultiArray,
-    "/xray/image": Image,
-}
+TOPICS = (VIEWS, REACHED, JOINTS, STATE, IMAGE)
 
 
 def test_a_message_tells_who_sent_it_whatever_its_node_is_called(domain, tmp_path):
@@ -36,17 +31,17 @@ def test_a_message_tells_who_sent_it_whatever_its_node_is_called(domain, tmp_pat
     ):
         members = Members(tmp_path)
         assert not members.knows("robots")
-        listener.listen("/scan/state", Float64MultiArray, lambda m, s: heard.append((m, s)))
+        listener.listen(STATE, lambda m, s: heard.append((m, s)))
         members.enter("robots", one.participant)
         for station, value in ((one, 1.0), (other, 2.0), (one, 3.0)):
-            out = station.publisher("/scan/state", Float64MultiArray)
+            out = station.publisher(STATE)
             out.publish(Float64MultiArray(data=[value]))
             assert listener.wait(lambda value=value: heard and heard[-1][0].data[0] == value, 20)
         assert [members.sent("robots", sender) for _, sender in heard] == [True, False, True]
         assert len({sender for _, sender in heard}) == 3
         assert one.participant != other.participant == heard[1][1].participant
         # The name is discovered later than the endpoint.
-        assert listener.wait(lambda: "'robots'" in listener.name_of("/scan/state", heard[1][1]), 20)
+        assert listener.wait(lambda: "'robots'" in listener.name_of(STATE, heard[1][1]), 20)
 
 
 class Forger:
@@ -56,31 +51,33 @@ class Forger:
         self.stranger, self.epoch, self.fakes = stranger, epoch, fakes
         self.shape = scenario.detector.panel.shape
         self.out = {
-            topic: stranger.node.create_publisher(kind, topic, LATCHED)
-            for topic, kind in TOPICS.items()
+            topic: stranger.node.create_publisher(topic.kind, topic.name, LATCHED)
+            for topic in TOPICS
         }
         self.diagnostics = stranger.listen("/diagnostics", DiagnosticArray)
         stranger.until(
             lambda: (
                 all(out.get_subscription_count() for out in self.out.values())
-                and self.out["/scan/reached"].get_subscription_count() >= 3
+                and self.out[REACHED].get_subscription_count() >= 3
                 and stranger.node.count_publishers("/diagnostics") >= 3
             )
         )
 
     def answer(self, view, target, image, state=None):
-        stamp = self.epoch.at(view)
         robots = self.fakes.FakeRobots()
+        robots.moves = view
+        stamp = Stamp.at(robots.move(view, target).middle_s)  # that of the true answer
         robots.moves = 40
         reached = robots.move(view, target)
         forged = messages.state_message(stamp, reached)
         if state is not None:
             forged.data = state
         for topic, message in {
-            "/scan/reached": messages.reached_message(stamp, messages.executed(reached)),
-            "/joint_states": messages.joints_message(stamp, reached),
-            "/scan/state": forged,
-            "/xray/image": messages.image_message(stamp, image),
+            VIEWS: messages.view_message(Stamp.at(99), self.epoch.at(view), view),
+            REACHED: messages.reached_message(stamp, messages.executed(reached)),
+            JOINTS: messages.joints_message(stamp, reached),
+            STATE: forged,
+            IMAGE: messages.image_message(stamp, image),
         }.items():
             self.out[topic].publish(message)
 
@@ -117,11 +114,12 @@ def test_forged_answers_change_nothing_and_are_named_once(
             assert image.tobytes() == local.expose(view).tobytes()
             assert reached.state.tobytes() == true.state.tobytes()
             assert (reached.executed, reached.time_s) == (true.executed, true.time_s)
-        forger.stranger.until(lambda: len(forger.warnings()) >= 5)
+        forger.stranger.until(lambda: len(forger.warnings()) >= 7)
         forger.stranger.stay(0.3)
     told = sorted(forger.warnings())
     assert told == sorted(
-        [("twinct_scan", topic) for topic in TOPICS] + [("twinct_xray", "/scan/reached")]
+        [("twinct_scan", topic.name) for topic in TOPICS]
+        + [("twinct_xray", topic.name) for topic in (REACHED, VIEWS)]
     )
     words = [record.getMessage() for record in caplog.records if "not of this scan" in record.msg]
     assert len(words) == len(TOPICS)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twinct.geometry import Floats
 from twinct.views import Instant
 
 
@@ -31,6 +32,21 @@ class Shutter:
             return 0
         return math.ceil(self.exposure_s / timestep_s - 1e-9)
 
+    @property
+    def middle_s(self) -> float:
+        """From the trigger until the middle of the exposure."""
+        return self.exposure_s / 2 if self.samples > 1 else 0.0
+
+    def middle(self, steps: Floats, timestep_s: float) -> Floats:
+        """Numbers in the middle of the exposure, from those at each step since the trigger.
+
+        Args:
+            steps: (steps, ...); linear between.
+            timestep_s: between two of them.
+        """
+        first, share = _between(len(steps), self.middle_s / timestep_s)
+        return steps[first] if not share else (1 - share) * steps[first] + share * steps[first + 1]
+
     def over(
         self, steps: Sequence[Instant], timestep_s: float
     ) -> tuple[Instant, tuple[Instant, ...]]:
@@ -43,15 +59,20 @@ class Shutter:
         if self.samples == 1:
             return steps[0], ()
         shares = (np.arange(self.samples) + 0.5) / self.samples
-        times = [*(shares * self.exposure_s / timestep_s), self.exposure_s / timestep_s / 2]
+        times = [*(shares * self.exposure_s / timestep_s), self.middle_s / timestep_s]
         *instants, middle = (_at(steps, float(time)) for time in times)
         return middle, tuple(instants)
 
 
+def _between(steps: int, time: float) -> tuple[int, float]:
+    """The step before a time, of which steps are the unit, and the share of the way to the next."""
+    first = max(min(int(time), steps - 2), 0)
+    return first, time - first
+
+
 def _at(steps: Sequence[Instant], time: float) -> Instant:
     """Linear in the position and, for the small turn of one step, in the quaternion."""
-    first = min(int(time), len(steps) - 2)
-    share = time - first
+    first, share = _between(len(steps), time)
     mixed = []
     for one, two in zip(np.array(steps[first]), np.array(steps[first + 1]), strict=True):
         if one[3:] @ two[3:] < 0:

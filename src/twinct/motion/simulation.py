@@ -427,7 +427,7 @@ class RobotSimulation:
                 if len(instants) > open_steps:
                     self._judge(watch, record[: step + 1])
                     self._taken = True
-                    return self._reached(record[: step + 1, 0], instants, before)
+                    return self._reached(record[: step + 1], instants, before)
             elif step >= steps:
                 break
             self._step(reference(step))
@@ -479,23 +479,25 @@ class RobotSimulation:
         quat = np.roll(data.xquat[body], -1)
         return Instant(source, (*data.xpos[body].tolist(), *quat.tolist()), detector)
 
-    def _reached(self, path: Floats, instants: list[Instant], before: Instant | None) -> Reached:
-        model, data = self._model, self._data
-        middle, exposure = self._shutter.over(instants, self._model.opt.timestep)
+    def _reached(self, record: Floats, instants: list[Instant], before: Instant | None) -> Reached:
+        model, data, timestep = self._model, self._data, self._model.opt.timestep
+        middle, exposure = self._shutter.over(instants, timestep)
+        joints = self._shutter.middle(record[-len(instants) :], timestep)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
         state = np.zeros(size)
         mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         return Reached(
             executed=middle,
             joint_names=self._cell.joint_names,
-            position=data.qpos.copy(),
-            velocity=data.qvel.copy(),
-            effort=data.qfrc_actuator.copy(),
+            position=joints[0].copy(),
+            velocity=joints[1].copy(),
+            effort=joints[2].copy(),
             state=state,
             time_s=float(data.time),
-            clearance_mm=self._clearance.over(path).distance_mm,
+            clearance_mm=self._clearance.over(record[:, 0]).distance_mm,
             exposure=exposure,
             before=before,
+            since_middle_s=self._open_steps * timestep - self._shutter.middle_s,
         )
 
     def _at_limits(self, arm: int, joints: Floats) -> str:

@@ -1,9 +1,11 @@
 """Between what the simulations speak and standard ROS 2 messages, number by number.
 
 No number is computed anew on the way, so that both links give bit-identical geometries and images.
-``header.stamp`` names the view. ``Float64MultiArray`` has no header: ``layout.dim[0].label`` holds
-its stamp as ``SECONDS.NANOSECONDS``, the nanoseconds with nine digits. What reads or checks a
-message raises ``MalformedError`` where that is not what its topic carries.
+``header.stamp`` of a target names its view; that of an answer is the simulated time in the middle
+of the exposure, and ``/scan/views`` leads from one to the other. ``Float64MultiArray`` has no
+header: ``layout.dim[0].label`` holds its stamp as ``SECONDS.NANOSECONDS``, the nanoseconds with
+nine digits. What reads or checks a message raises ``MalformedError`` where that is not what its
+topic carries.
 """
 
 from __future__ import annotations
@@ -19,12 +21,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 from twinct.geometry import ScanGeometry
 from twinct.scenario import Scenario, stage_digests
-from twinct.views import Instant, Reached, SevenNumbers, Target, from_seven
+from twinct.views import Instant, JointSample, Reached, SevenNumbers, Target, from_seven
 
 WORLD_FRAME = "world"
 IMAGE_FRAME = "detector_optical"
@@ -38,7 +40,7 @@ class MalformedError(ValueError):
 
 
 class Stamp(NamedTuple):
-    """``header.stamp``: which view a message belongs to."""
+    """``header.stamp``: of a target, which view it is; of an answer, when its image was taken."""
 
     sec: int
     nanosec: int
@@ -47,6 +49,11 @@ class Stamp(NamedTuple):
     def of(cls, time: Time) -> Stamp:
         """The stamp of a message."""
         return cls(time.sec, time.nanosec)
+
+    @classmethod
+    def at(cls, time_s: float) -> Stamp:
+        """The stamp of a simulated time."""
+        return cls(*divmod(round(time_s * _NANO), _NANO))
 
     @classmethod
     def parse(cls, text: str) -> Stamp:
@@ -60,6 +67,11 @@ class Stamp(NamedTuple):
         return f"{self.sec}.{self.nanosec:09d}"
 
     @property
+    def time_s(self) -> float:
+        """Seconds."""
+        return (self.sec * _NANO + self.nanosec) / _NANO
+
+    @property
     def time(self) -> Time:
         """As a message."""
         return Time(sec=self.sec, nanosec=self.nanosec)
@@ -67,7 +79,7 @@ class Stamp(NamedTuple):
 
 @dataclass(frozen=True)
 class Epoch:
-    """What the stamps of one scan count from: view i has its stamp i seconds after the epoch.
+    """What a scan's targets count from: view i has its stamp i seconds after the epoch.
 
     It follows from the scenario alone, so that it is the same when a scan is resumed.
     """
@@ -209,15 +221,33 @@ def executed_of(message: PoseArray) -> Executed:
     return Executed(view, tuple(more))
 
 
-def joints_message(stamp: Stamp, reached: Reached) -> JointState:
+def view_message(stamp: Stamp, target: Stamp, view: int | None) -> TimeReference:
+    """For ``/scan/views``.
+
+    Args:
+        stamp: of the answers.
+        target: stamp of the target that they answer.
+        view: which view of a scan it is, if it is one.
+    """
+    source = "target" if view is None else f"view {view}"
+    return TimeReference(header=_header(stamp, ""), time_ref=target.time, source=source)
+
+
+def joints_message(stamp: Stamp, joints: Reached | JointSample) -> JointState:
     """For ``/joint_states``."""
     return JointState(
         header=_header(stamp, WORLD_FRAME),
-        name=list(reached.joint_names),
-        position=doubles(reached.position),
-        velocity=doubles(reached.velocity),
-        effort=doubles(reached.effort),
+        name=list(joints.joint_names),
+        position=doubles(joints.position),
+        velocity=doubles(joints.velocity),
+        effort=doubles(joints.effort),
     )
+
+
+def joints_of(message: JointState) -> JointSample:
+    """From ``/joint_states``, once it is checked."""
+    numbers = (np.array(n) for n in (message.position, message.velocity, message.effort))
+    return JointSample(Stamp.of(message.header.stamp).time_s, tuple(message.name), *numbers)
 
 
 def checked_joints(message: JointState, *, arms: bool = True) -> JointState:
@@ -233,11 +263,16 @@ def checked_joints(message: JointState, *, arms: bool = True) -> JointState:
 
 
 def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
-    """For ``/scan/state``: simulated time in s, clearance in mm, then the simulator's state."""
-    numbers = np.concatenate([[reached.time_s, reached.clearance_mm], reached.state])
+    """For ``/scan/state``: what is no pose and no joint, then the simulator's state.
+
+    First the simulated time in s, the clearance in mm, and the seconds since the middle of the
+    exposure.
+    """
+    few = reached.time_s, reached.clearance_mm, reached.since_middle_s
+    numbers = np.concatenate([few, reached.state])
     message = Float64MultiArray(data=doubles(numbers))
     size = len(reached.state)
-    message.layout.data_offset = 2
+    message.layout.data_offset = len(few)
     message.layout.dim = [MultiArrayDimension(label=str(stamp), size=size, stride=size)]
     return message
 
@@ -261,7 +296,7 @@ def checked_state(message: Float64MultiArray, *, arms: bool = True) -> Float64Mu
     numbers = np.array(message.data)
     if not arms:
         numbers[1:2] = 0.0
-    _check_numbers(numbers.tolist(), "data", 2 + size)
+    _check_numbers(numbers.tolist(), "data", 3 + size)
     return message
 
 
@@ -277,17 +312,19 @@ def reached_of(
         samples: the scenario's ``source.motion_samples``.
     """
     exposure, before = poses.exposure(samples)
+    time_s, clearance_mm, since_middle_s, *_ = state.data
     return Reached(
         executed=poses.view,
         joint_names=tuple(joints.name),
         position=np.array(joints.position),
         velocity=np.array(joints.velocity),
         effort=np.array(joints.effort),
-        state=np.array(state.data[2:]),
-        time_s=state.data[0],
-        clearance_mm=state.data[1],
+        state=np.array(state.data[3:]),
+        time_s=time_s,
+        clearance_mm=clearance_mm,
         exposure=exposure,
         before=before,
+        since_middle_s=since_middle_s,
     )
 
 
@@ -298,8 +335,7 @@ def doubles(values: NDArray[np.float64]) -> array.array[float]:
 
 def clock_message(time_s: float) -> Clock:
     """For ``/clock``: simulated time."""
-    sec, nanosec = divmod(round(time_s * _NANO), _NANO)
-    return Clock(clock=Time(sec=sec, nanosec=nanosec))
+    return Clock(clock=Stamp.at(time_s).time)
 
 
 def image_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:

@@ -9,18 +9,16 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Generic, Protocol, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray
-
 from twinct.ros.lifeline import Lifeline
 from twinct.ros.messages import ERROR, OK, WARN, Stamp, diagnostic_message
 from twinct.ros.senders import Members, Sender
-from twinct.ros.station import DIAGNOSTICS, Station
+from twinct.ros.station import Station
+from twinct.ros.topics import DIAGNOSTICS, Topic
 
+Key = TypeVar("Key")
 Question = TypeVar("Question")
 Answer = TypeVar("Answer")
 
-SCAN, ROBOTS, XRAY = "twinct_scan", "twinct_robots", "twinct_xray"
-"""Names of the three nodes of a scan."""
 FOREVER_S = 1e9
 LISTENERS = 2
 """Subscriptions that a node has on what it answers: ``Station.listen_to_all``."""
@@ -42,16 +40,16 @@ class RefusedError(Exception):
         self.arms = arms
 
 
-class Ledger(Generic[Question, Answer]):
-    """Answers by stamp, so that each question is worked on once, however often it is asked."""
+class Ledger(Generic[Key, Question, Answer]):
+    """Answers by stamp, or what holds one: each question is worked on once, however often asked."""
 
     def __init__(self, keep: int | None = None) -> None:
         """Remember all questions, but only the last ``keep`` answers."""
         self._keep = keep
-        self._questions: dict[Stamp, Question] = {}
-        self._answers: OrderedDict[Stamp, Answer] = OrderedDict()
+        self._questions: dict[Key, Question] = {}
+        self._answers: OrderedDict[Key, Answer] = OrderedDict()
 
-    def find(self, stamp: Stamp, question: Question) -> Answer | None:
+    def find(self, stamp: Key, question: Question) -> Answer | None:
         """The answer given before, None for a question that is new.
 
         Raises:
@@ -67,7 +65,7 @@ class Ledger(Generic[Question, Answer]):
             raise RefusedError(f"{answered}, and only the last {self._keep} answers are kept")
         return self._answers[stamp]
 
-    def enter(self, stamp: Stamp, question: Question, answer: Answer) -> None:
+    def enter(self, stamp: Key, question: Question, answer: Answer) -> None:
         """Remember an answer."""
         self._questions[stamp] = question
         self._answers[stamp] = answer
@@ -83,7 +81,7 @@ class Diagnostics:
         self._station = station
         self.tell = tell
         self._strangers: set[tuple[str, str]] = set()
-        self._publisher = station.publisher(DIAGNOSTICS, DiagnosticArray, depth=10)
+        self._publisher = station.publisher(DIAGNOSTICS)
 
     def ready(self) -> None:
         """Say that the node is at work."""
@@ -94,14 +92,14 @@ class Diagnostics:
         self._say(stamp, ERROR, text, {"stamp": stamp, **values})
         self.tell(text)
 
-    def stranger(self, topic: str, sender: Sender) -> None:
+    def stranger(self, topic: Topic, sender: Sender) -> None:
         """Say, once, that what somebody sends on a topic is not of this scan and not used."""
-        if (key := (topic, sender.participant)) in self._strangers:
+        if (key := (topic.name, sender.participant)) in self._strangers:
             return
         self._strangers.add(key)
         who = self._station.name_of(topic, sender)
-        text = f"{who}, not of this scan, speaks on {topic}: unused"
-        self._say(NO_STAMP, WARN, text, {"topic": topic, "publisher": sender.publisher})
+        text = f"{who}, not of this scan, speaks on {topic.name}: unused"
+        self._say(NO_STAMP, WARN, text, {"topic": topic.name, "publisher": sender.publisher})
         self.tell(text)
 
     def _say(self, stamp: Stamp, level: bytes, text: str, values: dict[str, object]) -> None:

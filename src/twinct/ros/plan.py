@@ -11,25 +11,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from twinct.motion import MotionPlan
 from twinct.ros import messages
 from twinct.ros.messages import OK, MalformedError, Stamp
-from twinct.ros.node import SCAN, Diagnostics
+from twinct.ros.node import Diagnostics
 from twinct.ros.senders import Members, Sender
-from twinct.ros.station import COMMANDED, PLAN, PLAN_VIEWS, Station
+from twinct.ros.station import Station
+from twinct.ros.topics import COMMANDED, PLAN, PLAN_VIEWS, SCAN, Topic
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
 
 _NANO = 1_000_000_000
-KINDS = {PLAN: JointTrajectory, PLAN_VIEWS: DiagnosticArray, COMMANDED: PoseArray}
+PARTS = (PLAN, PLAN_VIEWS, COMMANDED)
 
 
-def plan_messages(stamp: Stamp, plan: MotionPlan) -> dict[str, Any]:
+def plan_messages(stamp: Stamp, plan: MotionPlan) -> dict[Topic, Any]:
     """By topic: the points, the digest and the point of each view, the poses of each view."""
     points = []
     for time_s, (position, velocity, acceleration) in zip(plan.time_s, plan.state, strict=True):
@@ -54,7 +53,7 @@ def plan_messages(stamp: Stamp, plan: MotionPlan) -> dict[str, Any]:
     }
 
 
-def plan_of(got: dict[str, Any]) -> MotionPlan:
+def plan_of(got: dict[Topic, Any]) -> MotionPlan:
     """The plan that three messages carry; how clear it is they do not say.
 
     Raises:
@@ -88,7 +87,7 @@ def publish_plan(station: Station, stamp: Stamp, plan: MotionPlan) -> list[Publi
     """Say the plan to all who are there or will come."""
     publishers = []
     for topic, message in plan_messages(stamp, plan).items():
-        publishers.append(station.publisher(topic, KINDS[topic]))
+        publishers.append(station.publisher(topic))
         publishers[-1].publish(message)
     return publishers
 
@@ -107,19 +106,19 @@ class PlanListener:
         self._diagnostics = diagnostics
         self._members = members
         self._take = take
-        self._got: dict[Stamp, dict[str, Any]] = {}
+        self._got: dict[Stamp, dict[Topic, Any]] = {}
         self.taken = False
-        for topic, kind in KINDS.items():
-            station.listen(topic, kind, lambda m, sender, topic=topic: self._hear(topic, m, sender))
+        for topic in PARTS:
+            station.listen(topic, lambda m, sender, topic=topic: self._hear(topic, m, sender))
 
-    def _hear(self, topic: str, message: Any, sender: Sender) -> None:
+    def _hear(self, topic: Topic, message: Any, sender: Sender) -> None:
         if not self._members.sent(SCAN, sender):
             self._diagnostics.stranger(topic, sender)
             return
         stamp = Stamp.of(message.header.stamp)
         got = self._got.setdefault(stamp, {})
         got[topic] = message
-        if self.taken or got.keys() != KINDS.keys():
+        if self.taken or got.keys() != set(PARTS):
             return
         self.taken = True
         self._take(plan_of(got))

@@ -19,19 +19,31 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import Float64MultiArray
+from sensor_msgs.msg import JointState
 
 from twinct.errors import LinkError, TargetRefusedError
 from twinct.ros import environment, messages
 from twinct.ros.environment import Domain
 from twinct.ros.messages import ERROR, OK, Epoch, Executed, MalformedError, Stamp
-from twinct.ros.node import LISTENERS, ROBOTS, SCAN, XRAY, Diagnostics
+from twinct.ros.node import LISTENERS, Diagnostics
 from twinct.ros.plan import publish_plan
 from twinct.ros.processes import NodeProcess
 from twinct.ros.robots_node import describe
 from twinct.ros.senders import Members, Sender
-from twinct.ros.station import DIAGNOSTICS, IMAGE, JOINTS, REACHED, STATE, TARGET, Station
+from twinct.ros.station import Station
+from twinct.ros.topics import (
+    DIAGNOSTICS,
+    IMAGE,
+    JOINTS,
+    REACHED,
+    ROBOTS,
+    SCAN,
+    STATE,
+    TARGET,
+    VIEWS,
+    XRAY,
+    Topic,
+)
 from twinct.scenario import Scenario
 from twinct.views import JointSample, Reached, Target
 
@@ -114,7 +126,10 @@ class RosRig:
         self._answer_s = answer_s
         self._samples = scenario.source.motion_samples
         self._shape = scenario.detector.panel.shape
-        self._views: dict[Stamp, dict[str, Any]] = {}
+        # When each target was reached, and what has come in for that time.
+        self._taken: dict[Stamp, Stamp] = {}
+        self._got: dict[Stamp, dict[Topic, Any]] = {}
+        self._joints_until = Stamp(0, 0)
         self._asked: tuple[int, Stamp, PoseArray] | None = None
         self._ready: set[str] = set()
         self._refusal: TargetRefusedError | None = None
@@ -187,16 +202,17 @@ class RosRig:
             self._station.wake()
 
     def _open(self, station: Station, *, arms: bool) -> None:
-        self._target = station.publisher(TARGET, PoseArray)
+        self._target = station.publisher(TARGET)
         joints = partial(messages.checked_joints, arms=arms)
         state = partial(messages.checked_state, arms=arms)
         heard = [
-            self._hear(station, REACHED, PoseArray, ROBOTS, self._poses_of),
-            self._hear(station, JOINTS, JointState, ROBOTS, joints),
-            self._hear(station, STATE, Float64MultiArray, ROBOTS, state),
-            self._hear(station, IMAGE, Image, XRAY, lambda m: messages.image_of(m, self._shape)),
+            self._hear(station, VIEWS, lambda message: Stamp.of(message.time_ref)),
+            self._hear(station, REACHED, self._poses_of),
+            self._hear(station, JOINTS, lambda message: self._moving(joints(message))),
+            self._hear(station, STATE, state),
+            self._hear(station, IMAGE, lambda message: messages.image_of(message, self._shape)),
         ]
-        station.listen(DIAGNOSTICS, DiagnosticArray, self._on_diagnostics)
+        station.listen(DIAGNOSTICS, self._on_diagnostics)
 
         def connected() -> bool:
             return (
@@ -209,31 +225,42 @@ class RosRig:
             raise LinkError(f"the nodes were not at work {START_S:.0f} s after their start")
         self._check()
 
-    def _hear(
-        self, station: Station, topic: str, kind: Any, owner: str, read: Callable[[Any], Any]
-    ) -> Subscription:
+    def _hear(self, station: Station, topic: Topic, read: Callable[[Any], Any]) -> Subscription:
         """Keep what the owner of a topic answers, and nobody else."""
 
         def keep(message: Any, sender: Sender) -> None:
-            if not self._members.sent(owner, sender):
+            if not self._members.sent(topic.owner, sender):
                 self._diagnostics.stranger(topic, sender)
                 return
             of_state = topic == STATE
             stamp = messages.state_stamp(message) if of_state else Stamp.of(message.header.stamp)
-            if stamp is None or (view := self._view(stamp)) is None:
-                return
             try:
-                view[topic] = read(message)
+                if stamp is not None:
+                    self._keep(topic, stamp, read(message))
             except MalformedError as error:
-                self._conflict = f"{topic} of view {self.epoch.view(stamp)}: {error}"
+                view = "" if self._asked is None else f" of view {self._asked[0]}"
+                self._conflict = f"{topic.name}{view}: {error}"
 
-        return station.listen(topic, kind, keep)
+        return station.listen(topic, keep)
 
-    def _view(self, stamp: Stamp) -> dict[str, Any] | None:
-        """What has come in for a stamp, by topic; None for a stamp of no view."""
-        if self.epoch.view(stamp) is None:
-            return None
-        return self._views.setdefault(stamp, {})
+    def _keep(self, topic: Topic, stamp: Stamp, what: Any) -> None:
+        if topic == VIEWS:
+            self._taken[what] = stamp
+        else:
+            self._got.setdefault(stamp, {})[topic] = what
+
+    def _answer(self) -> dict[Topic, Any]:
+        """What has come in for the target last asked, by topic."""
+        taken = self._taken.get(self._asked[1]) if self._asked else None
+        return self._got.get(taken, {}) if taken else {}
+
+    def _moving(self, message: JointState) -> JointState:
+        """Hand on what the joints do, each instant once."""
+        stamp = Stamp.of(message.header.stamp)
+        if self._tell_joints is not None and message.name and stamp > self._joints_until:
+            self._tell_joints(messages.joints_of(message))
+        self._joints_until = max(stamp, self._joints_until)
+        return message
 
     def _poses_of(self, message: PoseArray) -> Executed:
         poses = messages.executed_of(message)
@@ -288,28 +315,26 @@ class RosRig:
         if self._closing:
             raise LinkError("the rig is closed")
         stamp = self.epoch.at(view)
-        for old in [s for s in self._views if s != stamp]:
-            del self._views[old]
-        got = self._views.setdefault(stamp, {})
         self._refusal = None
         self._asked = view, stamp, messages.target_message(stamp, target)
+        self._got = {self._taken[stamp]: self._answer()} if stamp in self._taken else {}
         self._target.publish(self._asked[2])
 
         def done() -> bool:
-            return self._refusal is not None or got.keys() >= {REACHED, JOINTS, STATE}
+            return self._refusal is not None or self._answer().keys() >= {REACHED, JOINTS, STATE}
 
         self._wait("reached poses", done)
         if self._refusal is not None:
             raise self._refusal
+        got = self._answer()
         return messages.reached_of(got[REACHED], got[JOINTS], got[STATE], self._samples)
 
     def expose(self, view: int) -> NDArray[np.float32]:
         """See ``Rig.expose``."""
         if self._asked is None or self._asked[0] != view or self._refusal is not None:
             raise ValueError(f"view {view} was not reached: move before you expose")
-        got = self._views[self._asked[1]]
-        self._wait("image", lambda: IMAGE in got)
-        return got[IMAGE]
+        self._wait("image", lambda: IMAGE in self._answer())
+        return self._answer()[IMAGE]
 
     def listen(self, tell: Callable[[JointSample], None]) -> None:
         """See ``Rig.listen``."""

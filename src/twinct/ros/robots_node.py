@@ -5,6 +5,7 @@ The service ``/scan/home`` brings the arms back to where they started.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -12,9 +13,6 @@ from typing import Protocol
 import numpy as np
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from twinct.errors import MotionError
@@ -24,8 +22,6 @@ from twinct.ros.messages import Epoch, MalformedError, Stamp
 from twinct.ros.node import (
     LISTENERS,
     NO_STAMP,
-    ROBOTS,
-    SCAN,
     Diagnostics,
     Ledger,
     RefusedError,
@@ -33,17 +29,30 @@ from twinct.ros.node import (
 )
 from twinct.ros.plan import PlanListener
 from twinct.ros.senders import Members, Sender
-from twinct.ros.station import CLOCK, HOME, JOINTS, REACHED, STATE, TARGET, Station
+from twinct.ros.station import Station
+from twinct.ros.topics import (
+    CLOCK,
+    HOME,
+    JOINTS,
+    REACHED,
+    ROBOTS,
+    SCAN,
+    STATE,
+    TARGET,
+    VIEWS,
+)
 from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs, Reached, Target
+from twinct.views import JointSample, PosePairs, Reached, Target
 
-ANSWERS = 10
-"""Answers kept for those who are slow or late."""
+TICK_S = 0.02
+"""Simulated time from one message of the clock to the next, at most."""
 
 
 class Robots(Protocol):
     """What the node needs of a ``RobotSimulation`` or a ``Gantry``."""
+
+    on_joints: Callable[[JointSample], None] | None
 
     def follow(self, plan: MotionPlan) -> None:
         """Stand in a plan's home, to follow it."""
@@ -160,6 +169,10 @@ class Turns:
         """Take the targets of a plan, which may have chosen their order and how they are turned."""
         self._targets = targets
 
+    def __len__(self) -> int:
+        """Number of views of the scan."""
+        return len(self._targets)
+
     def done(self) -> None:
         """Expect the next view."""
         self._next += 1
@@ -179,13 +192,16 @@ class RobotsNode:
         """Make the endpoints; from now on targets are executed."""
         self._robots, self._turns, self._members = robots, turns, members
         # A refusal of the robots is an answer too: it is not tried again.
-        self._ledger: Ledger[Target, Reached | RefusedError] = Ledger()
+        self._ledger: Ledger[Stamp, Target, Reached | RefusedError] = Ledger()
         self._station, self._diagnostics = station, diagnostics
-        self._reached = station.publisher(REACHED, PoseArray, depth=ANSWERS)
-        self._joints = station.publisher(JOINTS, JointState, depth=ANSWERS)
-        self._state = station.publisher(STATE, Float64MultiArray, depth=ANSWERS)
-        self._clock = station.publisher(CLOCK, Clock)
-        self._targets = station.listen_to_all(TARGET, PoseArray, self._on_target)
+        self._clock_s: float | None = None
+        self._clock = station.publisher(CLOCK)
+        self._views = station.publisher(VIEWS, depth=max(VIEWS.depth, len(turns or ())))
+        self._reached = station.publisher(REACHED)
+        self._joints = station.publisher(JOINTS)
+        self._state = station.publisher(STATE)
+        robots.on_joints = self._on_joints
+        self._targets = station.listen_to_all(TARGET, self._on_target)
         station.serve(HOME, Trigger, self._on_home)
 
     def connected(self) -> bool:
@@ -195,6 +211,7 @@ class RobotsNode:
         return self._turns is None or (
             all(heard.get_publisher_count() for heard in self._targets)
             and self._reached.get_subscription_count() > LISTENERS
+            and self._views.get_subscription_count() > 1
             and bool(self._joints.get_subscription_count())
             and bool(self._state.get_subscription_count())
         )
@@ -207,12 +224,14 @@ class RobotsNode:
             if answer is None:
                 self._admit(stamp, target, sender)
                 answer = self._execute(stamp, target)
+            elif self._turns is None and isinstance(answer, Reached):
+                self._tell_view(stamp, answer)  # whereas a scan's is kept for all who come
             if isinstance(answer, RefusedError):
                 raise answer
         except (RefusedError, MalformedError) as refused:
             self._refuse(stamp, message, refused)
         else:
-            self._answer(stamp, answer)
+            self._answer(answer)
 
     def _admit(self, stamp: Stamp, target: Target, sender: Sender) -> None:
         if self._turns is not None:
@@ -233,6 +252,9 @@ class RobotsNode:
             view = self._view(stamp)
             if self._turns is not None:
                 self._turns.done()
+            # Before all that has the stamp.
+            self._advance(answer.time_s)
+            self._tell_view(stamp, answer)
             self._diagnostics.tell(
                 f"reached {stamp if view is None else f'view {view}'}: simulated time "
                 f"{answer.time_s:.3f} s, {answer.clearance_in_words}"
@@ -243,15 +265,32 @@ class RobotsNode:
     def _view(self, stamp: Stamp) -> int | None:
         return self._turns.view(stamp) if self._turns is not None else None
 
-    def _answer(self, stamp: Stamp, reached: Reached) -> None:
-        # The poses first: they trigger the image.
-        self._reached.publish(messages.reached_message(stamp, messages.executed(reached)))
-        self._tell_joints(stamp, reached)
+    def _tell_view(self, target: Stamp, reached: Reached) -> None:
+        stamp = Stamp.at(reached.middle_s)
+        self._views.publish(messages.view_message(stamp, target, self._view(target)))
 
-    def _tell_joints(self, stamp: Stamp, reached: Reached) -> None:
+    def _answer(self, reached: Reached) -> None:
+        # The poses first: they trigger the image.
+        poses = messages.executed(reached)
+        self._reached.publish(messages.reached_message(Stamp.at(reached.middle_s), poses))
+        self._tell_state(reached)
+
+    def _tell_state(self, reached: Reached) -> None:
+        stamp = Stamp.at(reached.middle_s)
         self._joints.publish(messages.joints_message(stamp, reached))
         self._state.publish(messages.state_message(stamp, reached))
-        self._clock.publish(messages.clock_message(reached.time_s))
+
+    def _on_joints(self, joints: JointSample) -> None:
+        self._advance(joints.time_s)
+        self._joints.publish(messages.joints_message(Stamp.at(joints.time_s), joints))
+
+    def _advance(self, time_s: float) -> None:
+        """Let the clock go on to a time, where it is not there yet."""
+        start_s = time_s - TICK_S if self._clock_s is None else self._clock_s
+        ticks = math.ceil((time_s - start_s) / TICK_S - 1e-9)
+        for tick_s in np.linspace(start_s, time_s, ticks + 1)[1:].tolist():
+            self._clock.publish(messages.clock_message(tick_s))
+        self._clock_s = max(start_s, time_s)
 
     def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request  # it is empty
@@ -269,7 +308,8 @@ class RobotsNode:
                 f"at home: simulated time {reached.time_s:.3f} s, {reached.clearance_in_words}"
             )
             # No poses: they would trigger an image.
-            self._tell_joints(NO_STAMP, reached)
+            self._advance(reached.time_s)
+            self._tell_state(reached)
             self._diagnostics.tell(response.message)
         return response
 

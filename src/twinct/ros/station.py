@@ -20,19 +20,7 @@ from rclpy.subscription import Subscription
 
 from twinct.ros.environment import roomy_shared_memory, settle
 from twinct.ros.senders import Sender, SenderExecutor, participant, participant_of
-
-TARGET = "/scan/target"
-REACHED = "/scan/reached"
-STATE = "/scan/state"
-PLAN = "/scan/plan"
-PLAN_VIEWS = "/scan/plan_views"
-COMMANDED = "/scan/commanded"
-HOME = "/scan/home"
-JOINTS = "/joint_states"
-CLOCK = "/clock"
-IMAGE = "/xray/image"
-CAMERA = "/xray/camera_info"
-DIAGNOSTICS = "/diagnostics"
+from twinct.ros.topics import Topic
 
 _LONGEST_SLEEP_S = 0.2
 """A waiting thread lets Python look for signals that often."""
@@ -87,16 +75,15 @@ class Station:
         self._executor.add_node(self._node)
         self._closed = False
 
-    def publisher(self, topic: str, kind: Any, *, depth: int = 1) -> Publisher:
-        """Publish reliably; late joiners get the last ``depth`` messages."""
+    def publisher(self, topic: Topic, *, depth: int | None = None) -> Publisher:
+        """Publish reliably; late joiners get the last ``depth`` messages, else the topic's."""
         events = PublisherEventCallbacks(matched=lambda _: None)  # wakes ``wait`` up
-        qos = _qos(depth, latched=True)
-        return self._node.create_publisher(kind, topic, qos, event_callbacks=events)
+        qos = _qos(topic.depth if depth is None else depth, latched=True)
+        return self._node.create_publisher(topic.kind, topic.name, qos, event_callbacks=events)
 
     def listen(
         self,
-        topic: str,
-        kind: Any,
+        topic: Topic,
         callback: Callable[[Any, Sender], None],
         *,
         depth: int = 20,
@@ -105,11 +92,12 @@ class Station:
         """Hear those who publish reliably and, where latched, what they said before."""
         hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(matched=lambda _: None)
-        qos = _qos(depth, latched=latched)
-        return self._node.create_subscription(kind, topic, hear, qos, event_callbacks=events)
+        qos = _qos(max(depth, topic.depth), latched=latched)
+        kind, name = topic.kind, topic.name
+        return self._node.create_subscription(kind, name, hear, qos, event_callbacks=events)
 
     def listen_to_all(
-        self, topic: str, kind: Any, callback: Callable[[Any, Sender], None], *, depth: int = 100
+        self, topic: Topic, callback: Callable[[Any, Sender], None], *, depth: int = 100
     ) -> list[Subscription]:
         """Hear everybody who publishes reliably, each message once.
 
@@ -125,15 +113,15 @@ class Station:
                 callback(message, sender)
 
         both = (True, False)
-        return [self.listen(topic, kind, once, depth=depth, latched=latched) for latched in both]
+        return [self.listen(topic, once, depth=depth, latched=latched) for latched in both]
 
     def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
         """Answer requests, inside ``wait``: the callback gets a request and an empty response."""
         self._node.create_service(kind, service, callback)
 
-    def name_of(self, topic: str, sender: Sender) -> str:
+    def name_of(self, topic: Topic, sender: Sender) -> str:
         """What a node that publishes on a topic calls itself, as far as it is discovered."""
-        for info in self._node.get_publishers_info_by_topic(topic):
+        for info in self._node.get_publishers_info_by_topic(topic.name):
             known = info.node_name != "_NODE_NAME_UNKNOWN_"  # seen before its node was
             if known and participant(info.endpoint_gid) == sender.participant:
                 return f"a node {info.node_name!r}"

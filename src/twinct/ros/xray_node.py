@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, TimeReference
 
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.ros import messages
 from twinct.ros.messages import Epoch, Executed, MalformedError, Stamp
-from twinct.ros.node import ROBOTS, XRAY, Diagnostics, Ledger, RefusedError, run_node
+from twinct.ros.node import Diagnostics, Ledger, RefusedError, run_node
 from twinct.ros.plan import PlanListener
 from twinct.ros.senders import Members, Sender
-from twinct.ros.station import CAMERA, IMAGE, REACHED, Station
+from twinct.ros.station import Station
+from twinct.ros.topics import CAMERA, IMAGE, REACHED, ROBOTS, VIEWS, XRAY, Topic
 from twinct.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ MEMORY_BYTES = 256 * 2**20
 """Images kept for those who ask again; never fewer than two, never more than 32."""
 
 QUEUE_BYTES = 64 * 2**20
-"""Images on their way to those who are slow or late; never fewer than one, never more than ten."""
+"""Images on their way to those who are slow or late; never fewer than one."""
 
 
 class XRay(Protocol):
@@ -129,6 +130,16 @@ def image_bytes(panel: Panel) -> int:
     return 4 * panel.rows * panel.columns
 
 
+class _Taken(NamedTuple):
+    """What an image is known by: times are those of one clock."""
+
+    stamp: Stamp
+    clock: str
+
+    def __str__(self) -> str:
+        return str(self.stamp)
+
+
 class XRayNode:
     """Images each view that was reached once."""
 
@@ -145,43 +156,69 @@ class XRayNode:
         """Make the endpoints; from now on views are imaged."""
         self._imager, self._panel, self._samples = imager, panel, samples
         self._epoch, self._members, self._diagnostics = epoch, members, diagnostics
-        self._ledger: Ledger[Executed, tuple[CameraInfo, Image]] = Ledger(
+        self._ledger: Ledger[_Taken, Executed, tuple[CameraInfo, Image]] = Ledger(
             keep=min(max(MEMORY_BYTES // image_bytes(panel), 2), 32)
         )
-        depth = min(max(QUEUE_BYTES // image_bytes(panel), 1), 10)
-        self._camera = station.publisher(CAMERA, CameraInfo, depth=depth)
-        self._image = station.publisher(IMAGE, Image, depth=depth)
-        self._views = station.listen_to_all(REACHED, PoseArray, self._on_reached)
+        # Of a scan: targets by when they were reached, and poses whose target is not known yet.
+        self._targets: dict[Stamp, Stamp] = {}
+        self._early: dict[Stamp, tuple[PoseArray, Sender]] = {}
+        depth = min(max(QUEUE_BYTES // image_bytes(panel), 1), IMAGE.depth)
+        self._camera = station.publisher(CAMERA, depth=depth)
+        self._image = station.publisher(IMAGE, depth=depth)
+        self._heard = [
+            *station.listen_to_all(REACHED, self._on_reached),
+            *([station.listen(VIEWS, self._on_view)] if epoch else []),
+        ]
 
     def connected(self) -> bool:
         """Whether the rig and the robots node of the scan are there; a node on its own has none."""
         if self._members is not None and not self._members.knows(ROBOTS):
             return False
         return self._epoch is None or (
-            all(heard.get_publisher_count() for heard in self._views)
+            all(heard.get_publisher_count() for heard in self._heard)
             and bool(self._image.get_subscription_count())
         )
 
-    def _on_reached(self, message: PoseArray, sender: Sender) -> None:
-        if self._members is not None and not self._members.sent(ROBOTS, sender):
-            self._diagnostics.stranger(REACHED, sender)
+    def _known(self, topic: Topic, sender: Sender) -> bool:
+        if self._members is None or self._members.sent(ROBOTS, sender):
+            return True
+        self._diagnostics.stranger(topic, sender)
+        return False
+
+    def _on_view(self, message: TimeReference, sender: Sender) -> None:
+        if not self._known(VIEWS, sender):
             return
         stamp = Stamp.of(message.header.stamp)
-        try:
-            poses = messages.executed_of(message)
-            camera, image = self._ledger.find(stamp, poses) or self._expose(stamp, poses)
-        except (RefusedError, MalformedError) as refused:
-            view = self._view(stamp)
-            values: dict[str, object] = {"view": "" if view is None else view, "reason": refused}
-            self._diagnostics.refuse(stamp, f"view refused: {refused}", values)
+        self._targets[stamp] = Stamp.of(message.time_ref)
+        if early := self._early.pop(stamp, None):
+            self._on_reached(*early)
+
+    def _on_reached(self, message: PoseArray, sender: Sender) -> None:
+        if not self._known(REACHED, sender):
             return
+        stamp, view = Stamp.of(message.header.stamp), None
+        target = stamp
+        if self._epoch is not None:
+            if stamp not in self._targets:
+                self._early[stamp] = message, sender
+                return
+            target = self._targets[stamp]
+            view = self._epoch.view(target)
+        try:
+            poses, taken = messages.executed_of(message), _Taken(stamp, sender.participant)
+            answer = self._ledger.find(taken, poses) or self._expose(taken, view, poses)
+        except (RefusedError, MalformedError) as refused:
+            values: dict[str, object] = {"view": "" if view is None else view, "reason": refused}
+            self._diagnostics.refuse(target, f"view refused: {refused}", values)
+            return
+        camera, image = answer
         self._camera.publish(camera)
         self._image.publish(image)
 
-    def _expose(self, stamp: Stamp, poses: Executed) -> tuple[CameraInfo, Image]:
-        view = self._view(stamp)
+    def _expose(self, taken: _Taken, view: int | None, poses: Executed) -> tuple[CameraInfo, Image]:
         if self._epoch is not None and view is None:
-            raise RefusedError("a scan is running and the stamp of this view is none of its stamps")
+            raise RefusedError("a scan is running and this view is none of its own")
+        stamp = taken.stamp
         try:
             exposure, before = poses.exposure(self._samples)
             geometry, _ = poses.view.placed(self._panel)
@@ -189,15 +226,12 @@ class XRayNode:
             last = before.placed(self._panel) if before else None
         except ValueError as error:
             raise MalformedError(str(error)) from None
-        # What keys the noise: the view, or the stamp itself where there is no scan.
+        # What keys the noise: the view, or the time itself where there is no scan.
         index = stamp.sec * 1_000_000_000 + stamp.nanosec if view is None else view
         image = self._imager.expose(path, index, last)
         camera = messages.camera_message(stamp, geometry)
         answer = camera, messages.image_message(stamp, image)
-        self._ledger.enter(stamp, poses, answer)
+        self._ledger.enter(taken, poses, answer)
         name = stamp if view is None else f"view {view}"
         self._diagnostics.tell(f"image of {name}: mean {image.mean():.4f}")
         return answer
-
-    def _view(self, stamp: Stamp) -> int | None:
-        return self._epoch.view(stamp) if self._epoch is not None else None

@@ -204,11 +204,13 @@ class GantryCell(Section):
     """No arms: source and panel are exactly where they are told, whatever stands in the way."""
 
     kind: Literal["gantry"]
-    view_s: Positive = setting(
+    view_s: float = setting(
         1.0,
         "Simulated time from view to view. With motion_samples above 1 an exposure has its middle "
         "at the view, and source and panel turn at this pace as they came from the view before, "
         "along circle or helix; they stand still at the first.",
+        ge=1e-6,
+        allow_inf_nan=False,
     )
     floor_z_mm: Finite = setting(-1200.0, "Height of the floor, for pictures only.")
 

@@ -1,0 +1,59 @@
+"""The topics of a scan's graph: what each carries, who publishes it, how many messages it keeps.
+
+All are reliable and transient local: who joins late gets the last ``depth`` messages.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+SCAN, ROBOTS, XRAY = "twinct_scan", "twinct_robots", "twinct_xray"
+"""Names of the three nodes of a scan."""
+
+
+class Topic(NamedTuple):
+    """One topic.
+
+    Attributes:
+        name: that it has in the graph.
+        kind: class of its messages.
+        owner: node that publishes it; "" for all of them.
+        depth: messages that it keeps, at least.
+    """
+
+    name: str
+    kind: Any
+    owner: str
+    depth: int
+
+
+TARGET = Topic("/scan/target", PoseArray, SCAN, 1)
+PLAN = Topic("/scan/plan", JointTrajectory, SCAN, 1)
+PLAN_VIEWS = Topic("/scan/plan_views", DiagnosticArray, SCAN, 1)
+COMMANDED = Topic("/scan/commanded", PoseArray, SCAN, 1)
+CLOCK = Topic("/clock", Clock, ROBOTS, 1)
+VIEWS = Topic("/scan/views", TimeReference, ROBOTS, 1000)
+"""Keeps as many messages as the scan has views, if those are more."""
+REACHED = Topic("/scan/reached", PoseArray, ROBOTS, 10)
+JOINTS = Topic("/joint_states", JointState, ROBOTS, 1000)
+STATE = Topic("/scan/state", Float64MultiArray, ROBOTS, 10)
+CAMERA = Topic("/xray/camera_info", CameraInfo, XRAY, 10)
+IMAGE = Topic("/xray/image", Image, XRAY, 10)
+"""Keeps fewer images, and their cameras, where ten would take much memory."""
+DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "", 10)
+
+TOPICS = (
+    *(TARGET, PLAN, PLAN_VIEWS, COMMANDED),
+    *(CLOCK, VIEWS, REACHED, JOINTS, STATE),
+    *(CAMERA, IMAGE, DIAGNOSTICS),
+)
+
+HOME = "/scan/home"
+"""A service, ``std_srvs/Trigger``."""
