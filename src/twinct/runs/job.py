@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from twinct.cell import check_drawing
@@ -29,6 +30,7 @@ from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, named_geometries
 from twinct.scenario import Scenario, load_scenario, stage_digests
+from twinct.scenario.version_0_1 import volume_digest
 from twinct.threads import limit_threads
 from twinct.volume import Volume
 
@@ -137,9 +139,10 @@ def finished_run(folder: Folder) -> Run:
     needed = (folder.scan, folder.volume, folder.metrics, folder.scenario)
     if missing := [p.name for p in needed if not p.exists()]:
         raise InputError(f"{folder.path} holds no finished run: {', '.join(missing)} missing")
-    scenario = folder.scenario_of_run(planned=ScanStore(folder.scan).plan is not None)
+    store = ScanStore(folder.scan)
+    scenario = folder.scenario_of_run(planned=store.plan is not None)
     run = Run(scenario, folder)
-    if run.volume.extras["note"] != _note_of(folder, scenario):
+    if run.volume.extras["note"] not in (_note_of(folder, scenario), _note_of_0_1(store, folder)):
         raise InputError(
             f"{folder.volume} was made with other settings than {folder.scenario.name} holds: "
             f"finish the run with 'twinct run {folder.scenario} --out {folder.path} --resume'"
@@ -253,6 +256,14 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience
 def _note_of(folder: Folder, scenario: Scenario) -> str:
     """What ties a volume to the settings that made it."""
     return f"twinct {folder.volume_digest(scenario)[:32]}"
+
+
+def _note_of_0_1(store: ScanStore, folder: Folder) -> str | None:
+    """The same of a run of version 0.1, which had another digest; None of a later one."""
+    if store.digest_0_1 is None:
+        return None
+    told = yaml.safe_load(folder.scenario.read_text(encoding="utf-8"))
+    return f"twinct {volume_digest(store.digest_0_1, told['reconstruction'])[:32]}"
 
 
 @contextmanager

@@ -161,6 +161,11 @@ class ScanStore:
         return cast("dict[str, str]", self._group.attrs["digests"])
 
     @property
+    def digest_0_1(self) -> str | None:
+        """What version 0.1 knew the scan by; None of a later one."""
+        return str(self._group.attrs["digest"]) if self._format == 1 else None
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, source arm first."""
         return tuple(self._group.attrs["joint_names"])

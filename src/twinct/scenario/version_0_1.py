@@ -6,6 +6,8 @@ person writes all of them, so that they are known by it.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
 from typing import Any, cast
 
@@ -18,6 +20,15 @@ _ALL = {
     *("weighting", "tv_steps", "window", "nonnegative"),
     *("surroundings", "beam_hardening", "geometry", "grid"),
 }
+
+_ORDER = (
+    *("algorithm", "engine", "margin_mm", "voxels", "voxel_mm", "iterations", "relaxation"),
+    *("order", "subsets", "regularisation", "weighting", "tv_steps", "window", "nonnegative"),
+    *("surroundings", "beam_hardening", "kind", "material", "base", "dense", "first_iterations"),
+    *("formula", "mass_fractions", "density_g_cm3"),
+    *("geometry", "grid", "centre_mm", "rotation_deg"),
+)
+"""Of the keys of this section and of those in it, in what was hashed; kept is the alphabet's."""
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
@@ -39,6 +50,26 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     log.info("reconstruction of version 0.1: %s not used by %s and left out", names, name)
     kept = {key: value for key, value in flat.items() if key not in gone}
     return data | {"reconstruction": kept | {"algorithm": name}}
+
+
+def volume_digest(scan_digest: str, section: dict[str, Any]) -> str:
+    """What version 0.1 knew a volume by: SHA-256 of its scan's digest and its settings as JSON.
+
+    Args:
+        scan_digest: that the scan store holds.
+        section: ``reconstruction`` as version 0.1 wrote it down.
+    """
+    text = json.dumps(_in_order(section), separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256((scan_digest + text).encode()).hexdigest()
+
+
+def _in_order(value: Any) -> Any:
+    if not isinstance(value, dict):
+        return value
+    told = cast("dict[str, Any]", value)
+    places = {key: place for place, key in enumerate(_ORDER)}
+    ordered = sorted(told, key=lambda key: places.get(key, len(_ORDER)))
+    return {key: _in_order(told[key]) for key in ordered}
 
 
 def advice(key: tuple[str | int, ...], value: Any) -> str:
