@@ -160,7 +160,7 @@ def test_where_no_way_is_found_one_over_home_is(
 
     simulation = RobotSimulation(cell, PLANNED, plan)
     simulation.move(None, targets[20])
-    monkeypatch.setattr("twinct.motion.simulation.find_way", from_home_only)
+    monkeypatch.setattr("twinct.motion.guide.find_way", from_home_only)
     simulation.move(
         None, targets[10], lambda data: came.append(np.abs(data.qpos - plan.home).max())
     )

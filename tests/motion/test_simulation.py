@@ -14,7 +14,7 @@ from twinct.cell import CellModel, Clearance, build_cell
 from twinct.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Pose
 from twinct.motion import MotionPlan, RobotSimulation, Shutter, plan_motion
-from twinct.motion.kinematics import site_pose
+from twinct.motion.kinematics import Kinematics, site_pose
 from twinct.motion.simulation import SAMPLE_S, SATURATED
 from twinct.scenario import Cell, Detector, Motion
 from twinct.views import JointSample, Reached, Target
@@ -208,7 +208,7 @@ def test_driven_into_table_or_specimen_the_panel_touches_it(
     ) as no:
         simulation.move(1, inside)
     assert no.value.arms == ("detector",)
-    goal = simulation._kinematics.follow(simulation.joints, inside)[0].joints
+    goal = Kinematics(cell, motion.ik).follow(simulation.joints, inside)[0].joints
     deepest = []
     clearance = Clearance(cell)
     with pytest.raises(TargetRefusedError, match="detector_panel touches|touches detector_panel"):

@@ -10,33 +10,18 @@ from functools import partial
 import numpy as np
 
 from twinct.cell import CellModel, Clearance
-from twinct.errors import MotionError, NoWayError, TargetRefusedError, TrajectoryError
+from twinct.errors import MotionError, TargetRefusedError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.motion.branches import SIDES
-from twinct.motion.feasible import Feasible
-from twinct.motion.follow import straight_path
-from twinct.motion.home import FLIP_RAD
-from twinct.motion.homeward import way_home
-from twinct.motion.kinematics import Kinematics, mujoco, site_pose
-from twinct.motion.plan import MotionPlan, timed
+from twinct.motion.guide import Guide
+from twinct.motion.kinematics import mujoco, site_pose
+from twinct.motion.plan import MotionPlan
+from twinct.motion.reactive import Reactive
 from twinct.motion.reference import Reference
-from twinct.motion.refusals import arms_in, readable
+from twinct.motion.refusals import readable
 from twinct.motion.shutter import Shutter
-from twinct.motion.way import Way, find_way, kept_mm
 from twinct.scenario import Motion
 from twinct.views import Instant, JointSample, Reached, Target, to_seven
-
-REFUSED_SHARE = 0.5
-"""A target is refused where its path leaves less than this share of a plan's clearance.
-
-The rest is room for the solver's tolerance and the servos' lag.
-"""
-
-MOST_LOOKS = 60_000
-"""Configurations that the search for a way to a target of no plan may look at, and again from home.
-
-Both take about 5 s: an answer is promised within 10.
-"""
 
 BREAKAWAY_RAD_S = 0.002
 """Speed from which a joint's dry friction is compensated in full."""
@@ -108,10 +93,9 @@ class RobotSimulation:
         self._open_steps = self._shutter.steps(self._model.opt.timestep)
         self._taken = False
         self._data = mujoco.MjData(self._model)
-        self._kinematics = Kinematics(cell_model, motion.ik)
+        self._reactive = Reactive(cell_model, motion)
         self._reference = Reference(cell_model, motion)
         self._clearance = Clearance(cell_model)
-        self._scratch = mujoco.MjData(self._model)
         self._sample_steps = max(1, int(SAMPLE_S / self._model.opt.timestep + 1e-9))
         self._n = len(cell_model.joint_names)
         self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
@@ -137,9 +121,8 @@ class RobotSimulation:
                 f"the plan is of another cell: it moves {', '.join(plan.joint_names)}, this cell "
                 f"has {', '.join(self._cell.joint_names)}"
             )
-        self._plan, self._begun_s, self._home = plan, 0.0, plan.home
-        # Knots of the ways since home; none: the arms went by other ways than these.
-        self._trail: list[Floats] = [plan.home[None]]
+        self._plan, self._begun_s = plan, 0.0
+        self._guide = Guide(self._cell, self._motion, self._roll_free, plan.home)
         self._mark = 0.0 if self._motion.scheme == "reactive" else float(int(plan.digest[:12], 16))
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = self._data.userdata[: self._n] = self._data.ctrl[:] = plan.home
@@ -163,7 +146,7 @@ class RobotSimulation:
 
     def close(self) -> None:
         """Free what MuJoCo holds; a closed simulation cannot be used."""
-        del self._data, self._scratch, self._kinematics, self._clearance
+        del self._data, self._reactive, self._clearance
 
     def restore(self, state: Floats) -> None:
         """Go back exactly to ``Reached.state``.
@@ -181,7 +164,8 @@ class RobotSimulation:
         if self._data.userdata[-1] != self._mark:
             raise MotionError("this state is of another plan than the one that is followed")
         mujoco.mj_step1(self._model, self._data)
-        self._taken, self._trail = True, []
+        self._taken = True
+        self._guide.forget()
 
     def move(
         self,
@@ -204,11 +188,11 @@ class RobotSimulation:
                 The first two leave the simulation as it was.
         """
         if self._motion.scheme == "reactive" or view is not None:
-            self._trail = []
+            self._guide.forget()
         if self._motion.scheme == "reactive":
-            return self.drive(self.solve(target), target, on_step)
+            return self.drive(self._reactive.solve(self.joints, target), target, on_step)
         if view is None:
-            lead = self._plan_from(lambda here: self._way_to(target, here))
+            lead = self._plan_from(partial(self._guide.to, target))
             return self._along(0, "the target", lead, on_step)
         if self._plan is None:
             raise MotionError("there is no plan to follow")
@@ -226,31 +210,8 @@ class RobotSimulation:
             TargetRefusedError: there is no way, which leaves the simulation as it was; or the arms
                 could not follow it.
         """
-        lead = self._plan_from(self._way_home)
+        lead = self._plan_from(self._guide.home)
         return self._along(0, "home", lead, on_step, settled=True)
-
-    def _way_to(self, target: Target, here: Floats) -> Way:
-        """From where the arms are; where none is found and the way back is known, over home."""
-        found = partial(
-            find_way,
-            self._cell,
-            self._motion,
-            [target],
-            roll_free=self._roll_free,
-            most_looks=MOST_LOOKS,
-        )
-        try:
-            return found(start=here)
-        except NoWayError:
-            if not self._trail or np.array_equal(here, self._home):
-                raise
-            back, on = self._way_home(here), found(start=self._home)
-            views = np.append(np.full(len(back.joints) - 1, -1), on.views)
-            return Way(np.vstack([back.joints[:-1], on.joints]), views, on.targets)
-
-    def _way_home(self, here: Floats) -> Way:
-        back = np.vstack(self._trail)[::-1] if self._trail else np.zeros((0, self._n))
-        return way_home(self._cell, self._motion, here, self._home, back, most_looks=MOST_LOOKS)
 
     def _along(
         self,
@@ -283,11 +244,11 @@ class RobotSimulation:
         target, what = plan.targets[view], f"{name} was missed"
         return self._run(rows.__getitem__, steps, target, what, on_step, len(lead), settled)
 
-    def _plan_from(self, find: Callable[[Floats], Way]) -> Floats:
+    def _plan_from(self, make: Callable[[Floats], MotionPlan]) -> Floats:
         """Make a plan from where the arms come to rest the one that is followed.
 
         Args:
-            find: finds the way, from joint positions, rad, (n,).
+            make: makes it, from joint positions, rad, (n,).
 
         Returns:
             States of the reference until the plan begins, (steps, 3, n).
@@ -297,22 +258,8 @@ class RobotSimulation:
         """
         lead = self._to_rest()
         here = lead[-1, 0] if len(lead) else self._data.userdata[: self._n].copy()
-        try:
-            way = find(here)
-            plan = timed(self._cell, self._motion, way)
-        except TrajectoryError as error:
-            # Who asks knows no view 0.
-            told = [problem.removeprefix("view 0: ") for problem in error.problems]
-            text = "; ".join(told).replace("view 0", "the target")
-            raise TargetRefusedError(text, arms_in(text)) from None
-        self._plan = plan
+        self._plan = make(here)
         self._begun_s = self.time_s + len(lead) * self._model.opt.timestep
-        if len(at_home := np.flatnonzero((way.joints == self._home).all(axis=1))):
-            self._trail = [way.joints[at_home[-1] :]]
-        elif self._trail:
-            ends = self._home[None], way.joints[-1:]
-            direct = Feasible(self._cell).straight(*ends, kept_mm(self._motion))[0]
-            self._trail = list(ends) if direct else [*self._trail, way.joints[1:]]
         return lead
 
     def _to_rest(self) -> Floats:
@@ -327,40 +274,6 @@ class RobotSimulation:
         path = self._reference.towards(now, now[0])
         steps = math.ceil(path.duration / timestep)
         return np.array([path.at(k * timestep) for k in range(1, steps + 1)])
-
-    def solve(self, target: Target) -> Floats:
-        """Joint positions for a target, checked for reach and for collisions on the way.
-
-        Raises:
-            TargetRefusedError: with arm, reason and how far off.
-        """
-        start = self._data.qpos.copy()
-        result, largest = self._kinematics.follow(start, target)
-        problems: dict[str, str] = {}
-        for arm, side in enumerate(SIDES):
-            if not result.solved[arm]:
-                problems[side] = (
-                    f"{side} arm: out of reach by {result.position_mm[arm]:.1f} mm and "
-                    f"{result.rotation_deg[arm]:.2f} deg{self._at_limits(arm, result.joints)}"
-                )
-            elif (jump := largest[self._cell.arm_joints[arm]].max()) > 2 * FLIP_RAD:
-                problems[side] = (
-                    f"{side} arm: no continuous path: a joint would jump by "
-                    f"{np.degrees(jump):.0f} deg"
-                )
-        if problems:
-            raise TargetRefusedError("; ".join(problems.values()), problems)
-        least = REFUSED_SHARE * self._motion.clearance_mm
-        gap = self._clearance.over(straight_path(self._cell, self._scratch, start, result.joints))
-        if gap.distance_mm < least:
-            pair = f"{readable(gap.bodies[0])} and {readable(gap.bodies[1])}"
-            how = f"come within {gap.distance_mm:.1f} mm, at least {least:g} mm must stay"
-            if gap.distance_mm < 0:
-                how = f"overlap by {-gap.distance_mm:.1f} mm"
-            # The names of bodies begin with the arm that they belong to.
-            arms = [side for side in SIDES if any(body.startswith(side) for body in gap.bodies)]
-            raise TargetRefusedError(f"would collide: {pair} would {how}", arms)
-        return result.joints
 
     def drive(
         self, goal: Floats, target: Target, on_step: Callable[[mujoco.MjData], None] | None = None
@@ -499,16 +412,6 @@ class RobotSimulation:
             before=before,
             since_middle_s=self._open_steps * timestep - self._shutter.middle_s,
         )
-
-    def _at_limits(self, arm: int, joints: Floats) -> str:
-        part = self._cell.arm_joints[arm]
-        ranges = self._model.jnt_range
-        stuck = [
-            self.joint_names[j]
-            for j in range(part.start, part.stop)
-            if min(joints[j] - ranges[j, 0], ranges[j, 1] - joints[j]) < 1e-3
-        ]
-        return f" (at the limit of {', '.join(stuck)})" if stuck else ""
 
     def _late(self, wanted: Floats, what: str) -> TargetRefusedError:
         """Where the arms are when their time is over, and what holds them."""

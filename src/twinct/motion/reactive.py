@@ -1,0 +1,80 @@
+"""Targets solved when they arrive, as in the paper's figure 2."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinct.cell import CellModel, Clearance
+from twinct.errors import TargetRefusedError
+from twinct.geometry import Floats
+from twinct.motion.branches import SIDES
+from twinct.motion.follow import straight_path
+from twinct.motion.home import FLIP_RAD
+from twinct.motion.kinematics import Kinematics, mujoco
+from twinct.motion.refusals import readable
+from twinct.scenario import Motion
+from twinct.views import Target
+
+REFUSED_SHARE = 0.5
+"""A target is refused where its path leaves less than this share of a plan's clearance.
+
+The rest is room for the solver's tolerance and the servos' lag.
+"""
+
+
+class Reactive:
+    """Inverse kinematics from where the arms are, with a look at the way."""
+
+    def __init__(self, cell: CellModel, motion: Motion) -> None:
+        """Take the room, and what a way must keep."""
+        self._cell, self._motion = cell, motion
+        self._kinematics = Kinematics(cell, motion.ik)
+        self._clearance = Clearance(cell)
+        self._scratch = mujoco.MjData(cell.model)
+
+    def solve(self, start: Floats, target: Target) -> Floats:
+        """Joint positions for a target, checked for reach and for collisions on the way.
+
+        Args:
+            start: joint positions from which the arms go straight, rad, (n,).
+            target: where they shall go.
+
+        Raises:
+            TargetRefusedError: with arm, reason and how far off.
+        """
+        result, largest = self._kinematics.follow(start, target)
+        problems: dict[str, str] = {}
+        for arm, side in enumerate(SIDES):
+            if not result.solved[arm]:
+                problems[side] = (
+                    f"{side} arm: out of reach by {result.position_mm[arm]:.1f} mm and "
+                    f"{result.rotation_deg[arm]:.2f} deg{self._at_limits(arm, result.joints)}"
+                )
+            elif (jump := largest[self._cell.arm_joints[arm]].max()) > 2 * FLIP_RAD:
+                problems[side] = (
+                    f"{side} arm: no continuous path: a joint would jump by "
+                    f"{np.degrees(jump):.0f} deg"
+                )
+        if problems:
+            raise TargetRefusedError("; ".join(problems.values()), problems)
+        least = REFUSED_SHARE * self._motion.clearance_mm
+        gap = self._clearance.over(straight_path(self._cell, self._scratch, start, result.joints))
+        if gap.distance_mm < least:
+            pair = f"{readable(gap.bodies[0])} and {readable(gap.bodies[1])}"
+            how = f"come within {gap.distance_mm:.1f} mm, at least {least:g} mm must stay"
+            if gap.distance_mm < 0:
+                how = f"overlap by {-gap.distance_mm:.1f} mm"
+            # The names of bodies begin with the arm that they belong to.
+            arms = [side for side in SIDES if any(body.startswith(side) for body in gap.bodies)]
+            raise TargetRefusedError(f"would collide: {pair} would {how}", arms)
+        return result.joints
+
+    def _at_limits(self, arm: int, joints: Floats) -> str:
+        part = self._cell.arm_joints[arm]
+        ranges = self._cell.model.jnt_range
+        stuck = [
+            self._cell.joint_names[j]
+            for j in range(part.start, part.stop)
+            if min(joints[j] - ranges[j, 0], ranges[j, 1] - joints[j]) < 1e-3
+        ]
+        return f" (at the limit of {', '.join(stuck)})" if stuck else ""
