@@ -2,12 +2,15 @@
 
 import os
 import sys
+from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, TimeReference
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from twinct.geometry import Pose
@@ -34,6 +37,10 @@ class Driver:
         self.joints = somebody.listen("/joint_states", JointState)
         self.views = somebody.listen("/scan/views", TimeReference)
         self.diagnostics = somebody.listen("/diagnostics", DiagnosticArray)
+        self.descriptions: list[String] = []
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        told = String, "/robot_description", self.descriptions.append, latched
+        somebody.node.create_subscription(*told)
         self.service = somebody.node.create_client(Trigger, "/scan/home")
 
     def wait(self) -> None:
@@ -92,6 +99,9 @@ def test_a_driven_node_goes_where_it_can_and_home_again(driven, short):
     at_home_s = Stamp.of(node.joints[-1].header.stamp).time_s
     assert at_home_s > 0
     assert not node.reached, "an image would be taken"
+    [description] = node.descriptions
+    joints = [e.get("name") for e in Xml.fromstring(description.data.partition("?>")[2])]
+    assert set(node.joints[-1].name) <= set(joints)
 
     # Sent while the arms move on to the first, the others have their turn after it.
     away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)

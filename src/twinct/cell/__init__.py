@@ -7,8 +7,10 @@ from twinct.cell._mujoco import mujoco_module
 from twinct.cell.clearance import Clearance, Gap
 from twinct.cell.render import Marks, check_drawing, check_picture_size, render_cell
 from twinct.cell.scene import CellModel, GantryModel, build_cell, build_gantry
+from twinct.cell.urdf import OPTICAL, cell_urdf
 
 __all__ = [
+    "OPTICAL",
     "CellModel",
     "Clearance",
     "GantryModel",
@@ -16,6 +18,7 @@ __all__ = [
     "Marks",
     "build_cell",
     "build_gantry",
+    "cell_urdf",
     "check_drawing",
     "check_picture_size",
     "mujoco_module",

@@ -279,6 +279,31 @@ def node(
 
 
 @app.command
+def urdf(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    set_: Overrides = (),
+) -> None:
+    """Robot description of the operating room, for ROS 2 and whatever reads URDF.
+
+    Args:
+        out: Folder for cell.urdf and its meshes.
+    """
+    from twinct.extras import require
+    from twinct.files.writing import check_folder, storage_errors, write_text
+    from twinct.scan import Workshop
+
+    loaded = load_scenario(scenario, set_)
+    check_folder(out)
+    require("robots")
+    file = out / "cell.urdf"
+    with named_places(scenario, set_), storage_errors(out):
+        write_text(file, Workshop(loaded).urdf(meshes=out))
+    Console().print(f"wrote {file}", highlight=False)
+
+
+@app.command
 def schema() -> None:
     """Print the JSON Schema of the scenario file, for editors."""
     sys.stdout.write(json.dumps(scenario_schema(), indent=2) + "\n")

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from twinct.errors import MotionError
@@ -32,6 +33,7 @@ from twinct.ros.senders import Members, Sender
 from twinct.ros.station import Station
 from twinct.ros.topics import (
     CLOCK,
+    DESCRIPTION,
     HOME,
     JOINTS,
     REACHED,
@@ -106,14 +108,24 @@ def spin_robots(
         turns = Turns(Epoch.parse(epoch), targets, first_view)
     state = np.load(restore) if restore is not None else None
 
+    description: str | None = None
+
     def build_simulation() -> Robots:
-        robots = build(scenario) if build else _robots(scenario, planned)
+        nonlocal description
+        if build is not None:
+            robots = build(scenario)
+        else:
+            from twinct.scan import Workshop  # only here: it brings all that a simulation needs
+
+            workshop = Workshop(scenario)
+            robots = workshop.robots(planned=planned)
+            description = None if scenario.cell.kind == "gantry" else workshop.urdf()
         if state is not None and not planned:
             robots.restore(state)
         return robots
 
     def open_node(station: Station, diagnostics: Diagnostics, robots: Robots) -> Callable[[], bool]:
-        node = RobotsNode(station, diagnostics, robots, turns, members)
+        node = RobotsNode(station, diagnostics, robots, turns, members, description)
         if not planned or members is None:
             return node.connected
 
@@ -128,12 +140,6 @@ def spin_robots(
         return lambda: plan.taken and node.connected()
 
     return run_node(ROBOTS, build_simulation, open_node, lifeline=lifeline, members=members)
-
-
-def _robots(scenario: Scenario, planned: bool) -> Robots:
-    from twinct.scan import Workshop  # only here: it brings all that a simulation needs
-
-    return Workshop(scenario).robots(planned=planned)
 
 
 class Turns:
@@ -188,6 +194,7 @@ class RobotsNode:
         robots: Robots,
         turns: Turns | None = None,
         members: Members | None = None,
+        description: str | None = None,
     ) -> None:
         """Make the endpoints; from now on targets are executed."""
         self._robots, self._turns, self._members = robots, turns, members
@@ -200,6 +207,9 @@ class RobotsNode:
         self._reached = station.publisher(REACHED)
         self._joints = station.publisher(JOINTS)
         self._state = station.publisher(STATE)
+        if description is not None:
+            self._description = station.publisher(DESCRIPTION)
+            self._description.publish(String(data=description))
         robots.on_joints = self._on_joints
         self._targets = station.listen_to_all(TARGET, self._on_target)
         station.serve(HOME, Trigger, self._on_home)

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 
 SCAN, ROBOTS, XRAY = "twinct_scan", "twinct_robots", "twinct_xray"
@@ -43,6 +43,7 @@ VIEWS = Topic("/scan/views", TimeReference, ROBOTS, 1000)
 """Keeps as many messages as the scan has views, if those are more."""
 REACHED = Topic("/scan/reached", PoseArray, ROBOTS, 10)
 JOINTS = Topic("/joint_states", JointState, ROBOTS, 1000)
+DESCRIPTION = Topic("/robot_description", String, ROBOTS, 1)
 STATE = Topic("/scan/state", Float64MultiArray, ROBOTS, 10)
 CAMERA = Topic("/xray/camera_info", CameraInfo, XRAY, 10)
 IMAGE = Topic("/xray/image", Image, XRAY, 10)
@@ -51,7 +52,7 @@ DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "", 10)
 
 TOPICS = (
     *(TARGET, PLAN, PLAN_VIEWS, COMMANDED),
-    *(CLOCK, VIEWS, REACHED, JOINTS, STATE),
+    *(CLOCK, VIEWS, REACHED, JOINTS, STATE, DESCRIPTION),
     *(CAMERA, IMAGE, DIAGNOSTICS),
 )
 

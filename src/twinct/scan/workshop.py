@@ -10,9 +10,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from twinct.errors import InputError
 from twinct.gantry import Gantry
-from twinct.geometry import ScanGeometry
+from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Cell, GantryCell, Scenario
 from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.trajectory import commanded_views
@@ -104,6 +106,23 @@ class Workshop:
     def room(self) -> CellModel:
         """The same room with the specimen as it looks, for pictures."""
         return self._cell_with(self.specimen.surface())
+
+    def urdf(self, meshes: Path | None = None) -> str:
+        """The robot description of the room, its camera where the first view has the source.
+
+        Args:
+            meshes: folder for the meshes it names; None: it has boxes in their place.
+
+        Raises:
+            InputError: there are no arms.
+            StorageError: the meshes cannot be written.
+        """
+        from twinct.cell import cell_urdf
+
+        source, detector = PosePairs.from_geometry(self.asked)[0]
+        to_source = detector.inverse().apply(source.position)
+        optical = Pose.from_matrix(to_source, np.diag([1.0, -1.0, -1.0]))
+        return cell_urdf(self.cell if meshes is None else self.room, optical, meshes)
 
     def cell_of(self, section: Cell) -> CellModel:
         """The operating room as another section has it."""
