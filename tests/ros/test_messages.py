@@ -73,6 +73,15 @@ def test_image_round_trip():
     assert messages.image_of(message).tobytes() == image.tobytes()
 
 
+def test_what_a_viewer_shows_stands_on_its_feet_in_a_fixed_window():
+    image = np.array([[0, 0.25, 0.5], [-0.1, 1.0, 1.7]], np.float32)
+    message = over_the_wire(messages.display_message(STAMP, image))
+    assert (message.height, message.width, message.step) == (2, 3, 3)
+    assert (message.encoding, message.header.frame_id) == ("mono8", "detector_optical")
+    assert list(message.data) == [0, 255, 255, 0, 64, 128]
+    assert Stamp.of(message.header.stamp) == STAMP
+
+
 def spoilt(message, **attributes):
     for name, value in attributes.items():
         setattr(message, name, value)
@@ -157,6 +166,7 @@ def test_camera_info_projects_like_the_geometry(random_geometry):
     points = rng.uniform(-80, 80, (30, 3))
     for view in geometry:
         info = over_the_wire(messages.camera_message(STAMP, view))
+        shown = over_the_wire(messages.camera_message(STAMP, view, display=True))
         axes = np.stack([view.u[0], -view.v[0], -view.normal[0]])
         np.testing.assert_allclose(np.cross(axes[0], axes[1]), axes[2], atol=1e-12)
         x, y, z = axes @ (points - view.source[0]).T
@@ -166,6 +176,10 @@ def test_camera_info_projects_like_the_geometry(random_geometry):
         np.testing.assert_allclose(column / scale, expected[:, 0], atol=REPROJECTION_PX)
         np.testing.assert_allclose(row / scale, expected[:, 1], atol=REPROJECTION_PX)
         assert k[0, 0] > 0 > k[1, 1]
+        _, row, scale = np.array(shown.k).reshape(3, 3) @ np.stack([x, y, z])
+        from_the_top = panel.rows - 1 - expected[:, 1]
+        np.testing.assert_allclose(row / scale, from_the_top, atol=REPROJECTION_PX)
+        assert shown.k[0] > 0 < shown.k[4] and shown.header == info.header
         np.testing.assert_array_equal(np.array(info.p).reshape(3, 4)[:, :3], k)
         assert (info.height, info.width) == panel.shape
 

@@ -9,7 +9,19 @@ from twinct.ros import messages
 from twinct.ros.messages import Epoch, Stamp
 from twinct.ros.robots_node import RobotsNode, Turns
 from twinct.ros.senders import Sender
-from twinct.ros.topics import CLOCK, HOME, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
+from twinct.ros.topics import (
+    CAMERA,
+    CLOCK,
+    DISPLAY,
+    DISPLAY_CAMERA,
+    HOME,
+    IMAGE,
+    JOINTS,
+    REACHED,
+    STATE,
+    TARGET,
+    VIEWS,
+)
 from twinct.ros.xray_node import XRayNode
 from twinct.scenario import GantryCell, Source
 
@@ -172,7 +184,9 @@ def test_an_image_is_of_the_view_that_was_reached_then(xray, scenario, targets, 
     for topic, message in both if poses_first else both[::-1]:
         assert not said.of(IMAGE)
         said.hears[topic](message, SOMEBODY)
-    assert (imager.views, stamps(said, IMAGE)) == ([5], [taken])
+    assert imager.views == [5]
+    for topic in (IMAGE, CAMERA, DISPLAY, DISPLAY_CAMERA):
+        assert stamps(said, topic) == [taken]
 
 
 def test_a_view_of_another_scan_is_refused(xray, scenario, targets):

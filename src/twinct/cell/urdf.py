@@ -51,7 +51,7 @@ def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None 
         _fix(robot, names[body], side, _link_from_body(cell, body) @ place)
     _fix(robot, ARMS[1], OPTICAL, detector_from_optical)
     Xml.indent(robot)
-    return Xml.tostring(robot, encoding="unicode", xml_declaration=True)
+    return Xml.tostring(robot, encoding="unicode")
 
 
 def _link_name(body: str) -> str:

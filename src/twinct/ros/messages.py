@@ -31,7 +31,7 @@ from twinct.views import Instant, JointSample, Reached, SevenNumbers, Target, fr
 WORLD_FRAME = "world"
 IMAGE_FRAME = "detector_optical"
 """At the source; x along u, z from the source towards the panel and normal to it."""
-IMAGE_ENCODING = "32FC1"
+IMAGE_ENCODING, DISPLAY_ENCODING = "32FC1", "mono8"
 _NANO = 1_000_000_000
 
 
@@ -348,6 +348,19 @@ def image_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
     return message
 
 
+def display_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
+    """For ``/xray/display``: as a viewer shows it, row 0 on top, which is where v is largest.
+
+    Black is a transmission of 0, white of 1 and above.
+    """
+    grey = np.rint(255 * np.clip(transmission[::-1], 0, 1)).astype(np.uint8)
+    rows, columns = grey.shape
+    message = Image(header=_header(stamp, IMAGE_FRAME), encoding=DISPLAY_ENCODING)
+    message.height, message.width, message.step = rows, columns, columns
+    message.data = array.array("B", grey.tobytes())
+    return message
+
+
 def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
     """From ``/xray/image``: finite single floats, (rows, columns); of this shape if given."""
     rows, columns = message.height, message.width
@@ -366,17 +379,19 @@ def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np
     return pixels.reshape(rows, columns).astype(np.float32, copy=False)
 
 
-def camera_message(stamp: Stamp, geometry: ScanGeometry) -> CameraInfo:
+def camera_message(stamp: Stamp, geometry: ScanGeometry, *, display: bool = False) -> CameraInfo:
     """For ``/xray/camera_info``: the pinhole camera that a source and a panel are.
 
     A point (x, y, z) of the frame ``detector_optical`` falls on column fx x/z + cx and row
     fy y/z + cy; pixel centres are whole numbers. Rows count along v, which is -y: fy is negative.
-    The geometry is that of this one view.
+    For the ``display`` they count downwards: fy is positive. The geometry is that of this one view.
     """
     panel = geometry.panel
     sdd = float(geometry.sdd[0])
     fx, fy = sdd / panel.pitch_u, -sdd / panel.pitch_v
     cx, cy = geometry.piercing_points[0].tolist()
+    if display:
+        fy, cy = -fy, panel.rows - 1 - cy
     message = CameraInfo(header=_header(stamp, IMAGE_FRAME), height=panel.rows, width=panel.columns)
     message.distortion_model = "plumb_bob"
     message.d = [0.0] * 5

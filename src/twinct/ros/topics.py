@@ -47,13 +47,15 @@ DESCRIPTION = Topic("/robot_description", String, ROBOTS, 1)
 STATE = Topic("/scan/state", Float64MultiArray, ROBOTS, 10)
 CAMERA = Topic("/xray/camera_info", CameraInfo, XRAY, 10)
 IMAGE = Topic("/xray/image", Image, XRAY, 10)
-"""Keeps fewer images, and their cameras, where ten would take much memory."""
+"""Keeps fewer images, and what comes with them, where ten would take much memory."""
+DISPLAY = Topic("/xray/display", Image, XRAY, 10)
+DISPLAY_CAMERA = Topic("/xray/display/camera_info", CameraInfo, XRAY, 10)
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "", 10)
 
 TOPICS = (
     *(TARGET, PLAN, PLAN_VIEWS, COMMANDED),
     *(CLOCK, VIEWS, REACHED, JOINTS, STATE, DESCRIPTION),
-    *(CAMERA, IMAGE, DIAGNOSTICS),
+    *(CAMERA, IMAGE, DISPLAY_CAMERA, DISPLAY, DIAGNOSTICS),
 )
 
 HOME = "/scan/home"

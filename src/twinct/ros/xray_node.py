@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image, TimeReference
+from sensor_msgs.msg import TimeReference
 
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.ros import messages
@@ -17,12 +17,25 @@ from twinct.ros.node import Diagnostics, Ledger, RefusedError, run_node
 from twinct.ros.plan import PlanListener
 from twinct.ros.senders import Members, Sender
 from twinct.ros.station import Station
-from twinct.ros.topics import CAMERA, IMAGE, REACHED, ROBOTS, VIEWS, XRAY, Topic
+from twinct.ros.topics import (
+    CAMERA,
+    DISPLAY,
+    DISPLAY_CAMERA,
+    IMAGE,
+    REACHED,
+    ROBOTS,
+    VIEWS,
+    XRAY,
+    Topic,
+)
 from twinct.scenario import Scenario
 
 if TYPE_CHECKING:
     from twinct.motion import MotionPlan
     from twinct.scan import Workshop
+
+ANSWER = (CAMERA, IMAGE, DISPLAY_CAMERA, DISPLAY)
+"""What is told of each view."""
 
 MEMORY_BYTES = 256 * 2**20
 """Images kept for those who ask again; never fewer than two, never more than 32."""
@@ -130,6 +143,11 @@ def image_bytes(panel: Panel) -> int:
     return 4 * panel.rows * panel.columns
 
 
+def answer_bytes(panel: Panel) -> int:
+    """Size of an image and of what a viewer shows of it."""
+    return image_bytes(panel) + panel.rows * panel.columns
+
+
 class _Taken(NamedTuple):
     """What an image is known by: times are those of one clock."""
 
@@ -156,15 +174,14 @@ class XRayNode:
         """Make the endpoints; from now on views are imaged."""
         self._imager, self._panel, self._samples = imager, panel, samples
         self._epoch, self._members, self._diagnostics = epoch, members, diagnostics
-        self._ledger: Ledger[_Taken, Executed, tuple[CameraInfo, Image]] = Ledger(
-            keep=min(max(MEMORY_BYTES // image_bytes(panel), 2), 32)
+        self._ledger: Ledger[_Taken, Executed, list[Any]] = Ledger(
+            keep=min(max(MEMORY_BYTES // answer_bytes(panel), 2), 32)
         )
         # Of a scan: targets by when they were reached, and poses whose target is not known yet.
         self._targets: dict[Stamp, Stamp] = {}
         self._early: dict[Stamp, tuple[PoseArray, Sender]] = {}
         depth = min(max(QUEUE_BYTES // image_bytes(panel), 1), IMAGE.depth)
-        self._camera = station.publisher(CAMERA, depth=depth)
-        self._image = station.publisher(IMAGE, depth=depth)
+        self._out = [station.publisher(topic, depth=depth) for topic in ANSWER]
         self._heard = [
             *station.listen_to_all(REACHED, self._on_reached),
             *([station.listen(VIEWS, self._on_view)] if epoch else []),
@@ -176,7 +193,7 @@ class XRayNode:
             return False
         return self._epoch is None or (
             all(heard.get_publisher_count() for heard in self._heard)
-            and bool(self._image.get_subscription_count())
+            and bool(self._out[ANSWER.index(IMAGE)].get_subscription_count())
         )
 
     def _known(self, topic: Topic, sender: Sender) -> bool:
@@ -211,11 +228,10 @@ class XRayNode:
             values: dict[str, object] = {"view": "" if view is None else view, "reason": refused}
             self._diagnostics.refuse(target, f"view refused: {refused}", values)
             return
-        camera, image = answer
-        self._camera.publish(camera)
-        self._image.publish(image)
+        for out, answered in zip(self._out, answer, strict=True):
+            out.publish(answered)
 
-    def _expose(self, taken: _Taken, view: int | None, poses: Executed) -> tuple[CameraInfo, Image]:
+    def _expose(self, taken: _Taken, view: int | None, poses: Executed) -> list[Any]:
         if self._epoch is not None and view is None:
             raise RefusedError("a scan is running and this view is none of its own")
         stamp = taken.stamp
@@ -229,8 +245,12 @@ class XRayNode:
         # What keys the noise: the view, or the time itself where there is no scan.
         index = stamp.sec * 1_000_000_000 + stamp.nanosec if view is None else view
         image = self._imager.expose(path, index, last)
-        camera = messages.camera_message(stamp, geometry)
-        answer = camera, messages.image_message(stamp, image)
+        answer = [
+            messages.camera_message(stamp, geometry),
+            messages.image_message(stamp, image),
+            messages.camera_message(stamp, geometry, display=True),
+            messages.display_message(stamp, image),
+        ]
         self._ledger.enter(taken, poses, answer)
         name = stamp if view is None else f"view {view}"
         self._diagnostics.tell(f"image of {name}: mean {image.mean():.4f}")
