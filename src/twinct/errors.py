@@ -7,6 +7,7 @@ ends with: 2 for input that a user can mend, 1 for anything else.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 
 class TwinctError(Exception):
@@ -48,6 +49,19 @@ class NoWayError(TrajectoryError):
 
 class ScanExistsError(InputError):
     """The output folder already holds a scan, or one of another scenario."""
+
+
+class DamagedError(InputError):
+    """Files of a scan store are not what was written there.
+
+    Attributes:
+        found: which, each a ``twinct.scan.manifest.Damage``.
+    """
+
+    def __init__(self, problems: Iterable[str], found: Iterable[Any]) -> None:
+        """Tell all of them."""
+        super().__init__(problems)
+        self.found = tuple(found)
 
 
 class FolderInUseError(InputError):

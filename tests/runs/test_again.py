@@ -12,7 +12,7 @@ import pytest
 from twinct import load_scan, reconstruct, run
 from twinct.errors import InputError, ScanExistsError
 from twinct.recon.algorithms import algorithms
-from twinct.runs import Run, derive_geometry, reconstruct_again
+from twinct.runs import Run, derive_geometry, reconstruct_again, verify
 from twinct.runs.kept import Reconstruction
 from twinct.scan import NamedGeometry
 from twinct.scenario import load_scenario
@@ -48,6 +48,11 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
     assert told["image"]["rmse_rel"] == pytest.approx(made.figures.rmse_rel)
     page = (folder / "report.html").read_text()
     assert "<b>cgls-executed</b>" in page and page.count("Cross-sections of") == 2
+    assert verify(folder).problems == ()
+    whole = (made.path / "volume.nii").read_bytes()
+    (made.path / "volume.nii").write_bytes(whole[:-1] + b"?")
+    assert "cgls-executed that was written" in verify(folder).problems[0]
+    (made.path / "volume.nii").write_bytes(whole)
     # The very same is not made twice, another must have another name.
     again = reconstruct_again(folder, keys, geometry="executed")
     assert (again.name, again.digest, again.seconds) == (made.name, made.digest, made.seconds)

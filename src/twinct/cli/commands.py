@@ -391,6 +391,29 @@ def report(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="
 
 
 @app.command
+def verify(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]) -> None:
+    """Compare each file of a scan with the digest that was kept of it, and look at its results.
+
+    Ends with 1 where anything is damaged, missing or not finished; what is damaged of a scan
+    'twinct run --resume' takes again.
+
+    Args:
+        folder: What ``twinct run --out`` wrote, or the scan.zarr in it.
+    """
+    from twinct.runs import verify
+
+    found = verify(folder)
+    for problem in found.problems:
+        say(problem, warning=True)
+    for file in found.unknown:
+        say(f"{file}: unknown, left alone")
+    told = f"{len(found.problems)} problems" if found.problems else "whole"
+    say(f"{folder}: {told} ({found.in_words})")
+    if found.problems:
+        sys.exit(1)
+
+
+@app.command
 def reconstruct(
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
     *,

@@ -14,6 +14,7 @@ from twinct.runs.job import Run, report_again, run
 from twinct.runs.kept import Reconstruction
 from twinct.runs.needs import Need, needs
 from twinct.runs.reporting import Truth, judge, truth_of
+from twinct.runs.verify import Verdict, verify
 from twinct.runs.volumes import line_integrals, reconstruct, require_feasible
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Reconstruction",
     "Run",
     "Truth",
+    "Verdict",
     "acquire_to_store",
     "check_geometries",
     "check_physics",
@@ -41,4 +43,5 @@ __all__ = [
     "run",
     "simulate",
     "truth_of",
+    "verify",
 ]

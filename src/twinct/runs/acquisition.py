@@ -105,31 +105,31 @@ def acquire_to_store(
     """
     scenario, targets = workshop.scenario, workshop.targets
     store = ScanStore.resume(path, scenario) if resume and path.exists() else None
-    first = store.acquired if store else 0
-    if store and first == len(targets):
-        return store
-    state = store.state(first - 1) if store and first else None
-    with (
-        audience_of(observers) as audience,
-        closing(make_rig(workshop, first, state)) as rig,
-        audience.stage("views", len(targets), first) as step,
-    ):
-        if audience.wants(JointSample):
-            rig.listen(audience.tell)
-        audience.tell(PlanMade(scenario, workshop.commanded_poses, workshop.followed))
+    missing = store.missing if store else [range(len(targets))]
 
-        def keep(index: int, view: View) -> None:
-            nonlocal store
-            reached = view.reached
-            if store is None:
-                robots = reached.joint_names, len(reached.state), workshop.followed
-                store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
-            store.write(index, view)
-            log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
-            audience.tell(ViewStored(index, len(targets), view.frozen()))
-            step()
+    def keep(index: int, view: View) -> None:
+        nonlocal store
+        reached = view.reached
+        if store is None:
+            robots = reached.joint_names, len(reached.state), workshop.followed
+            store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
+        store.write(index, view)
+        log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
+        audience.tell(ViewStored(index, len(targets), view.frozen()))
+        step()
 
-        acquire(rig, targets, keep, first=first, watch=watch)
+    with audience_of(observers) as audience:
+        for views in missing:  # several only where some were damaged
+            state = store.state(views.start - 1) if store and views.start else None
+            with (
+                closing(make_rig(workshop, views.start, state)) as rig,
+                audience.stage("views", len(targets), views.start) as step,
+            ):
+                if audience.wants(JointSample):
+                    rig.listen(audience.tell)
+                if views is missing[0]:
+                    audience.tell(PlanMade(scenario, workshop.commanded_poses, workshop.followed))
+                acquire(rig, targets[: views.stop], keep, first=views.start, watch=watch)
     assert store is not None
     return store
 

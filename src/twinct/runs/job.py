@@ -25,6 +25,7 @@ from twinct.report import physics_in_words
 from twinct.runs.acquisition import Link, RigFactory, acquire_to_store, rig_factory
 from twinct.runs.checks import check_geometries, check_physics, check_sight, require_extras
 from twinct.runs.folder import Folder, as_yaml, read_metrics
+from twinct.runs.mending import resumable
 from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
@@ -99,13 +100,13 @@ def run(
     if not resume:
         folder.refuse_if_taken()
     folder.refuse_others()
-    store = ScanStore(folder.scan) if resume and folder.scan.exists() else None
+    store = resumable(folder, scenario) if resume and folder.scan.exists() else None
     if store:
         store.refuse_other(scenario)
     require_extras(scenario)
     check_geometries(scenario, folder.geometries if store else None)
     check_drawing()
-    if resume and folder.finished(scenario):
+    if store and folder.finished(scenario) and not store.damage:
         with audience_of(observers) as audience:
             audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
@@ -126,7 +127,10 @@ def run(
         if resume:
             seconds.go_on()
         _take_views(workshop, folder, seconds, make_rig, audience, resume=resume)
-        _make_volumes(workshop, folder, seconds, audience)
+        if folder.finished(scenario):  # some of its views were damaged
+            folder.seconds.unlink(missing_ok=True)
+        else:
+            _make_volumes(workshop, folder, seconds, audience)
     return Run(scenario, folder)
 
 

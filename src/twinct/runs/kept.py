@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import shutil
 from collections.abc import Mapping
@@ -19,6 +20,8 @@ from twinct.report import CrossSection
 from twinct.volume import Volume
 
 FORMAT = "twinct reconstruction 1"
+_FILES = ("volume.nii", "sections.npz")
+"""Of which a digest is kept; see ``check_files``."""
 _ARRAYS = ("reconstruction", "truth", "roi")
 
 
@@ -78,6 +81,7 @@ class Reconstruction:
             plane: (section.extent_mm, section.axes, section.position)
             for plane, section in self.slices.items()
         }
+        kept["files"] = {name: _digest(draft / name) for name in _FILES}
         write_json(draft / "reconstruction.json", kept)
         draft.rename(self.path)
 
@@ -92,6 +96,7 @@ class Reconstruction:
             told = json.loads((path / "reconstruction.json").read_text(encoding="utf-8"))
             if told.pop("format") != FORMAT:
                 raise ValueError(f"not of the format {FORMAT!r}")
+            told.pop("files", None)
             with np.load(path / "sections.npz") as arrays:
                 slices = {
                     plane: CrossSection(
@@ -116,6 +121,23 @@ class Reconstruction:
             )
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InputError(f"{path}: no reconstruction of a run: {error}") from None
+
+
+def check_files(path: Path) -> None:
+    """Compare a kept reconstruction with its digests.
+
+    Raises:
+        InputError: it cannot be read, or a file is not the one that was written.
+    """
+    found = Reconstruction.read(path)
+    told = json.loads((path / "reconstruction.json").read_text(encoding="utf-8"))
+    for name, digest in told.get("files", {}).items():
+        if not (path / name).is_file() or _digest(path / name) != digest:
+            raise InputError(f"{path / name} is not the file of {found.name} that was written")
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def kept_reconstructions(folder: Path) -> dict[str, Reconstruction]:

@@ -2,9 +2,10 @@
 
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.data import Scan, View, reported
+from twinct.scan.findings import frame_damage, unknown_files, view_damage
 from twinct.scan.named import OWN, NamedGeometry, checked_name, named_geometries
 from twinct.scan.rig import LocalRig, Rig, local_rig
-from twinct.scan.store import ScanStore, check_space
+from twinct.scan.store import ScanStore, check_space, write_frame
 from twinct.scan.workshop import Workshop
 
 __all__ = [
@@ -20,7 +21,11 @@ __all__ = [
     "acquire",
     "check_space",
     "checked_name",
+    "frame_damage",
     "local_rig",
     "named_geometries",
     "reported",
+    "unknown_files",
+    "view_damage",
+    "write_frame",
 ]

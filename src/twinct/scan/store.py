@@ -6,7 +6,9 @@ and is removed on resume. The store holds no clock times: the same scenario give
 
 from __future__ import annotations
 
+import errno
 import json
+import logging
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -20,6 +22,19 @@ from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.scan.data import Scan, View, reported
+from twinct.scan.findings import frame_damage, view_damage
+from twinct.scan.manifest import (
+    ACQUIRED,
+    BY_VIEW,
+    FOLDER,
+    FRAME_FILE,
+    CheckedStore,
+    Damage,
+    chunk_name,
+    damaged,
+    view_of,
+    write_frame_manifest,
+)
 from twinct.scenario import Scenario, parse_scenario, stage_digests
 from twinct.views import Instant, PosePairs
 
@@ -29,9 +44,10 @@ if TYPE_CHECKING:
 zarr: Any = _zarr
 """Typed in part only."""
 
-FORMAT = 3
-READABLE = (1, 2, FORMAT)
-ACQUIRED = 1
+log = logging.getLogger(__name__)
+
+FORMAT = 4
+READABLE = (1, 2, 3, FORMAT)
 EXPOSURE = "executed/exposure"
 """Present where an exposure has several instants."""
 
@@ -55,16 +71,25 @@ class ScanStore:
         """Open an existing store; ``create`` and ``resume`` make one that can be written.
 
         Raises:
+            FileNotFoundError: there is none.
+            DamagedError: what is not of a single view is damaged.
             InputError: its format is not known.
         """
         self.path = path
-        self._group: Any = zarr.open_group(str(path), mode="r+")
+        if not path.is_dir():
+            raise FileNotFoundError(errno.ENOENT, "no scan store", str(path))
+        if found := frame_damage(path):
+            raise damaged(path, *found)
+        self._files = CheckedStore(path)
+        self._group: Any = zarr.open_group(self._files, mode="r+")
         self._format = self._group.attrs.get("format")
         if self._format not in READABLE:
             raise InputError(
                 f"{path}: a scan store of format {self._format!r}; this twinct reads "
                 f"{' and '.join(map(str, READABLE))}: a newer one may read it"
             )
+        if self._format == FORMAT and not self.vouched:
+            raise damaged(path, Damage(FRAME_FILE, "missing"))
         self._arrays: dict[str, Any] = {}
 
     @classmethod
@@ -91,22 +116,25 @@ class ScanStore:
         with storage_errors(path):
             shutil.rmtree(draft, ignore_errors=True)
             path.parent.mkdir(parents=True, exist_ok=True)
-            _write_frame(draft, scenario, commanded, joint_names, state_size)
-            if plan is not None:
-                _write_plan(draft, plan)
+            write_frame(draft, scenario, commanded, joint_names, state_size, plan)
             draft.rename(path)
         return cls(path)
 
     @classmethod
     def resume(cls, path: Path, scenario: Scenario) -> ScanStore:
-        """Open a store to go on where it ended, after removing what a killed write left.
+        """Open a store to go on where it ended, without what a killed write left or is damaged.
 
         Raises:
             ScanExistsError: it holds the scan of another scenario.
         """
         store = cls(path)
         store.refuse_other(scenario)
+        found = store.damage
+        for damage in found:
+            log.warning("%s: %s; its view is taken again", path, damage)
         with storage_errors(path):
+            for view in {damage.view for damage in found}:
+                (path / "status" / chunk_name(view or 0, 0)).unlink(missing_ok=True)
             store._remove_unfinished()
         return store
 
@@ -130,10 +158,48 @@ class ScanStore:
 
     @property
     def acquired(self) -> int:
-        """Number of views on disk; views are taken in order."""
-        status = np.asarray(self._array("status")[:])
-        done = status == ACQUIRED
-        return int(len(done) if done.all() else done.argmin())
+        """Number of views on disk; they are taken in order.
+
+        Raises:
+            DamagedError: one is missing before others.
+        """
+        missing = self.missing
+        if lost := [view for views in missing if views.stop < self.views for view in views]:
+            status = ((f"status/{chunk_name(view, 0)}", view) for view in lost)
+            raise damaged(self.path, *(Damage(file, "missing", view) for file, view in status))
+        return missing[0].start if missing else self.views
+
+    @property
+    def missing(self) -> list[range]:
+        """Views that are not on disk, those next to each other together.
+
+        Raises:
+            DamagedError: a status is.
+        """
+        taken = np.array([True, *map(self._taken, range(self.views)), True])
+        steps = np.flatnonzero(np.diff(taken)).reshape(-1, 2)
+        return [range(int(first), int(last)) for first, last in steps]
+
+    def _taken(self, view: int) -> bool:
+        """Whether a view has its status; Zarr takes thirty times as long."""
+        file = f"status/{chunk_name(view, 0)}"
+        try:
+            with open(f"{self.path}/{file}", "rb") as chunk:
+                if chunk.read() == ACQUIRED:
+                    return True
+        except FileNotFoundError:
+            return False
+        raise damaged(self.path, Damage(file, "changed", view))
+
+    @property
+    def damage(self) -> list[Damage]:
+        """Files of its views that are not what was written; each is read for it."""
+        return view_damage(self.path)
+
+    @property
+    def vouched(self) -> bool:
+        """Whether it has a manifest, as all have from format 4 on."""
+        return (self.path / FOLDER).is_dir()
 
     @property
     def views(self) -> int:
@@ -201,7 +267,7 @@ class ScanStore:
             ValueError: something of the view has another shape than the scan; nothing is written.
         """
         columns = _columns(view)
-        if self._format < FORMAT:  # begun by an older twinct, which did not keep them
+        if self._format < 3:  # begun by an older twinct, which did not keep them
             del columns["joint_velocity"], columns["joint_torque"]
         for name, values in {"transmission": view.transmission, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):
@@ -210,6 +276,7 @@ class ScanStore:
             self._array("transmission")[index] = view.transmission
             for name, values in columns.items():
                 self._put(name, index, np.asarray(values, dtype="<f8"))
+            self._files.seal(index)
             self._finish(index)
 
     def read(self) -> Scan:
@@ -242,14 +309,16 @@ class ScanStore:
 
         Through Zarr itself each of the twenty small chunks of a view takes 1 to 2 ms.
         """
-        with open(f"{self.path}/{name}/{_chunk(index, values.ndim)}", "wb", buffering=0) as file:
-            file.write(values.tobytes())
+        file, data = f"{name}/{chunk_name(index, values.ndim)}", values.tobytes()
+        self._files.note(file, data)
+        with open(f"{self.path}/{file}", "wb", buffering=0) as chunk:
+            chunk.write(data)
 
     def _finish(self, index: int) -> None:
         """Write the status of a view, whole or not at all."""
-        chunk = self.path / "status" / _chunk(index, 0)
+        chunk = self.path / "status" / chunk_name(index, 0)
         draft = chunk.with_name(chunk.name + ".partial")
-        draft.write_bytes(bytes([ACQUIRED]))
+        draft.write_bytes(ACQUIRED)
         draft.replace(chunk)
 
     def poses(self, which: str) -> PosePairs:
@@ -272,23 +341,14 @@ class ScanStore:
 
     def _remove_unfinished(self) -> None:
         """Delete chunks of views that have no status, and temporary files."""
-        first = self.acquired
+        unfinished = {view for views in self.missing for view in views}
         for file in self.path.rglob("*"):
-            if not file.is_file():
-                continue
-            mark, _, view = file.name.partition(".")
-            unfinished = mark == "c" and "commanded" not in file.parts[len(self.path.parts) :]
-            if unfinished and int(view.split(".")[0]) >= first or file.suffix == ".partial":
+            if view_of(file.name) in unfinished or file.suffix == ".partial":
                 file.unlink()
 
 
 def _kept_digests(scenario: Scenario) -> dict[str, str]:
     return {"images": stage_digests(scenario)["images"]}
-
-
-def _chunk(index: int, dimensions: int) -> str:
-    """Name of a view's chunk. Without a folder of its own it takes a quarter of the time."""
-    return ".".join(["c", str(index), *["0"] * dimensions])
 
 
 def _pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
@@ -321,11 +381,11 @@ def _columns(view: View) -> dict[str, Any]:
     }
 
 
-def _write_plan(path: Path, plan: MotionPlan) -> None:
+def _write_plan(root: Any, plan: MotionPlan) -> None:
     """Numbers as arrays, words as attributes of their group."""
     from twinct.motion import plan_arrays
 
-    group: Any = zarr.open_group(str(path), mode="r+").create_group("plan")
+    group = root.create_group("plan")
     for name, values in plan_arrays(plan).items():
         if values.dtype.kind == "U":
             group.attrs[name] = values.tolist()
@@ -334,13 +394,15 @@ def _write_plan(path: Path, plan: MotionPlan) -> None:
             group.create_array(name, data=values, chunks=values.shape, compressors=whole)
 
 
-def _write_frame(
+def write_frame(
     path: Path,
     scenario: Scenario,
     commanded: PosePairs,
     joint_names: tuple[str, ...],
     state_size: int,
+    plan: MotionPlan | None,
 ) -> None:
+    """Write all of a store but its views."""
     views, panel = len(commanded), scenario.detector.panel
     group: Any = zarr.create_group(str(path), zarr_format=3)
     attributes = {
@@ -352,7 +414,10 @@ def _write_frame(
     }
     group.attrs.update(attributes)
 
+    last: list[str] = []
+
     def add(name: str, shape: tuple[int, ...], dtype: str = "f8", compressed: bool = False) -> None:
+        last.append(f"{name}/{chunk_name(views - 1, len(shape))}")
         group.create_array(
             name,
             shape=(views, *shape),
@@ -360,7 +425,7 @@ def _write_frame(
             dtype=dtype,
             fill_value=0 if dtype == "u1" else np.nan,
             compressors=BloscCodec(cname="lz4", shuffle="shuffle") if compressed else None,
-            chunk_key_encoding={"name": "default", "separator": "."},
+            chunk_key_encoding=BY_VIEW,
         )
 
     add("transmission", panel.shape, "f4", compressed=True)
@@ -378,4 +443,8 @@ def _write_frame(
     add("state", (state_size,))
     add("simulated_s", ())
     add("clearance_mm", ())
+    of_a_view = tuple(last)
     add("status", (), "u1")
+    if plan is not None:
+        _write_plan(group, plan)
+    write_frame_manifest(group, path, of_a_view, views)

@@ -1,0 +1,72 @@
+"""Mends what a damaged scan store holds of no single view: made anew, where it is the very same."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from pathlib import Path
+
+from twinct.errors import DamagedError
+from twinct.files.lock import sole_owner
+from twinct.files.writing import storage_errors
+from twinct.runs.folder import Folder
+from twinct.scan import ScanStore, Workshop, write_frame
+from twinct.scan.findings import root_digest
+from twinct.scan.manifest import FRAME_FILE, ROOT, compared, read_frame_manifest
+from twinct.scenario import Scenario
+
+log = logging.getLogger(__name__)
+
+
+def resumable(folder: Folder, scenario: Scenario) -> ScanStore:
+    """The store of a run that shall go on, mended where its frame is damaged.
+
+    Views are none of this: they are taken again, see ``ScanStore.resume``.
+
+    Raises:
+        DamagedError: the scenario does not give the same frame; nothing has been changed.
+        InputError: the scenario cannot be planned.
+    """
+    try:
+        return ScanStore(folder.scan)
+    except DamagedError as error:
+        with storage_errors(folder.path), sole_owner(folder.lock):
+            mend_frame(folder.scan, Workshop(scenario), error)
+    return ScanStore(folder.scan)
+
+
+def mend_frame(path: Path, workshop: Workshop, error: DamagedError) -> None:
+    """Make the files anew that an error tells of, from what the scenario gives today.
+
+    Raises:
+        DamagedError: that is not what was there; nothing has been changed.
+    """
+    scenario, draft = workshop.scenario, path.with_name(f"{path.name}.new")
+    reached = workshop.robots().move(0, workshop.targets[0])
+    robots = reached.joint_names, len(reached.state), workshop.followed
+    shutil.rmtree(draft, ignore_errors=True)
+    try:
+        write_frame(draft, scenario, workshop.commanded_poses, *robots)
+        fresh = read_frame_manifest(draft) or {}
+        broken = [damage.file for damage in error.found]
+        if FRAME_FILE in broken:  # all that tells which scan this is
+            kept, vouched = {ROOT: root_digest(path)}, [ROOT]
+            broken = [FRAME_FILE, *(damage.file for damage in compared(path, fresh))]
+        else:
+            kept, vouched = read_frame_manifest(path) or {}, broken
+        if others := [file for file in vouched if fresh.get(file) != kept[file]]:
+            raise DamagedError(
+                [
+                    *error.problems,
+                    f"{path}: {', '.join(others)} cannot be made anew: this scenario, or what is "
+                    "planned for it today, gives another than was there; give the scenario that "
+                    "the scan was begun with",
+                ],
+                error.found,
+            )
+        for file in broken:
+            (path / file).parent.mkdir(parents=True, exist_ok=True)
+            (draft / file).replace(path / file)
+            log.warning("%s: %s made anew, as it was", path, file)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)

@@ -1,0 +1,91 @@
+"""Whether everything in the folder of a run is what was written there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from twinct.errors import InputError
+from twinct.runs.folder import Folder, read_metrics
+from twinct.runs.kept import check_files
+from twinct.scan import NamedGeometry, ScanStore, frame_damage, unknown_files, view_damage
+from twinct.scan.findings import views_taken
+from twinct.volume import Volume
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What ``verify`` found.
+
+    Attributes:
+        problems: one sentence each, naming file, or view and array.
+        unknown: files in the store that are none of its own; they do no harm.
+        in_words: what was looked at.
+    """
+
+    problems: tuple[str, ...]
+    unknown: tuple[Path, ...]
+    in_words: str
+
+
+def verify(path: str | Path) -> Verdict:
+    """Look at each file of a scan store, and at what was made from it.
+
+    Args:
+        path: folder of a run, or a scan store.
+
+    Raises:
+        InputError: there is neither, or a store of a newer format.
+    """
+    folder = Folder(Path(path))
+    store = folder.scan if folder.scan.is_dir() else folder.path
+    if not (store / "status").is_dir() and not (store / "zarr.json").is_file():
+        raise InputError(f"{path}: neither the folder of a run nor a scan.zarr")
+    of_all, of_views = frame_damage(store), view_damage(store)
+    problems = [f"{store}: {damage}" for damage in (*of_all, *of_views)]
+    looked_at = "its views"
+    if not of_all:
+        scan = ScanStore(store)
+        missing = sum(len(views) for views in scan.missing)
+        looked_at = f"{scan.views - missing} of {scan.views} views"
+        if not of_views and missing:
+            problems.append(f"{store}: {looked_at}: the scan is not finished")
+        if not scan.vouched:
+            looked_at += (
+                ", of an older format without digests: only what is missing or cut off shows"
+            )
+            problems += _undecodable(scan)
+    if store == folder.scan:
+        problems += _of_results(folder)
+    unknown = tuple(store / file for file in unknown_files(store))
+    return Verdict(tuple(problems), unknown, looked_at)
+
+
+def _undecodable(scan: ScanStore) -> list[str]:
+    problems: list[str] = []
+    for view in sorted(views_taken(scan.path)):
+        try:
+            scan.transmission(view)
+        except (ValueError, RuntimeError, OSError, InputError) as error:
+            problems.append(f"{scan.path}: view {view}, transmission: {error}")
+    return problems
+
+
+def _of_results(folder: Folder) -> list[str]:
+    """What is beside the store, as far as it is there."""
+    named = folder.geometries.glob("[!.]*.json")
+    made = folder.reconstructions.glob("[!.]*/")
+    checks: list[tuple[Callable[[Path], object], Path]] = [
+        *((NamedGeometry.read, file) for file in sorted(named)),
+        *((check_files, path) for path in sorted(made)),
+        *((Volume.read, file) for file in (folder.volume,) if file.exists()),
+        *((read_metrics, file) for file in (folder.metrics,) if file.exists()),
+    ]
+    problems: list[str] = []
+    for check, path in checks:
+        try:
+            check(path)
+        except InputError as error:
+            problems += error.problems
+    return problems

@@ -1,0 +1,124 @@
+"""What is wrong with the files of a scan store, found without taking any of them for data."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+from twinct.errors import DamagedError
+from twinct.scan.manifest import (
+    ACQUIRED,
+    FOLDER,
+    FRAME_FILE,
+    ROOT,
+    Damage,
+    chunk_name,
+    compared,
+    digest_of,
+    read_frame_manifest,
+    read_row,
+    row_file,
+    view_of,
+)
+
+
+def frame_damage(path: Path) -> list[Damage]:
+    """Of the files that are not of a view; none can be found where there is no manifest."""
+    try:
+        return compared(path, read_frame_manifest(path) or {})
+    except DamagedError as error:
+        return list(error.found)
+
+
+def view_damage(path: Path) -> list[Damage]:
+    """Of the views that were taken, and those before them.
+
+    Without a manifest only what is missing or cut off is found.
+    """
+    taken, sizes = views_taken(path), None if (path / FOLDER).is_dir() else _sizes(path)
+    found: list[Damage] = []
+    for view in range(max(taken, default=-1) + 1):
+        if view not in taken:
+            found.append(Damage(_status(view), "missing", view))
+            continue
+        if (path / _status(view)).read_bytes() != ACQUIRED:
+            found.append(Damage(_status(view), "changed", view))
+        found += _by_row(path, view) if sizes is None else _by_size(path, view, sizes)
+    return found
+
+
+def views_taken(path: Path) -> set[int]:
+    """Views that have a status."""
+    views = (
+        view_of(file.name)
+        for file in (path / "status").glob("c.*")
+        if not file.suffix[1:] == "partial"
+    )
+    return {view for view in views if view is not None}
+
+
+def unknown_files(path: Path) -> list[str]:
+    """Files that are none of the store's; none can be told where the manifest is not whole."""
+    try:
+        known = {FRAME_FILE, *(read_frame_manifest(path) or ())}
+    except DamagedError:
+        return []
+    whole: set[int] = set()
+    for view in views_taken(path):
+        try:
+            known |= {_status(view), row_file(view), *read_row(path, view)}
+            whole.add(view)
+        except DamagedError:  # there may be what there should not
+            continue
+    files = (str(f.relative_to(path)) for f in path.rglob("*") if f.is_file())
+    return sorted(f for f in files if f not in known and view_of(f) in (None, *whole))
+
+
+def _status(view: int) -> str:
+    return f"status/{chunk_name(view, 0)}"
+
+
+def _by_row(path: Path, view: int) -> list[Damage]:
+    try:
+        row = read_row(path, view)
+        return compared(path, {file: row[file] for file in row if file != ROOT}, view)
+    except DamagedError as error:
+        return list(error.found)
+
+
+def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
+    """Of the arrays with a chunk a view: dimensions of one, and bytes unless compressed."""
+    found: dict[str, tuple[int, int | None]] = {}
+    for file in path.rglob("zarr.json"):
+        told = json.loads(file.read_text(encoding="utf-8"))
+        if told.get("chunk_key_encoding", {}).get("configuration", {}).get("separator") == ".":
+            shape, plain = told["shape"][1:], len(told["codecs"]) == 1
+            size = math.prod(shape) * np.dtype(told["data_type"]).itemsize
+            name = str(file.parent.relative_to(path))
+            found[name] = len(shape), size if plain else None
+    found.pop("status", None)
+    return found
+
+
+def _by_size(path: Path, view: int, sizes: dict[str, tuple[int, int | None]]) -> list[Damage]:
+    found: list[Damage] = []
+    for name, (dimensions, size) in sizes.items():
+        file = path / (chunk := f"{name}/{chunk_name(view, dimensions)}")
+        if not file.is_file():
+            found.append(Damage(chunk, "missing", view))
+        elif size is not None and file.stat().st_size != size:
+            found.append(Damage(chunk, "changed", view))
+    return found
+
+
+def root_digest(path: Path) -> str:
+    """What the store's metadata had, by a view's row; as they are now where none is whole."""
+    for view in sorted(views_taken(path)):
+        try:
+            return read_row(path, view)[ROOT]
+        except DamagedError:
+            continue
+    return digest_of((path / ROOT).read_bytes())

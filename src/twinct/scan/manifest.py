@@ -1,0 +1,254 @@
+"""The manifest of a scan store: a digest of each of its files, compared whenever one is read.
+
+``manifest/frame`` names the files that are there before any view is; a row of ``manifest/views``
+those of one view, and the metadata that say which scan it is of. Both are arrays of bytes to Zarr,
+and text that ``sha256sum --check`` reads: a line a file, and last, as a comment, the digest of the
+lines before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from zarr.abc.store import ByteRequest
+from zarr.core.buffer import Buffer, BufferPrototype
+from zarr.storage import LocalStore
+
+from twinct.errors import DamagedError
+
+FOLDER = "manifest"
+FRAME, VIEWS = f"{FOLDER}/frame", f"{FOLDER}/views"
+ROOT = "zarr.json"
+"""Metadata of the store: of which scenario it is."""
+FRAME_FILE = f"{FRAME}/c/0"
+BY_VIEW = {"name": "default", "separator": "."}
+"""Encoding of chunk names, of arrays with a chunk a view; others have the default."""
+
+ACQUIRED = b"\1"
+"""Status of a view that is on disk."""
+
+ADVICE = "'twinct verify' names all damage, 'twinct run --resume' mends it"
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A file of a store that is not what was written.
+
+    Attributes:
+        file: its path in the store.
+        what: happened to it.
+        view: the one it is of; None where it is of all.
+    """
+
+    file: str
+    what: Literal["changed", "missing"]
+    view: int | None = None
+
+    def __str__(self) -> str:
+        """View and array, or the file, and what happened."""
+        array = self.file.rpartition("/")[0]
+        place = self.file if self.view is None else f"view {self.view}, {array}"
+        return f"{place}: {self.what} since it was written"
+
+
+def damaged(path: Path, *found: Damage) -> DamagedError:
+    """The error that tells of damage in a store."""
+    told = [f"{path}: {damage}" for damage in found]
+    return DamagedError([*told[:-1], f"{told[-1]}; {ADVICE}"], found)
+
+
+def digest_of(data: Any) -> str:
+    """SHA-256 of bytes, in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def sealed(digests: Mapping[str, str], width: int = 0) -> bytes:
+    """The text of digests by file, filled up to a width in its last line."""
+    lines = "".join(f"{digest}  {file}\n" for file, digest in digests.items())
+    seal = f"# {digest_of(lines.encode())}"
+    return (lines + seal).ljust(width - 1).encode() + b"\n"
+
+
+def unsealed(text: bytes) -> dict[str, str]:
+    """Digests by file, of what ``sealed`` gave.
+
+    Raises:
+        ValueError: it is no such text, or changed.
+    """
+    lines = [line.partition("  ") for line in text.decode().splitlines()[:-1]]
+    digests = {file: digest for digest, _, file in lines}
+    if sealed(digests, len(text)) != text:
+        raise ValueError("the seal is broken")
+    return digests
+
+
+def chunk_name(view: int, dimensions: int) -> str:
+    """Name of a view's chunk. Without a folder of its own it takes a quarter of the time."""
+    return ".".join(["c", str(view), *["0"] * dimensions])
+
+
+def view_of(file: str) -> int | None:
+    """The view of which a file is a chunk; None of any other file."""
+    mark, _, rest = file.rpartition("/")[2].partition(".")
+    number = rest.partition(".")[0]
+    return int(number) if mark == "c" and number.isdecimal() else None
+
+
+def row_file(view: int) -> str:
+    """Where the digests of a view's files are."""
+    return f"{VIEWS}/{chunk_name(view, 1)}"
+
+
+def write_frame_manifest(group: Any, path: Path, last_row: Iterable[str], views: int) -> None:
+    """Begin the manifest of a store that is complete but for its views; ``group`` is its root.
+
+    Args:
+        group: root of the store.
+        path: folder of the store.
+        last_row: files that the last view will have.
+        views: number of all.
+    """
+
+    def add(name: str, shape: tuple[int, ...], **more: Any) -> None:
+        chunks = (*(1 for _ in shape[1:]), shape[-1])
+        bytes_ = {"dtype": "u1", "fill_value": 0, "compressors": None}
+        group.create_array(name, shape=shape, chunks=chunks, **bytes_, **more)
+
+    group.create_group(FOLDER)
+    add(VIEWS, (views, _size_of([ROOT, *last_row])), chunk_key_encoding=BY_VIEW)
+    files = {str(f.relative_to(path)) for f in path.rglob("*") if f.is_file()}
+    files.add(f"{FRAME}/zarr.json")
+    add(FRAME, (_size_of(files),))
+    text = sealed({file: digest_of((path / file).read_bytes()) for file in sorted(files)})
+    (path / FRAME_FILE).parent.mkdir()
+    (path / FRAME_FILE).write_bytes(text)
+
+
+def _size_of(files: Iterable[str]) -> int:
+    """Bytes of the text about these files."""
+    return len(sealed(dict.fromkeys(files, digest_of(b""))))
+
+
+def read_frame_manifest(path: Path) -> dict[str, str] | None:
+    """Digests of the files that are not of a view; None of a store that has no manifest.
+
+    Raises:
+        DamagedError: the manifest is.
+    """
+    if not (path / FOLDER).is_dir():
+        return None
+    return _read_sealed(path, FRAME_FILE, None)
+
+
+def read_row(path: Path, view: int) -> dict[str, str]:
+    """Digests of a view's files.
+
+    Raises:
+        DamagedError: they are damaged themselves.
+    """
+    return _read_sealed(path, row_file(view), view)
+
+
+def _read_sealed(path: Path, file: str, view: int | None) -> dict[str, str]:
+    try:
+        return unsealed((path / file).read_bytes())
+    except FileNotFoundError:
+        raise damaged(path, Damage(file, "missing", view)) from None
+    except ValueError:
+        raise damaged(path, Damage(file, "changed", view)) from None
+
+
+def compared(path: Path, digests: Mapping[str, str], view: int | None = None) -> list[Damage]:
+    """Which of these files are not what was written."""
+    found: list[Damage] = []
+    for file, digest in digests.items():
+        try:
+            if digest_of((path / file).read_bytes()) != digest:
+                found.append(Damage(file, "changed", view))
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+            found.append(Damage(file, "missing", view))
+    return found
+
+
+class CheckedStore(LocalStore):
+    """The files of a scan store; each chunk of a view is compared when it is read.
+
+    A missing chunk, which Zarr takes for one of fill values, is damage in a store without manifest
+    too.
+    """
+
+    def __init__(self, root: Path, *, read_only: bool = False) -> None:
+        """Open the files of a store, whose frame the caller has looked at."""
+        super().__init__(root, read_only=read_only)
+        self._has_manifest = (root / FOLDER).is_dir()
+        self._rows: dict[int, dict[str, str]] = {}
+        self._noted: dict[str, str] = {}
+        if self._has_manifest:
+            metadata = json.loads((root / VIEWS / "zarr.json").read_text(encoding="utf-8"))
+            self._width = int(metadata["shape"][1])
+            self._root = {ROOT: digest_of((root / ROOT).read_bytes())}
+
+    def get_sync(
+        self,
+        key: str,
+        *,
+        prototype: BufferPrototype | None = None,
+        byte_range: ByteRequest | None = None,
+    ) -> Buffer | None:
+        """See ``LocalStore``.
+
+        Raises:
+            DamagedError: the file is damaged.
+        """
+        data = super().get_sync(key, prototype=prototype, byte_range=byte_range)
+        if (view := view_of(key)) is not None and not key.startswith(FOLDER):
+            self._check(key, view, None if data is None else data.to_bytes())
+        return data
+
+    async def get(
+        self,
+        key: str,
+        prototype: BufferPrototype | None = None,
+        byte_range: ByteRequest | None = None,
+    ) -> Buffer | None:
+        """See ``get_sync``."""
+        return await asyncio.to_thread(
+            self.get_sync, key, prototype=prototype, byte_range=byte_range
+        )
+
+    async def set(self, key: str, value: Buffer) -> None:
+        """See ``LocalStore``; the digest is noted for the manifest."""
+        self.note(key, value.to_bytes())
+        await super().set(key, value)
+
+    def _check(self, file: str, view: int, data: bytes | None) -> None:
+        if file.startswith("status/"):
+            whole = data in (None, ACQUIRED)
+        elif data is None:
+            raise damaged(self.root, Damage(file, "missing", view))
+        else:
+            whole = not self._has_manifest or self._row(view).get(file) == digest_of(data)
+        if not whole:
+            raise damaged(self.root, Damage(file, "changed", view))
+
+    def _row(self, view: int) -> dict[str, str]:
+        if view not in self._rows:
+            self._rows[view] = read_row(self.root, view)
+        return self._rows[view]
+
+    def note(self, file: str, data: bytes) -> None:
+        """Remember what was written of a view."""
+        self._noted[file] = digest_of(data)
+
+    def seal(self, view: int) -> None:
+        """Write the digests of all that was noted: the view is whole."""
+        row, self._noted = self._noted, {}
+        if self._has_manifest:
+            (self.root / row_file(view)).write_bytes(sealed(self._root | row, self._width))
+            self._rows[view] = row
