@@ -8,6 +8,9 @@ with the ROS_DOMAIN_ID that ``twinct run`` prints, and ROS_AUTOMATIC_DISCOVERY_R
 and ``detector_optical`` among them. ``rviz:=false`` leaves RViz out.
 """
 
+# Packages of a system ROS, which no wheel brings.
+# pyright: reportMissingImports=false
+
 from pathlib import Path
 
 from launch import LaunchDescription
