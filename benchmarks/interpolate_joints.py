@@ -87,7 +87,7 @@ def offsets_mm(heard: dict[str, list[Any]]) -> np.ndarray:
     off = []
     for stamp in stamps:
         urdf.update_cfg(dict(zip(kept[0].name, way(1e-9 * stamp), strict=True)))
-        source, _, detector = reached[stamp]
+        source, _, detector, *_ = reached[stamp]
         pairs = ((source, "source"), (detector, "detector"))
         off.append([apart(pose, urdf.get_transform(frame)) for pose, frame in pairs])
     return np.array(off)

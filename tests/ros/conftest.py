@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -174,6 +174,47 @@ def foreign() -> Iterator[Callable[[int], Foreign]]:
     yield make
     for node in made:
         node.close()
+
+
+class Said:
+    """A station that keeps what a node says, in the order in which it says it."""
+
+    class Out(NamedTuple):
+        publish: Callable[[Any], None]
+
+    def __init__(self) -> None:
+        self.said: list[tuple[Any, Any]] = []
+        self.hears: dict[Any, Any] = {}
+        self.diagnostics = self
+        self.refused: list[tuple[Any, str]] = []
+
+    def publisher(self, topic: Any, *, depth: int | None = None) -> Out:
+        return self.Out(lambda message: self.said.append((topic, message)))
+
+    def listen(self, topic: Any, callback: Any) -> None:
+        self.hears[topic] = callback
+
+    def listen_to_all(self, topic: Any, callback: Any) -> list[Any]:
+        self.hears[topic] = callback
+        return []
+
+    def serve(self, service: str, kind: Any, callback: Any) -> None:
+        self.hears[service] = callback
+
+    def of(self, topic: Any) -> list[Any]:
+        return [message for of, message in self.said if of == topic]
+
+    def tell(self, text: str) -> None:
+        pass
+
+    def refuse(self, stamp: Any, text: str, values: dict[str, object]) -> None:
+        self.refused.append((stamp, text))
+
+
+@pytest.fixture
+def said() -> Said:
+    """In place of a node's station, and of its diagnostics."""
+    return Said()
 
 
 @pytest.fixture

@@ -10,10 +10,12 @@ from geometry_msgs.msg import PoseArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
+from twinct.cell import build_cell, cell_urdf
+from twinct.geometry import Pose
 from twinct.ros import messages
 from twinct.ros.messages import Stamp
 from twinct.ros.topics import DESCRIPTION, TOPICS
-from twinct.scan import Workshop
+from twinct.scenario import Cell, Detector
 
 pytestmark = pytest.mark.ros
 
@@ -38,8 +40,9 @@ def rviz():
 
 
 @pytest.fixture(scope="module")
-def links(short):
-    urdf = Xml.fromstring(Workshop(short).urdf())
+def links():
+    cell = build_cell(Cell(), None, Pose.identity(), Detector().panel)
+    urdf = Xml.fromstring(cell_urdf(cell, Pose.identity()))
     return {link.get("name") for link in urdf.iter("link")}
 
 

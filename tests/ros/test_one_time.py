@@ -32,45 +32,6 @@ ROUNDING_S = 1e-9
 """A stamp has whole nanoseconds."""
 
 
-class Publisher:
-    def __init__(self, topic, said):
-        self.publish = lambda message: said.append((topic, message))
-
-
-class Station:
-    """Keeps what a node says in the order in which it says it."""
-
-    def __init__(self):
-        self.said, self.hears = [], {}
-
-    def publisher(self, topic, *, depth=None):
-        return Publisher(topic, self.said)
-
-    def listen(self, topic, callback):
-        self.hears[topic] = callback
-
-    def listen_to_all(self, topic, callback):
-        self.hears[topic] = callback
-        return []
-
-    def serve(self, service, kind, callback):
-        self.hears[service] = callback
-
-    def of(self, topic):
-        return [message for of, message in self.said if of == topic]
-
-
-class Diagnostics:
-    def __init__(self):
-        self.refused = []
-
-    def tell(self, text):
-        pass
-
-    def refuse(self, stamp, text, values):
-        self.refused.append((stamp, text))
-
-
 def stamps(said, topic):
     return [Stamp.of(message.header.stamp) for message in said.of(topic)]
 
@@ -90,24 +51,24 @@ def assert_one_time(said):
 
 
 @pytest.fixture
-def driven(scenario, targets, fakes):
+def driven(scenario, targets, said):
     """A robots node of a scan of so many views, after each was asked for twice."""
 
     def drive(robots, views=4, gone_home=False):
-        said, diagnostics, epoch = Station(), Diagnostics(), Epoch.of(scenario)
+        epoch = Epoch.of(scenario)
         turns = None if gone_home else Turns(epoch, targets, 0)
-        RobotsNode(said, diagnostics, robots, turns)
+        RobotsNode(said, said.diagnostics, robots, turns)
         for view in [*range(views), *range(views)]:
             message = messages.target_message(epoch.at(view), targets[view])
             said.hears[TARGET](message, SOMEBODY)
-        assert not diagnostics.refused
-        return said, epoch
+        assert not said.refused
+        return epoch
 
     return drive
 
 
-def test_the_clock_is_never_behind_and_no_stamp_comes_twice(driven, fakes):
-    said, epoch = driven(fakes.FakeRobots())
+def test_the_clock_is_never_behind_and_no_stamp_comes_twice(driven, fakes, said):
+    epoch = driven(fakes.FakeRobots())
     assert_one_time(said)
     # Asked again, the same is said again; only the clock does not go back, and views are kept.
     assert stamps(said, REACHED) == 2 * stamps(said, VIEWS)
@@ -118,16 +79,16 @@ def test_the_clock_is_never_behind_and_no_stamp_comes_twice(driven, fakes):
     assert len(said.of(JOINTS)) == 4 + 2 * 4, "on the way, and with each answer"
 
 
-def test_a_driver_who_asks_again_hears_again_when_the_view_was(driven, fakes):
-    said, _ = driven(fakes.FakeRobots(), gone_home=True)
+def test_a_driver_who_asks_again_hears_again_when_the_view_was(driven, fakes, said):
+    driven(fakes.FakeRobots(), gone_home=True)
     assert stamps(said, REACHED) == stamps(said, VIEWS)
     assert {message.source for message in said.of(VIEWS)} == {"target"}
 
 
-def test_on_the_way_home_time_goes_on_and_no_view_is_told_of(driven, fakes):
+def test_on_the_way_home_time_goes_on_and_no_view_is_told_of(driven, fakes, said):
     from std_srvs.srv import Trigger
 
-    said, _ = driven(fakes.FakeRobots(), gone_home=True)
+    driven(fakes.FakeRobots(), gone_home=True)
     before = len(said.said)
     answer = said.hears[HOME](Trigger.Request(), Trigger.Response())
     assert answer.success
@@ -137,11 +98,11 @@ def test_on_the_way_home_time_goes_on_and_no_view_is_told_of(driven, fakes):
     assert Stamp.of(said.of(CLOCK)[-1].clock) == Stamp.at(5 / 3)
 
 
-def test_time_goes_on_with_a_gantry_that_stays_where_it_is(driven, targets, scenario):
+def test_time_goes_on_with_a_gantry_that_stays_where_it_is(driven, targets, said):
     cell, place = GantryCell(kind="gantry", view_s=0.25), Pose.identity()
     robots = Gantry(cell, Source(), place)
     robots.move(0, targets[0])  # it is there already
-    said, _ = driven(robots)
+    driven(robots)
     assert_one_time(said)
     assert [stamp.time_s for stamp in stamps(said, VIEWS)] == [0.5, 0.75, 1.0, 1.25]
 
@@ -156,13 +117,13 @@ class Imager:
 
 
 @pytest.fixture
-def xray(scenario):
+def xray(scenario, said):
     panel = scenario.detector.panel
 
     def make(epoch):
-        said, diagnostics, imager = Station(), Diagnostics(), Imager(panel.shape)
-        XRayNode(said, diagnostics, imager, panel, epoch)
-        return said, diagnostics, imager
+        imager = Imager(panel.shape)
+        XRayNode(said, said.diagnostics, imager, panel, epoch)
+        return imager
 
     return make
 
@@ -174,9 +135,9 @@ def poses_at(stamp, target):
 
 
 @pytest.mark.parametrize("poses_first", [True, False])
-def test_an_image_is_of_the_view_that_was_reached_then(xray, scenario, targets, poses_first):
+def test_an_image_is_of_the_view_that_was_reached_then(xray, scenario, targets, poses_first, said):
     epoch, taken = Epoch.of(scenario), Stamp(3, 7)
-    said, _, imager = xray(epoch)
+    imager = xray(epoch)
     both = [
         (REACHED, poses_at(taken, targets[5])),
         (VIEWS, messages.view_message(taken, epoch.at(5), 5)),
@@ -189,21 +150,21 @@ def test_an_image_is_of_the_view_that_was_reached_then(xray, scenario, targets, 
         assert stamps(said, topic) == [taken]
 
 
-def test_a_view_of_another_scan_is_refused(xray, scenario, targets):
+def test_a_view_of_another_scan_is_refused(xray, scenario, targets, said):
     epoch = Epoch.of(scenario)
-    said, diagnostics, _ = xray(epoch)
+    xray(epoch)
     said.hears[VIEWS](messages.view_message(Stamp(3, 7), Stamp(5, 5), 0), SOMEBODY)
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[0]), SOMEBODY)
     assert not said.of(IMAGE)
-    [(stamp, text)] = diagnostics.refused
+    [(stamp, text)] = said.refused
     assert stamp == Stamp(5, 5) and "none of its own" in text
 
 
-def test_two_robots_nodes_have_each_a_clock_of_their_own(xray, targets):
-    said, diagnostics, imager = xray(None)
+def test_two_robots_nodes_have_each_a_clock_of_their_own(xray, targets, said):
+    imager = xray(None)
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[0]), SOMEBODY)
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[1]), ANOTHER)
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[0]), SOMEBODY)
     assert imager.views == [3_000_000_007] * 2 and len(said.of(IMAGE)) == 3
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[1]), SOMEBODY)
-    assert "used before with other poses" in diagnostics.refused[0][1]
+    assert "used before with other poses" in said.refused[0][1]
