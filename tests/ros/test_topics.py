@@ -15,9 +15,7 @@ SPEAKERS = {SCAN: "scan", ROBOTS: "robots", XRAY: "X-ray", DIAGNOSTICS.owner: "a
 
 
 def test_each_topic_has_its_row_with_type_and_speaker():
-    rows = re.findall(
-        r"^\| `(/[\w/]+)` \| (\w+)/(\w+)\b.*\| ([\w-]+)(?: -> [^|]+)? \|$", PAGE, re.M
-    )
+    rows = ROW.findall(PAGE)
     told = {name: (package, kind, speaker) for name, package, kind, speaker in rows}
     assert told.pop(HOME) == ("std_srvs", "Trigger", "anybody")
     assert told == {
