@@ -95,10 +95,13 @@ class Driver:
         self._until(self._home.service_is_ready, START_S)
 
     def home(self) -> tuple[bool, str]:
+        self.heard.clear()
         future = self._home.call_async(Trigger.Request())
         self._until(future.done, PATIENCE_S)
         answer = future.result()
         assert answer is not None
+        if answer.success:
+            self._until(self._at_rest, PATIENCE_S)
         return answer.success, answer.message
 
     def joints(self) -> list[float]:
@@ -117,7 +120,7 @@ class Driver:
         self._out.publish(message)
 
         def answered() -> bool:
-            return "refused" in self.heard or {"/scan/reached", "/scan/state"} <= self.heard.keys()
+            return "refused" in self.heard or ("/scan/reached" in self.heard and self._at_rest())
 
         self._until(answered, PATIENCE_S)
         line: dict[str, Any] = {
@@ -139,6 +142,14 @@ class Driver:
             "simulated_s": state[0],
             "clearance_mm": state[1],
         }
+
+    def _at_rest(self) -> bool:
+        """The last joints heard are those of the answer, not of the way."""
+        state, joints = (self.heard.get(topic) for topic in ("/scan/state", "/joint_states"))
+        if state is None or joints is None:
+            return False
+        stamp = joints.header.stamp
+        return state.layout.dim[0].label == f"{stamp.sec}.{stamp.nanosec:09d}"
 
     def _hear(self, topic: str, message: object) -> None:
         self.heard[topic] = message
