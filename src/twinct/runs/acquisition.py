@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,13 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
-from twinct.geometry import Pose, ScanGeometry
+from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
-from twinct.scan import Rig, Scan, ScanStore, Stopwatch, View, Workshop, acquire, local_rig
+from twinct.scan import (
+    LocalRig,
+    Rig,
+    Scan,
+    ScanStore,
+    Stopwatch,
+    View,
+    Workshop,
+    acquire,
+    local_rig,
+)
 from twinct.scenario import Scenario
 
 if TYPE_CHECKING:
+    from twinct.xray import Imager
     from twinct.xray.chain import ViewImages
 
 log = logging.getLogger(__name__)
@@ -110,6 +122,8 @@ def acquire_to_store(
     def keep(index: int, view: View) -> None:
         nonlocal store
         reached = view.reached
+        if imager is not None:
+            view = _with_frames(view, index, imager, scenario.detector.panel)
         if store is None:
             robots = reached.joint_names, len(reached.state), workshop.followed
             store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
@@ -121,10 +135,14 @@ def acquire_to_store(
     with audience_of(observers) as audience:
         for views in missing:  # several only where some were damaged
             state = store.state(views.start - 1) if store and views.start else None
-            with (
-                closing(make_rig(workshop, views.start, state)) as rig,
-                audience.stage("views", len(targets), views.start) as step,
-            ):
+            with ExitStack() as stack:
+                rig = stack.enter_context(closing(make_rig(workshop, views.start, state)))
+                imager = None
+                if scenario.detector.keep:
+                    local = isinstance(rig, LocalRig)
+                    imager = rig.imager if local else stack.enter_context(workshop.imager())
+                stage = audience.stage("views", len(targets), views.start)
+                step = stack.enter_context(stage)
                 if audience.wants(JointSample):
                     rig.listen(audience.tell)
                 if views is missing[0]:
@@ -134,10 +152,19 @@ def acquire_to_store(
     return store
 
 
+def _with_frames(view: View, index: int, imager: Imager, panel: Panel) -> View:
+    """A view with raw, flat and dark image: rendered once more, since no link carries them."""
+    path = [instant.placed(panel) for instant in view.reached.path]
+    before = view.reached.before
+    frames = imager.frame(path, index, before.placed(panel) if before else None)
+    return replace(view, frames=frames)
+
+
 def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[ViewImages]:
     """Raw, flat and dark images of views of a scan, rendered again from the executed poses.
 
-    A scan stores transmission only; these are the images that it came from, to the last bit.
+    A scan stores transmission only, unless ``detector.keep`` asks for more; these are the images
+    that it came from, to the last bit.
 
     Raises:
         InputError: an ideal source and detector, which have no such images; or lag together with

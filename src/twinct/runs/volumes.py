@@ -64,7 +64,8 @@ def reconstruct(
         algorithm: another than the scenario's, whose keys it takes over as far as it has them.
         geometry: ``commanded``, ``executed``, ``believed`` or the name of a derived one; the
             scenario's first where None.
-        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool. Bad pixels
+            never do, but for an algorithm that knows no mask.
         checkpoints: folder in which each iteration is kept, and from which a later call with the
             same projections, poses, mask and settings goes on; not of an algorithm that cannot.
         watch: called after each iteration, also those of the call before, with its number from 1
@@ -111,6 +112,8 @@ def _reconstruct(
     pixels = None if mask is None else np.asarray(mask)
     if pixels is not None and not algorithm.masks:
         raise InputError(f"{algorithm.name} knows no mask: leave it out, or take another algorithm")
+    if algorithm.masks:
+        pixels = _good_pixels(scan, pixels)
     poses = scan.poses(which).geometry(scenario.detector.panel)
     grid = section.grid.volume_grid
     kept = _Checkpoints(None, "")
@@ -154,6 +157,17 @@ def _reconstruct(
             callback=_Follower(tick, kept, told, done, residuals),
         )
         return algorithm.solve(problem, section)
+
+
+def _good_pixels(scan: Scan, mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    """A mask without the bad pixels: what the detector filled them with is no measurement."""
+    if scan.bad_pixels is None:
+        return mask
+    good = ~scan.bad_pixels
+    if mask is None:
+        return good
+    fits = mask.dtype == np.bool_ and mask.shape[-2:] == good.shape
+    return mask & good if fits else mask  # what does not is refused where it is used
 
 
 def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +17,29 @@ from twinct.scenario import Scenario
 from twinct.uncertainty import Evidence, reported_poses
 from twinct.views import Instant, PosePairs, Reached
 
+if TYPE_CHECKING:
+    from twinct.xray.chain import ViewImages
+
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One acquired view: I/I0 (rows, columns), and what the robots had."""
+    """One acquired view.
+
+    Attributes:
+        transmission: I/I0, (rows, columns).
+        reached: what the robots had.
+        frames: the images that it came from, where ``detector.keep`` asks for some.
+    """
 
     transmission: NDArray[np.float32]
     reached: Reached
+    frames: ViewImages | None = None
 
     def frozen(self) -> View:
         """The same, with an image that cannot be written to."""
         image = self.transmission.view()
         image.flags.writeable = False
-        return View(image, self.reached)
+        return replace(self, transmission=image)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +59,7 @@ class Scan:
         clearance_mm: smallest gap on the way to each view, (views,).
         exposure: instants of each view's exposure; empty where an image takes no time.
         derived: other geometries of these views, by name.
+        bad_pixels: whose values are their neighbours' mean, (rows, columns); None: there are none.
     """
 
     scenario: Scenario
@@ -62,6 +73,7 @@ class Scan:
     clearance_mm: NDArray[np.float64]
     exposure: tuple[tuple[Instant, ...], ...] = ()
     derived: Mapping[str, NamedGeometry] = field(default_factory=dict[str, NamedGeometry])
+    bad_pixels: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         """Take no geometry that was derived from another scan.
@@ -105,6 +117,7 @@ class Scan:
             simulated_s=np.array([r.time_s for r in reached]),
             clearance_mm=np.array([r.clearance_mm for r in reached]),
             exposure=tuple(r.exposure for r in reached) if reached[0].exposure else (),
+            bad_pixels=bad_pixels_of(scenario),
         )
 
     def __len__(self) -> int:
@@ -127,6 +140,19 @@ class Scan:
         if which not in self.derived:
             raise InputError(f"geometry {which!r} is none of {', '.join((*OWN, *self.derived))}")
         return self.derived[which].poses
+
+
+def bad_pixels_of(scenario: Scenario) -> NDArray[np.bool_] | None:
+    """The map of a scenario's bad pixels, (rows, columns); None where it has none.
+
+    Raises:
+        InputError: the file that holds it cannot be used.
+    """
+    if scenario.detector.bad_pixels is None:
+        return None
+    from twinct.xray.build import build_bad_pixels
+
+    return build_bad_pixels(scenario.detector, scenario.seed)
 
 
 def reported(

@@ -55,11 +55,15 @@ class Rig(Protocol):
 
 
 class LocalRig:
-    """Both simulations in this process."""
+    """Both simulations in this process.
+
+    Attributes:
+        imager: the X-ray simulation; a process has one at most.
+    """
 
     def __init__(self, robots: RobotSimulation | Gantry, imager: Imager, panel: Panel) -> None:
         """Take over both simulations; ``close`` ends them."""
-        self._robots, self._imager, self._panel = robots, imager, panel
+        self._robots, self.imager, self._panel = robots, imager, panel
         self._reached: tuple[int, Reached] | None = None
 
     def move(self, view: int, target: Target) -> Reached:
@@ -74,7 +78,7 @@ class LocalRig:
         reached = self._reached[1]
         path = [instant.placed(self._panel) for instant in reached.path]
         before = reached.before.placed(self._panel) if reached.before else None
-        return self._imager.expose(path, view, before)
+        return self.imager.expose(path, view, before)
 
     def listen(self, tell: Callable[[JointSample], None]) -> None:
         """See ``Rig.listen``."""
@@ -83,7 +87,7 @@ class LocalRig:
     def close(self) -> None:
         """See ``Rig.close``."""
         self._robots.close()
-        self._imager.close()
+        self.imager.close()
 
     def __enter__(self) -> Self:
         return self

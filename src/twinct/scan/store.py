@@ -10,6 +10,7 @@ import errno
 import json
 import logging
 import shutil
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -21,7 +22,7 @@ from zarr.codecs import BloscCodec
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
-from twinct.scan.data import Scan, View, reported
+from twinct.scan.data import Scan, View, bad_pixels_of, reported
 from twinct.scan.findings import frame_damage, view_damage
 from twinct.scan.manifest import (
     ACQUIRED,
@@ -50,6 +51,8 @@ FORMAT = 4
 READABLE = (1, 2, 3, FORMAT)
 EXPOSURE = "executed/exposure"
 """Present where an exposure has several instants."""
+BAD_PIXELS = "bad_pixels"
+"""Present where the detector has some."""
 
 
 def check_space(folder: Path, scenario: Scenario, views: int) -> None:
@@ -59,8 +62,9 @@ def check_space(folder: Path, scenario: Scenario, views: int) -> None:
         StorageError: with the bytes needed and the bytes free.
     """
     grid = scenario.reconstruction.grid.volume_grid
-    images = views * scenario.detector.rows * scenario.detector.columns * 4
-    volumes = 2 * int(np.prod(grid.shape)) * 4
+    kept = 1 + len(scenario.detector.keep)
+    images = kept * views * scenario.detector.rows * scenario.detector.columns * 4
+    volumes = 3 * int(np.prod(grid.shape)) * 4
     require_space(folder, images + volumes, "the scan and its volume need")
 
 
@@ -251,6 +255,18 @@ class ScanStore:
         arrays = {name: np.asarray(array[:]) for name, array in group.arrays()}
         return plan_of_arrays({**arrays, **group.attrs}, f"{self.path}/plan")
 
+    @property
+    def bad_pixels(self) -> NDArray[np.bool_] | None:
+        """The map of bad pixels, (rows, columns); None where there are none.
+
+        Raises:
+            InputError: a store of an older format, which kept none, and whose scenario has it in a
+                file that cannot be used any more.
+        """
+        if BAD_PIXELS in self._group:
+            return np.asarray(self._array(BAD_PIXELS)[:])
+        return bad_pixels_of(self.scenario) if self._format < FORMAT else None
+
     def state(self, view: int) -> NDArray[np.float64]:
         """The full simulator state of a view."""
         return np.asarray(self._array("state")[view])
@@ -258,6 +274,24 @@ class ScanStore:
     def transmission(self, view: int) -> NDArray[np.float32]:
         """I/I0 of a view, (rows, columns)."""
         return np.asarray(self._array("transmission")[view])
+
+    @cached_property
+    def kept(self) -> tuple[str, ...]:
+        """What ``frame`` knows: of ``raw``, ``flat`` and ``dark`` those that were asked for."""
+        return tuple(name for name in ("raw", "flat", "dark") if name in self._group)
+
+    def frame(self, name: str, view: int) -> NDArray[np.float32]:
+        """``raw``, ``flat`` or ``dark`` image of a view, grey values, (rows, columns).
+
+        Raises:
+            InputError: the scan keeps none.
+        """
+        if name not in self.kept:
+            there = ", ".join(self.kept) or "transmission only"
+            raise InputError(
+                f"{self.path} keeps {there}, no {name!r} images: detector.keep asks for them"
+            )
+        return np.asarray(self._array(name)[view])
 
     def write(self, index: int, view: View) -> None:
         """Put one view on disk; it counts once its status is written.
@@ -269,11 +303,14 @@ class ScanStore:
         columns = _columns(view)
         if self._format < 3:  # begun by an older twinct, which did not keep them
             del columns["joint_velocity"], columns["joint_torque"]
-        for name, values in {"transmission": view.transmission, **columns}.items():
+        kept = {name: getattr(view.frames, name) for name in self.kept}
+        images = {"transmission": view.transmission, **kept}
+        for name, values in {**images, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):
                 raise ValueError(f"{name} of view {index} has {np.shape(values)}, the scan {shape}")
         with storage_errors(self.path):
-            self._array("transmission")[index] = view.transmission
+            for name, image in images.items():
+                self._array(name)[index] = image
             for name, values in columns.items():
                 self._put(name, index, np.asarray(values, dtype="<f8"))
             self._files.seal(index)
@@ -302,6 +339,7 @@ class ScanStore:
             simulated_s=self._array("simulated_s")[:],
             clearance_mm=self._array("clearance_mm")[:],
             exposure=tuple(tuple(Instant(*map(tuple, at)) for at in view) for view in exposure),
+            bad_pixels=self.bad_pixels,
         )
 
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
@@ -428,7 +466,8 @@ def write_frame(
             chunk_key_encoding=BY_VIEW,
         )
 
-    add("transmission", panel.shape, "f4", compressed=True)
+    for name in dict.fromkeys(("transmission", *scenario.detector.keep)):
+        add(name, panel.shape, "f4", compressed=True)
     rows = [_pose_columns("commanded", *commanded[view]) for view in range(views)]
     for name, value in rows[0].items():
         add(name.replace("commanded", "executed"), value.shape)
@@ -444,6 +483,8 @@ def write_frame(
     add("simulated_s", ())
     add("clearance_mm", ())
     of_a_view = tuple(last)
+    if (bad := bad_pixels_of(scenario)) is not None:
+        group.create_array(BAD_PIXELS, data=bad, chunks=bad.shape, compressors=None)
     add("status", (), "u1")
     if plan is not None:
         _write_plan(group, plan)

@@ -231,6 +231,11 @@ class Detector(Section):
     )
     correction: Correction = setting(Correction(), "How the raw images become transmission.")
     scatter: Scatter | None = setting(None, "Scattered radiation; none where null.")
+    keep: tuple[Literal["raw", "flat", "dark"], ...] = setting(
+        (),
+        "Images that the scan store keeps of each view beside the transmission, in grey values; "
+        "not of an ideal source and detector, which have none. Each view is then rendered twice.",
+    )
 
     @property
     def panel(self) -> Panel:
@@ -245,5 +250,5 @@ class Detector(Section):
 
         What a photon is worth does not matter to the transmission of one energy.
         """
-        kept = ("columns", "rows", "pixel_pitch_mm", "response")
+        kept = ("columns", "rows", "pixel_pitch_mm", "response", "keep")
         return self == Detector(**{name: getattr(self, name) for name in kept})

@@ -79,7 +79,10 @@ STAGES: dict[StageName, _Stage] = {
         1, ("source", "detector", "specimen.parts.material", "seed"), on=("executed",)
     ),
     "believed": _Stage(1, ("uncertainty", "seed"), on=("executed",)),
-    "volume": _Stage(1, ("reconstruction", "seed"), on=("images", "believed")),
+    # Of the detector what it leaves out: volumes from before it did were others.
+    "volume": _Stage(
+        1, ("reconstruction", "seed", "detector.bad_pixels"), on=("images", "believed")
+    ),
 }
 
 COUNT_FOR_NONE = ("name", "description", "specimen.parts.name")

@@ -55,7 +55,7 @@ class Scenario(Section):
     def _sections_go_together(self) -> Scenario:
         found = (
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
-            *(self._time_to_expose(), self._plan_to_follow()),
+            *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
         )
         if conflicts := [conflict for conflict in found if conflict is not None]:
             raise ConflictError(*conflicts)
@@ -89,6 +89,15 @@ class Scenario(Section):
             "reconstruction.beam_hardening needs a source.spectrum: a beam of one energy, as here, "
             "does not harden",
             ("reconstruction.beam_hardening", "source.spectrum"),
+        )
+
+    def _frames_to_keep(self) -> Conflict | None:
+        if not self.detector.keep or not (self.source.ideal and self.detector.ideal):
+            return None
+        return Conflict(
+            "detector.keep: an ideal source and detector have no raw, flat and dark images: set "
+            "detector.readout",
+            ("detector.keep", "detector.readout"),
         )
 
     def _time_to_expose(self) -> Conflict | None:
