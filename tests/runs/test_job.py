@@ -18,8 +18,10 @@ import pytest
 from twinct import run
 from twinct.errors import FolderInUseError, InputError, ScanExistsError
 from twinct.files.lock import sole_owner
-from twinct.runs import Run, report_again
+from twinct.runs import Run, report_again, truth_of
+from twinct.scan import Workshop
 from twinct.scenario import Scenario
+from twinct.volume import Volume
 
 Tiny = Callable[..., Scenario]
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
@@ -38,6 +40,16 @@ def test_a_run_gives_scan_volume_figures_and_paths_and_says_nothing(
     assert len(done.scan) == done.figures["views"] == 10
     assert np.asarray(done.volume).shape == (20, 20, 20)
     assert done.paths.report.is_file() and not done.paths.lock.exists()
+
+
+def test_the_truth_lies_beside_the_volume_on_its_grid(finished: Run) -> None:
+    truth, volume = Volume.read(finished.paths.truth), finished.volume
+    np.testing.assert_array_equal(truth.grid.affine, volume.grid.affine)
+    expected = truth_of(finished.scan, Workshop(finished.scenario))
+    np.testing.assert_array_equal(truth.array, expected.volume)
+    errors = truth.array[expected.region] - volume.array[expected.region]
+    rmse = float(np.sqrt(np.mean(errors.astype(float) ** 2))) / expected.mu_reference
+    assert rmse == pytest.approx(finished.figures["image"]["rmse_rel"], rel=1e-6)
 
 
 @pytest.mark.parametrize("key", ["algorithm", pytest.param("grid", marks=pytest.mark.tutorial)])

@@ -34,6 +34,7 @@ class Folder:
         path: the folder itself.
         scan: the scan store.
         volume: the reconstruction.
+        truth: what it is judged against, on the same grid.
         metrics: the figures.
         report: the report.
         geometries: derived from the scan, a file each.
@@ -49,6 +50,7 @@ class Folder:
     path: Path
     scan = _Below("scan.zarr")
     volume = _Below("volume.nii")
+    truth = _Below("truth.nii")
     metrics = _Below("metrics.json")
     report = _Below("report.html")
     geometries = _Below("geometries")

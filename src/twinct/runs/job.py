@@ -166,6 +166,7 @@ def report_again(path: str | Path, observers: Observers = ()) -> Run:
         before, scenario = read_metrics(folder.metrics), run.scenario
         workshop = Workshop(scenario, ScanStore(folder.scan).plan)
         truth = truth_of(run.scan, workshop, audience)
+        truth.write(folder.truth, run.scan)
         figures = {scenario.reconstruction.geometries[0]: judge(run.scan, run.volume, truth)}
         for which, values in before.get("image_by_geometry", {}).items():
             figures.setdefault(which, ImageFigures(**values))
@@ -230,6 +231,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience
         scan = Run(scenario, folder).scan
         scan.reported.write(folder.geometries)
         truth = truth_of(scan, workshop, audience)
+        truth.write(folder.truth, scan)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}
     kept: Volume | None = None

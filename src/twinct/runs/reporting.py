@@ -58,6 +58,11 @@ class Truth:
     region: NDArray[np.bool_]
     mu_reference: float
 
+    def write(self, path: Path, scan: Scan) -> None:
+        """Write the volume as NIfTI, on the grid of the scan's reconstruction."""
+        grid = scan.scenario.reconstruction.grid.volume_grid
+        Volume(self.volume, grid).write(path, "twinct truth, 1/mm")
+
 
 def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -> Truth:
     """The truth of a scan, where the specimen really was, and the region every view sees."""

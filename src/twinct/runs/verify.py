@@ -79,7 +79,7 @@ def _of_results(folder: Folder) -> list[str]:
     checks: list[tuple[Callable[[Path], object], Path]] = [
         *((NamedGeometry.read, file) for file in sorted(named)),
         *((check_files, path) for path in sorted(made)),
-        *((Volume.read, file) for file in (folder.volume,) if file.exists()),
+        *((Volume.read, file) for file in (folder.volume, folder.truth) if file.exists()),
         *((read_metrics, file) for file in (folder.metrics,) if file.exists()),
     ]
     problems: list[str] = []
