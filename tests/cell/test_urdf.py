@@ -40,11 +40,14 @@ def room(**source_arm: object) -> CellModel:
 
 
 def own_arm(folder: Path) -> Path:
-    """Hinges beside the bodies' origins, whose zero is elsewhere; a mesh that is not centred."""
+    """Hinges beside the bodies' origins, whose zero is elsewhere; a mesh that is not centred.
+
+    Its last link is called as the description calls the body of a tool.
+    """
     links, end = "", ""
-    for number in range(6):
+    for number, name in enumerate(("b0", "b1", "b2", "b3", "b4", "tool")):
         links += (
-            f'<body name="b{number}" pos="0.01 0 0.2" euler="0.3 0 {number}">'
+            f'<body name="{name}" pos="0.01 0 0.2" euler="0.3 0 {number}">'
             f'<joint name="j{number}" pos="0.02 {number / 100} 0" axis="0 1 {number}" ref="0.4"/>'
             '<geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.2"/>'
             '<geom type="mesh" mesh="wedge" pos="0.1 0 0"/>'

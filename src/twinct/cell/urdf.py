@@ -40,7 +40,7 @@ def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None 
     model = cell.model
     robot = Xml.Element("robot", name="twinct")
     Xml.SubElement(robot, "link", name=WORLD)
-    names = [WORLD, *(_link_name(model.body(b).name) for b in range(1, model.nbody))]
+    names = _link_names(cell)
     for body in range(1, model.nbody):
         link = Xml.SubElement(robot, "link", name=names[body])
         _fill(link, cell, body, meshes)
@@ -54,9 +54,20 @@ def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None 
     return Xml.tostring(robot, encoding="unicode")
 
 
-def _link_name(body: str) -> str:
-    """The tools' bodies begin at the flange; their names belong to what they carry."""
-    return f"{body}_tool" if body in ARMS else body.replace(" ", "_")
+def _link_names(cell: CellModel) -> list[str]:
+    """Of all bodies; those of the tools begin at the flange, their names belong to what they carry.
+
+    No two are the same, whatever a user's own arms and zones are called.
+    """
+    names, taken = [WORLD], {WORLD, OPTICAL, *ARMS}
+    for body in range(1, cell.model.nbody):
+        name = cell.model.body(body).name
+        name = f"{name}_tool" if name in ARMS else name.replace(" ", "_")
+        while name in taken:
+            name += "_"
+        names.append(name)
+        taken.add(name)
+    return names
 
 
 def _join(robot: Xml.Element, cell: CellModel, body: int, names: list[str]) -> None:

@@ -337,7 +337,7 @@ class RosRig:
         return self._answer()[IMAGE]
 
     def listen(self, tell: Callable[[JointSample], None]) -> None:
-        """See ``Rig.listen``."""
+        """See ``Rig.listen``; here of the joints at each exposure too, where they come in time."""
         self._tell_joints = tell
 
     def _stop_nodes(self) -> None:
