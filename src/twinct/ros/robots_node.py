@@ -297,7 +297,7 @@ class RobotsNode:
     def _advance(self, time_s: float) -> None:
         """Let the clock go on to a time, where it is not there yet."""
         start_s = time_s - TICK_S if self._clock_s is None else self._clock_s
-        ticks = math.ceil((time_s - start_s) / TICK_S - 1e-9)
+        ticks = max(0, math.ceil((time_s - start_s) / TICK_S - 1e-9))
         for tick_s in np.linspace(start_s, time_s, ticks + 1)[1:].tolist():
             self._clock.publish(messages.clock_message(tick_s))
         self._clock_s = max(start_s, time_s)
