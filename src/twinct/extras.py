@@ -10,6 +10,7 @@ from twinct.errors import InputError, MissingExtraError
 _IMPORTED: dict[str, tuple[str, ...]] = {
     "robots": ("mujoco", "mink", "daqp", "ruckig", "ompl"),
     "rtk": ("itk",),
+    "record": ("mcap.writer", "mcap_ros2.writer"),
     "ros": (
         *("rclpy", "rclpy.node", "geometry_msgs.msg", "sensor_msgs.msg", "std_msgs.msg"),
         *("trajectory_msgs.msg", "std_srvs.srv"),
@@ -21,7 +22,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
 _FOUND: dict[str, tuple[str, ...]] = {"xray": ("gvxrPython3",)}
 """Modules that are only looked for: gVXR takes seconds and 2 GB, and belongs to one thread."""
 
-_CALLED = {"gvxrPython3": "gvxr", "itk": "itk-rtk"}
+_CALLED = {"gvxrPython3": "gvxr", "itk": "itk-rtk", "mcap_ros2": "mcap-ros2-support"}
 """What pip calls a module, where the names differ."""
 
 _WAY_OUT = {"ros": "or use --link local", "rtk": "or use reconstruction.algorithm: sart"}

@@ -28,6 +28,9 @@ class FakeRobots:
     def __init__(self):
         self.moves = 0
 
+    def follow(self, plan):
+        pass
+
     def restore(self, state):
         self.moves = int(state[0])
 

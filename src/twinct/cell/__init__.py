@@ -5,11 +5,13 @@ MuJoCo is imported when a cell is built, not when this package is.
 
 from twinct.cell._mujoco import mujoco_module
 from twinct.cell.clearance import Clearance, Gap
+from twinct.cell.frames import LinkFrames
 from twinct.cell.render import Marks, check_drawing, check_picture_size, render_cell
 from twinct.cell.scene import CellModel, GantryModel, build_cell, build_gantry
 from twinct.cell.urdf import OPTICAL, cell_urdf
 
 __all__ = [
+    "LinkFrames",
     "OPTICAL",
     "CellModel",
     "Clearance",

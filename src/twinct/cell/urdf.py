@@ -40,7 +40,7 @@ def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None 
     model = cell.model
     robot = Xml.Element("robot", name="twinct")
     Xml.SubElement(robot, "link", name=WORLD)
-    names = _link_names(cell)
+    names = link_names(cell)
     for body in range(1, model.nbody):
         link = Xml.SubElement(robot, "link", name=names[body])
         _fill(link, cell, body, meshes)
@@ -54,7 +54,7 @@ def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None 
     return Xml.tostring(robot, encoding="unicode")
 
 
-def _link_names(cell: CellModel) -> list[str]:
+def link_names(cell: CellModel) -> list[str]:
     """Of all bodies; those of the tools begin at the flange, their names belong to what they carry.
 
     No two are the same, whatever a user's own arms and zones are called.

@@ -116,6 +116,7 @@ def run(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     link: Literal["ros2", "local"] = "ros2",
     resume: Flag = False,
+    record: Flag = False,
     threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
@@ -127,13 +128,20 @@ def run(
         out: Folder for the results; a scan that is there is never touched without --resume.
         link: ros2 starts both simulations as processes; local runs them in this one.
         resume: Go on with a scan that was interrupted.
+        record: Write all messages of the scan to DIR/scan.mcap, which ROS tools read.
     """
     from twinct import runs
 
     loaded = load_scenario(scenario, set_)
     with named_places(scenario, set_), on_terminal() as audience:
         finished = runs.run(
-            loaded, out, link=link, resume=resume, threads=threads, observers=audience
+            loaded,
+            out,
+            link=link,
+            resume=resume,
+            record=record,
+            threads=threads,
+            observers=audience,
         )
     _say_result(finished)
 
@@ -374,6 +382,35 @@ def export(
     from twinct.cli.export import export_scan
 
     export_scan(scan, to, geometry, values, out)
+
+
+@app.command(name="import")
+def import_(
+    files: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="FILE", help="What run --record wrote, or another tool's MCAP file."),
+    ],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+) -> None:
+    """Rebuild a scan from recordings of it: DIR/scan.zarr and DIR/scenario.yaml.
+
+    Several files are those of a scan that was interrupted and resumed. Views that they miss are
+    named; run --resume takes them. Of another tool's recording of the same topics poses, cameras
+    and images are taken, as a gantry's scan of an unknown specimen.
+
+    Args:
+        out: Folder to write, without a run in it.
+    """
+    from twinct.runs import import_scan
+
+    found = import_scan(files, out)
+    for problem in found.contents.problems:
+        say(problem, warning=True)
+    if found.missing:
+        say(f"missing: {found.missing_in_words}", warning=True)
+    count = len(found.views)
+    say(f"{count} of {count + len(found.missing)} views imported to {out}")
 
 
 @app.command

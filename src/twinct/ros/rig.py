@@ -31,6 +31,7 @@ from twinct.ros.processes import NodeProcess
 from twinct.ros.robots_node import describe
 from twinct.ros.senders import Members, Sender
 from twinct.ros.station import Station
+from twinct.ros.tap import Heard, Tap
 from twinct.ros.topics import (
     DIAGNOSTICS,
     IMAGE,
@@ -63,15 +64,18 @@ FIRST_REPEAT_S, LONGEST_REPEAT_S = 2.0, 60.0
 
 
 def ros_rigs(
-    log_dir: Path | None = None, domain: Domain | None = None
+    log_dir: Path | None = None,
+    domain: Domain | None = None,
+    hear: Callable[[Heard], object] | None = None,
 ) -> Callable[[Workshop, int, NDArray[np.float64] | None], RosRig]:
     """What makes rigs over ROS 2, called as ``twinct.scan.local_rig`` is.
 
     Args:
         log_dir: folder for what the nodes print; None for a temporary one.
         domain: held for the scan; None takes one when the rig is made.
+        hear: called with all that the processes of the scan say, in a thread of its own.
     """
-    common: dict[str, Any] = {"log_dir": log_dir, "domain": domain}
+    common: dict[str, Any] = {"log_dir": log_dir, "domain": domain, "hear": hear}
     return lambda workshop, first_view, start_state: RosRig(
         workshop.scenario,
         plan=workshop.plan,
@@ -101,6 +105,7 @@ class RosRig:
         domain: Domain | None = None,
         node_command: Sequence[str] = NODE_COMMAND,
         answer_s: float = ANSWER_S,
+        hear: Callable[[Heard], object] | None = None,
     ) -> None:
         """Start both nodes and wait until they are at work.
 
@@ -114,6 +119,7 @@ class RosRig:
                 where that is not set a free domain.
             node_command: starts a node when ``robots`` or ``xray`` and the options are appended.
             answer_s: how long one answer may take.
+            hear: called with all that this and the nodes say, in a thread of its own.
 
         Raises:
             MissingExtraError: rclpy is not installed.
@@ -161,6 +167,9 @@ class RosRig:
             station = self._station = Station(SCAN, self.domain_id)
             stack.callback(station.close)
             self._members.enter(SCAN, station.participant)
+            self._members.knows(SCAN)  # while the folder is there
+            if hear is not None:
+                stack.callback(Tap(self.domain_id, self._members, hear).close)
             self._diagnostics = Diagnostics(station, log.warning)
             if plan:
                 self._plan = publish_plan(station, self.epoch.at(0), plan)

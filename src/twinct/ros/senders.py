@@ -110,8 +110,16 @@ def participant_of(publisher: Publisher) -> str:
     return participant(gid.data)
 
 
+class Raw(NamedTuple):
+    """A message as it came, serialised, and when it was sent and received, in ns since 1970."""
+
+    data: bytes
+    sent_ns: int
+    received_ns: int
+
+
 class SenderExecutor(SingleThreadedExecutor):
-    """Calls subscriptions with the message and its ``Sender``."""
+    """Calls subscriptions with the message, a ``Raw`` one if they are so, and its ``Sender``."""
 
     def _take_subscription(self, sub: Any) -> Any:
         origin, content, allocator = _Origin(), _Bytes(), _default_allocator()
@@ -126,7 +134,9 @@ class SenderExecutor(SingleThreadedExecutor):
             data = ctypes.string_at(content.start, content.length)
         finally:
             _free(ctypes.byref(content))
-        message = deserialize_message(data, sub.msg_type)
+        message: Any = Raw(data, origin.sent_ns, origin.received_ns)
+        if not sub.raw:
+            message = deserialize_message(data, sub.msg_type)
         sender = Sender(bytes(origin.publisher.data).hex(), origin.number)
 
         async def call() -> None:

@@ -88,13 +88,19 @@ class Station:
         *,
         depth: int = 20,
         latched: bool = True,
+        raw: bool = False,
     ) -> Subscription:
-        """Hear those who publish reliably and, where latched, what they said before."""
+        """Hear those who publish reliably and, where latched, what they said before.
+
+        The callback gets a message and its ``Sender``; a ``Raw`` message if asked for.
+        """
         hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(matched=lambda _: None)
         qos = _qos(max(depth, topic.depth), latched=latched)
         kind, name = topic.kind, topic.name
-        return self._node.create_subscription(kind, name, hear, qos, event_callbacks=events)
+        return self._node.create_subscription(
+            kind, name, hear, qos, event_callbacks=events, raw=raw
+        )
 
     def listen_to_all(
         self, topic: Topic, callback: Callable[[Any, Sender], None], *, depth: int = 100

@@ -10,6 +10,7 @@ from twinct.runs.checks import (
     require_extras,
 )
 from twinct.runs.folder import Folder
+from twinct.runs.importing import import_scan
 from twinct.runs.job import Run, report_again, run
 from twinct.runs.kept import Reconstruction
 from twinct.runs.needs import Need, needs
@@ -30,6 +31,7 @@ __all__ = [
     "check_sight",
     "derive_geometry",
     "findings",
+    "import_scan",
     "judge",
     "line_integrals",
     "load_scan",

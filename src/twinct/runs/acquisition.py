@@ -30,6 +30,7 @@ from twinct.scan import (
 from twinct.scenario import Scenario
 
 if TYPE_CHECKING:
+    from twinct.ros.tap import Heard
     from twinct.xray import Imager
     from twinct.xray.chain import ViewImages
 
@@ -41,11 +42,13 @@ RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
 
 
 @contextmanager
-def rig_factory(link: Link, logs: Path, audience: Audience) -> Generator[RigFactory, None, None]:
+def rig_factory(
+    link: Link, logs: Path, audience: Audience, hear: Callable[[Heard], None] | None = None
+) -> Generator[RigFactory, None, None]:
     """What starts the simulations; whatever can be missing for that is missed here.
 
     The ROS domain is taken and said at once, so that who wants to follow the scan joins in time.
-    What the nodes say goes to the folder ``logs``.
+    What the nodes print goes to the folder ``logs``; ``hear`` is told all that they say over ROS.
 
     Raises:
         InputError: the link's extra, or the ROS domain asked for, cannot be used.
@@ -61,7 +64,7 @@ def rig_factory(link: Link, logs: Path, audience: Audience) -> Generator[RigFact
     require_ros()
     with closing(Domain()) as domain:
         audience.say(f"ROS 2: domain {domain.id} (ROS_DOMAIN_ID)")
-        yield ros_rigs(logs, domain)
+        yield ros_rigs(logs, domain, hear)
 
 
 def simulate(
@@ -123,7 +126,7 @@ def acquire_to_store(
         nonlocal store
         reached = view.reached
         if imager is not None:
-            view = _with_frames(view, index, imager, scenario.detector.panel)
+            view = with_frames(view, index, imager, scenario.detector.panel)
         if store is None:
             robots = reached.joint_names, len(reached.state), workshop.followed
             store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
@@ -152,7 +155,7 @@ def acquire_to_store(
     return store
 
 
-def _with_frames(view: View, index: int, imager: Imager, panel: Panel) -> View:
+def with_frames(view: View, index: int, imager: Imager, panel: Panel) -> View:
     """A view with raw, flat and dark image: rendered once more, since no link carries them."""
     path = [instant.placed(panel) for instant in view.reached.path]
     before = view.reached.before

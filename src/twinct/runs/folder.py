@@ -12,6 +12,7 @@ import yaml
 
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import check_folder, draft_of
+from twinct.record import recordings
 from twinct.scan import OWN, named_geometries
 from twinct.scenario import Scenario, load_scenario, stage_digests
 
@@ -41,6 +42,7 @@ class Folder:
         reconstructions: others of the same scan, a folder each.
         checkpoints: reconstructions that are under way.
         scenario: as it was run, defaults included.
+        views: of a scan that was imported from another tool's recording.
         seconds: of a run that is under way.
         logs: what the nodes of the ROS 2 link said.
         log: what happened.
@@ -57,6 +59,7 @@ class Folder:
     reconstructions = _Below("reconstructions")
     checkpoints = _Below("checkpoints")
     scenario = _Below("scenario.yaml")
+    views = _Below("views.csv")
     seconds = _Below("seconds.json")
     logs = _Below("log")
     log = _Below("twinct.log")
@@ -96,11 +99,13 @@ class Folder:
         """Raise where something else than a run of before is in the way."""
         own = [part.name for part in vars(Folder).values() if isinstance(part, _Below)]
         drafts = [draft_of(self.path / name).name for name in (*own, "scan.zarr.new")]
-        check_folder(self.path, {*own, "scan.zarr.new", *drafts})
+        recorded = (path.name for path in recordings(self.path))
+        check_folder(self.path, {*own, "scan.zarr.new", *drafts, *recorded})
 
     def refuse_if_taken(self) -> None:
         """Raise where a run of before must not be touched."""
-        if taken := [p.name for p in self.results if p.exists()]:
+        there = (*self.results, *recordings(self.path))
+        if taken := [p.name for p in there if p.exists()]:
             raise ScanExistsError(
                 f"{self.path} already holds {', '.join(taken)}: "
                 "choose another --out, or go on with --resume"

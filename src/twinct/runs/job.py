@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -21,6 +21,7 @@ from twinct.evaluate import ImageFigures
 from twinct.files.lock import sole_owner
 from twinct.files.writing import storage_errors, write_text
 from twinct.observers import Audience, Observers, audience_of
+from twinct.record import recorder_of
 from twinct.report import physics_in_words
 from twinct.runs.acquisition import Link, RigFactory, acquire_to_store, rig_factory
 from twinct.runs.checks import check_geometries, check_physics, check_sight, require_extras
@@ -34,6 +35,9 @@ from twinct.scenario import Scenario, load_scenario, stage_digests
 from twinct.scenario.version_0_1 import volume_digest
 from twinct.threads import limit_threads
 from twinct.volume import Volume
+
+if TYPE_CHECKING:
+    from twinct.record import Recorder
 
 log = logging.getLogger(__name__)
 
@@ -72,6 +76,7 @@ def run(
     *,
     link: Link = "ros2",
     resume: bool = False,
+    record: bool = False,
     threads: int | None = None,
     observers: Observers = (),
 ) -> Run:
@@ -83,6 +88,7 @@ def run(
         link: ``ros2`` starts both simulations as processes; ``local`` runs them in this one.
         resume: go on with what is there. Views are never taken twice; a volume that was made with
             other settings is made anew.
+        record: write all that is said during the scan to ``scan.mcap`` in the folder.
         threads: that each process may use; see ``limit_threads``.
         observers: hear of the plan, moving joints, views, iterations, stages and warnings; see
             ``twinct.observers``.
@@ -110,12 +116,14 @@ def run(
         with audience_of(observers) as audience:
             audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
+    recorder = recorder_of(link, folder.path) if record else None
     workshop = Workshop(scenario, store.plan if store else None)
     check_physics(workshop)
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         with seconds.stage("link"):
-            make_rig = stack.enter_context(rig_factory(link, folder.logs, audience))
+            hear = recorder.hear if recorder else None
+            make_rig = stack.enter_context(rig_factory(link, folder.logs, audience, hear))
         warnings = _prepare(workshop, folder, seconds, audience)
         stack.enter_context(storage_errors(folder.path))
         folder.path.mkdir(parents=True, exist_ok=True)
@@ -126,7 +134,9 @@ def run(
         _note(workshop, folder, link, warnings)
         if resume:
             seconds.go_on()
-        _take_views(workshop, folder, seconds, make_rig, audience, resume=resume)
+        with closing(recorder) if recorder else nullcontext():
+            take = workshop, folder, seconds, make_rig, audience, recorder
+            _take_views(*take, resume=resume)
         if folder.finished(scenario):  # some of its views were damaged
             folder.seconds.unlink(missing_ok=True)
         else:
@@ -208,9 +218,12 @@ def _take_views(
     seconds: Seconds,
     make_rig: RigFactory,
     audience: Audience,
+    recorder: Recorder | None,
     *,
     resume: bool,
 ) -> None:
+    make_rig = recorder.rigs(make_rig) if recorder else make_rig
+
     def started(workshop: Workshop, first: int, state: NDArray[np.float64] | None) -> Rig:
         with audience.stage("start of both simulations", 1) as step:
             rig = make_rig(workshop, first, state)
@@ -218,9 +231,13 @@ def _take_views(
         return rig
 
     with seconds.views() as watch:
-        acquire_to_store(
+        store = acquire_to_store(
             workshop, folder.scan, started, resume=resume, watch=watch, observers=audience
         )
+    if recorder:
+        recorder.finish(store.reported)
+        for problem in recorder.problems:
+            audience.say(problem, warning=True)
 
 
 def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Audience) -> None:

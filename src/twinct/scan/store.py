@@ -36,6 +36,7 @@ from twinct.scan.manifest import (
     view_of,
     write_frame_manifest,
 )
+from twinct.scan.named import NamedGeometry
 from twinct.scenario import Scenario, parse_scenario, stage_digests
 from twinct.views import Instant, PosePairs
 
@@ -105,10 +106,12 @@ class ScanStore:
         joint_names: tuple[str, ...],
         state_size: int,
         plan: MotionPlan | None = None,
+        digests: dict[str, str] | None = None,
     ) -> ScanStore:
         """Make a store without views; it appears under its name only when it is complete.
 
-        A plan is kept where the arms follow one.
+        A plan is kept where the arms follow one. The digests are of this scenario and its files as
+        they are now, unless others are given.
 
         Raises:
             ScanExistsError: there is one already.
@@ -120,7 +123,7 @@ class ScanStore:
         with storage_errors(path):
             shutil.rmtree(draft, ignore_errors=True)
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_frame(draft, scenario, commanded, joint_names, state_size, plan)
+            write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests)
             draft.rename(path)
         return cls(path)
 
@@ -363,10 +366,15 @@ class ScanStore:
         """``commanded``, ``executed`` or ``believed`` poses of the views on disk."""
         views = self.acquired
         if which == "believed":
-            joints = np.asarray(self._array("joints")[:views])
-            return reported(self.scenario, self.joint_names, joints, self.poses("executed")).poses
+            return self.reported.poses
         pairs = (self._poses(f"{which}/{body}", views) for body in ("source", "detector"))
         return PosePairs(*pairs)
+
+    @property
+    def reported(self) -> NamedGeometry:
+        """The ``believed`` poses of the views on disk, with what made them."""
+        joints = np.asarray(self._array("joints")[: self.acquired])
+        return reported(self.scenario, self.joint_names, joints, self.poses("executed"))
 
     def _poses(self, name: str, views: int) -> tuple[Pose, ...]:
         columns = self._array(name)[:views], self._array(f"{name}_quat")[:views]
@@ -439,13 +447,14 @@ def write_frame(
     joint_names: tuple[str, ...],
     state_size: int,
     plan: MotionPlan | None,
+    digests: dict[str, str] | None = None,
 ) -> None:
-    """Write all of a store but its views."""
+    """Write all of a store but its views; the digests are of files as they are, unless given."""
     views, panel = len(commanded), scenario.detector.panel
     group: Any = zarr.create_group(str(path), zarr_format=3)
     attributes = {
         "format": FORMAT,
-        "digests": _kept_digests(scenario),
+        "digests": digests or _kept_digests(scenario),
         "scenario": scenario.resolved(),
         "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
         "joint_names": list(joint_names),

@@ -1,0 +1,53 @@
+"""Records a scan as ROS 2 messages in an MCAP file, and rebuilds the scan from such files.
+
+Importing this package needs no MCAP library; what is taken from it does.
+"""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from twinct.extras import require
+
+if TYPE_CHECKING:
+    from twinct.record.rebuilt import Recorded, read_recordings
+    from twinct.record.recorder import Recorder
+
+__all__ = ["Recorded", "Recorder", "read_recordings", "recorder_of", "recordings"]
+
+_HOMES = {"Recorded": "rebuilt", "read_recordings": "rebuilt", "Recorder": "recorder"}
+
+
+def recordings(folder: Path) -> list[Path]:
+    """All of a run, in the order in which they were made."""
+    return sorted(folder.glob("scan*.mcap"), key=lambda path: (len(path.name), path.name))
+
+
+def recorder_of(link: Literal["ros2", "local"], folder: Path) -> Recorder:
+    """What records a scan of a link into a folder.
+
+    Raises:
+        MissingExtraError: the extra ``record`` is not installed.
+    """
+    require("record")
+    if link == "local":
+        from twinct.record.local import LocalRecorder
+
+        return LocalRecorder(folder)
+    from twinct.record.graph import GraphRecorder
+
+    return GraphRecorder(folder)
+
+
+def __getattr__(name: str) -> Any:
+    """Import what needs the MCAP library only when it is asked for.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    require("record")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,0 +1,154 @@
+"""What recordings of a scan hold, put together by view."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.records import Attachment
+from numpy.typing import NDArray
+
+from twinct.errors import InputError
+from twinct.record.reading import Recording, Said, instant_of
+from twinct.record.recorder import FORMAT
+from twinct.record.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
+from twinct.views import Reached
+
+SMALL = (TARGET, REACHED, JOINTS, STATE, VIEWS, CAMERA)
+"""What a view has besides its image."""
+
+
+@dataclass
+class Contents:
+    """All but the pixels.
+
+    Attributes:
+        recordings: files that it is from.
+        facts: what twinct says of the scan; none of a recording that it did not make.
+        files: that are in them, by name.
+        said: messages by topic and stamp.
+        imaged: stamps of images, in their order.
+        topics: all that there are.
+    """
+
+    recordings: Sequence[Recording]
+    facts: dict[str, str] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
+    said: dict[str, dict[int, Said]] = field(default_factory=lambda: {t: {} for t in SMALL})
+    imaged: dict[int, None] = field(default_factory=dict)
+    topics: set[str] = field(default_factory=set)
+
+    @classmethod
+    def of(cls, paths: Sequence[Path]) -> Contents:
+        """Read recordings.
+
+        Raises:
+            InputError: there is none, one is no recording, or of another scan than the first.
+        """
+        if not paths:
+            raise InputError("no recording is named: give the MCAP files of a scan")
+        found = cls([Recording(path) for path in paths])
+        for recording in found.recordings:
+            for record in recording.records():
+                if isinstance(record, Said):
+                    found._take(record)
+                elif isinstance(record, Attachment):
+                    found.files.setdefault(record.name, record.data)
+                elif record.name == "twinct":
+                    found._take_facts(recording.path, record.metadata)
+        return found
+
+    def _take(self, said: Said) -> None:
+        self.topics.add(said.topic)
+        if said.topic == IMAGE:
+            self.imaged[said.stamp_ns] = None
+        elif said.topic in SMALL:
+            self.said[said.topic][said.stamp_ns] = said
+
+    def _take_facts(self, path: Path, facts: dict[str, str]) -> None:
+        if facts.get("format") != FORMAT:
+            raise InputError(
+                f"{path}: a recording of format {facts.get('format')!r}; this twinct reads "
+                f"{FORMAT!r}: a newer one may read it"
+            )
+        if self.facts and facts["images"] != self.facts["images"]:
+            raise InputError(f"{path} is of another scan than {self.recordings[0].path}")
+        self.facts = self.facts or facts
+
+    @property
+    def names(self) -> str:
+        """The files, for people."""
+        return ", ".join(str(recording.path) for recording in self.recordings)
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong with the files, for people."""
+        cut = [f"{r.path} was cut off" for r in self.recordings if not r.whole]
+        hurt = [f"{r.path}: {r.damaged} damaged parts" for r in self.recordings if r.damaged]
+        return (*cut, *hurt)
+
+    @property
+    def view_of(self) -> dict[int, int]:
+        """The view of each stamp that ``/scan/views`` tells of."""
+        told = ((stamp, said.message.source) for stamp, said in self.said[VIEWS].items())
+        found = ((stamp, re.fullmatch(r"view (\d+)", source)) for stamp, source in told)
+        return {stamp: int(match[1]) for stamp, match in found if match}
+
+    def at(self, topic: str, stamp: int) -> Any:
+        """The message of a topic and stamp; None where there is none."""
+        said = self.said[topic].get(stamp)
+        return None if said is None else said.message
+
+    def reached(self, stamp: int, samples: int) -> Reached | None:
+        """What was reached at a stamp; None where a part of it is missing.
+
+        Args:
+            stamp: in ns.
+            samples: the scenario's ``source.motion_samples``.
+        """
+        poses, joints, state = (self.at(topic, stamp) for topic in (REACHED, JOINTS, STATE))
+        if poses is None or joints is None or state is None:
+            return None
+        instants = [instant_of(poses.poses[i : i + 3]) for i in range(0, len(poses.poses), 3)]
+        numbers, open_ = np.array(state.data), samples if samples > 1 else 0
+        return Reached(
+            executed=instants[0],
+            joint_names=tuple(joints.name),
+            position=np.array(joints.position),
+            velocity=np.array(joints.velocity),
+            effort=np.array(joints.effort),
+            state=numbers[state.layout.data_offset :],
+            time_s=float(numbers[0]),
+            clearance_mm=float(numbers[1]),
+            exposure=tuple(instants[1 : 1 + open_]),
+            before=next(iter(instants[1 + open_ :]), None),
+        )
+
+    def images(self, stamps: Container[int]) -> Iterator[tuple[int, NDArray[np.float32]]]:
+        """Images of these stamps, (rows, columns), each once.
+
+        Raises:
+            InputError: one is of another kind.
+        """
+        given: set[int] = set()
+        for recording in self.recordings:
+            for record in recording.records():
+                if isinstance(record, Said) and record.topic == IMAGE:
+                    if (stamp := record.stamp_ns) in stamps and stamp not in given:
+                        given.add(stamp)
+                        yield stamp, _pixels(record.message)
+
+
+def _pixels(message: Any) -> NDArray[np.float32]:
+    rows, columns = message.height, message.width
+    if message.encoding != "32FC1" or len(message.data) != 4 * rows * columns:
+        raise InputError(
+            f"{IMAGE}: {columns} x {rows} px, {message.encoding}, {len(message.data)} bytes: "
+            "single floats (32FC1) without gaps are read"
+        )
+    pixels = np.frombuffer(message.data, ">f4" if message.is_bigendian else "<f4")
+    return pixels.reshape(rows, columns).astype(np.float32)

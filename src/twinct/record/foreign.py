@@ -1,0 +1,130 @@
+"""A scan of recordings that twinct did not make: what poses, cameras and images tell of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from twinct.errors import InputError
+from twinct.geometry import Panel
+from twinct.record.contents import Contents
+from twinct.record.messages import NANO
+from twinct.record.reading import instant_of, seven_of
+from twinct.record.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
+from twinct.scenario import Scenario, parse_scenario
+from twinct.views import Instant, PosePairs, Reached, Target
+
+
+class Foreign(NamedTuple):
+    """What could be made out.
+
+    Attributes:
+        scenario: a gantry that goes where source and panel were; the specimen is not known.
+        commanded: poses of the views that have an image, in the order of their stamps: the targets
+            where there are any, else where source and panel were.
+        reached: by stamp, of these views.
+        views: which view each of these stamps is.
+        missing: those that have none, counted among all.
+    """
+
+    scenario: Scenario
+    commanded: PosePairs
+    reached: dict[int, Reached]
+    views: dict[int, int]
+    missing: tuple[int, ...]
+
+
+def foreign_scan(contents: Contents, views_file: Path) -> Foreign:
+    """Make a scan of what there is.
+
+    Args:
+        contents: of the recordings.
+        views_file: that the scenario shall take its views from.
+
+    Raises:
+        InputError: there are no poses, no cameras or no images.
+    """
+    needed = {topic: contents.said[topic] for topic in (REACHED, CAMERA)} | {IMAGE: contents.imaged}
+    if lacking := [topic for topic, stamps in needed.items() if not stamps]:
+        there = ", ".join(sorted(contents.topics)) or "none"
+        raise InputError(
+            f"{contents.names}: not recorded by twinct, and without {', '.join(lacking)} nothing "
+            f"can be imported; topics that there are: {there}"
+        )
+    stamps = sorted(contents.said[REACHED])
+    whole = [stamp for stamp in stamps if stamp in contents.imaged]
+    instants = {stamp: instant_of(contents.at(REACHED, stamp).poses) for stamp in whole}
+    targets = [_target(contents, stamp, instants[stamp]) for stamp in whole]
+    return Foreign(
+        scenario=_scenario(contents, instants, views_file),
+        commanded=PosePairs(tuple(t.source for t in targets), tuple(t.detector for t in targets)),
+        reached={stamp: _reached(contents, stamp, instants[stamp]) for stamp in whole},
+        views={stamp: view for view, stamp in enumerate(whole)},
+        missing=tuple(n for n, stamp in enumerate(stamps) if stamp not in contents.imaged),
+    )
+
+
+def _target(contents: Contents, stamp: int, instant: Instant) -> Target:
+    message: Any = None
+    if (told := contents.at(VIEWS, stamp)) is not None:
+        message = contents.at(TARGET, told.time_ref.sec * NANO + told.time_ref.nanosec)
+    if message is None:
+        return Target(instant.source_m, instant.detector_m)
+    return Target(*map(seven_of, message.poses[:2]))
+
+
+def _reached(contents: Contents, stamp: int, instant: Instant) -> Reached:
+    state, joints, none = contents.at(STATE, stamp), contents.at(JOINTS, stamp), np.zeros(0)
+    numbers = np.array([stamp / NANO, np.nan] if state is None else state.data)
+    offset = 0 if state is None else state.layout.data_offset
+    return Reached(
+        executed=instant,
+        joint_names=() if joints is None else tuple(joints.name),
+        position=none if joints is None else np.array(joints.position),
+        velocity=none if joints is None else np.array(joints.velocity),
+        effort=none if joints is None else np.array(joints.effort),
+        state=numbers[offset:],
+        time_s=float(numbers[0]),
+        clearance_mm=float(numbers[1]),
+    )
+
+
+def _scenario(contents: Contents, instants: dict[int, Instant], views_file: Path) -> Scenario:
+    """The panel follows from the first camera: its focal lengths are in pixels."""
+    stamp = next((s for s in contents.said[CAMERA] if s in instants), None)
+    if stamp is None:
+        raise InputError(f"{contents.names}: no message of {CAMERA} has a stamp of {REACHED}")
+    camera = contents.at(CAMERA, stamp)
+    rough = Panel(camera.height, camera.width, 1.0, 1.0)
+    try:
+        geometry, _ = instants[stamp].placed(rough)
+    except ValueError as error:
+        raise InputError(f"{contents.names}: {REACHED}: {error}") from None
+    sdd = float(geometry.sdd[0])
+    pitch = [round(sdd / abs(focal), 9) for focal in (camera.k[0], camera.k[4])]
+    return parse_scenario(
+        {
+            "name": contents.recordings[0].path.stem,
+            "description": f"Imported from {contents.names}. Its specimen is not known: figures "
+            "against the sphere that stands for it mean nothing.",
+            "cell": {"kind": "gantry"},
+            "trajectory": {"kind": "file", "path": str(views_file.absolute())},
+            "detector": {
+                "columns": camera.width,
+                "rows": camera.height,
+                "pixel_pitch_mm": pitch,
+            },
+            "specimen": {
+                "parts": [
+                    {
+                        "name": "unknown",
+                        "shape": {"kind": "sphere", "radius_mm": 50},
+                        "material": "bone",
+                    }
+                ]
+            },
+            "uncertainty": {"source": {"sigma_mm": 0}, "detector": {"sigma_mm": 0}},
+        }
+    )

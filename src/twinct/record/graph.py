@@ -1,0 +1,151 @@
+"""Records the ROS 2 link: the bytes that came, as they came."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from threading import Condition
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.record.reading import Said, instant_of, reader_of
+from twinct.record.recorder import Recorder
+from twinct.record.topics import (
+    CAMERA,
+    DISPLAY,
+    DISPLAY_CAMERA,
+    IMAGE,
+    JOINTS,
+    REACHED,
+    STATE,
+    VIEWS,
+)
+from twinct.scan import Rig, Workshop
+
+if TYPE_CHECKING:
+    from twinct.ros.tap import Heard
+
+log = logging.getLogger(__name__)
+
+PARTS = (VIEWS, REACHED, JOINTS, STATE, CAMERA, DISPLAY_CAMERA, DISPLAY)
+"""What a view has besides its image: written before it, so that a killed scan lacks none."""
+
+PATIENCE_S = 10.0
+"""How long a scan waits for the recorder to have an image that it has itself."""
+
+
+class GraphRecorder(Recorder):
+    """Hears what all processes of a scan say, in the thread of whoever listens to them."""
+
+    def __init__(self, folder: Path) -> None:
+        """See ``Recorder``."""
+        super().__init__(folder)
+        self.hear = self._hear
+        self._changed = Condition()
+        self._imaged: set[int] = set()
+        self._images: dict[int, Heard] = {}
+        self._parts: dict[tuple[str, int], Heard] = {}
+        self._numbers: dict[tuple[str, str], int] = {}
+        self._lost: dict[str, int] = {}
+        self._broken = False
+
+    def begin(self, workshop: Workshop, first: int) -> None:
+        """See ``Recorder.begin``."""
+        super().begin(workshop, first)
+        self._imaged.clear()
+        self._broken = False
+
+    def _hear(self, heard: Heard) -> None:
+        """Write a message; what goes wrong is a problem of the recording, not of the scan."""
+        if self._broken:
+            return
+        try:
+            self._count(heard)
+            self._keep(heard)
+        except Exception as error:
+            log.exception("the recording ends here")
+            self.problems.append(f"{self.path} ends early: {error}")
+            self._broken = True
+            with self._changed:
+                self._changed.notify_all()
+
+    def _count(self, heard: Heard) -> None:
+        """Note what was lost on the way: publishers number their messages."""
+        publisher = heard.topic, heard.publisher
+        lost = heard.number - self._numbers.get(publisher, 0) - 1
+        self._numbers[publisher] = heard.number
+        if lost > 0:
+            self._lost[heard.topic] = self._lost.get(heard.topic, 0) + lost
+
+    def _keep(self, heard: Heard) -> None:
+        """Write a message, but an image only after all else that its view has."""
+        stamp = Said(heard.topic, heard.kind, heard.raw.data).stamp_ns
+        if heard.topic == IMAGE:
+            self._images[stamp] = heard
+        else:
+            self._write(heard)
+            self._parts[heard.topic, stamp] = heard
+        if stamp in self._images and all((part, stamp) in self._parts for part in PARTS):
+            self._finish_view(stamp)
+
+    def _finish_view(self, stamp: int) -> None:
+        image = self._images.pop(stamp)
+        reached, joints = (
+            reader_of(part.kind)(part.raw.data)
+            for part in (self._parts[REACHED, stamp], self._parts[JOINTS, stamp])
+        )
+        where = instant_of(reached.poses)
+        self.write_frames(stamp, where, joints.position, image.raw.received_ns)
+        self._write(image)
+        self._parts.clear()
+        with self._changed:
+            self._imaged.add(stamp)
+            self._changed.notify_all()
+
+    def _write(self, heard: Heard) -> None:
+        assert self._bag is not None
+        data, sent, received = heard.raw
+        self._bag.write_raw(heard.topic, heard.kind, data, received, sent, heard.number)
+        if heard.topic == IMAGE:
+            self._bag.flush()
+
+    def has_images(self, count: int) -> bool:
+        """Wait until so many images are in the file."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: self._broken or len(self._imaged) >= count, PATIENCE_S
+            )
+
+    def around(self, rig: Rig) -> Rig:
+        """See ``Recorder.around``."""
+        return _Waiting(rig, self)
+
+    def close(self) -> None:
+        """See ``Recorder.close``."""
+        for heard in self._images.values():
+            self._write(heard)
+        self._images.clear()
+        for topic, count in self._lost.items():
+            self.problems.append(f"{self.path} lacks {count} messages of {topic}")
+        self._lost.clear()
+        super().close()
+
+
+class _Waiting:
+    """A rig whose images are recorded before it gives them away."""
+
+    def __init__(self, rig: Rig, recorder: GraphRecorder) -> None:
+        self._rig, self._recorder = rig, recorder
+        self._expected = 0
+        self.move, self.listen, self.close = rig.move, rig.listen, rig.close
+
+    def expose(self, view: int) -> NDArray[np.float32]:
+        """See ``Rig.expose``."""
+        image = self._rig.expose(view)
+        self._expected += 1
+        if not self._recorder.has_images(self._expected):
+            self._expected -= 1
+            self._recorder.problems.append(f"{self._recorder.path} lacks the image of view {view}")
+        return image

@@ -1,0 +1,130 @@
+"""Records the local link: the messages that the ROS 2 link would have said, from the same numbers.
+
+Times are simulated ones, so that the same scan gives the same file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.record import messages, topics
+from twinct.record.messages import Message
+from twinct.record.recorder import Recorder
+from twinct.scan import LocalRig, Rig, Workshop
+from twinct.views import JointSample, Reached, Target
+
+TICK_S = 0.02
+"""Simulated time from one message of the clock to the next, at most."""
+
+
+class LocalRecorder(Recorder):
+    """Writes down what a rig in this process does."""
+
+    def __init__(self, folder: Path) -> None:
+        """See ``Recorder``."""
+        super().__init__(folder)
+        self._epoch_ns = self._now_ns = 0
+        self._clock_s: float | None = None
+
+    def begin(self, workshop: Workshop, first: int) -> None:
+        """See ``Recorder.begin``."""
+        super().begin(workshop, first)
+        self._now_ns, self._clock_s = 0, None
+        self._panel = workshop.scenario.detector.panel
+        self._epoch_ns = at = messages.epoch_ns(workshop.scenario)
+        if workshop.scenario.cell.kind == "arms":
+            self._say(topics.DESCRIPTION, {"data": workshop.urdf()})
+        if plan := workshop.plan:
+            self._say(topics.PLAN, messages.trajectory(at, plan))
+            self._say(topics.PLAN_VIEWS, messages.plan_views(at, plan))
+            self._say(topics.COMMANDED, messages.targets(at, plan.targets))
+
+    def around(self, rig: Rig) -> Rig:
+        """See ``Recorder.around``."""
+        assert isinstance(rig, LocalRig)
+        return _Told(rig, self)
+
+    def asked(self, view: int, target: Target) -> None:
+        """A target was sent."""
+        self._say(topics.TARGET, messages.targets(self._of(view), [target]))
+
+    def moving(self, sample: JointSample) -> None:
+        """The joints are somewhere on their way."""
+        self._advance(sample.time_s)
+        stamp = messages.nanoseconds(sample.time_s)
+        self._say(topics.JOINTS, messages.joints(stamp, sample))
+
+    def reached(self, view: int, got: Reached) -> int:
+        """A view was reached; the stamp of the answers."""
+        stamp = messages.nanoseconds(got.middle_s)
+        self._advance(got.time_s)
+        self._say(topics.VIEWS, messages.view(stamp, self._of(view), view))
+        self._say(topics.REACHED, messages.reached(stamp, got))
+        self._say(topics.JOINTS, messages.joints(stamp, got))
+        self._say(topics.STATE, messages.state(stamp, got))
+        self.write_frames(stamp, got.executed, got.position, self._now_ns)
+        return stamp
+
+    def exposed(self, stamp: int, got: Reached, image: NDArray[np.float32]) -> None:
+        """The image of what was reached last was taken."""
+        geometry, _ = got.executed.placed(self._panel)
+        self._say(topics.CAMERA, messages.camera(stamp, geometry))
+        self._say(topics.DISPLAY_CAMERA, messages.camera(stamp, geometry, shown=True))
+        self._say(topics.DISPLAY, messages.display(stamp, image))
+        self._say(topics.IMAGE, messages.image(stamp, image))
+
+    def _of(self, view: int) -> int:
+        """The stamp of a view's target."""
+        return self._epoch_ns + view * messages.NANO
+
+    def _advance(self, time_s: float) -> None:
+        """Let the clock go on to a time, as ``twinct.ros.robots_node`` does."""
+        start_s = time_s - TICK_S if self._clock_s is None else self._clock_s
+        ticks = max(0, math.ceil((time_s - start_s) / TICK_S - 1e-9))
+        for tick_s in np.linspace(start_s, time_s, ticks + 1)[1:].tolist():
+            self._now_ns = messages.nanoseconds(tick_s)
+            self._say(topics.CLOCK, {"clock": messages.time_of(self._now_ns)})
+        self._clock_s = max(start_s, time_s)
+
+    def _say(self, topic: str, message: Message) -> None:
+        self.write(topic, message, self._now_ns)
+
+
+class _Told(LocalRig):
+    """A rig whose doings are written down before it tells them."""
+
+    def __init__(self, rig: LocalRig, recorder: LocalRecorder) -> None:
+        self._rig, self._recorder = rig, recorder
+        self.imager = rig.imager
+        self._tell: Callable[[JointSample], None] | None = None
+        self._last: tuple[int, Reached] | None = None
+        self.close = rig.close
+        rig.listen(self._moving)
+
+    def move(self, view: int, target: Target) -> Reached:
+        """See ``Rig.move``."""
+        self._recorder.asked(view, target)
+        reached = self._rig.move(view, target)
+        self._last = self._recorder.reached(view, reached), reached
+        return reached
+
+    def expose(self, view: int) -> NDArray[np.float32]:
+        """See ``Rig.expose``."""
+        image = self._rig.expose(view)
+        assert self._last is not None
+        self._recorder.exposed(*self._last, image)
+        return image
+
+    def listen(self, tell: Callable[[JointSample], None]) -> None:
+        """See ``Rig.listen``."""
+        self._tell = tell
+
+    def _moving(self, sample: JointSample) -> None:
+        self._recorder.moving(sample)
+        if self._tell is not None:
+            self._tell(sample)

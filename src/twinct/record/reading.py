@@ -1,0 +1,169 @@
+"""Reads recordings, whoever made them, as far as they go."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+from mcap.exceptions import McapError
+from mcap.reader import SeekingReader
+from mcap.records import Attachment, Channel, Chunk, Footer, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap_ros2.decoder import DecoderFactory
+
+from twinct.errors import InputError
+from twinct.record.definitions import definition
+from twinct.record.messages import NANO
+from twinct.record.topics import STATE
+from twinct.views import Instant, SevenNumbers
+
+Decode = Callable[[bytes], Any]
+
+_BROKEN = (McapError, ValueError, LookupError, struct.error, MemoryError)
+"""What reading raises: after a cut, or a wrong byte, comes anything."""
+
+LARGEST_RECORD = 2**31
+"""Bytes; an image of 20,000 x 20,000 pixels has less."""
+
+
+class Said(NamedTuple):
+    """A message of a recording: its fields are read when they are asked for.
+
+    Attributes:
+        topic: it was said on.
+        kind: its type, such as ``sensor_msgs/msg/Image``.
+        data: it, serialised.
+    """
+
+    topic: str
+    kind: str
+    data: bytes
+
+    @property
+    def message(self) -> Any:
+        """Its fields, as attributes.
+
+        Raises:
+            InputError: it is not what its type says.
+        """
+        try:
+            return reader_of(self.kind)(self.data)
+        except _BROKEN as error:
+            raise InputError(f"a message of {self.topic} is no {self.kind}: {error}") from None
+
+    @property
+    def stamp_ns(self) -> int:
+        """``header.stamp``, or of ``/scan/state`` its label, without reading the rest; -1: none.
+
+        In CDR four bytes come before the message; texts begin with their length.
+        """
+        order = "<" if self.data[1:2] == b"\1" else ">"
+        try:
+            if self.topic != STATE:
+                sec, nanosec = struct.unpack_from(f"{order}iI", self.data, 4)
+            else:
+                (length,) = struct.unpack_from(f"{order}I", self.data, 8)
+                sec, nanosec = map(int, self.data[12 : 11 + length].split(b"."))
+        except (struct.error, ValueError):
+            return -1
+        return sec * NANO + nanosec
+
+
+@cache
+def reader_of(kind: str) -> Decode:
+    """What makes a message of its bytes."""
+    text = definition(kind).encode()
+    decode = DecoderFactory().decoder_for("cdr", Schema(1, text, "ros2msg", kind))
+    assert decode is not None
+    return decode
+
+
+class Recording:
+    """A file, read from its beginning each time.
+
+    Attributes:
+        path: of the file.
+        whole: whether it ended as a recording ends; known once all of it was read.
+        damaged: chunks that were left out, since their checksum is another.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Look whether it is one.
+
+        Raises:
+            InputError: it is not, or cannot be read.
+        """
+        self.path = path
+        self.whole, self.damaged = False, 0
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        try:
+            with path.open("rb") as file:
+                next(StreamReader(file).records, None)
+                file.seek(0)
+                self._read_summary(file)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        except _BROKEN:
+            raise InputError(f"{path}: no MCAP file") from None
+
+    def _read_summary(self, file: BinaryIO) -> None:
+        """Channels are told again at the end: of use where the chunk that told them is damaged."""
+        with suppress(*_BROKEN, OSError):
+            if (summary := SeekingReader(file).get_summary()) is not None:
+                self._schemas, self._channels = summary.schemas, summary.channels
+
+    def records(self) -> Iterator[Said | Attachment | Metadata]:
+        """Messages in ROS 2's encoding, files and notes, in the order in which they were written.
+
+        A file that was cut off gives what it has.
+        """
+        schemas, channels = dict(self._schemas), dict(self._channels)
+        self.whole, self.damaged = False, 0
+        with self.path.open("rb") as file:
+            stream = StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_RECORD).records
+            while (record := self._next(stream)) is not None:
+                for part in self._parts(record):
+                    if isinstance(part, Schema):
+                        schemas[part.id] = part
+                    elif isinstance(part, Channel):
+                        channels[part.id] = part
+                    elif isinstance(part, Message):
+                        channel = channels.get(part.channel_id)
+                        schema = channel and schemas.get(channel.schema_id)
+                        if channel and schema and channel.message_encoding == "cdr":
+                            yield Said(channel.topic, schema.name, part.data)
+                    elif isinstance(part, Attachment | Metadata):
+                        yield part
+
+    def _next(self, stream: Iterator[Any]) -> Any:
+        try:
+            record = next(stream, None)
+        except _BROKEN:
+            return None
+        self.whole |= isinstance(record, Footer)
+        return record
+
+    def _parts(self, record: Any) -> Sequence[Any]:
+        if not isinstance(record, Chunk):
+            return (record,)
+        try:
+            return breakup_chunk(record, validate_crc=True)
+        except _BROKEN:
+            self.damaged += 1
+            return ()
+
+
+def seven_of(pose: Any) -> SevenNumbers:
+    """Position in metres and quaternion (x, y, z, w) of a ``geometry_msgs/msg/Pose``."""
+    p, q = pose.position, pose.orientation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
+
+
+def instant_of(poses: Sequence[Any]) -> Instant:
+    """Source, object and detector."""
+    return Instant(*map(seven_of, poses[:3]))

@@ -1,0 +1,138 @@
+"""What both recorders share: the file, and what is in it beside the messages."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from itertools import chain, count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twinct.files.writing import require_space
+from twinct.record.bag import Bag
+from twinct.record.messages import transforms
+from twinct.record.topics import IMAGE, KINDS, TF
+from twinct.scan import NamedGeometry, Rig, Workshop
+from twinct.scenario import Scenario, stage_digests
+from twinct.version import __version__
+from twinct.views import Instant
+
+if TYPE_CHECKING:
+    from twinct.cell import LinkFrames
+    from twinct.ros.tap import Heard
+
+FORMAT = "twinct recording 1"
+
+SCENARIO, PLAN, COMMANDED, BELIEVED = "scenario.json", "plan.npz", "commanded.json", "believed.json"
+"""Files in a recording; no plan where the arms follow none."""
+
+
+BYTES_A_PIXEL = 5.5
+"""Of an image and of what viewers show of it, and a tenth for all else."""
+
+RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
+"""Of a scenario's parts, the first view to take, and the simulator's state before it, if any."""
+
+
+class Recorder:
+    """Writes a file ``scan.mcap`` into a run's folder; a resumed scan writes one more.
+
+    Attributes:
+        path: of the file.
+        problems: what the recording lacks, for people.
+        hear: called with all that is said over ROS 2; None where ROS is not needed.
+    """
+
+    hear: Callable[[Heard], None] | None = None
+
+    def __init__(self, folder: Path) -> None:
+        """Nothing is written before ``begin``."""
+        self.path = folder / "scan.mcap"
+        self.problems: list[str] = []
+        self._bag: Bag | None = None
+        self._links: LinkFrames | None = None
+
+    def rigs(self, make_rig: RigFactory) -> RigFactory:
+        """What makes rigs that are recorded."""
+
+        def make(workshop: Workshop, first: int, state: NDArray[np.float64] | None) -> Rig:
+            self.close()  # the file of views before those that are there already
+            self.begin(workshop, first)
+            return self.around(make_rig(workshop, first, state))
+
+        return make
+
+    def begin(self, workshop: Workshop, first: int) -> None:
+        """Make the file, with scenario, plan and commanded poses in it.
+
+        Args:
+            workshop: of the scenario.
+            first: view that is taken first.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        scenario = workshop.scenario
+        pixels, folder = scenario.detector.rows * scenario.detector.columns, self.path.parent
+        views = len(workshop.targets) - first
+        require_space(folder, round(views * pixels * BYTES_A_PIXEL), "the recording needs")
+        others = (folder / f"scan_{number}.mcap" for number in count(1))
+        self.path = next(path for path in chain([self.path], others) if not path.exists())
+        self._bag = bag = Bag(self.path, 4 * pixels)
+        if scenario.cell.kind == "arms":
+            from twinct.cell import LinkFrames
+
+            self._links = LinkFrames(workshop.cell)
+        bag.note("twinct", self._facts(scenario, len(workshop.targets), first))
+        bag.attach(SCENARIO, scenario.resolved().encode())
+        with tempfile.TemporaryDirectory(prefix="twinct-") as name:
+            folder = Path(name)
+            commanded = NamedGeometry("commanded", workshop.commanded_poses, {})
+            bag.attach(COMMANDED, commanded.write(folder).read_bytes())
+            if plan := workshop.followed:
+                from twinct.motion import save_plan
+
+                save_plan(plan, folder / PLAN)
+                bag.attach(PLAN, (folder / PLAN).read_bytes())
+
+    def _facts(self, scenario: Scenario, views: int, first: int) -> dict[str, str]:
+        digest = stage_digests(scenario)["images"]
+        return {
+            **{"format": FORMAT, "version": __version__, "images": digest},
+            **{"views": str(views), "first": str(first)},
+        }
+
+    def around(self, rig: Rig) -> Rig:
+        """The rig to use instead, so that each view is in the file before it is stored."""
+        raise NotImplementedError
+
+    def write(self, topic: str, message: Mapping[str, Any], time_ns: int) -> None:
+        """Encode and write a message."""
+        assert self._bag is not None
+        self._bag.write(topic, KINDS[topic], message, time_ns)
+        if topic == IMAGE:
+            self._bag.flush()
+
+    def write_frames(
+        self, stamp_ns: int, instant: Instant, joints: ArrayLike, time_ns: int
+    ) -> None:
+        """Write ``/tf`` of a view."""
+        links = self._links.at(joints) if self._links else None
+        self.write(TF, transforms(stamp_ns, instant, links), time_ns)
+
+    def finish(self, believed: NamedGeometry) -> None:
+        """Put what the robots report into the file, and complete it."""
+        if self._bag is None:
+            self.problems.append("no view was taken, so nothing was recorded")
+        else:
+            with tempfile.TemporaryDirectory(prefix="twinct-") as name:
+                self._bag.attach(BELIEVED, believed.write(Path(name)).read_bytes())
+            self.close()
+
+    def close(self) -> None:
+        """Complete the file, whatever happened; a second call does nothing."""
+        if self._bag is not None:
+            self._bag.close()

@@ -1,0 +1,56 @@
+"""Imports a scan from recordings of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinct.files.lock import sole_owner
+from twinct.files.writing import storage_errors, write_text
+from twinct.runs.acquisition import with_frames
+from twinct.runs.folder import Folder, as_yaml
+from twinct.scan import View, Workshop
+
+if TYPE_CHECKING:
+    from twinct.record import Recorded
+
+
+def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
+    """Make a run's folder with the scan that recordings hold.
+
+    ``run(..., resume=True)`` takes views that they miss. Raw, flat and dark images are no messages:
+    where ``detector.keep`` asks for them they are rendered once more.
+
+    Args:
+        paths: recordings of one scan, twinct's own or another tool's of the same topics.
+        out: the folder, without a run in it.
+
+    Raises:
+        InputError: one is no recording, or there is no complete view in them; nothing is written.
+        MissingExtraError: the extra ``record`` is not installed.
+        ScanExistsError: the folder holds a scan.
+        StorageError: it cannot be written.
+    """
+    from twinct.record import read_recordings
+
+    folder = Folder(Path(out))
+    folder.refuse_others()
+    folder.refuse_if_taken()
+    recorded = read_recordings([Path(path) for path in paths], folder.path)
+    with storage_errors(folder.path):
+        folder.path.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            stack.enter_context(sole_owner(folder.lock))
+            imager = None
+            if recorded.scenario.detector.keep:
+                imager = stack.enter_context(Workshop(recorded.scenario, recorded.plan).imager())
+
+            def whole(index: int, view: View) -> View:
+                panel = recorded.scenario.detector.panel
+                return view if imager is None else with_frames(view, index, imager, panel)
+
+            store = recorded.rebuild(folder.scan, whole)
+            write_text(folder.scenario, as_yaml(store.scenario))
+    return recorded
