@@ -166,7 +166,8 @@ class RosRig:
             self._start_nodes(scenario, exchange, domain, start, node_command)
             station = self._station = Station(SCAN, self.domain_id)
             stack.callback(station.close)
-            self._members.enter(SCAN, station.participant)
+            self._me = station.participant
+            self._members.enter(SCAN, self._me)
             self._members.knows(SCAN)  # while the folder is there
             if hear is not None:
                 stack.callback(Tap(self.domain_id, self._members, hear).close)
@@ -288,7 +289,7 @@ class RosRig:
                 values = messages.diagnostic_values(status.values)
                 if name == XRAY:
                     self._conflict = status.message
-                elif values.get("target") == describe(target):
+                elif (values.get("asked_by"), values.get("target")) == (self._me, describe(target)):
                     arms = [arm for arm in values.get("arm", "").split(", ") if arm]
                     reason = values.get("reason", status.message)
                     self._refusal = TargetRefusedError(f"view {view}: {reason}", arms)

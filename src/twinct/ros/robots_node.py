@@ -239,7 +239,7 @@ class RobotsNode:
             if isinstance(answer, RefusedError):
                 raise answer
         except (RefusedError, MalformedError) as refused:
-            self._refuse(stamp, message, refused)
+            self._refuse(stamp, message, sender, refused)
         else:
             self._answer(answer)
 
@@ -323,13 +323,14 @@ class RobotsNode:
             self._diagnostics.tell(response.message)
         return response
 
-    def _refuse(self, stamp: Stamp, message: PoseArray, refused: Exception) -> None:
+    def _refuse(self, stamp: Stamp, message: PoseArray, sender: Sender, refused: Exception) -> None:
         view = self._view(stamp)
         values: dict[str, object] = {
             "view": "" if view is None else view,
             "arm": ", ".join(getattr(refused, "arms", ())),
             "reason": refused,
             "target": describe(message),
+            "asked_by": sender.participant,
         }
         self._diagnostics.refuse(stamp, f"target refused: {refused}", values)
 
