@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from twinct.evaluate import pose_errors
 from twinct.files.writing import write_text
@@ -15,6 +13,7 @@ from twinct.report import figures
 from twinct.report.data import ReportData
 from twinct.report.figures import Picture
 from twinct.report.physics import physics_in_words
+from twinct.report.template import rendered
 from twinct.scenario import AnyCell, GantryCell
 
 PAPER = (
@@ -55,6 +54,15 @@ _IMAGE_FIGURES = (
     _Figure("roi_bone_fraction", "{0} in the region", 100, 1, "%", "of the region's voxels"),
 )
 
+
+def image_figures(reference: str) -> list[_Figure]:
+    """The image figures as they are shown, relative to a material."""
+    return [
+        f._replace(title=f.title.format(reference), meaning=f.meaning.format(reference))
+        for f in _IMAGE_FIGURES
+    ]
+
+
 Pictures = dict[str, Picture | None]
 
 _STAGES = {
@@ -81,19 +89,11 @@ def write_report(path: Path, report: ReportData, pictures: Pictures | None = Non
 def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
     """The report as HTML text: images inline, no script, nothing loaded from elsewhere."""
     scenario, metrics = report.scenario, report.metrics
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"fixed": _fixed, "duration": _duration}
-    text = resources.files("twinct.report").joinpath("report.html").read_text(encoding="utf-8")
-    of = report.reference
-    shown = [
-        f._replace(title=f.title.format(of), meaning=f.meaning.format(of)) for f in _IMAGE_FIGURES
-    ]
     speeds = metrics.get("tool_speed_mm_s", {}).values()
     fastest_mm_s = max((speed["max"] for speed in speeds), default=0.0)
     cell = scenario.cell
-    return environment.from_string(text).render(
+    return rendered(
+        "report.html",
         fastest_mm_s=fastest_mm_s,
         step_mm=fastest_mm_s * (cell.timestep_ms if cell.kind == "arms" else 0.0) / 1000,
         name=scenario.name,
@@ -104,7 +104,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         paper_table=PAPER_TABLE_1,
         pictures=draw_pictures(report) if pictures is None else pictures,
         reference=report.reference,
-        image_figures=shown,
+        image_figures=image_figures(report.reference),
         image_columns=_columns(report),
         others=[(f"slices {other.name}", other) for other in report.others],
         stages=_stages(metrics["seconds"]),
@@ -114,6 +114,11 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         tolerance_mm=scenario.motion.tolerance_mm,
         scenario_yaml=report.scenario_yaml,
     )
+
+
+def stage_title(name: str) -> str:
+    """What a stage is called in a table of seconds."""
+    return _STAGES.get(name, name.replace("_", " "))
 
 
 def _columns(report: ReportData) -> dict[str, Any]:
@@ -198,25 +203,9 @@ def _stages(seconds: dict[str, float]) -> list[dict[str, Any]]:
     order = [name for name in seconds if name != "total"] + ["total"] * ("total" in seconds)
     return [
         {
-            "name": _STAGES.get(name, name.replace("_", " ")),
+            "name": stage_title(name),
             "seconds": seconds[name],
             "share": min((seconds[name] or 0.0) / total, 1.0) if total else 0.0,
         }
         for name in order
     ]
-
-
-def _fixed(value: float | None, digits: int = 2, factor: float = 1.0) -> str:
-    """A number with a fixed count of digits, or a dash where there is none."""
-    return "–" if value is None else f"{factor * value:.{digits}f}"
-
-
-def _duration(seconds: float | None) -> str:
-    """Seconds, minutes or hours, whichever reads best."""
-    if seconds is None:
-        return "–"
-    if seconds < 100:
-        return f"{seconds:.1f} s"
-    if seconds < 6000:
-        return f"{seconds / 60:.1f} min"
-    return f"{seconds / 3600:.1f} h"
