@@ -11,11 +11,20 @@ from typing import TYPE_CHECKING, Any
 from twinct.version import __version__
 
 if TYPE_CHECKING:
-    from twinct.runs import load_scan, needs, reconstruct, run, simulate
+    from twinct.runs import compare, load_scan, needs, reconstruct, run, simulate
     from twinct.scenario import load_scenario
 
 
-__all__ = ["__version__", "load_scan", "load_scenario", "needs", "reconstruct", "run", "simulate"]
+__all__ = [
+    "__version__",
+    "compare",
+    "load_scan",
+    "load_scenario",
+    "needs",
+    "reconstruct",
+    "run",
+    "simulate",
+]
 
 _HOMES = {name: "twinct.runs" for name in __all__[1:]} | {"load_scenario": "twinct.scenario"}
 

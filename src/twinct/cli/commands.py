@@ -428,6 +428,35 @@ def report(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="
 
 
 @app.command
+def compare(
+    folders: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DIR")],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="HTML")] = Path("compare.html"),
+) -> None:
+    """Compare finished runs on one page: slices, figures, pose errors, times, and their scenarios.
+
+    Slices are at the same places in the same windows; differences are against the first run.
+
+    Args:
+        folders: What ``twinct run --out`` wrote, or DIR/reconstructions/NAME for what ``twinct
+            reconstruct`` made beside it; two or more.
+        out: File to write.
+    """
+    from twinct.files.writing import check_page, storage_errors
+    from twinct.runs import compare
+
+    check_page(out)
+    with on_terminal() as audience:
+        comparison = compare(folders, audience)
+    for note in comparison.notes:
+        say(note, warning=True)
+    with storage_errors(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        comparison.write(out)
+    say(f"wrote {out}: {len(comparison.keys)} scenario keys differ")
+
+
+@app.command
 def verify(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]) -> None:
     """Compare each file of a scan with the digest that was kept of it, and look at its results.
 

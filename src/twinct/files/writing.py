@@ -113,6 +113,20 @@ def check_picture(path: Path) -> None:
     _check_parents(path)
 
 
+def check_page(path: Path) -> None:
+    """Refuse what cannot become an HTML file.
+
+    Raises:
+        InputError: it is a folder, or named like another kind of file.
+        StorageError: it cannot be written.
+    """
+    if path.is_dir():
+        raise InputError(f"--out {path}: this is a folder; the name of an HTML file is needed")
+    if path.suffix.lower() != ".html":
+        raise InputError(f"--out {path}: a page is an HTML file: name it {path.stem}.html")
+    _check_parents(path)
+
+
 def _check_parents(path: Path) -> None:
     nearest = next(p for p in (path, *path.absolute().parents) if os.path.lexists(p))
     if nearest != path and not nearest.is_dir():

@@ -1,18 +1,22 @@
 """What a run found out: ``metrics.json`` for scripts, ``report.html`` for people."""
 
+from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections
-from twinct.report.metrics import build_metrics
+from twinct.report.metrics import build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words
 
 __all__ = [
     "Another",
+    "Compared",
+    "Comparison",
     "CrossSection",
     "ReportData",
     "build_metrics",
     "cross_sections",
     "draw_pictures",
     "physics_in_words",
+    "plain",
     "render_report",
     "write_report",
 ]

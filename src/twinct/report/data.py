@@ -89,7 +89,7 @@ class ReportData:
     others: Sequence[Another] = ()
 
 
-_PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}
+PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}
 """Array axis that each plane is orthogonal to."""
 
 
@@ -114,7 +114,7 @@ def cross_sections(
     edges = grid.voxel[::-1]
     names = [f"{'grid ' if turned else ''}{name}" for name in "zyx"]
     sections = {}
-    for name, normal in _PLANES.items():
+    for name, normal in PLANES.items():
         index = _plane(arrays[1], normal)
         up, right = (axis for axis in range(3) if axis != normal)
         left, right_edge, bottom, top = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -257,10 +258,7 @@ def cross_section_grid(
     outline is the boundary of the region that every view sees. Windows are those that fit what it
     is compared with, too.
     """
-    every = [*sections.values(), *compared]
-    grey = _grey_window(every, mu_reference)
-    worst = _nice(max(_typical_worst(s) for s in every) or 0.1 * mu_reference)
-    diverging = mpl.colormaps["RdBu_r"].resampled(63)  # odd, so that 0 is white; noise packs better
+    (_, grey), (diverging, errors) = looks = windows([*sections.values(), *compared], mu_reference)
     bounds = (section.extent_mm for section in sections.values())
     shares = [(top - bottom) / (right - left) for left, right, bottom, top in bounds]
     with mpl.rc_context(_STYLE):
@@ -272,8 +270,7 @@ def cross_section_grid(
         for line, (name, section) in zip(grid, sections.items(), strict=True):
             error = section.reconstruction.astype(np.float64) - section.truth
             images = section.reconstruction, section.truth, error
-            looks = ("gray", grey), ("gray", grey), (diverging, Normalize(-worst, worst))
-            for axes, image, (cmap, norm) in zip(line, images, looks, strict=True):
+            for axes, image, (cmap, norm) in zip(line, images, (looks[0], *looks), strict=True):
                 axes.imshow(image, cmap=cmap, norm=norm, origin="lower", extent=section.extent_mm)
                 _outline(axes, section, REGION_COLOUR if cmap == "gray" else INK)
                 axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -290,14 +287,102 @@ def cross_section_grid(
             axes.set_title(title, weight="bold")
         for columns, cmap, norm, shrink, aspect, label in (
             (grid[:, :2], "gray", grey, 0.5, 34, "attenuation / mm⁻¹"),
-            (grid[:, 2:], diverging, Normalize(-worst, worst), 0.9, 30, "error / mm⁻¹"),
+            (grid[:, 2:], diverging, errors, 0.9, 30, "error / mm⁻¹"),
         ):
-            style = {"location": "bottom", "shrink": shrink, "aspect": aspect, "extend": "both"}
-            bar = figure.colorbar(ScalarMappable(norm, cmap), ax=columns, **style)
-            bar.set_label(label, labelpad=2)
-            bar.locator = MaxNLocator(5)
-            bar.outline.set_linewidth(0.5)
+            _bar_below(figure, columns, (cmap, norm), label, shrink=shrink, aspect=aspect)
         return _png(figure, 150)
+
+
+_ABREAST = 4
+"""Columns of pictures side by side; more go below."""
+
+
+def side_by_side(
+    columns: Mapping[str, CrossSection | None], truth: str, looks: Sequence[Look]
+) -> Picture:
+    """The same plane of several volumes: each reconstruction, below it its error.
+
+    All have the same extent and the same windows. First comes the truth of the first.
+
+    Args:
+        columns: what each shows, by its name; None: the plane passes its grid.
+        truth: what the column of the truth is called.
+        looks: as ``windows`` gives them, for all that is compared.
+    """
+    sections = [section for section in columns.values() if section is not None]
+    first, extents = sections[0], np.array([section.extent_mm for section in sections])
+    (left, bottom), (right, top) = extents.min(axis=0)[[0, 2]], extents.max(axis=0)[[1, 3]]
+    cells = [(truth, first._replace(reconstruction=first.truth)), *columns.items()]
+    abreast = min(_ABREAST, len(cells))
+    bands = [cells[i : i + abreast] for i in range(0, len(cells), abreast)]
+    height = (_WIDTH - 0.7) / abreast * (top - bottom) / (right - left)
+    with mpl.rc_context(_STYLE):
+        size = (_WIDTH, len(bands) * (2 * height + 1.0) + 0.75)
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(2 * len(bands), abreast, squeeze=False)
+        _pad(figure, w_pad=0.03, h_pad=0.06, wspace=0.0, hspace=0.0)
+        for axes in grid.flat:
+            axes.set_visible(False)
+        for index, (name, section) in enumerate(cells):
+            band, column = divmod(index, abreast)
+            title = [*textwrap.wrap(name, 100 // abreast)]
+            if section is not None and section.position != first.position:
+                title.append(f"({section.position})")
+            for line, (cmap, norm) in enumerate(looks[: 1 if index == 0 else 2]):
+                axes = grid[2 * band + line, column]
+                axes.set(visible=True, xlim=(left, right), ylim=(bottom, top), aspect="equal")
+                axes.set_facecolor(_OUTSIDE)
+                for axis in (axes.xaxis, axes.yaxis):
+                    axis.set_major_locator(MaxNLocator(5))
+                axes.set_ylabel(f"{first.axes[1]} / mm", labelpad=1)
+                if column and not (line and index == 1):
+                    axes.tick_params(left=False, labelleft=False)
+                    axes.set_ylabel("")
+                if line == 0:
+                    axes.set_title("\n".join(title), weight="bold")
+                if line or index == 0:
+                    axes.set_xlabel(f"{first.axes[0]} / mm", labelpad=1)
+                else:
+                    axes.tick_params(labelbottom=False)
+                if section is None:
+                    said = {"transform": axes.transAxes, "ha": "center", "va": "center"}
+                    axes.text(0.5, 0.5, "outside its grid", **said, color=LIMIT_COLOUR)
+                    continue
+                shown = section.reconstruction.astype(np.float64) - (section.truth if line else 0)
+                axes.imshow(shown, cmap=cmap, norm=norm, origin="lower", extent=section.extent_mm)
+                _outline(axes, section, INK if line else REGION_COLOUR)
+                axes.set(xlim=(left, right), ylim=(bottom, top))
+        half = abreast // 2
+        for part, look, label in (
+            (grid[:, :half], looks[0], "attenuation / mm⁻¹"),
+            (grid[:, half:], looks[1], "reconstruction − truth / mm⁻¹"),
+        ):
+            _bar_below(figure, part, look, label, shrink=0.8, aspect=30)
+        return _png(figure, 150)
+
+
+_OUTSIDE = "#eceff2"
+"""Where a grid holds no voxels."""
+
+
+def _bar_below(figure: Figure, columns: Any, look: Look, label: str, **style: float) -> None:
+    cmap, norm = look
+    where: dict[str, Any] = {"location": "bottom", "extend": "both", **style}
+    bar = figure.colorbar(ScalarMappable(norm, cmap), ax=columns, **where)
+    bar.set_label(label, labelpad=2)
+    bar.locator = MaxNLocator(5)
+    bar.outline.set_linewidth(0.5)
+
+
+Look = tuple[Any, Normalize]
+"""Colours and window of an image."""
+
+
+def windows(sections: Sequence[CrossSection], mu_reference: float) -> tuple[Look, Look]:
+    """How attenuations and how errors are shown so that one window fits all sections."""
+    worst = _nice(max(_typical_worst(section) for section in sections) or 0.1 * mu_reference)
+    diverging = mpl.colormaps["RdBu_r"].resampled(63)  # odd, so that 0 is white; noise packs better
+    return ("gray", _grey_window(sections, mu_reference)), (diverging, Normalize(-worst, worst))
 
 
 BRIGHTEST = 2.0
@@ -320,7 +405,7 @@ def _typical_worst(section: CrossSection) -> float:
     """Error that 99.5 % of the voxels in the region stay below."""
     error = np.abs(section.reconstruction.astype(np.float64) - section.truth)
     seen = error[section.roi] if section.roi.any() else error
-    return float(np.percentile(seen, 99.5))
+    return float(np.nanpercentile(seen, 99.5))  # NaN is outside a grid that is turned
 
 
 def _nice(value: float) -> float:

@@ -75,15 +75,15 @@ def build_metrics(
         metrics["image_by_geometry"] = {name: of.as_dict() for name, of in by_geometry.items()}
     if taken := sorted(metrics.keys() & extra.keys()):
         raise ValueError(f"extra keys {', '.join(taken)} are taken")
-    return _plain(metrics | extra)
+    return plain(metrics | extra)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """The same in Python's own types, with None for what is not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
+        return {str(key): plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(inner) for inner in value]
+        return [plain(inner) for inner in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):

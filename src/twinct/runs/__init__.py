@@ -9,6 +9,7 @@ from twinct.runs.checks import (
     findings,
     require_extras,
 )
+from twinct.runs.compare import compare
 from twinct.runs.folder import Folder
 from twinct.runs.importing import import_scan
 from twinct.runs.job import Run, report_again, run
@@ -29,6 +30,7 @@ __all__ = [
     "check_geometries",
     "check_physics",
     "check_sight",
+    "compare",
     "derive_geometry",
     "findings",
     "import_scan",

@@ -1,0 +1,228 @@
+"""Runs beside each other on one page: the first is what the others are compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from twinct.files.writing import write_text
+from twinct.report.data import CrossSection
+from twinct.report.figures import side_by_side, windows
+from twinct.report.page import image_figures, stage_title
+from twinct.report.template import duration, fixed, rendered
+from twinct.scenario import Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One reconstruction that is compared.
+
+    Attributes:
+        label: what it is called on the page.
+        path: of its folder.
+        scenario: what made it, the reconstruction as it was.
+        metrics: of the run that it belongs to, see ``build_metrics``.
+        image: its image figures, as ``ImageFigures.as_dict`` gives them.
+        seconds: of each stage; of a reconstruction beside a run's own, its own alone.
+        slices: the same planes for all, by name; None where a plane passes its grid.
+        mu_reference: attenuation that its figures are relative to, 1/mm.
+        reference: name of the material whose attenuation that is.
+        truth: stands for the specimen that it is judged against; alike where that is.
+    """
+
+    label: str
+    path: str
+    scenario: Scenario
+    metrics: Mapping[str, Any]
+    image: Mapping[str, float | None]
+    seconds: Mapping[str, float | None]
+    slices: Mapping[str, CrossSection | None]
+    mu_reference: float
+    reference: str
+    truth: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared, the reference first."""
+
+    compared: tuple[Compared, ...]
+
+    @property
+    def keys(self) -> dict[str, tuple[Any, ...]]:
+        """The scenario keys that differ, with the value of each; None where there is none."""
+        told = [flat(one.scenario.model_dump(mode="json")) for one in self.compared]
+        names = dict.fromkeys(name for values in told for name in values)
+        rows = {name: tuple(values.get(name) for values in told) for name in names}
+        return {name: row for name, row in rows.items() if any(v != row[0] for v in row)}
+
+    @property
+    def notes(self) -> list[str]:
+        """What cannot be compared, and why."""
+        first, *others = self.compared
+        found: list[str] = []
+        for one in others:
+            both = f"{one.label} and {first.label}"
+            if one.truth != first.truth:
+                found.append(
+                    f"{both} image different specimens: each is judged against its own truth, and "
+                    "the image figures have no difference."
+                )
+            elif (one.reference, f"{one.mu_reference:.6g}") != (
+                first.reference,
+                f"{first.mu_reference:.6g}",
+            ):
+                found.append(
+                    f"{both} are relative to different attenuations, {one.mu_reference:.4g} and "
+                    f"{first.mu_reference:.4g} per mm of {one.reference} and {first.reference}: "
+                    "shares of them compare, attenuations do not."
+                )
+            grids = (each.scenario.reconstruction.grid.volume_grid for each in (one, first))
+            if len({repr(grid) for grid in grids}) > 1:
+                found.append(f"{both} have different grids: each is judged in its own voxels.")
+            versions = [str(each.metrics.get("twinct_version")) for each in (one, first)]
+            if versions[0] != versions[1]:
+                found.append(f"{both} were made by twinct {' and '.join(versions)}.")
+        return found
+
+    def write(self, path: Path) -> None:
+        """Write the page; the file is complete or not there.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        write_text(path, self.render())
+
+    def render(self) -> str:
+        """The page as HTML text: images inline, no script, nothing loaded from elsewhere."""
+        first = self.compared[0]
+        return rendered(
+            "compare.html",
+            compared=self.compared,
+            first=first,
+            notes=self.notes,
+            pictures=_pictures(self.compared),
+            tables={
+                "Image figures": _image_rows(self.compared),
+                "Pose errors": _pose_rows(self.compared),
+                "Time": _time_rows(self.compared),
+            },
+            keys=self.keys,
+        )
+
+
+def flat(told: Mapping[str, Any], key: str = "") -> dict[str, Any]:
+    """Nested keys as dotted ones; lists of sections by their index, other lists as they are."""
+    found: dict[str, Any] = {}
+    for name, value in told.items():
+        inner = f"{key}{name}"
+        if isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
+            value = {str(index): item for index, item in enumerate(value)}
+        found |= flat(value, f"{inner}.") if isinstance(value, dict) else {inner: value}
+    return found
+
+
+class _Row(NamedTuple):
+    """Values with what each differs by from the first's; both as text."""
+
+    title: str
+    unit: str
+    cells: list[tuple[str, str]]
+    meaning: str = ""
+
+
+def _row(
+    title: str,
+    unit: str,
+    values: Sequence[float | None],
+    text: Callable[[float | None], str],
+    meaning: str = "",
+    alike: Sequence[bool] | None = None,
+) -> _Row:
+    """A row; where it is not ``alike`` with the first a value has no difference."""
+    first, cells = values[0], [(text(values[0]), "")]
+    for value, counts in zip(values[1:], (alike or [True] * len(values))[1:], strict=True):
+        difference = ""
+        if counts and value is not None and first is not None:
+            change = value - first
+            sign, size = "+" if change > 0 else "−", text(abs(change))
+            difference = f"{sign}{size}" if size != text(0.0) else "≈" if change else "="
+        cells.append((text(value), difference))
+    return _Row(title, unit, cells, meaning)
+
+
+def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
+    materials = dict.fromkeys(one.reference for one in compared)
+    alike = [one.truth == compared[0].truth for one in compared]
+    return [
+        _row(
+            shown.title,
+            shown.unit,
+            [one.image.get(shown.key) for one in compared],
+            partial(fixed, digits=shown.digits, factor=shown.factor),
+            shown.meaning,
+            alike,
+        )
+        for shown in image_figures("/".join(materials))
+    ]
+
+
+def _pose_rows(compared: Sequence[Compared]) -> list[_Row]:
+    """Executed against commanded, then what was reconstructed from against executed."""
+    metrics = [one.metrics for one in compared]
+    believed = [
+        one.metrics.get("geometries", {}).get(one.scenario.reconstruction.geometries[0], {})
+        for one in compared
+    ]
+    rows: list[_Row] = []
+    for of, what, statistics in (
+        (metrics, "executed against commanded", ("mean", "max")),
+        (believed, "reconstructed from, against executed", ("mean",)),
+    ):
+        for arm in ("source", "detector"):
+            for kind, name, unit in (
+                ("position_mm", "position", "mm"),
+                ("rotation_deg", "rotation", "deg"),
+            ):
+                for statistic in statistics:
+                    values = [_found(one, "pose_error", arm, kind, statistic) for one in of]
+                    title = f"{arm}, {name}, {statistic}"
+                    rows.append(_row(title, unit, values, partial(fixed, digits=3), what))
+    gaps = [_found(one, "clearance_mm", "min") for one in metrics]
+    rows.append(_row("smallest clearance", "mm", gaps, partial(fixed, digits=1)))
+    return [row for row in rows if any(text != fixed(None) for text, _ in row.cells)]
+
+
+def _time_rows(compared: Sequence[Compared]) -> list[_Row]:
+    stages = dict.fromkeys(name for one in compared for name in one.seconds if name != "total")
+    rows = [
+        _row(stage_title(name), "", [one.seconds.get(name) for one in compared], duration)
+        for name in (*stages, "total")
+    ]
+    simulated = [_found(one.metrics, "simulated_seconds") for one in compared]
+    return [*rows, _row("simulated time", "", simulated, duration)]
+
+
+def _found(told: Any, *keys: str) -> float | None:
+    """A nested value; None where it is not there, as in figures of older versions."""
+    for key in keys:
+        told = told.get(key) if isinstance(told, Mapping) else None
+    return told
+
+
+def _pictures(compared: Sequence[Compared]) -> list[tuple[str, str]]:
+    """A title and an image's address for each plane."""
+    first = compared[0]
+    every = [s for one in compared for s in one.slices.values() if s is not None]
+    looks = windows(every, first.mu_reference)
+    truth = f"truth of {first.label}" if len({one.truth for one in compared}) > 1 else "truth"
+    found: list[tuple[str, str]] = []
+    for name, section in first.slices.items():
+        assert section is not None
+        columns = {one.label: one.slices[name] for one in compared}
+        picture = side_by_side(columns, truth, looks)
+        found.append((f"{name}, {section.position}", picture.data_uri))
+    return found

@@ -1,0 +1,168 @@
+"""Finished runs, and further reconstructions of them, beside each other."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from twinct.errors import InputError
+from twinct.evaluate import region_of_interest
+from twinct.geometry import VolumeGrid
+from twinct.observers import Observers, audience_of
+from twinct.report import Compared, Comparison, CrossSection, plain
+from twinct.report.same_planes import Plane, layer_of, planes_through, section_at
+from twinct.runs.folder import Folder
+from twinct.runs.job import Run, finished_run
+from twinct.runs.kept import Reconstruction, check_files
+from twinct.scan import Workshop
+from twinct.scenario import SECTIONS, Scenario, stage_digests
+from twinct.specimen import BuiltSpecimen
+from twinct.volume import Volume
+
+
+def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Comparison:
+    """Compare finished runs; the first is what the others are compared with.
+
+    Slices are at the same places in the world. Grids may differ, and specimens, too: what cannot be
+    compared then is among the ``notes``.
+
+    Args:
+        folders: of runs, or of further reconstructions, ``RUN/reconstructions/NAME``; two or more.
+        observers: hear of the stage.
+
+    Raises:
+        InputError: naming each folder that holds none or comes twice; only one folder.
+    """
+    found = _entries([Path(folder) for folder in folders])
+    labels = _labels(found)
+    specimens: dict[str, BuiltSpecimen] = {}
+    planes: dict[str, Plane] = {}
+    compared: list[Compared] = []
+    with audience_of(observers) as audience, audience.stage("slices", len(found)) as step:
+        for entry, label in zip(found, labels, strict=True):
+            truth = _truth(entry.scenario)
+            if truth not in specimens:
+                specimens[truth] = Workshop(entry.scenario).specimen
+            compared.append(_compared(entry, label, specimens[truth], planes, truth))
+            step()
+    return Comparison(tuple(compared))
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What one folder holds; the scenario is that of its reconstruction."""
+
+    path: Path
+    run: Run
+    scenario: Scenario
+    kept: Reconstruction | None = None
+
+    def volume(self) -> Volume:
+        """Its voxels, read anew: those of all runs at once may not fit into memory."""
+        return self.kept.volume if self.kept else Volume.read(self.run.paths.volume)
+
+
+def _entries(paths: Sequence[Path]) -> list[_Entry]:
+    """Read and check all folders, but no images.
+
+    Raises:
+        InputError: with a sentence for each that cannot be compared.
+    """
+    found: dict[Path, _Entry] = {}
+    problems: list[str] = []
+    for path in paths:
+        try:
+            if path.resolve() in found:
+                raise InputError(f"{path}: the same folder twice: each is compared once")
+            found[path.resolve()] = _entry(path)
+        except InputError as error:
+            problems += error.problems
+    if len(paths) < 2:
+        problems += [f"{len(paths)} folders: two or more can be compared{_advice(paths)}"]
+    if problems:
+        raise InputError(problems)
+    return list(found.values())
+
+
+def _advice(paths: Sequence[Path]) -> str:
+    beside = sorted(str(kept) for path in paths for kept in path.glob("reconstructions/[!.]*"))
+    return f"; beside it are {', '.join(beside)}" if beside else ""
+
+
+def _entry(path: Path) -> _Entry:
+    kept = None
+    folder = path.resolve()
+    if folder.parent.name == "reconstructions":
+        check_files(path)
+        kept, folder = Reconstruction.read(path), folder.parents[1]
+    run = finished_run(Folder(folder if kept else path))
+    run = Run(run.scenario, run.paths)  # without the volume that was looked at
+    _ = run.figures  # so that those that cannot be read are named now
+    if kept is None:
+        return _Entry(path, run, run.scenario)
+    section = SECTIONS[str(kept.settings["algorithm"])].model_validate(dict(kept.settings))
+    return _Entry(path, run, run.scenario.model_copy(update={"reconstruction": section}), kept)
+
+
+def _labels(entries: Sequence[_Entry]) -> list[str]:
+    """The part of each path that tells it from the others."""
+    runs = [entry.run.paths.path.resolve() for entry in entries]
+    common = Path(os.path.commonpath([path.parent for path in runs]))
+    return [
+        str(path.relative_to(common)) + (f":{entry.kept.name}" if entry.kept else "")
+        for path, entry in zip(runs, entries, strict=True)
+    ]
+
+
+def _truth(scenario: Scenario) -> str:
+    """What the truth of a scenario depends on, but for the photon energy."""
+    section = scenario.specimen
+    materials = [part.model_dump(mode="json", include={"material"}) for part in section.parts]
+    stands = section.position_mm, section.rotation_deg
+    return json.dumps([stage_digests(scenario)["surface"], materials, stands])
+
+
+def _compared(
+    entry: _Entry, label: str, specimen: BuiltSpecimen, planes: dict[str, Plane], truth: str
+) -> Compared:
+    """Cut a volume by the planes; the first one chooses them."""
+    from twinct.xray.build import effective_energy_kev
+
+    scenario, run, kept = entry.scenario, entry.run, entry.kept
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    scan, grid = run.scan, scenario.reconstruction.grid.volume_grid
+    stands = scan.executed_object[len(scan) // 2]
+    if not planes:
+
+        def hit(layer: VolumeGrid) -> bool:
+            return bool(specimen.truth(layer, energy, stands).any())
+
+        planes |= planes_through(grid, specimen.bounds, stands, hit)
+    volume, views = entry.volume(), scan.executed.geometry(scenario.detector.panel)
+    slices: dict[str, CrossSection | None] = {}
+    for name, plane in planes.items():
+        layer = layer_of(plane, grid)
+        slices[name] = layer and section_at(
+            plane,
+            volume.array,
+            grid,
+            layer,
+            specimen.truth(layer, energy, stands),
+            region_of_interest(views, layer),
+        )
+    metrics = run.figures
+    return Compared(
+        label=label,
+        path=str(entry.path),
+        scenario=scenario,
+        metrics=metrics,
+        image=plain(kept.figures.as_dict()) if kept else metrics["image"],
+        seconds={"reconstruction": kept.seconds} if kept else metrics["seconds"],
+        slices=slices,
+        mu_reference=specimen.reference_mu(energy),
+        reference=specimen.reference_part.material.name,
+        truth=truth,
+    )
