@@ -1,13 +1,15 @@
 """Volumes beside each other: cut at the same places, and nothing is compared that cannot be."""
 
+import io
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from twinct.geometry import Pose, VolumeGrid
-from twinct.report import Compared, Comparison, cross_sections
+from twinct.report import Compared, Comparison, cross_sections, figures
 from twinct.report.comparison import flat
 from twinct.report.data import PLANES
 from twinct.report.same_planes import layer_of, planes_through, section_at
@@ -22,10 +24,14 @@ def in_box(grid):
     return np.all((points > BOX[0]) & (points < BOX[1]), axis=-1).astype("f4")
 
 
-def ramp(grid):
-    """The world's x + 1000 y + 10^6 z in each voxel."""
-    centres = np.stack(np.meshgrid(*grid.axes()[::-1], indexing="ij")[::-1], axis=-1)
-    return grid.world_from_grid.apply(centres) @ [1.0, 1e3, 1e6]
+def along(axis):
+    """Volumes of the world's x, y or z, mm."""
+
+    def values(grid):
+        centres = np.stack(np.meshgrid(*grid.axes()[::-1], indexing="ij")[::-1], axis=-1)
+        return grid.world_from_grid.apply(centres)[..., axis]
+
+    return values
 
 
 def planes_of(grid):
@@ -65,35 +71,34 @@ def test_other_grids_are_cut_at_the_same_place_in_their_own_voxels():
     first = VolumeGrid((20, 20, 20), 5.0)
     planes = planes_of(first)
     finer = VolumeGrid((60, 50, 40), 2.0, Pose.from_euler((7, -4, 3), (0, 0, 0)))
-    for name, section in cut(finer, planes, ramp).items():
-        normal = PLANES[name]
-        kept = [n for n in range(3) if n != normal]
-        assert section.reconstruction.shape == tuple(finer.shape[n] for n in kept)
-        left, right, bottom, top = section.extent_mm
-        x = left + (np.arange(section.reconstruction.shape[1]) + 0.5) * 2
-        y = bottom + (np.arange(section.reconstruction.shape[0]) + 0.5) * 2
-        weights = np.array([1e6, 1e3, 1.0])  # of z, y, x
-        across = x * weights[kept[1]] + y[:, None] * weights[kept[0]]
-        place = (section.reconstruction - across) / weights[normal]
-        assert np.ptp(place) < 0.1, "single precision"
-        # Its own plane, by half a voxel at most from the first's.
-        assert place.mean() == pytest.approx(planes[name].place_mm, abs=1.0 + 0.1)
-        assert right == pytest.approx(x[-1] + 1) and top == pytest.approx(y[-1] + 1)
+    for axis, edge in enumerate(finer.size_mm / finer.shape_xyz):
+        for name, section in cut(finer, planes, along(axis)).items():
+            normal = 2 - PLANES[name]
+            left, right, bottom, top = section.extent_mm
+            rows, columns = section.reconstruction.shape
+            x = left + (np.arange(columns) + 0.5) * (right - left) / columns
+            y = bottom + (np.arange(rows) + 0.5) * (top - bottom) / rows
+            if axis == normal:  # its own plane, by half a voxel at most from the first's
+                wanted, off = planes[name].place_mm, edge / 2
+                assert np.ptp(section.reconstruction) == 0
+            else:
+                up = axis == max(set(range(3)) - {normal})
+                wanted, off = (y[:, None] if up else x), 0.0
+            assert np.abs(section.reconstruction - wanted).max() <= off + 1e-4, "single precision"
 
 
 def test_a_grid_that_is_turned_shows_its_nearest_voxels():
     planes = planes_of(VolumeGrid((20, 20, 20), 5.0))
     turned = VolumeGrid((24, 24, 24), 4.0, Pose.from_euler((3, 0, 0), (0, 0, 30)))
-    section = cut(turned, planes, lambda grid: ramp(grid) % 1e6 % 1e3)["axial"]
+    section = cut(turned, planes, along(0))["axial"]
     inside = np.isfinite(section.reconstruction)
     # A square turned by 30 degrees fills 1 / (sin + cos)^2 of its bounds.
     assert inside.mean() == pytest.approx(1 / (0.5 + 0.75**0.5) ** 2, abs=0.02)
     assert not section.roi[~inside].any()
     left, right, _, _ = section.extent_mm
     x = left + (np.arange(inside.shape[1]) + 0.5) * (right - left) / inside.shape[1]
-    off = np.where(inside, section.reconstruction - x, 0.0)
-    off[np.abs(off) > 500] -= 1000  # x below 0
-    assert np.abs(off).max() <= 4 / 2**0.5 + 1e-3, "half the diagonal of a voxel"
+    off = np.nanmax(np.abs(section.reconstruction - x))
+    assert 1.0 < off <= 4 / 2**0.5 + 1e-3, "half the diagonal of a voxel"
 
 
 def test_a_plane_that_passes_a_grid_shows_nothing():
@@ -140,13 +145,13 @@ def test_only_keys_that_differ_are_told(report):
 def test_the_page_is_whole_and_says_differences(report):
     image = report.metrics["image"]
     better = {**image, "ssim": image["ssim"] + 0.1, "psnr_db": None}
-    slices = {**report.slices, "axial": None}
+    sagittal = {"sagittal": report.slices["sagittal"]}
     seconds = {**report.metrics["seconds"], "xray": 90.2}
-    changes = {"image": better, "slices": slices, "seconds": seconds}
-    second = compared(report, "<b>", **changes)
-    html = Comparison((compared(report, "a"), second)).render()
+    first = compared(report, "a", slices=sagittal)
+    second = replace(first, label="<b>", image=better, seconds=seconds)
+    html = Comparison((first, second)).render()
     addresses = re.findall(r'(?:src|href)="([^"]*)"', html)
-    assert len(addresses) == 3 and all(a.startswith("data:image/png;base64,") for a in addresses)
+    assert len(addresses) == 1 and all(a.startswith("data:image/png;base64,") for a in addresses)
     assert "<script" not in html and "<b>" not in html and "&lt;b&gt;" in html
     words = " ".join(re.sub(r"<[^>]+>", " ", html).split())
     assert f"SSIM {image['ssim']:.3f} {image['ssim'] + 0.1:.3f} (+0.100)" in words
@@ -157,7 +162,30 @@ def test_the_page_is_whole_and_says_differences(report):
     assert f"source, position, max {error:.3f} {error:.3f} (=)" in words
 
 
-def test_what_cannot_be_compared_is_said_and_has_no_difference(report):
+def test_pictures_share_extent_and_windows(report):
+    """Only what is no picture of a section may differ where a column is left empty."""
+    section = report.slices["sagittal"]
+    looks = figures.windows([section], report.mu_reference)
+    columns = {"a": section, "b": section, "c": section, "d": section}
+    whole, gap = (
+        np.asarray(Image.open(io.BytesIO(figures.side_by_side(which, "truth", looks).content)))
+        for which in (columns, columns | {"b": None})
+    )
+    assert whole.shape == gap.shape, "two bands: the truth and three, then the fourth"
+    changed = np.any(whole != gap, axis=(0, 2))
+    column = whole.shape[1] / 4
+    assert changed.any() and not changed[: int(1.9 * column)].any()
+    assert not changed[int(3.2 * column) :].any()
+    # What lies outside a grid is neither black nor white.
+    wider = section._replace(extent_mm=tuple(2 * edge for edge in section.extent_mm))
+    page = figures.side_by_side({"a": section, "b": wider}, "truth", looks).content
+    outside = np.array([int(figures._OUTSIDE[i : i + 2], 16) for i in (1, 3, 5)])
+    share = np.all(np.asarray(Image.open(io.BytesIO(page))) == outside, axis=-1).mean()
+    assert 0.2 < share < 0.6
+
+
+def test_what_cannot_be_compared_is_said_and_has_no_difference(report, monkeypatch):
+    monkeypatch.setattr("twinct.report.comparison._pictures", lambda _: [])
     first, image = compared(report, "a"), report.metrics["image"]
     worse = {**image, "ssim": image["ssim"] - 0.1}
     grid = report.scenario.reconstruction.grid.model_copy(update={"voxel_mm": 1.0})
@@ -175,6 +203,5 @@ def test_what_cannot_be_compared_is_said_and_has_no_difference(report):
     ):
         assert part in said
     html = found.render()
-    assert "truth of a" not in html, "in the picture only"
     words = " ".join(re.sub(r"<[^>]+>", " ", html).split())
     assert f"SSIM {image['ssim']:.3f} {image['ssim'] - 0.1:.3f} {image['ssim']:.3f} (=)" in words

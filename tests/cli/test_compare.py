@@ -1,0 +1,58 @@
+"""``twinct compare``: one page, of old runs, too."""
+
+from __future__ import annotations
+
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from twinct.cli import run_command
+
+KEPT = Path(__file__).parents[1] / "version_0_1"
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> list[str]:
+    """What version 0.1 made over both links."""
+    for link in ("local", "ros2"):
+        with tarfile.open(KEPT / f"{link}.tar.xz") as archive:
+            archive.extractall(tmp_path / link, filter="data")
+    return [str(tmp_path / link) for link in ("local", "ros2")]
+
+
+def test_runs_of_before_are_compared(
+    runs: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "new" / "page.html"
+    assert run_command(["compare", *runs, "--out", str(page)]) == 0
+    said = capfd.readouterr()
+    assert f"wrote {page}: 0 scenario keys differ" in said.out
+    text = page.read_text(encoding="utf-8")
+    assert text.count('src="data:image/png') == 3 and '<th class="n">ros2</th>' in text
+
+
+@pytest.mark.parametrize(
+    ("folders", "out", "told"),
+    [
+        (["local", "local"], "page.html", ["local: the same folder twice"]),
+        (["local"], "page.html", ["1 folders: two or more"]),
+        (["local", "none", "nor"], "page.html", ["none holds no", "nor holds no"]),
+        (["local", "ros2"], "page.pdf", ["a page is an HTML file: name it page.html"]),
+        (["local", "ros2"], ".", ["this is a folder"]),
+    ],
+)
+def test_each_bad_input_is_one_message(
+    runs: list[str],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    folders: list[str],
+    out: str,
+    told: list[str],
+) -> None:
+    paths = [str(tmp_path / name) for name in folders]
+    assert run_command(["compare", *paths, "--out", str(tmp_path / out)]) == 2
+    lines = capfd.readouterr().err.strip().splitlines()
+    assert len(lines) == len(told)
+    assert all(part in line for part, line in zip(told, lines, strict=True))
+    assert not (tmp_path / "page.html").exists()
