@@ -51,7 +51,9 @@ def test_keys_of_the_other_kind_are_refused_by_name() -> None:
     assert "cell.kind: kind 'gantri' is not one of 'arms', 'gantry'; did you mean" in problems(
         "cell.kind=gantri"
     )
-    assert "cell.view_s: must be greater than or equal to 0.000001, but is 0" in problems(GANTRY, "cell.view_s=0")
+    assert "cell.view_s: must be greater than or equal to 0.000001, but is 0" in problems(
+        GANTRY, "cell.view_s=0"
+    )
 
 
 def test_an_exposure_is_no_longer_than_its_view() -> None:
