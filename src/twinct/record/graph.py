@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from itertools import chain
 from pathlib import Path
 from threading import Condition
 from typing import TYPE_CHECKING
@@ -45,7 +46,7 @@ class GraphRecorder(Recorder):
         self.hear = self._hear
         self._changed = Condition()
         self._imaged: set[int] = set()
-        self._images: dict[int, Heard] = {}
+        self._images: dict[int, list[Heard]] = {}
         self._parts: dict[tuple[str, int], Heard] = {}
         self._numbers: dict[tuple[str, str], int] = {}
         self._lost: dict[str, int] = {}
@@ -82,8 +83,8 @@ class GraphRecorder(Recorder):
     def _keep(self, heard: Heard) -> None:
         """Write a message, but an image only after all else that its view has."""
         stamp = Said(heard.topic, heard.kind, heard.raw.data).stamp_ns
-        if heard.topic == IMAGE:
-            self._images[stamp] = heard
+        if heard.topic == IMAGE and stamp not in self._imaged:
+            self._images.setdefault(stamp, []).append(heard)  # several where one was asked again
         else:
             self._write(heard)
             self._parts[heard.topic, stamp] = heard
@@ -91,14 +92,15 @@ class GraphRecorder(Recorder):
             self._finish_view(stamp)
 
     def _finish_view(self, stamp: int) -> None:
-        image = self._images.pop(stamp)
+        images = self._images.pop(stamp)
         reached, joints = (
             reader_of(part.kind)(part.raw.data)
             for part in (self._parts[REACHED, stamp], self._parts[JOINTS, stamp])
         )
         where = instant_of(reached.poses)
-        self.write_frames(stamp, where, joints.position, image.raw.received_ns)
-        self._write(image)
+        self.write_frames(stamp, where, joints.position, images[0].raw.received_ns)
+        for image in images:
+            self._write(image)
         self._parts.clear()
         with self._changed:
             self._imaged.add(stamp)
@@ -124,7 +126,7 @@ class GraphRecorder(Recorder):
 
     def close(self) -> None:
         """See ``Recorder.close``."""
-        for heard in self._images.values():
+        for heard in chain.from_iterable(self._images.values()):
             self._write(heard)
         self._images.clear()
         for topic, count in self._lost.items():
