@@ -148,8 +148,10 @@ def test_a_scan_of_before_plans_is_a_reactive_one(scan: tuple[Path, Scan], tmp_p
     path = tmp_path / "scan.zarr"
     shutil.copytree(scan[0], path)
     assert ScanStore(path).scenario.motion.scheme == "planned"
-    shutil.rmtree(path / "plan")
+    for later in ("plan", "manifest"):
+        shutil.rmtree(path / later)
     attributes = json.loads((path / "zarr.json").read_text())
+    attributes["attributes"]["format"] = 2
     told = json.loads(attributes["attributes"]["scenario"])
     del told["motion"]["scheme"]
     attributes["attributes"]["scenario"] = json.dumps(told)
