@@ -57,9 +57,8 @@ def test_its_volume_is_what_it_was(folder: Path) -> None:
 
 
 @pytest.mark.process
-@pytest.mark.parametrize(
-    "folder", ["ros2", pytest.param("local", marks=pytest.mark.tutorial)], indirect=True
-)
+@pytest.mark.tutorial
+@pytest.mark.parametrize("folder", ["ros2", "local"], indirect=True)
 def test_it_is_reported_reconstructed_once_more_and_exported(folder: Path) -> None:
     then = json.loads((folder / "metrics.json").read_text())
     assert reconstruct_again(folder, ["reconstruction.algorithm=sirt"]).path.is_dir()

@@ -60,6 +60,7 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
         reconstruct_again(folder, geometry="executed", name="cgls-executed")
 
 
+@pytest.mark.tutorial
 def test_a_run_goes_on_with_a_geometry_that_was_derived_from_its_scan(
     folder: Path, finished: Run
 ) -> None:

@@ -68,6 +68,7 @@ def test_executed_is_commanded_all_the_way_round(scenario: Scenario, finished: R
         workshop.cell  # noqa: B018
 
 
+@pytest.mark.tutorial
 def test_the_report_is_complete_with_and_without_what_draws(finished: Run, tmp_path: Path) -> None:
     text = finished.paths.report.read_text(encoding="utf-8")
     log = finished.paths.log.read_text(encoding="utf-8")

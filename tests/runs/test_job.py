@@ -52,7 +52,8 @@ def test_the_truth_lies_beside_the_volume_on_its_grid(finished: Run) -> None:
     assert rmse == pytest.approx(finished.figures["image"]["rmse_rel"], rel=1e-6)
 
 
-@pytest.mark.parametrize("key", ["algorithm", pytest.param("grid", marks=pytest.mark.tutorial)])
+@pytest.mark.tutorial
+@pytest.mark.parametrize("key", ["algorithm", "grid"])
 def test_resuming_with_other_settings_makes_what_a_fresh_run_makes(
     key: str, tiny: Tiny, finished: Run, tmp_path: Path
 ) -> None:

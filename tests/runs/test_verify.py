@@ -123,9 +123,8 @@ class Counted:
         return rig
 
 
-@pytest.mark.parametrize(
-    "scheme", ["planned", pytest.param("reactive", marks=pytest.mark.tutorial)]
-)
+@pytest.mark.tutorial
+@pytest.mark.parametrize("scheme", ["planned", "reactive"])
 def test_views_in_the_middle_are_taken_again_from_the_state_before(
     tiny: Callable[..., Scenario], tmp_path: Path, scheme: str
 ) -> None:
@@ -155,6 +154,7 @@ def shorter(tiny: Callable[..., Scenario]) -> Workshop:
     return Workshop(tiny("trajectory.views=2"))
 
 
+@pytest.mark.tutorial
 @pytest.mark.parametrize("lost", ["zarr.json", FRAME_FILE, "plan/views/zarr.json", "manifest"])
 def test_what_is_of_no_view_is_made_anew(
     folder: Path, workshop: Workshop, shorter: Workshop, lost: str
