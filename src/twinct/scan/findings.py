@@ -61,11 +61,14 @@ def views_taken(path: Path) -> set[int]:
 
 
 def unknown_files(path: Path) -> list[str]:
-    """Files that are none of the store's; none can be told where the manifest is not whole."""
+    """Files that are none of the store's; none can be told without a manifest that is whole."""
     try:
-        known = {FRAME_FILE, *(read_frame_manifest(path) or ())}
+        frame = read_frame_manifest(path)
     except DamagedError:
         return []
+    if frame is None:
+        return []
+    known = {FRAME_FILE, *frame}
     whole: set[int] = set()
     for view in views_taken(path):
         try:
