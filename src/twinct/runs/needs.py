@@ -67,13 +67,13 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
     # Each node builds the specimen anew; in one process gVXR stays until the end.
     stays = GVXR_BYTES if local else 0
     acquiring = specimen + simulations if local else 3 * specimen + simulations
-    scan = 2 * number * image
+    scan, stored = 2 * number * image, (1 + len(scenario.detector.keep)) * number * image
     reconstructing = max(memory_needed(scenario, views).values())
     return {
         "specimen": Need(specimen),
         "plan": Need(specimen + room),
-        "views": Need(acquiring, scan // 2, many, 1 if local else 3),
-        "truth": Need(specimen + stays + scan + 16 * voxels, 0, many),
+        "views": Need(acquiring, stored, many, 1 if local else 3),
+        "truth": Need(specimen + stays + scan + 16 * voxels, 4 * voxels, many),
         "reconstruction": Need(specimen + stays + reconstructing, 4 * voxels, many),
         "report": Need(specimen + stays + scan + 9 * voxels + REPORT_BYTES, 8 * 2**20),
     }
