@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry, lock
 
 SevenNumbers = tuple[float, float, float, float, float, float, float]
 """A pose as (x, y, z) in metres and a quaternion (x, y, z, w)."""
@@ -119,6 +119,10 @@ class Reached:
     before: Instant | None = None
     since_middle_s: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Lock the arrays."""
+        lock(self, "position", "velocity", "effort", "state")
+
     @property
     def middle_s(self) -> float:
         """Simulated time of ``executed`` and joints; no two views of a scan have the same."""
@@ -153,6 +157,10 @@ class JointSample:
     position: Floats
     velocity: Floats
     effort: Floats
+
+    def __post_init__(self) -> None:
+        """Lock the arrays."""
+        lock(self, "position", "velocity", "effort")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,11 @@ from twinct.ctsimu.digitiser import Digitiser
 from twinct.ctsimu.export import export_scan
 from twinct.ctsimu.scene import FieldImages
 from twinct.errors import InputError, ScanExistsError
+from twinct.geometry import Pose
 from twinct.runs import simulate
-from twinct.scan import Scan, Workshop
+from twinct.scan import NamedGeometry, Scan, Workshop
 from twinct.scenario import Correction, Detector, Source, load_scenario
+from twinct.views import PosePairs
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 TINY = [
@@ -191,3 +193,19 @@ def test_materials_of_one_name_stay_apart(scan, tmp_path):
     frame = load_ctsimu(files.scenario).frame(0)
     assert [sample.material.density_g_cm3 for sample in frame.samples] == [1.0, 2.0, 4.51, 1.0]
     assert frame.response.scintillator.material.density_g_cm3 == 4.51
+
+
+def test_a_geometry_is_taken_by_name(scan, workshop, tmp_path):
+    shifted = PosePairs(
+        tuple(Pose(p.position + [1, 0, 0], p.quat) for p in scan.executed.source),
+        scan.executed.detector,
+    )
+    known = replace(scan, derived={"calibrated": NamedGeometry("calibrated", shifted, {})})
+    told = []
+    for name in ("calibrated", "executed"):
+        files = export_scan(known, workshop.specimen, tmp_path / name, geometry=name)
+        told.append(files.trajectory.read_text())
+    assert told[0] != told[1]
+    with pytest.raises(InputError, match="'xyz' is none of commanded, executed, believed, calib"):
+        export_scan(known, workshop.specimen, tmp_path / "xyz", geometry="xyz")
+    assert not (tmp_path / "xyz").exists()

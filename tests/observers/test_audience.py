@@ -117,7 +117,8 @@ def test_the_end_waits_for_a_slow_one_but_not_for_ever(monkeypatch: pytest.Monke
     assert heard[-1] == Missed({"Said": 99}, ())
 
 
-def test_a_lossless_one_makes_the_run_wait() -> None:
+def test_a_lossless_one_makes_the_run_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(audience, "LAST_WORDS_S", 0.001)
     heard: list[Event] = []
 
     def slow(event: Event) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -71,6 +72,7 @@ def export(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     ideal: _Flag = False,
+    geometry: Annotated[str, tyro.conf.arg(metavar="NAME")] = "believed",
 ) -> None:
     """Write a finished scan as a CTSimU scenario and as an OpenCT free trajectory.
 
@@ -80,18 +82,21 @@ def export(
         scan: What ``twinct run --out`` wrote, or its scan.zarr.
         out: Folder for the files.
         ideal: Describe an ideal source and detector, whatever the scan's were.
+        geometry: What is known to the reconstruction: believed, executed, commanded, or one that
+            twinct geometry has made.
     """
     from twinct.ctsimu.export import export_scan
     from twinct.errors import InputError
     from twinct.files.writing import check_folder
-    from twinct.scan import ScanStore, Workshop
+    from twinct.scan import ScanStore, Workshop, named_geometries
 
     store = scan if scan.suffix == ".zarr" else scan / "scan.zarr"
     if not store.is_dir():
         raise InputError(f"{scan}: no scan there: it needs a scan.zarr, which 'twinct run' writes")
     check_folder(out)
-    taken = ScanStore(store).read()
-    files = export_scan(taken, Workshop(taken.scenario).specimen, out, ideal=ideal)
+    taken = replace(ScanStore(store).read(), derived=named_geometries(store.parent / "geometries"))
+    specimen = Workshop(taken.scenario).specimen
+    files = export_scan(taken, specimen, out, ideal=ideal, geometry=geometry)
     console = Console()
     console.print(f"wrote {files.scenario} and {files.trajectory}", highlight=False)
     if files.options:

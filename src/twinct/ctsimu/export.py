@@ -34,6 +34,7 @@ from twinct.files.writing import storage_errors, write_json
 from twinct.geometry import Floats, Pose
 from twinct.scan import Scan
 from twinct.specimen import BuiltSpecimen
+from twinct.views import PosePairs
 
 
 @dataclass(frozen=True)
@@ -49,17 +50,25 @@ class Exported:
 
 
 def export_scan(
-    scan: Scan, specimen: BuiltSpecimen, folder: Path, *, ideal: bool = False
+    scan: Scan,
+    specimen: BuiltSpecimen,
+    folder: Path,
+    *,
+    ideal: bool = False,
+    geometry: str = "believed",
 ) -> Exported:
     """Write scenario, trajectory, meshes and projections to a folder, made if it is missing.
 
-    Source and detector are written as they were, or as ideal ones.
+    Source and detector are written as they were, or as ideal ones; what is known to the
+    reconstruction is the geometry of this name.
 
     Raises:
+        InputError: the scan has no geometry of this name.
         InputError: source or detector do something that CTSimU cannot say; names it.
         ScanExistsError: the folder holds an export.
         StorageError: it cannot be written.
     """
+    known = scan.poses(geometry)
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scan.scenario.name)
     options = "" if ideal else render_options(scan.scenario)
     files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json", options)
@@ -69,23 +78,25 @@ def export_scan(
         refuse_unsaid(scan.scenario)
     make_folder(folder)
     with storage_errors(folder):
-        write_json(files.scenario, _scenario(scan, specimen, folder, name, ideal))
+        write_json(files.scenario, _scenario(scan, known, specimen, folder, name, ideal))
         images = folder / "projections"
         images.mkdir(exist_ok=True)
         for view, image in enumerate(scan.transmission):
             write_tiff(images / f"{name}_{view:04d}.tif", np.ascontiguousarray(image[::-1]))
-        write_json(files.trajectory, _trajectory(scan, name))
+        write_json(files.trajectory, _trajectory(scan, known, name))
     return files
 
 
-def _scenario(scan: Scan, specimen: BuiltSpecimen, folder: Path, name: str, ideal: bool) -> Json:
+def _scenario(
+    scan: Scan, known: PosePairs, specimen: BuiltSpecimen, folder: Path, name: str, ideal: bool
+) -> Json:
     turned = Rotation.from_euler("x", 180, degrees=True)  # ours looks to the source, w away from it
 
     def away(poses: Sequence[Pose]) -> list[Pose]:
         return [Pose(p.position, (Rotation.from_quat(p.quat) * turned).as_quat()) for p in poses]
 
-    detector = _moving(away(scan.believed.detector), away(scan.executed.detector))
-    source = _moving(scan.believed.source, scan.executed.source)
+    detector = _moving(away(known.detector), away(scan.executed.detector))
+    source = _moving(known.source, scan.executed.source)
     substances: list[Json] = []
     samples = []
     for index, part in enumerate(specimen.parts):
@@ -170,9 +181,9 @@ def _drift(values: Floats, unit: str, known: bool) -> Json | None:
     return {"value": values.tolist(), "unit": unit, "known_to_reconstruction": known}
 
 
-def _trajectory(scan: Scan, name: str) -> Json:
+def _trajectory(scan: Scan, known: PosePairs, name: str) -> Json:
     grid = scan.scenario.reconstruction.grid.volume_grid
-    geometry = scan.believed.geometry(scan.scenario.detector.panel)
+    geometry = known.geometry(scan.scenario.detector.panel)
     local = grid.world_from_grid.inverse() @ geometry
     files = [f"{name}_{view:04d}.tif" for view in range(len(scan))]
     return openct_json(local, grid, f"{name}.img", files=files, file_type="TIFF", transmission=True)

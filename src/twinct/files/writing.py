@@ -106,24 +106,19 @@ def check_picture(path: Path) -> None:
         InputError: it is a folder, or named like another kind of file.
         StorageError: it cannot be written.
     """
-    if path.is_dir():
-        raise InputError(f"--out {path}: this is a folder; the name of a PNG file is needed")
-    if path.suffix.lower() != ".png":
-        raise InputError(f"--out {path}: a picture is a PNG file: name it {path.stem}.png")
-    _check_parents(path)
+    _check_file(path, "a PNG file", "a picture", ".png")
 
 
 def check_page(path: Path) -> None:
-    """Refuse what cannot become an HTML file.
+    """The same for an HTML file."""
+    _check_file(path, "an HTML file", "a page", ".html")
 
-    Raises:
-        InputError: it is a folder, or named like another kind of file.
-        StorageError: it cannot be written.
-    """
+
+def _check_file(path: Path, kind: str, what: str, suffix: str) -> None:
     if path.is_dir():
-        raise InputError(f"--out {path}: this is a folder; the name of an HTML file is needed")
-    if path.suffix.lower() != ".html":
-        raise InputError(f"--out {path}: a page is an HTML file: name it {path.stem}.html")
+        raise InputError(f"--out {path}: this is a folder; the name of {kind} is needed")
+    if path.suffix.lower() != suffix:
+        raise InputError(f"--out {path}: {what} is {kind}: name it {path.stem}{suffix}")
     _check_parents(path)
 
 

@@ -10,10 +10,19 @@ Frames: the detector frame has axes (u, v, u x v); the source frame has z toward
 and its x the nearest to u. Only ``to_*`` and ``from_*`` may reorder axes or change units.
 """
 
-from twinct.geometry.arrays import UNIT_TOLERANCE, Floats
+from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, lock
 from twinct.geometry.grid import VolumeGrid
 from twinct.geometry.panel import Panel
 from twinct.geometry.pose import MM_PER_M, Pose
 from twinct.geometry.scan import ScanGeometry
 
-__all__ = ["MM_PER_M", "UNIT_TOLERANCE", "Floats", "Panel", "Pose", "ScanGeometry", "VolumeGrid"]
+__all__ = [
+    "MM_PER_M",
+    "UNIT_TOLERANCE",
+    "Floats",
+    "Panel",
+    "Pose",
+    "ScanGeometry",
+    "VolumeGrid",
+    "lock",
+]

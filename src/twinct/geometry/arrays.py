@@ -11,6 +11,14 @@ UNIT_TOLERANCE = 1e-6
 """Largest departure of u and v from unit length and right angle: float32 input still passes."""
 
 
+def lock(of: object, *names: str) -> None:
+    """Let the arrays in these fields of a frozen dataclass be read only."""
+    for name in names:
+        array = np.asarray(getattr(of, name)).view()
+        array.setflags(write=False)
+        object.__setattr__(of, name, array)
+
+
 def frozen(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     """A read-only float64 copy.
 

@@ -19,7 +19,7 @@ from scipy.interpolate import BPoly
 
 from twinct.cell import CellModel, Clearance, Gap
 from twinct.errors import TrajectoryError
-from twinct.geometry import Floats
+from twinct.geometry import Floats, lock
 from twinct.motion.follow import branch_way, gaps_along
 from twinct.motion.refusals import late_problems, readable
 from twinct.motion.timing import FINE_S, Law, TimeLaw
@@ -61,6 +61,10 @@ class MotionPlan:
     targets: tuple[Target, ...]
     clearance_mm: Floats
     nearest: tuple[tuple[str, str], ...]
+
+    def __post_init__(self) -> None:
+        """Lock the arrays."""
+        lock(self, "time_s", "state", "views", "clearance_mm")
 
     @property
     def home(self) -> Floats:

@@ -93,7 +93,10 @@ class Audience:
             self.tell(StageEnded(name, total, done, time.monotonic() - start, broken))
 
     def close(self) -> None:
-        """Let everybody hear what waits, for ``LAST_WORDS_S``; the rest is told as missed."""
+        """Let everybody hear what waits, for ``LAST_WORDS_S``; the rest is told as missed.
+
+        Lossless ones are waited for however long they take.
+        """
         deadline = time.monotonic() + LAST_WORDS_S
         for seat in self._seats:
             seat.end()
@@ -177,7 +180,8 @@ class _Seat:
         """Wait until everything was heard; what was not by then is missed."""
         if not self._thread.is_alive():
             return
-        self._thread.join(max(0.0, deadline - time.monotonic()))
+        left_s = max(0.0, deadline - time.monotonic())
+        self._thread.join(None if self._observer.lossless else left_s)
         if self._thread.is_alive():
             with self._changed:
                 self._leave_out(list(self._queue))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from itertools import chain, count
 from pathlib import Path
@@ -15,7 +16,7 @@ from twinct.files.writing import require_space
 from twinct.record.bag import Bag
 from twinct.record.messages import transforms
 from twinct.record.topics import IMAGE, KINDS, TF
-from twinct.scan import NamedGeometry, Rig, Workshop
+from twinct.scan import NamedGeometry, Rig, RigFactory, Workshop
 from twinct.scenario import Scenario, stage_digests
 from twinct.version import __version__
 from twinct.views import Instant
@@ -33,11 +34,8 @@ SCENARIO, PLAN, COMMANDED, BELIEVED = "scenario.json", "plan.npz", "commanded.js
 BYTES_A_PIXEL = 5.5
 """Of an image and of what viewers show of it, and a tenth for all else."""
 
-RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
-"""Of a scenario's parts, the first view to take, and the simulator's state before it, if any."""
 
-
-class Recorder:
+class Recorder(ABC):
     """Writes a file ``scan.mcap`` into a run's folder; a resumed scan writes one more.
 
     Attributes:
@@ -105,9 +103,9 @@ class Recorder:
             **{"views": str(views), "first": str(first)},
         }
 
+    @abstractmethod
     def around(self, rig: Rig) -> Rig:
         """The rig to use instead, so that each view is in the file before it is stored."""
-        raise NotImplementedError
 
     def write(self, topic: str, message: Mapping[str, Any], time_ns: int) -> None:
         """Encode and write a message."""

@@ -9,16 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from twinct.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
 from twinct.scan import (
     LocalRig,
-    Rig,
+    RigFactory,
     Scan,
     ScanStore,
     Stopwatch,
@@ -37,8 +34,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 Link = Literal["ros2", "local"]
-RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
-"""Of a scenario's parts, the first view to take, and the simulator's state before it, if any."""
 
 
 @contextmanager

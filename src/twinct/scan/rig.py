@@ -54,6 +54,10 @@ class Rig(Protocol):
         ...
 
 
+RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
+"""Of a scenario's parts, the first view to take, and the simulator's state before it, if any."""
+
+
 class LocalRig:
     """Both simulations in this process.
 
