@@ -35,6 +35,7 @@ from twinct.scenario.detector import (
 )
 from twinct.scenario.digests import stage_digests
 from twinct.scenario.loading import (
+    Template,
     load_scenario,
     named_places,
     parse_scenario,
@@ -126,6 +127,7 @@ __all__ = [
     "SquareSpot",
     "Surroundings",
     "Table",
+    "Template",
     "TubeSpectrum",
     "TwoMaterialHardening",
     "Uncertainty",

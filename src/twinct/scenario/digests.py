@@ -125,6 +125,7 @@ def readers(key: str) -> tuple[StageName, ...]:
     return tuple(name for name, stage in STAGES.items() if _matches(key, stage.reads))
 
 
+@cache
 def _matches(key: str, patterns: tuple[str, ...]) -> bool:
     return any(fnmatchcase(key, p) or fnmatchcase(key, f"{p}.*") for p in patterns)
 

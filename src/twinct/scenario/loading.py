@@ -7,6 +7,7 @@ import logging
 import re
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from pydantic import ValidationError
 from twinct.errors import InputError, ScenarioError
 from twinct.files.writing import write_text
 from twinct.scenario.messages import place, problems
-from twinct.scenario.reading import Draft, drafted, key_of
+from twinct.scenario.reading import Draft, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -36,9 +37,41 @@ def load_scenario(
         ScenarioError: with one sentence for each problem, naming key, value and origin.
     """
     draft = drafted(source, overrides)
-    scenario = _validate(draft)
+    scenario = _checked(draft)
     for sentence in draft.left_out:
         log.warning(sentence)
+    return scenario
+
+
+@dataclass(frozen=True)
+class Template:
+    """A scenario that is read once, from which others are made by changing keys."""
+
+    draft: Draft
+
+    @classmethod
+    def read(
+        cls, source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
+    ) -> Template:
+        """Read it as ``load_scenario`` does; it need not be complete."""
+        return cls(drafted(source, overrides))
+
+    def varied(self, changes: Mapping[str, Any], places: Mapping[str, str]) -> Scenario:
+        """The scenario with some keys changed; messages say by ``places`` who set each.
+
+        Raises:
+            ScenarioError: as ``load_scenario`` does.
+        """
+        return _checked(varied(self.draft, changes, places))
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """What it sets, as plain data."""
+        return self.draft.data
+
+
+def _checked(draft: Draft) -> Scenario:
+    scenario = _validate(draft)
     missing = {key: file for key, file in scenario.files().items() if not file.exists()}
     if missing:
         raise ScenarioError(

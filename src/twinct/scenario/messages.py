@@ -21,12 +21,15 @@ _BROKEN: dict[Key, dict[str, str]] = {
 }
 
 
-def problems(draft: Draft, error: ValidationError) -> list[str]:
-    """One sentence a problem: of a union's branches only those that the value could have meant."""
+def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scenario) -> list[str]:
+    """One sentence a problem: of a union's branches only those that the value could have meant.
+
+    ``root`` is the model that was validated.
+    """
     found: dict[Key, list[tuple[bool, str]]] = {}
     conflicts: list[str] = []
     for detail in error.errors():
-        key, model, others = _plain_key(detail["loc"], draft.data)
+        key, model, others = _plain_key(detail["loc"], draft.data, root)
         cause = detail.get("ctx", {}).get("error")
         if isinstance(cause, ConflictError):
             conflicts += (_blamed(draft, key, conflict) for conflict in cause.conflicts)
@@ -127,11 +130,11 @@ def _sentence(
     return message if kind == "value_error" else f"{message}, but is {given!r}"
 
 
-def _plain_key(location: tuple[str | int, ...], data: Any) -> _Place:
+def _plain_key(location: tuple[str | int, ...], data: Any, root: type[BaseModel]) -> _Place:
     """Drop from a pydantic location what is no key: tags and names of union branches."""
     key: list[str | int] = []
-    annotation: Any = Scenario
-    model: type[BaseModel] | None = Scenario
+    annotation: Any = root
+    model: type[BaseModel] | None = root
     others: list[type[BaseModel]] = []
     for step in location:
         models = _models(annotation)

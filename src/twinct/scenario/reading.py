@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -44,12 +45,18 @@ class Draft:
 
     A section counts as set by the last file or override that set one of its keys: what is wrong
     with a section as a whole became so there. Each key that went with the algorithm it belonged to
-    is a sentence in ``left_out``.
+    is a sentence in ``left_out``. Keys that overrides set are ``overridden``.
     """
 
     data: dict[str, Any] = field(default_factory=dict[str, Any])
     origins: dict[Key, str] = field(default_factory=dict[Key, str])
     left_out: list[str] = field(default_factory=list[str])
+    overridden: set[Key] = field(default_factory=set[Key])
+
+    def set_over(self, key: Key) -> bool:
+        """Whether an override set a key, one below it or one around it: a new kind spares that."""
+        around = (key[:depth] in self.overridden for depth in range(1, len(key) + 1))
+        return any(around) or any(other[: len(key)] == key for other in self.overridden)
 
     def origin(self, key: Key) -> str:
         """The place that set a key, or the nearest key around it."""
@@ -87,6 +94,57 @@ def drafted(source: str | Path | Mapping[str, Any], overrides: Iterable[str] = (
     return draft
 
 
+def varied(draft: Draft, changes: Mapping[str, Any], places: Mapping[str, str]) -> Draft:
+    """A draft with some keys changed as by overrides; the one that is given stays as it is.
+
+    Args:
+        draft: what is changed.
+        changes: dotted keys and plain values, applied in this order.
+        places: who sets each of these keys, in the words of a message.
+
+    Raises:
+        ScenarioError: a key that leads nowhere.
+    """
+    changed = Draft(
+        copy.deepcopy(draft.data), dict(draft.origins), overridden=set(draft.overridden)
+    )
+    for key, value in changes.items():
+        _apply(changed, key, value, places[key])
+    return changed
+
+
+def read_yaml(path: Path, what: str) -> Draft:
+    """The keys of one file, which is ``what`` in messages; each knows its line.
+
+    Files that it names become absolute.
+
+    Raises:
+        ScenarioError: it cannot be read, or is no mapping.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise ScenarioError(f"{path}: cannot read the {what}: {reason}") from None
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not valid YAML"
+        raise ScenarioError(f"{path}{line}: not valid YAML: {problem}") from None
+    except RecursionError:
+        raise ScenarioError(_too_deep(path, what)) from None
+    if node is None:
+        raise ScenarioError(f"{path}: the {what} is empty")
+    if not isinstance(node, yaml.MappingNode):
+        raise ScenarioError(f"{path}: a {what} is a mapping of keys to values")
+    own = Draft()
+    own.data = _construct(loader, node, (), path, what, own.origins)
+    return own
+
+
 def key_of(dotted: str) -> Key:
     """A dotted key, step by step."""
     return tuple(int(step) if step.isdigit() else step for step in dotted.split("."))
@@ -106,27 +164,8 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
     path = path.expanduser()
     if path.resolve() in chain:
         raise ScenarioError(f"{path}: extends itself: " + " -> ".join(p.name for p in chain))
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise ScenarioError(f"{path}: cannot read the scenario: {reason}") from None
-    try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f":{mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "not valid YAML"
-        raise ScenarioError(f"{path}{line}: not valid YAML: {problem}") from None
-    except RecursionError:
-        raise ScenarioError(_too_deep(path)) from None
-    if node is None:
-        raise ScenarioError(f"{path}: the scenario is empty")
-    if not isinstance(node, yaml.MappingNode):
-        raise ScenarioError(f"{path}: a scenario is a mapping of keys to values")
-    own = Draft()
-    own.data = upgraded(_construct(loader, node, (), path, own.origins))
+    own = read_yaml(path, "scenario")
+    own.data = upgraded(own.data)
     parent = own.data.pop("extends", None)
     if parent is None:
         return own
@@ -140,11 +179,13 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
     return base
 
 
-def _construct(loader: Any, node: yaml.Node, key: Key, path: Path, origins: dict[Key, str]) -> Any:
+def _construct(
+    loader: Any, node: yaml.Node, key: Key, path: Path, what: str, origins: dict[Key, str]
+) -> Any:
     """Plain data of a node; notes the line of each key and makes each file absolute."""
     origins[key] = place = f"{path}:{node.start_mark.line + 1}"
     if len(key) > DEEPEST:
-        raise ScenarioError(_too_deep(place))
+        raise ScenarioError(_too_deep(place, what))
     if isinstance(node, yaml.MappingNode):
         data: dict[Any, Any] = {}
         for key_node, value_node in node.value:
@@ -152,18 +193,18 @@ def _construct(loader: Any, node: yaml.Node, key: Key, path: Path, origins: dict
             if name in data:
                 line = key_node.start_mark.line + 1
                 raise ScenarioError(f"{path}:{line}: the key {name!r} stands twice")
-            data[name] = _construct(loader, value_node, (*key, name), path, origins)
+            data[name] = _construct(loader, value_node, (*key, name), path, what, origins)
             if name in FILE_KEYS and isinstance(data[name], str):
                 data[name] = str((path.parent / Path(data[name]).expanduser()).resolve())
         return data
     if isinstance(node, yaml.SequenceNode):
         items = enumerate(node.value)
-        return [_construct(loader, item, (*key, i), path, origins) for i, item in items]
+        return [_construct(loader, item, (*key, i), path, what, origins) for i, item in items]
     return loader.construct_object(node, deep=True)
 
 
-def _too_deep(place: object) -> str:
-    return f"{place}: nested too deep: a scenario has at most {DEEPEST} levels"
+def _too_deep(place: object, what: str = "scenario") -> str:
+    return f"{place}: nested too deep: a {what} has at most {DEEPEST} levels"
 
 
 def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key) -> None:
@@ -197,8 +238,11 @@ def _apply_override(draft: Draft, override: str) -> None:
         raise ScenarioError(f"{place}: {value_text!r} is not a YAML value") from None
     except RecursionError:
         raise ScenarioError(_too_deep(f"--set {key_text}")) from None
-    value = _absolute_paths({steps[-1]: value})[steps[-1]]
-    key = key_of(key_text.strip())
+    _apply(draft, key_text.strip(), _absolute_paths({steps[-1]: value})[steps[-1]], place)
+
+
+def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
+    key, steps = key_of(dotted), dotted.split(".")
     here: Any = draft.data
     for depth, step in enumerate(steps):
         if is_list(here):
@@ -222,13 +266,14 @@ def _apply_override(draft: Draft, override: str) -> None:
         else:
             here = here[index]
     draft.forget(key)
+    draft.overridden.add(key)
     draft.record({key[:depth]: place for depth in range(1, len(key) + 1)})
 
 
 def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
     """Empty a section that gets another kind, but for what other overrides have set."""
     for name in list(section):
-        if not draft.origin((*key, name)).startswith("--set "):
+        if not draft.set_over((*key, name)):
             del section[name]
             draft.forget((*key, name))
 
@@ -244,9 +289,10 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
     kept = SECTIONS[algorithm].model_fields
     others = {name for other in SECTIONS.values() for name in own_keys(other)}
     for name in [name for name in section if name in others and name not in kept]:
-        origin = draft.origin((*key, name))
-        if not origin.startswith("--set "):
-            gone = f"{origin}: reconstruction.{name} is of {before} and left out"
+        if not draft.set_over((*key, name)):
+            gone = (
+                f"{draft.origin((*key, name))}: reconstruction.{name} is of {before} and left out"
+            )
             draft.left_out.append(f"{gone}: {algorithm} has no such key")
             del section[name]
             draft.forget((*key, name))
