@@ -56,6 +56,14 @@ class Template:
         """Read it as ``load_scenario`` does; it need not be complete."""
         return cls(drafted(source, overrides))
 
+    def changed(self, changes: Mapping[str, Any], places: Mapping[str, str]) -> Template:
+        """The same with some keys changed for good.
+
+        Raises:
+            ScenarioError: a key that leads nowhere.
+        """
+        return Template(varied(self.draft, changes, places))
+
     def varied(self, changes: Mapping[str, Any], places: Mapping[str, str]) -> Scenario:
         """The scenario with some keys changed; messages say by ``places`` who set each.
 

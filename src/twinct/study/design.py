@@ -1,0 +1,282 @@
+"""From a study file to its trials: which keys of the scenario each of them changes."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from twinct.draws import view_rng
+from twinct.errors import InputError, ScenarioError
+from twinct.scenario import Scenario, Template
+from twinct.scenario.messages import problems
+from twinct.scenario.reading import Draft, is_list, is_mapping, key_of, read_yaml
+from twinct.settings import FILE_KEYS
+from twinct.study.settings import Axis, NormalDraw, Study
+
+MOST_PROBLEMS = 20
+"""Problems that are told at a time."""
+
+_OTHER_COLUMNS = ("trial", "seed", "status", "message", "kind", "scan", "report", "key")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One scenario of a study.
+
+    Attributes:
+        number: in the study's order, from 0.
+        axes: value of each axis by its label; None where it does not apply.
+        changes: dotted keys of the scenario and what they are set to, in this order.
+        seed: of the repetition; None where there are none.
+    """
+
+    number: int
+    axes: Mapping[str, Any]
+    changes: Mapping[str, Any]
+    seed: int | None = None
+
+    def __str__(self) -> str:
+        """What it is called in messages."""
+        told = [f"{label} = {value}" for label, value in self.axes.items() if value is not None]
+        told += [] if self.seed is None else [f"seed {self.seed}"]
+        return f"trial {self.number}" + (f" ({', '.join(told)})" if told else "")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One value of an axis: what it sets, and what tables say."""
+
+    changes: Mapping[str, Any]
+    labels: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A study with its scenario, read and ready to be tried.
+
+    Attributes:
+        study: the file's sections.
+        template: the scenario, with what the study sets in all trials.
+        places: who set each key that is varied, in the words of a message.
+        text: the file as it was written, or as YAML would have it.
+        folder: what its files are relative to.
+    """
+
+    study: Study
+    template: Template
+    places: Mapping[str, str]
+    text: str
+    folder: Path
+
+    @cached_property
+    def choices(self) -> tuple[tuple[Choice, ...], ...]:
+        """What each axis may set."""
+        return tuple(tuple(_choices(axis, self.folder)) for axis in self.study.axes)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What tables call the axes."""
+        if self.study.search:
+            return tuple(dimension.name for dimension in self.study.search.keys)
+        return tuple(label for axis in self.study.axes for label in _labels(axis))
+
+    @property
+    def seeds(self) -> tuple[int | None, ...]:
+        """Seeds of the repetitions; one None where there are none."""
+        again = self.study.repetitions
+        return tuple(range(again.first, again.first + again.number)) if again else (None,)
+
+    def trials(self) -> Iterator[Trial]:
+        """All trials of the axes; the last axis, then the seed, changes fastest."""
+        return itertools.chain.from_iterable(
+            self.repeated(index * len(self.seeds), choice)
+            for index, choice in enumerate(self._crossed(Choice({}, {}), 0))
+        )
+
+    def repeated(self, first: int, choice: Choice) -> Iterator[Trial]:
+        """The trials of one combination, one for each seed; numbered from ``first``."""
+        again = self.study.repetitions
+        for number, seed in enumerate(self.seeds, first):
+            seeds = dict.fromkeys(again.keys, seed) if again else {}
+            labels = dict.fromkeys(self.labels) | dict(choice.labels)
+            yield Trial(number, labels, {**choice.changes, **seeds}, seed)
+
+    def scenario(self, trial: Trial) -> Scenario:
+        """What a trial runs.
+
+        Raises:
+            ScenarioError: as ``load_scenario`` does.
+        """
+        return self.template.varied(trial.changes, self.places)
+
+    def _crossed(self, before: Choice, index: int) -> Iterator[Choice]:
+        if index == len(self.choices):
+            yield before
+            return
+        axis = self.study.axes[index]
+        applies = all(
+            self._value(key, before) in (value if is_list(value) else [value])
+            for key, value in axis.only.items()
+        )
+        for choice in self.choices[index] if applies else (Choice({}, {}),):
+            yield from self._crossed(
+                Choice({**before.changes, **choice.changes}, {**before.labels, **choice.labels}),
+                index + 1,
+            )
+
+    def _value(self, key: str, so_far: Choice) -> Any:
+        """What a key has after the changes so far; the default where nothing sets it."""
+        return so_far.changes[key] if key in so_far.changes else _at(self.defaults, key)
+
+    @cached_property
+    def defaults(self) -> Any:
+        """All keys of the scenario before anything is varied, as far as that is a whole one."""
+        try:
+            return self.template.varied({}, {}).model_dump(mode="json")
+        except ScenarioError:  # not complete without the axes
+            return self.template.data
+
+
+def load_study(source: str | Path | Mapping[str, Any]) -> Design:
+    """Read and validate a study; its trials are checked by ``check_trials``.
+
+    Args:
+        source: YAML file, or plain data, from which files are relative to the working folder.
+
+    Raises:
+        InputError: with one sentence for each problem, naming key, value and origin.
+    """
+    if isinstance(source, Mapping):
+        draft, folder, text = Draft(dict(source)), Path.cwd(), json.dumps(source, indent=1)
+    else:
+        path = Path(source).expanduser()
+        draft, folder = read_yaml(path, "study"), path.absolute().parent
+        text = path.read_text(encoding="utf-8")
+    if isinstance(draft.data.get("scenario"), str):
+        draft.data["scenario"] = str(folder / Path(draft.data["scenario"]).expanduser())
+    try:
+        study = Study.model_validate_json(json.dumps(draft.data, default=str), strict=True)
+    except ValidationError as error:
+        raise InputError(problems(draft, error, Study)) from None
+    fixed = {key: _absolute(key, value, folder) for key, value in study.set.items()}
+    where = draft.origin(("set",))
+    places = {key: draft.origin(("set", key)) or f"{where}set {key}" for key in fixed}
+    inner = study.scenario
+    read = Template.read(inner if isinstance(inner, dict) else inner.resolve()).changed(
+        fixed, places
+    )
+    design = Design(study, read, _places(study, draft), text, folder)
+    if found := list(_design_problems(design, draft)):
+        raise InputError(found)
+    return design
+
+
+def _places(study: Study, draft: Draft) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for index, axis in enumerate(study.axes):
+        for inner, part in enumerate(axis.paired or (axis,)):
+            where = ("axes", index, "paired", inner) if axis.paired else ("axes", index)
+            place = draft.origin((*where, "key"))
+            for key in part.keys:
+                found[key] = f"{place}: axis {part.name}" if place else f"axis {part.name}"
+    for name, keys in (
+        ("repetitions", study.repetitions.keys if study.repetitions else ()),
+        *((f"search {d.name}", d.keys) for d in (study.search.keys if study.search else ())),
+    ):
+        place = draft.origin((name.partition(" ")[0],))
+        found |= dict.fromkeys(keys, f"{place}: {name}" if place else name)
+    return found
+
+
+def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
+    study = design.study
+    for index, axis in enumerate(study.axes):
+        numbers = {part.name: len(list(_values(part))) for part in axis.paired or ()}
+        if len(set(numbers.values())) > 1:
+            told = ", ".join(f"{name} has {number}" for name, number in numbers.items())
+            place = draft.origin(("axes", index, "paired"))
+            yield f"{place + ': ' if place else ''}axes.{index}.paired: {told}; as many are needed"
+    for label in (taken := [*design.labels]):
+        if taken.count(label) > 1 or label in _OTHER_COLUMNS:
+            yield f"axis {label!r}: the name is taken; give it another 'label'"
+    repeated = study.repetitions.keys if study.repetitions else ()
+    dimensions = study.search.keys if study.search else ()
+    keys = [key for axis in study.axes for part in axis.paired or (axis,) for key in part.keys]
+    keys += [*repeated, *(key for dimension in dimensions for key in dimension.keys)]
+    for key in dict.fromkeys(key for key in keys if keys.count(key) > 1):
+        yield f"{design.places[key]}: {key} is varied twice"
+    earlier: set[str] = set()
+    for axis in study.axes:
+        for key in axis.only:
+            if key not in earlier and _at(design.defaults, key) is None:
+                yield f"axis {axis.name}: only: {key} is no key of the scenario or an earlier axis"
+        earlier |= {key for part in axis.paired or (axis,) for key in part.keys}
+
+
+def _labels(axis: Axis) -> tuple[str, ...]:
+    return tuple(part.name for part in axis.paired or (axis,))
+
+
+def _choices(axis: Axis, folder: Path) -> Iterator[Choice]:
+    parts = axis.paired or (axis,)
+    for values in zip(*(_values(part) for part in parts), strict=True):
+        pairs = list(zip(parts, values, strict=True))
+        yield Choice(
+            {key: _absolute(key, value, folder) for part, value in pairs for key in part.keys},
+            {part.name: _told(value) for part, value in pairs},
+        )
+
+
+def _values(axis: Axis) -> Iterable[Any]:
+    if axis.values is not None:
+        return axis.values
+    if span := axis.range:
+        if span.scale == "log":
+            numbers = np.geomspace(span.first, span.last, span.number)
+        else:
+            numbers = np.linspace(span.first, span.last, span.number)
+        # Twelve digits: 0.3, where the step's rounding would give 0.30000000000000004.
+        found = [float(f"{number:.12g}") for number in numbers]
+        return dict.fromkeys(round(x) for x in found) if span.whole else found
+    draw = axis.draw
+    assert draw is not None
+    rng = view_rng(draw.seed, f"axis {', '.join(axis.keys)}", 0)
+    if isinstance(draw, NormalDraw):
+        return rng.normal(draw.mean, draw.sigma, draw.number).tolist()
+    if draw.kind == "uniform":
+        return rng.uniform(draw.low, draw.high, draw.number).tolist()
+    return np.exp(rng.uniform(math.log(draw.low), math.log(draw.high), draw.number)).tolist()
+
+
+def _told(value: Any) -> Any:
+    """A value as a table holds it: a list or section becomes its JSON, a file its name."""
+    return json.dumps(value) if isinstance(value, (list, dict)) else value
+
+
+def _absolute(key: str, value: Any, folder: Path) -> Any:
+    """Files of the study are relative to it."""
+    if is_mapping(value):
+        return {name: _absolute(name, inner, folder) for name, inner in value.items()}
+    if is_list(value):
+        return [_absolute("", inner, folder) for inner in value]
+    if key.rpartition(".")[2] in FILE_KEYS and isinstance(value, str):
+        return str((folder / Path(value).expanduser()).resolve())
+    return value
+
+
+def _at(data: Any, dotted: str) -> Any:
+    for step in key_of(dotted):
+        try:
+            data = data[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return data
