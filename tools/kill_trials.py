@@ -2,9 +2,10 @@
 
 python tools/kill_trials.py --trials 20 --jobs 3
 
-For each of the three processes of ``twinct run`` (scan, robots, xray): SIGKILL at a moment drawn
-evenly from its life, then wait for the others to end, then ``twinct run --resume``. The store must
-equal the one of an undisturbed run in files and bytes. Ends with 1 if anything is otherwise.
+For each of the three processes of ``twinct run`` (scan, robots, xray): SIGKILL, then wait for the
+others to end, then ``twinct run --resume``. One kill in five comes at a moment drawn evenly from
+the process's life, the others a little after a number of views, drawn evenly, is on disk. The store
+must equal the one of an undisturbed run in files and bytes. Ends with 1 if anything is otherwise.
 """
 
 import argparse
@@ -30,6 +31,8 @@ KEYS = {
 }
 VICTIMS = ("scan", "robots", "xray")
 MARK = "TWINCT_KILL_TRIAL"
+ANY_MOMENT = 0.2
+A_LITTLE_S = 0.3
 TO_END_S = 10.0
 PATIENCE_S = 300.0
 
@@ -80,6 +83,11 @@ def contents(path):
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
 
 
+def views_on_disk(out):
+    """Views that a scan in a folder has finished."""
+    return len(list(out.glob("scan.zarr/status/c.*")))
+
+
 def lives(folder):
     """Seconds that each process lives in an undisturbed run."""
     process, mark = start(folder / "timed", "timed"), "timed"
@@ -109,14 +117,20 @@ def trial(folder, victim, number, life, expected):
         process = start(out, mark)
         while (pid := victim_pid(victim, process, mark)) is None and process.poll() is None:
             time.sleep(0.02)
-        time.sleep(moments.uniform(0, life))
+        if moments.random() < ANY_MOMENT:
+            time.sleep(moments.uniform(0, life))
+        else:
+            wanted = moments.randrange(KEYS["trajectory.views"])
+            while views_on_disk(out) < wanted and process.poll() is None:
+                time.sleep(0.01)
+            time.sleep(moments.uniform(0, A_LITTLE_S))
         if pid is None or process.poll() is not None or pid not in alive(mark):
             process.wait()  # it had ended by then: another moment
             shutil.rmtree(out, ignore_errors=True)
             continue
         os.kill(pid, signal.SIGKILL)
         killed = time.monotonic()
-        views = len(list(out.glob("scan.zarr/status/c.*")))
+        views = views_on_disk(out)
         while alive(mark) and time.monotonic() - killed < PATIENCE_S:
             process.poll()
             time.sleep(0.02)

@@ -205,7 +205,7 @@ def test_preview_shows_the_face(skull, tmp_path):
 
 
 def test_hull_is_small_and_holds_the_skull(skull):
-    hull = skull.hull()
+    hull = skull.hull
     assert hull.is_watertight and len(hull.faces) < 8000
     assert hull.bounds == pytest.approx(skull.bounds, abs=1e-9)
     normals, offsets = (

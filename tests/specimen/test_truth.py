@@ -175,7 +175,7 @@ def test_a_void_in_a_part_is_empty():
 def test_hull_and_bounds_cover_all_parts(inside):
     built = build(part("sphere", radius_mm=5), part("box", size_mm=(2, 2, 2), position=(30, 0, 0)))
     assert built.bounds == pytest.approx(np.array([(-5, -5, -5), (31, 5, 5)]), rel=MESH_REL)
-    hull = built.hull()
+    hull = built.hull
     assert hull.is_watertight and hull.bounds == pytest.approx(built.bounds)
     assert inside(hull, [(20, 0, 0)])[0]
 

@@ -2,11 +2,12 @@
 
 from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections
-from twinct.report.metrics import build_metrics, plain
+from twinct.report.metrics import STAGES, build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words
 
 __all__ = [
+    "STAGES",
     "Another",
     "Compared",
     "Comparison",

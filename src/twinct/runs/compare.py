@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from twinct.runs.folder import Folder
 from twinct.runs.job import Run, finished_run
 from twinct.runs.kept import Reconstruction, check_files
 from twinct.scan import Workshop
-from twinct.scenario import SECTIONS, Scenario, stage_digests
+from twinct.scenario import SECTIONS, Scenario, specimen_digest
 from twinct.specimen import BuiltSpecimen
 from twinct.volume import Volume
 
@@ -43,7 +42,7 @@ def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Compari
     compared: list[Compared] = []
     with audience_of(observers) as audience, audience.stage("slices", len(found)) as step:
         for entry, label in zip(found, labels, strict=True):
-            truth = _truth(entry.scenario)
+            truth = specimen_digest(entry.scenario)
             if truth not in specimens:
                 specimens[truth] = Workshop(entry.scenario).specimen
             compared.append(_compared(entry, label, specimens[truth], planes, truth))
@@ -115,14 +114,6 @@ def _labels(entries: Sequence[_Entry]) -> list[str]:
         str(path.relative_to(common)) + (f":{entry.kept.name}" if entry.kept else "")
         for path, entry in zip(runs, entries, strict=True)
     ]
-
-
-def _truth(scenario: Scenario) -> str:
-    """What the truth of a scenario depends on, but for the photon energy."""
-    section = scenario.specimen
-    materials = [part.model_dump(mode="json", include={"material"}) for part in section.parts]
-    stands = section.position_mm, section.rotation_deg
-    return json.dumps([stage_digests(scenario)["surface"], materials, stands])
 
 
 def _compared(

@@ -24,6 +24,7 @@ from twinct.evaluate import (
 from twinct.files.writing import write_json
 from twinct.observers import Audience
 from twinct.report import (
+    STAGES,
     Another,
     ReportData,
     build_metrics,
@@ -118,21 +119,14 @@ def write_results(
     if isinstance(timing, Seconds):
         timing = timing.finished()
     digests = stage_digests(scenario)
-    moved = len(scan) > 1 and scenario.cell.kind == "arms"
-    speeds = tool_speeds(scan.executed, scan.simulated_s) if moved else {}
     metrics = build_metrics(
-        views=len(workshop.targets),
-        reached=len(scan),
-        pose_errors=pose_errors(scan.commanded, scan.executed),
-        clearance_mm=scan.clearance_mm,
+        **_of_scan(scan),
         image=results.figures,
         seconds=timing.stages,
-        simulated_seconds=float(scan.simulated_s[-1]),
         real_time_factor=timing.real_time_factor,
         scenario_digest=digests["images"],
         reconstruction_digest=folder.volume_digest(scenario),
         residuals=results.residuals,
-        tool_speed_mm_s=speeds,
         reconstructions={
             kept.name: {
                 "in_words": kept.in_words,
@@ -148,6 +142,26 @@ def write_results(
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)
+
+
+def figures_of(scan: Scan, image: Mapping[str, ImageFigures]) -> dict[str, Any]:
+    """All of ``metrics.json`` that depends on nothing but a scan and the figures of its volumes."""
+    nothing = {stage: 0.0 for stage in STAGES}
+    whole = build_metrics(**_of_scan(scan), image=image, seconds=nothing, scenario_digest="")
+    others = "seconds", "real_time_factor", "scenario_digest", "twinct_version"
+    return {name: value for name, value in whole.items() if name not in others}
+
+
+def _of_scan(scan: Scan) -> dict[str, Any]:
+    moved = len(scan) > 1 and scan.scenario.cell.kind == "arms"
+    return {
+        "views": len(scan.commanded),
+        "reached": len(scan),
+        "pose_errors": pose_errors(scan.commanded, scan.executed),
+        "clearance_mm": scan.clearance_mm,
+        "simulated_seconds": float(scan.simulated_s[-1]),
+        "tool_speed_mm_s": tool_speeds(scan.executed, scan.simulated_s) if moved else {},
+    }
 
 
 def _geometries(scan: Scan) -> dict[str, Any]:

@@ -35,15 +35,17 @@ class Workshop:
     Attributes:
         scenario: what it is.
         kept_plan: the plan that a scan of it follows already; None: it is made, or read.
+        kept_specimen: its specimen, if it is built already.
     """
 
     scenario: Scenario
     kept_plan: MotionPlan | None = None
+    kept_specimen: BuiltSpecimen | None = None
 
     @cached_property
     def specimen(self) -> BuiltSpecimen:
         """Meshes, materials and truth of what is imaged."""
-        return build_specimen(self.scenario.specimen)
+        return self.kept_specimen or build_specimen(self.scenario.specimen)
 
     @cached_property
     def asked(self) -> ScanGeometry:
@@ -100,7 +102,7 @@ class Workshop:
     @cached_property
     def hull(self) -> Trimesh:
         """Convex hull of the specimen in its own frame, for collision."""
-        return self.specimen.hull()
+        return self.specimen.hull
 
     @cached_property
     def room(self) -> CellModel:

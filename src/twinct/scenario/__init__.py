@@ -33,7 +33,7 @@ from twinct.scenario.detector import (
     ScintillatorResponse,
     SnrNoise,
 )
-from twinct.scenario.digests import stage_digests
+from twinct.scenario.digests import specimen_digest, stage_digests
 from twinct.scenario.loading import (
     Template,
     load_scenario,
@@ -136,6 +136,7 @@ __all__ = [
     "named_places",
     "parse_scenario",
     "scenario_schema",
+    "specimen_digest",
     "stage_digests",
     "write_scenario",
 ]

@@ -120,6 +120,15 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     return found
 
 
+def specimen_digest(scenario: Scenario) -> str:
+    """SHA-256 of what the truth of a scenario depends on, but for the photon energy."""
+    section = scenario.specimen
+    materials = [part.model_dump(mode="json", include={"material"}) for part in section.parts]
+    stands = section.position_mm, section.rotation_deg
+    told = json.dumps([stage_digests(scenario)["surface"], materials, stands])
+    return hashlib.sha256(told.encode()).hexdigest()
+
+
 def readers(key: str) -> tuple[StageName, ...]:
     """The stages that read a key themselves: a dotted one, without the indices of lists."""
     return tuple(name for name, stage in STAGES.items() if _matches(key, stage.reads))

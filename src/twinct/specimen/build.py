@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import trimesh
@@ -63,6 +64,7 @@ class BuiltSpecimen:
         """Attenuation of the part with the largest volume (mu of bone for a skull), 1/mm."""
         return self.reference_part.material.mu_per_mm(energy_kev)
 
+    @cached_property
     def hull(self) -> trimesh.Trimesh:
         """Convex hull of all parts in the specimen's frame, mm, for collision.
 

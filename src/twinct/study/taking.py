@@ -1,0 +1,281 @@
+"""What a worker does for a study: takes a scan, or tries a trial of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from twinct.errors import DamagedError
+from twinct.evaluate import region_of_interest
+from twinct.observers import Audience
+from twinct.pool import Made, Place
+from twinct.report import cross_sections
+from twinct.runs import (
+    Truth,
+    acquire_to_store,
+    check_geometries,
+    check_physics,
+    check_sight,
+    judge,
+    reconstruct,
+    require_extras,
+    require_feasible,
+    run,
+)
+from twinct.runs.acquisition import rig_factory
+from twinct.runs.reporting import figures_of
+from twinct.scan import Scan, ScanStore, Workshop
+from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
+from twinct.specimen import BuiltSpecimen
+from twinct.study.figures import flat_figures
+from twinct.study.sections import write_sections
+from twinct.study.shelf import Shelf
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Errand:
+    """A trial, as it travels to a worker.
+
+    Attributes:
+        key: digest that identifies the trial.
+        scenario: as plain data.
+        files: names under which the files of its keys are offered, and where in there each is.
+        scan: digest of its scan.
+        shared: whether the scan is another trial's, too: it is offered under ``scan_name``.
+        keep: what comes back beside the figures.
+        link: between the two simulations.
+    """
+
+    key: str
+    scenario: Mapping[str, Any]
+    files: Mapping[str, tuple[str, str]]
+    scan: str
+    shared: bool
+    keep: Literal["figures", "volume", "everything"]
+    link: Literal["local", "ros2"]
+
+    @property
+    def scan_name(self) -> str:
+        """What its scan is offered under."""
+        return f"scan-{self.scan[:32]}"
+
+    def scenario_at(self, place: Place) -> Scenario:
+        """The scenario, with the files as they are at a place."""
+        data = json.loads(json.dumps(self.scenario))
+        for key, (name, inner) in self.files.items():
+            path = place.fetch(name)
+            _set(data, key, str(path / inner if inner else path))
+        return parse_scenario(data)
+
+
+@dataclass
+class _Seconds:
+    """Wall-clock seconds of each stage."""
+
+    stages: dict[str, float] = field(default_factory=dict[str, float])
+
+    @contextmanager
+    def stage(self, name: str):
+        start = time.perf_counter()
+        yield
+        self.stages[name] = time.perf_counter() - start
+
+
+def take_scan(errand: Errand, place: Place) -> Made:
+    """Take a scan that several trials share.
+
+    Returns:
+        Its seconds, and the store as the parcel ``scan``.
+
+    Raises:
+        InputError: it cannot be taken.
+    """
+    scenario, shelf, seconds = errand.scenario_at(place), Shelf(place.folder), _Seconds()
+    _check(scenario)
+    workshop = Workshop(scenario, kept_specimen=_specimen(scenario, shelf, seconds))
+    with seconds.stage("scan"):
+        folder = shelf.path("scans", errand.scan, lambda draft: _acquire(errand, workshop, draft))
+    return Made(seconds.stages, {"scan": folder / "scan.zarr"})
+
+
+def try_trial(errand: Errand, place: Place) -> Made:
+    """Take, reconstruct and judge one trial.
+
+    Returns:
+        Figures and seconds, and parcels: ``sections``, the cross-sections; with ``volume`` also
+        that, with ``everything`` the run's folder as ``run``.
+
+    Raises:
+        InputError: it cannot be run.
+    """
+    shelf, began = Shelf(place.folder), time.perf_counter()
+    with shelf.locked("trials", errand.key):
+        folder = place.folder / "trials" / errand.key
+        folder.mkdir(parents=True, exist_ok=True)
+        scenario, seconds = errand.scenario_at(place), _Seconds()
+        _check(scenario)
+        kept = _scan_path(errand, place)
+        if errand.keep == "everything":
+            figures, parcels = _whole_run(errand, scenario, kept, folder, place, seconds)
+        else:
+            figures, parcels = _figures(errand, scenario, kept, folder, shelf, seconds)
+    seconds.stages["total"] = time.perf_counter() - began
+    return Made({"figures": figures, "seconds": seconds.stages}, parcels)
+
+
+def _check(scenario: Scenario) -> None:
+    require_extras(scenario)
+    check_geometries(scenario)
+
+
+def _scan_path(errand: Errand, place: Place) -> Path | None:
+    """The shared scan: of this node where it took it, else as it was offered."""
+    if not errand.shared:
+        return None
+    taken_here = place.folder / "scans" / errand.scan / "scan.zarr"
+    return taken_here if taken_here.exists() else place.fetch(errand.scan_name)
+
+
+def _acquire(errand: Errand, workshop: Workshop, folder: Path) -> None:
+    """Take a scan into a folder, or what one that was begun there lacks."""
+    check_physics(workshop)
+    workshop.plan  # noqa: B018 - planned before anything is written
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "scan.zarr"
+    with rig_factory(errand.link, folder / "log", Audience()) as make_rig:
+        try:
+            acquire_to_store(workshop, path, make_rig, resume=True)
+        except DamagedError as error:
+            log.warning("%s; it is taken anew", error)
+            shutil.rmtree(path)
+            acquire_to_store(workshop, path, make_rig, resume=True)
+
+
+def _figures(
+    errand: Errand,
+    scenario: Scenario,
+    kept: Path | None,
+    folder: Path,
+    shelf: Shelf,
+    seconds: _Seconds,
+) -> tuple[dict[str, Any], dict[str, Path]]:
+    specimen = _specimen(scenario, shelf, seconds)
+    path = kept or folder / "scan.zarr"
+    plan = ScanStore(path).plan if kept else None
+    workshop = Workshop(scenario, plan, specimen)
+    require_feasible(scenario, workshop.commanded)
+    check_sight(workshop)
+    if kept is None:
+        with seconds.stage("scan"):
+            _acquire(errand, workshop, folder)
+    scan = _once("scan", errand.scan, lambda: ScanStore(path).read())
+    scan = replace(scan, scenario=scenario)
+    with seconds.stage("truth"):
+        truth = _truth(scan, specimen, shelf)
+    images, parcels = {}, {}
+    for which in scenario.reconstruction.geometries:
+        with seconds.stage(f"reconstruction, {which}" if images else "reconstruction"):
+            volume = reconstruct(scan, geometry=which, checkpoints=folder / "checkpoints")
+        with seconds.stage("judge"):
+            images[which] = judge(scan, volume, truth)
+        if not parcels:
+            parcels = {"sections": folder / "sections.npz"}
+            grid = scenario.reconstruction.grid.volume_grid
+            shown = cross_sections(volume.array, truth.volume, truth.region, grid)
+            write_sections(folder / "sections.npz", shown, truth.mu_reference)
+            if errand.keep == "volume":
+                volume.write(folder / "volume.nii", "twinct, 1/mm")
+                parcels["volume"] = folder / "volume.nii"
+    return flat_figures(figures_of(scan, images)), parcels
+
+
+def _whole_run(
+    errand: Errand,
+    scenario: Scenario,
+    kept: Path | None,
+    folder: Path,
+    place: Place,
+    seconds: _Seconds,
+) -> tuple[dict[str, Any], dict[str, Path]]:
+    if kept is not None and not (folder / "scan.zarr").exists():
+        draft = folder.with_name(f".{folder.name}.scan")
+        shutil.rmtree(draft, ignore_errors=True)
+        shutil.copytree(kept, draft)
+        draft.rename(folder / "scan.zarr")
+    finished = run(scenario, folder, link=errand.link, resume=True, threads=place.threads)
+    seconds.stages |= finished.figures["seconds"]
+    return flat_figures(finished.figures), {"run": folder}
+
+
+def _specimen(scenario: Scenario, shelf: Shelf, seconds: _Seconds) -> BuiltSpecimen:
+    digest = specimen_digest(scenario)
+    with seconds.stage("specimen"):
+        return _once("specimen", digest, lambda: shelf.thing(digest, lambda: _built(scenario)))
+
+
+def _built(scenario: Scenario) -> BuiltSpecimen:
+    specimen = Workshop(scenario).specimen
+    _ = specimen.hull  # kept with it: many trials ask for it
+    return specimen
+
+
+def _truth(scan: Scan, specimen: BuiltSpecimen, shelf: Shelf) -> Truth:
+    """As ``twinct.runs.truth_of`` makes it; what trials have in common is made once."""
+    from twinct.xray.build import effective_energy_kev
+
+    scenario = scan.scenario
+    section = scenario.reconstruction.grid
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    stands = scan.executed_object[len(scan) // 2]
+    at = [*stands.position.tolist(), *stands.quat.tolist()]
+    grid = section.model_dump(mode="json")
+    of_truth = _digest(["truth", specimen_digest(scenario), energy, at, grid])
+    of_region = _digest(["region", stage_digests(scenario)["executed"], grid, scenario.detector])
+
+    def truth() -> Any:
+        return specimen.truth(section.volume_grid, energy, stands)
+
+    def region() -> Any:
+        executed = scan.executed.geometry(scenario.detector.panel)
+        return region_of_interest(executed, section.volume_grid)
+
+    return Truth(
+        _once("truth", of_truth, lambda: shelf.array(of_truth, truth)),
+        _once("region", of_region, lambda: shelf.array(of_region, region)),
+        specimen.reference_mu(energy),
+    )
+
+
+_last: dict[str, tuple[str, Any]] = {}
+"""What this process had last, of each kind: the next trial often needs the same."""
+
+
+def _once(kind: str, digest: str, make: Callable[[], Any]) -> Any:
+    if kind in _last and _last[kind][0] == digest:
+        return _last[kind][1]
+    _last.pop(kind, None)  # two of a kind may not fit into memory
+    found = make()
+    _last[kind] = digest, found
+    return found
+
+
+def _digest(told: Any) -> str:
+    text = json.dumps(told, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _set(data: Any, dotted: str, value: str) -> None:
+    *around, last = (int(step) if step.isdigit() else step for step in dotted.split("."))
+    for step in around:
+        data = data[step]
+    data[last] = value
