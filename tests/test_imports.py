@@ -22,6 +22,7 @@ MODULES = (
     "twinct.exchange",
     "twinct.extras",
     "twinct.gantry",
+    "twinct.pool",
     "twinct.runs",
     "twinct.recon",
     "twinct.report",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 
 class Place(Protocol):
@@ -120,6 +120,10 @@ Event = Done | Failed | Died
 class Pool(Protocol):
     """Processes that do work, one piece at a time each. A context manager: its end leaves none."""
 
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exception: object) -> None: ...
+
     @property
     def slots(self) -> int:
         """Pieces of work that may be under way at a time, memory apart."""
@@ -139,11 +143,22 @@ class Pool(Protocol):
         ...
 
     def submit(self, work: Work) -> None:
-        """Take work; it starts, in the order of submission, when a worker and memory are free."""
+        """Take work; it starts, in the order of submission, when a worker and memory are free.
+
+        What it names among its inputs has to be offered by then.
+
+        Raises:
+            InputError: its function or argument is not one that another process can import.
+            MemoryShortageError: it takes more than ``most_memory_bytes``.
+            ValueError: the pool has work of this key, or an input was not offered.
+        """
         ...
 
     def wait(self, timeout_s: float | None = None) -> list[Event]:
-        """What came back since the last call; waits for the first, or until the time is over."""
+        """What came back since the last call; waits for the first, or until the time is over.
+
+        Empty at once if no work is under way.
+        """
         ...
 
     def close(self, *, clear: bool = False) -> None:

@@ -1,0 +1,52 @@
+"""What this process may still take of the machine's memory, and what sets the limit."""
+
+from __future__ import annotations
+
+import math
+import re
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+_MEMINFO = Path("/proc/meminfo")
+_STATUS = Path("/proc/self/status")
+_CGROUPS = Path("/sys/fs/cgroup")
+
+
+def available_bytes() -> tuple[float, str]:
+    """Bytes that this process may still take, and what sets the limit; infinite if unknown."""
+    return min(_limits(), default=(math.inf, "unknown"))
+
+
+def _limits() -> Iterator[tuple[float, str]]:
+    free = _kilobytes(_MEMINFO, "MemAvailable")
+    if free is not None:
+        yield free, "free memory of the machine"
+    for kind, name in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
+        soft, _ = resource.getrlimit(kind)
+        used = _kilobytes(_STATUS, name)
+        if soft != resource.RLIM_INFINITY and used is not None:
+            yield max(soft - used, 0), "limit of this process (ulimit)"
+    for limit, usage, cache in (
+        ("memory.max", "memory.current", "memory.stat"),
+        ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes", "memory/memory.stat"),
+    ):
+        most, used = _number(_CGROUPS / limit), _number(_CGROUPS / usage)
+        if most is not None and used is not None and most < 2**60:
+            used -= _number(_CGROUPS / cache, "inactive_file") or 0
+            yield max(most - used, 0), "limit of this container (cgroup)"
+
+
+def _kilobytes(path: Path, name: str) -> int | None:
+    number = _number(path, f"{name}:")
+    return None if number is None else 1024 * number
+
+
+def _number(path: Path, name: str = "") -> int | None:
+    """The number that begins a line of a file, after a name if given."""
+    try:
+        text = path.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError):
+        return None
+    found = re.search(rf"^{re.escape(name)}\s*(\d+)\b", text, re.MULTILINE)
+    return int(found[1]) if found else None

@@ -1,0 +1,98 @@
+"""One call of a function in a worker: sent by names, done, and what came of it sent back."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from twinct.errors import InputError, TwinctError
+from twinct.pool.work import Done, Failed, Made, Parcel, Place, Work
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a call, so that it can be sent: nothing in it needs its classes to be known.
+
+    Attributes:
+        value: pickled; empty if it failed.
+        parcels: where what was made lies at the place of work.
+        failure: kind, problems and trace.
+        seconds: that the function took.
+    """
+
+    value: bytes = b""
+    parcels: Mapping[str, Path] = field(default_factory=dict[str, Path])
+    failure: tuple[str, tuple[str, ...], str] | None = None
+    seconds: float = 0.0
+
+
+class _ByNames(pickle.Pickler):
+    """Refuses what another process could not import, where pickle only notes its name."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if getattr(obj, "__module__", None) == "__main__" and hasattr(obj, "__qualname__"):
+            raise InputError(
+                f"{obj.__qualname__} of the program itself (__main__) cannot be called in another "
+                "process: put it into a module that can be imported"
+            )
+        return NotImplemented
+
+
+def sent(work: Work) -> bytes:
+    """Function and argument of work, for a worker's ``call``.
+
+    Raises:
+        InputError: another process cannot import the function, or a class of its argument.
+    """
+    stream = io.BytesIO()
+    try:
+        _ByNames(stream, pickle.HIGHEST_PROTOCOL).dump((work.function, work.argument))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InputError(
+            f"work {work.key!r} cannot be sent to another process ({error}): a function has to be "
+            "one that a module defines by name, its argument data"
+        ) from error
+    return stream.getvalue()
+
+
+def call(request: bytes, place: Place) -> Outcome:
+    """Do it; whatever the function raises is told, not raised."""
+    begun = time.monotonic()
+    try:
+        function, argument = pickle.loads(request)
+        made = function(argument, place)
+        seconds = time.monotonic() - begun
+        if not isinstance(made, Made):
+            made = Made(made)
+        parcels = {name: Path(path).absolute() for name, path in made.parcels.items()}
+        for name, path in parcels.items():
+            if not path.exists():
+                raise FileNotFoundError(f"{path}, made as {name!r}, is not there")
+        value = pickle.dumps(made.value, pickle.HIGHEST_PROTOCOL)
+        return Outcome(value, parcels, seconds=seconds)
+    except BaseException as error:  # work that asks for the end of its process has failed, too
+        return Outcome(failure=_failure(error), seconds=time.monotonic() - begun)
+
+
+def event(key: str, outcome: Outcome, parcels: Mapping[str, Parcel]) -> Done | Failed:
+    """What the pool tells of it."""
+    failure = outcome.failure
+    if failure is None:
+        try:
+            return Done(key, pickle.loads(outcome.value), parcels, outcome.seconds)
+        except Exception as error:  # a class that can be sent, and not be made here
+            failure = _failure(error)
+    return Failed(key, *failure, outcome.seconds)
+
+
+def _failure(error: BaseException) -> tuple[str, tuple[str, ...], str]:
+    kind = type(error).__name__
+    problems = error.problems if isinstance(error, InputError) else (str(error) or kind,)
+    meant = isinstance(error, TwinctError)
+    return kind, tuple(problems), "" if meant else "".join(traceback.format_exception(error))

@@ -1,0 +1,207 @@
+"""A pool of this machine's processes: who works when, what comes back, and what dies with whom."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pool_jobs as jobs
+import pytest
+
+from twinct.errors import InputError, MemoryShortageError
+from twinct.pool import Died, Done, Event, Failed, LocalPool, Work
+
+GIB = 2**30
+
+
+@pytest.fixture
+def pool(tmp_path: Path) -> Iterator[LocalPool]:
+    with LocalPool(tmp_path / "node", workers=2, memory_bytes=8 * GIB) as pool:
+        yield pool
+
+
+def finish(pool: LocalPool) -> dict[str, Event]:
+    events: dict[str, Event] = {}
+    while new := pool.wait():
+        events |= {event.key: event for event in new}
+    return events
+
+
+def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def gone(pid: int) -> bool:
+    """It lives no more; what nobody waits for may stay in the table."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+@pytest.mark.process
+def test_workers_are_few_warm_bounded_and_work_in_their_main_thread(
+    pool: LocalPool, tmp_path: Path
+) -> None:
+    for key in range(6):
+        pool.submit(Work(str(key), jobs.who, 0.05))
+    said = [event.value for event in finish(pool).values() if isinstance(event, Done)]
+    assert len(said) == 6
+    assert len({s["process"] for s in said}) == 2
+    assert all(s["main"] and s["threads"] == (1, "1", "1") for s in said)
+    assert all(s["folder"] == tmp_path / "node" for s in said)
+    for key in range(6):  # one after the other: one warm worker does them all
+        pool.submit(Work(str(key), jobs.who, None))
+        said += [event.value for event in finish(pool).values() if isinstance(event, Done)]
+    assert len(said) == 12 and len({s["process"] for s in said[6:]}) == 1
+
+
+@pytest.mark.process
+def test_three_gigabytes_each_of_eight_are_never_more_than_two(tmp_path: Path) -> None:
+    with LocalPool(tmp_path, workers=4, memory_bytes=8 * GIB) as pool:
+        for key in range(6):
+            pool.submit(Work(str(key), jobs.interval, 0.1, memory_bytes=3 * GIB))
+        spans = [e.value for e in finish(pool).values() if isinstance(e, Done)]
+    most = max(sum(a <= begun < b for a, b in spans) for begun, _ in spans)
+    assert len(spans) == 6 and most == 2
+
+
+@pytest.mark.process
+def test_small_work_passes_what_waits_for_memory_but_not_for_ever(tmp_path: Path) -> None:
+    with LocalPool(tmp_path, workers=2, memory_bytes=4) as pool:
+        pool.submit(Work("first", jobs.interval, 0.3, memory_bytes=3))
+        pool.submit(Work("big", jobs.interval, 0.0, memory_bytes=4))
+        for key in range(40):
+            pool.submit(Work(str(key), jobs.interval, 0.0, memory_bytes=1))
+        begun = {key: e.value[0] for key, e in finish(pool).items() if isinstance(e, Done)}
+    order = sorted(begun, key=begun.__getitem__)
+    assert len(order) == 42
+    assert 1 <= order.index("big") - 1 <= 16
+
+
+@pytest.mark.process
+def test_what_fails_is_told_and_no_worker_dies_of_it(pool: LocalPool) -> None:
+    kinds = ("input", "meant", "sealed", "result", "exit", "missing", "other")
+    for kind in kinds:
+        pool.submit(Work(kind, jobs.fail, kind))
+    failed = finish(pool)
+    assert all(isinstance(failed[kind], Failed) for kind in kinds)
+    told = {k: (e.kind, e.problems, bool(e.trace)) for k, e in failed.items() if type(e) is Failed}
+    assert told["input"] == ("InputError", ("one", "two"), False)
+    assert told["meant"] == ("MotionError", ("arms stand still",), False)
+    assert told["sealed"] == ("Sealed", ("by whom",), True)
+    assert told["result"][2] and "lambda" in told["result"][1][0]
+    assert told["exit"] == ("SystemExit", ("3",), True)
+    assert told["missing"][0] == "FileNotFoundError"
+    assert told["other"] == ("RuntimeError", ("other",), True)
+
+
+@pytest.mark.process
+def test_a_death_is_told_with_its_signal_and_the_next_work_is_done(
+    pool: LocalPool, tmp_path: Path
+) -> None:
+    pool.submit(Work("dies", jobs.die_until, (tmp_path / "count", 1)))
+    pool.submit(Work("lives", jobs.double, 21))
+    events = finish(pool)
+    assert events["dies"] == Died("dies", "its worker was ended by SIGKILL")
+    pool.submit(Work("dies", jobs.die_until, (tmp_path / "count", 1)))
+    for event, value in ((events["lives"], 42), (finish(pool)["dies"], 1)):
+        assert isinstance(event, Done) and event.value == value
+
+
+@pytest.mark.process
+def test_what_a_dead_worker_started_ends_with_it(pool: LocalPool, tmp_path: Path) -> None:
+    pool.submit(Work("leaves", jobs.leave, tmp_path / "child"))
+    assert finish(pool)["leaves"] == Died("leaves", "its worker ended with code 7")
+    child = int((tmp_path / "child").read_text())
+    until(lambda: gone(child))
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["SIGKILL", "SIGINT"])
+def test_workers_that_hold_the_interpreter_end_with_their_driver(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    here = Path(__file__).parent
+    driver = subprocess.Popen(
+        [sys.executable, str(here / "driver.py"), str(tmp_path)],
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    )
+    until(lambda: len(list(tmp_path.glob("held-*"))) == 2)
+    workers = [int(p.name.partition("-")[2]) for p in tmp_path.glob("held-*")]
+    assert not any(gone(pid) for pid in workers)
+    os.killpg(driver.pid, number)
+    until(lambda: all(gone(pid) for pid in workers), 2.0)
+    assert driver.wait() == -number
+
+
+@pytest.mark.process
+def test_close_ends_busy_workers_and_clears_the_folder(pool: LocalPool, tmp_path: Path) -> None:
+    pool.submit(Work("busy", jobs.hold, 60.0))
+    until(lambda: bool(list(pool.folder.glob("held-*"))))
+    worker = int(next(pool.folder.glob("held-*")).name.partition("-")[2])
+    pool.close(clear=True)
+    assert gone(worker) and not pool.folder.exists()
+    assert pool.wait() == []
+    with pytest.raises(ValueError, match="closed"):
+        pool.submit(Work("late", jobs.double, 1))
+
+
+@pytest.mark.process
+def test_contents_come_from_where_they_were_offered_and_go_where_they_are_saved(
+    pool: LocalPool, tmp_path: Path
+) -> None:
+    source = tmp_path / "source.txt"
+    source.write_text("content")
+    pool.offer("text", source)
+    pool.submit(Work("read", jobs.read, "text", inputs=("text",)))
+    pool.submit(Work("not named", jobs.read, "text"))
+    pool.submit(Work("write", jobs.write, "ab"))
+    events = finish(pool)
+    read, unnamed, written = (events[key] for key in ("read", "not named", "write"))
+    assert isinstance(read, Done) and read.value == (str(source), "content")
+    assert isinstance(unnamed, Failed) and unnamed.kind == "KeyError"
+    assert isinstance(written, Done) and set(written.parcels) == {"folder", "file"}
+    for _ in range(2):  # again: it takes the place of what is there
+        written.parcels["folder"].save(tmp_path / "out" / "folder")
+        written.parcels["file"].save(tmp_path / "out" / "file.txt")
+    assert (tmp_path / "out" / "folder" / "deep" / "a.txt").read_text() == "ab"
+    assert (tmp_path / "out" / "file.txt").read_text() == "abab"
+    made = pool.folder / "made-ab" / "b.txt"
+    assert os.path.samefile(tmp_path / "out" / "folder" / "b.txt", made)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["file.txt", "folder"]
+    pool.withdraw("text")
+    with pytest.raises(ValueError, match="not offered.*text"):
+        pool.submit(Work("again", jobs.read, "text", inputs=("text",)))
+
+
+def test_what_cannot_be_sent_is_refused_before_anything_starts(pool: LocalPool) -> None:
+    def local(argument: object, place: object) -> None: ...
+
+    def main(argument: object, place: object) -> None: ...
+
+    main.__module__ = "__main__"
+    for function, problem in ((main, "__main__"), (local, "a function has to be")):
+        with pytest.raises(InputError, match=problem):
+            pool.submit(Work("work", function, None))
+    with pytest.raises(InputError, match="__main__"):
+        pool.submit(Work("work", jobs.double, [main]))
+    with pytest.raises(MemoryShortageError, match="9.00 GiB.*8.00 GiB"):
+        pool.submit(Work("work", jobs.double, 1, memory_bytes=9 * GIB))
+
+
+def test_a_pool_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        LocalPool(tmp_path, workers=0, threads=0, memory_bytes=0)
+    assert len(caught.value.problems) == 3
+    assert LocalPool(tmp_path, workers=1).most_memory_bytes > 0
