@@ -9,7 +9,7 @@ import pytest
 
 BLOCKED = (
     *("mujoco", "mink", "ruckig", "ompl", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk"),
-    "ctsimu",
+    *("ctsimu", "pandas", "pyarrow", "optuna"),
 )
 MODULES = (
     "twinct",
@@ -30,6 +30,7 @@ MODULES = (
     "twinct.scan",
     "twinct.scenario",
     "twinct.specimen",
+    "twinct.study.results",
     "twinct.trajectory",
     "twinct.uncertainty",
     "twinct.xray",

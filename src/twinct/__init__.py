@@ -13,11 +13,13 @@ from twinct.version import __version__
 if TYPE_CHECKING:
     from twinct.runs import compare, load_scan, needs, reconstruct, run, simulate
     from twinct.scenario import load_scenario
+    from twinct.study.results import load_results
 
 
 __all__ = [
     "__version__",
     "compare",
+    "load_results",
     "load_scan",
     "load_scenario",
     "needs",
@@ -26,7 +28,10 @@ __all__ = [
     "simulate",
 ]
 
-_HOMES = {name: "twinct.runs" for name in __all__[1:]} | {"load_scenario": "twinct.scenario"}
+_HOMES = {name: "twinct.runs" for name in __all__[1:]} | {
+    "load_results": "twinct.study.results",
+    "load_scenario": "twinct.scenario",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -11,6 +11,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
     "robots": ("mujoco", "mink", "daqp", "ruckig", "ompl"),
     "rtk": ("itk",),
     "record": ("mcap.writer", "mcap_ros2.writer"),
+    "study": ("pandas", "pyarrow.parquet"),
     "ros": (
         *("rclpy", "rclpy.node", "geometry_msgs.msg", "sensor_msgs.msg", "std_msgs.msg"),
         *("trajectory_msgs.msg", "std_srvs.srv"),
@@ -19,8 +20,9 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
 }
 """Modules that cost little to import, so that they are: what is there may be broken."""
 
-_FOUND: dict[str, tuple[str, ...]] = {"xray": ("gvxrPython3",)}
-"""Modules that are only looked for: gVXR takes seconds and 2 GB, and belongs to one thread."""
+_FOUND: dict[str, tuple[str, ...]] = {"xray": ("gvxrPython3",), "study": ("optuna",)}
+"""Modules that are only looked for: gVXR takes seconds and 2 GB, and belongs to one thread; only
+searches need Optuna."""
 
 _CALLED = {"gvxrPython3": "gvxr", "itk": "itk-rtk", "mcap_ros2": "mcap-ros2-support"}
 """What pip calls a module, where the names differ."""
