@@ -5,6 +5,14 @@ from twinct.report.data import Another, CrossSection, ReportData, cross_sections
 from twinct.report.metrics import STAGES, build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words
+from twinct.report.repetitions import StudyTrial
+from twinct.report.study_page import (
+    StudyAxis,
+    StudyData,
+    best_trials,
+    render_study,
+    write_study,
+)
 
 __all__ = [
     "STAGES",
@@ -13,11 +21,17 @@ __all__ = [
     "Comparison",
     "CrossSection",
     "ReportData",
+    "StudyAxis",
+    "StudyData",
+    "StudyTrial",
+    "best_trials",
     "build_metrics",
     "cross_sections",
     "draw_pictures",
     "physics_in_words",
     "plain",
     "render_report",
+    "render_study",
     "write_report",
+    "write_study",
 ]

@@ -33,7 +33,7 @@ SPHERE_TOLERANCE = 0.01
 DARKEST_DRAWN = 1e-7
 """Transmission shown for anything darker: its line integral is 16.1."""
 
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "axes.edgecolor": "#9aa5b1",
     "axes.linewidth": 0.8,
@@ -45,7 +45,7 @@ _STYLE: dict[Any, Any] = {
     **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
     "svg.hashsalt": "twinct",  # the same data gives the same bytes
 }
-_WIDTH = 10.4
+WIDTH = 10.4
 """Inches; the page shows about 100 px for each."""
 
 
@@ -62,7 +62,8 @@ class Picture:
         return f"data:{self.media_type};base64,{base64.b64encode(self.content).decode('ascii')}"
 
 
-def _png(figure: Figure, dpi: int) -> Picture:
+def png(figure: Figure, dpi: int) -> Picture:
+    """Pixels."""
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(dpi)
     canvas.draw()
@@ -72,7 +73,8 @@ def _png(figure: Figure, dpi: int) -> Picture:
     return Picture(stream.getvalue(), "image/png")
 
 
-def _svg(figure: Figure) -> Picture:
+def svg(figure: Figure) -> Picture:
+    """Lines and letters; the same figure gives the same bytes."""
     stream = io.BytesIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     return Picture(stream.getvalue(), "image/svg+xml")
@@ -87,7 +89,7 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
     distance = np.linalg.norm(commanded - isocentre, axis=1)
     radius = float(distance.mean())
     on_sphere = radius > 0 and np.ptp(distance) <= SPHERE_TOLERANCE * radius
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 4.7))
         frame = (-0.05, 0.0, 0.94, 1.02)
         axes: Any = figure.add_axes(frame, projection="3d", computed_zorder=False)
@@ -123,7 +125,7 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
         bar.set_label("view")
         bar.locator = MaxNLocator(5, integer=True)
         bar.outline.set_visible(False)
-        return _png(figure, 180)
+        return png(figure, 180)
 
 
 _FINEST_RAD = 0.02
@@ -194,8 +196,8 @@ def pose_errors_over_views(
     The tolerance is the distance at which a target counts as reached, the limit the smallest gap
     that a plan may have.
     """
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(_WIDTH, 5.6), layout="constrained")
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
         position, rotation, clearance = figure.subplots(3, 1, sharex=True)
         views = np.arange(len(errors.source.position_mm))
         style = {"lw": 1.1, "marker": "o", "ms": 2.2 if len(views) <= 150 else 0}
@@ -219,12 +221,12 @@ def pose_errors_over_views(
         clearance.set_xlabel("view")
         clearance.xaxis.set_major_locator(MaxNLocator(10, integer=True))
         figure.align_ylabels()
-        return _svg(figure)
+        return svg(figure)
 
 
 def convergence(residuals: Mapping[str, Sequence[float]]) -> Picture:
     """Residual, root mean square of p - A x, over the iterations, one line for each geometry."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 2.6), layout="constrained")
         axes: Any = figure.subplots()
         colours = SOURCE_COLOUR, DETECTOR_COLOUR, LIMIT_COLOUR
@@ -237,7 +239,7 @@ def convergence(residuals: Mapping[str, Sequence[float]]) -> Picture:
         axes.grid(axis="y", which="both", color="#e4e7eb", lw=0.7)
         axes.set_axisbelow(True)
         axes.legend(loc="upper right", borderpad=0)
-        return _svg(figure)
+        return svg(figure)
 
 
 def _limit(axes: Any, value: float, label: str) -> None:
@@ -261,10 +263,10 @@ def cross_section_grid(
     (_, grey), (diverging, errors) = looks = windows([*sections.values(), *compared], mu_reference)
     bounds = (section.extent_mm for section in sections.values())
     shares = [(top - bottom) / (right - left) for left, right, bottom, top in bounds]
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         rows = len(sections)
         height = 2.9 * sum(shares) + 0.42 * rows + 0.75
-        figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
         grid = figure.subplots(rows, 3, squeeze=False, height_ratios=shares)
         _pad(figure, w_pad=0.03, h_pad=0.06, wspace=0.0, hspace=0.0)
         for line, (name, section) in zip(grid, sections.items(), strict=True):
@@ -290,7 +292,7 @@ def cross_section_grid(
             (grid[:, 2:], diverging, errors, 0.9, 30, "error / mm⁻¹"),
         ):
             _bar_below(figure, columns, (cmap, norm), label, shrink=shrink, aspect=aspect)
-        return _png(figure, 150)
+        return png(figure, 150)
 
 
 _ABREAST = 4
@@ -315,9 +317,9 @@ def side_by_side(
     cells = [(truth, first._replace(reconstruction=first.truth)), *columns.items()]
     abreast = min(_ABREAST, len(cells))
     bands = [cells[i : i + abreast] for i in range(0, len(cells), abreast)]
-    height = (_WIDTH - 0.7) / abreast * (top - bottom) / (right - left)
-    with mpl.rc_context(_STYLE):
-        size = (_WIDTH, len(bands) * (2 * height + 1.0) + 0.75)
+    height = (WIDTH - 0.7) / abreast * (top - bottom) / (right - left)
+    with mpl.rc_context(STYLE):
+        size = (WIDTH, len(bands) * (2 * height + 1.0) + 0.75)
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(2 * len(bands), abreast, squeeze=False)
         _pad(figure, w_pad=0.03, h_pad=0.06, wspace=0.0, hspace=0.0)
@@ -358,7 +360,7 @@ def side_by_side(
             (grid[:, half:], looks[1], "reconstruction − truth / mm⁻¹"),
         ):
             _bar_below(figure, part, look, label, shrink=0.8, aspect=30)
-        return _png(figure, 150)
+        return png(figure, 150)
 
 
 _OUTSIDE = "#eceff2"
@@ -443,9 +445,9 @@ def projection_strip(
     extent = (-width / 2, width / 2, -height / 2, height / 2)
     per_row = min(4, len(projections)) if len(projections) != 6 else 3
     rows = -(-len(projections) // per_row)
-    with mpl.rc_context(_STYLE):
-        cell = (_WIDTH - 0.9) / per_row
-        size = _WIDTH, rows * (0.88 * cell * height / width + 0.3) + 0.3
+    with mpl.rc_context(STYLE):
+        cell = (WIDTH - 0.9) / per_row
+        size = WIDTH, rows * (0.88 * cell * height / width + 0.3) + 0.3
         figure = Figure(figsize=size, layout="constrained")
         _pad(figure, h_pad=0.08)  # titles must not touch the edge
         grid = figure.subplots(rows, per_row, squeeze=False, sharex=True, sharey=True)
@@ -464,4 +466,4 @@ def projection_strip(
         bar = figure.colorbar(scale, ax=grid, aspect=22 * rows, pad=0.01, extend="max")
         bar.set_label("−ln(I / I₀)")
         bar.outline.set_linewidth(0.5)
-        return _png(figure, 150)
+        return png(figure, 150)

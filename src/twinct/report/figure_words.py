@@ -1,0 +1,66 @@
+"""Figures by their dotted names, such as "image.rmse_rel", in words, and which are better."""
+
+from __future__ import annotations
+
+import re
+from typing import Literal, NamedTuple
+
+from twinct.report.page import image_figures, stage_title
+
+Best = Literal["lower", "higher", "one", ""]
+"""Which values are better: lower ones, higher ones, those nearest to 1; empty: not known."""
+
+
+class FigureWords(NamedTuple):
+    """How a figure is shown: its value times a factor, in a unit, with so many digits."""
+
+    title: str
+    unit: str
+    factor: float = 1.0
+    digits: int = 3
+    meaning: str = ""
+    best: Best = ""
+
+    @property
+    def label(self) -> str:
+        """Title and unit."""
+        return f"{self.title} / {self.unit}" if self.unit else self.title
+
+
+_BEST: tuple[tuple[str, Best], ...] = (
+    ("mean_bone_rel$", "one"),
+    ("psnr|ssim|clearance|fraction$|^reached$|real_time_factor", "higher"),
+    ("rmse|error|seconds", "lower"),
+)
+_BEST_UNKNOWN: Best = ""
+_UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_deg": "deg"}
+_STATISTICS = {"min": "smallest", "max": "largest", "mean": "mean", "std": "spread"}
+
+
+def figure_words(name: str, reference: str = "bone") -> FigureWords:
+    """A figure in words; one that is not known by the words of its name.
+
+    Args:
+        name: dotted, as in ``metrics.json``.
+        reference: name of the material that image figures are relative to.
+    """
+    parts, of = name.split("."), ""
+    if len(parts) > 2 and parts[0] in ("image_by_geometry", "geometries"):
+        of = f"{parts[1]} geometry"
+        parts = [*(["image"] if parts[0] == "image_by_geometry" else []), *parts[2:]]
+    best = next((best for key, best in _BEST if re.search(key, name)), _BEST_UNKNOWN)
+    image = {f"image.{shown.key}": shown for shown in image_figures(reference)}
+    shown = image.get(".".join(parts))
+    if shown is not None:
+        title = f"{shown.title}, {of}" if of else shown.title
+        return FigureWords(title, shown.unit, shown.factor, shown.digits, shown.meaning, best)
+    if parts[0] == "seconds" and len(parts) == 2:
+        return FigureWords(f"time: {stage_title(parts[1])}", "s", digits=1, best=best)
+    unit, words = "", []
+    for part in parts:
+        ending = next((end for end in _UNITS if part.endswith(end)), "")
+        unit = _UNITS.get(ending, unit)
+        words.append(part.removesuffix(ending).replace("_", " "))
+    if words[-1] in _STATISTICS:
+        words.append(_STATISTICS[words.pop()])
+    return FigureWords(", ".join([*words, *filter(None, [of])]), unit, best=best)

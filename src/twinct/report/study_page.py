@@ -1,0 +1,319 @@
+"""A study on one page: figures over what was varied, the best trials, what failed and why."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import quote
+
+import numpy as np
+
+from twinct.files.writing import write_text
+from twinct.report.data import CrossSection
+from twinct.report.figure_words import Best, FigureWords, figure_words
+from twinct.report.figures import side_by_side, windows
+from twinct.report.page import stage_title
+from twinct.report.repetitions import (
+    Combination,
+    Mean,
+    StudyTrial,
+    combinations,
+    numeric,
+    trend,
+)
+from twinct.report.template import duration, rendered
+from twinct.report.trend import in_words, trend_picture
+from twinct.version import __version__
+
+MOST_ROWS = 200
+"""Lines of a table; the rest is in the results."""
+MOST_BEST = 6
+_MOST_TOLD = 12
+"""Values, trials or links that are told one by one."""
+
+
+@dataclass(frozen=True)
+class StudyAxis:
+    """What was varied: its label, as trials name it, its unit, whether it is logarithmic."""
+
+    label: str
+    unit: str = ""
+    log: bool = False
+
+    @property
+    def title(self) -> str:
+        """Label and unit."""
+        return f"{self.label} / {self.unit}" if self.unit else self.label
+
+
+@dataclass(frozen=True, eq=False)
+class StudyData:
+    """Everything the page of a study shows.
+
+    Attributes:
+        title: of the study.
+        axes: what was varied.
+        figures: dotted names of the chosen figures; trials are ranked by the first.
+        trials: all that ended, done or failed.
+        yaml: the study as text.
+        description: a sentence or two.
+        best: which values of the first figure are better; empty: what is known of that figure.
+        planned: trials of the study, where some have not ended; None: all have.
+        wall_seconds: from start to end; None: not known.
+        sections: cross-sections of some trials, by trial, then plane; see ``best_trials``.
+        mu_reference: attenuation that figures are relative to, 1/mm; the largest true value where
+            None.
+        reference: name of the material whose attenuation that is.
+        results: name of the file that has all rows.
+    """
+
+    title: str
+    axes: Sequence[StudyAxis]
+    figures: Sequence[str]
+    trials: Sequence[StudyTrial]
+    yaml: str
+    description: str = ""
+    best: Best = ""
+    planned: int | None = None
+    wall_seconds: float | None = None
+    sections: Mapping[int, Mapping[str, CrossSection | None]] = field(default_factory=dict)
+    mu_reference: float | None = None
+    reference: str = "bone"
+    results: str = "results.parquet"
+
+    @property
+    def combinations(self) -> list[Combination]:
+        """Trials by their values on the axes."""
+        return combinations(self.trials, [axis.label for axis in self.axes])
+
+
+def best_trials(study: StudyData, most: int = MOST_BEST) -> list[int]:
+    """Of each of the best combinations, by the mean of the first figure, its best repetition.
+
+    Their cross-sections are worth showing. None where it is not known which values are better.
+    """
+    return [one.trial for one, _ in _best(study, study.combinations)[:most]]
+
+
+def write_study(path: Path, study: StudyData) -> None:
+    """Write the page of a study; the file is complete or not there.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_text(path, render_study(study))
+
+
+def render_study(study: StudyData) -> str:
+    """The page as HTML text: images inline, no script, nothing loaded from elsewhere."""
+    found = study.combinations
+    words = {name: figure_words(name, study.reference) for name in study.figures}
+    done = [one for one in study.trials if one.done]
+    failures = _failures(study.trials)
+    ranking = _best(study, found)
+    place = {id(of): place for place, (_, of) in enumerate(ranking)}
+    chosen = found
+    if len(found) > MOST_ROWS and ranking:
+        chosen = sorted(found, key=lambda one: place.get(id(one), len(found)))
+    return rendered(
+        "study.html",
+        study=study,
+        varied=[_varied(axis, study.trials) for axis in study.axes],
+        done=len(done),
+        failed=len(study.trials) - len(done),
+        combinations=found,
+        repetitions=max((len(one.trials) for one in found), default=0),
+        ranked=bool(ranking),
+        words=words,
+        trends=[(words[name], _pictures(study, found, name, words[name])) for name in words],
+        columns=_digits(chosen[:MOST_ROWS], words),
+        rows=[_row(study, one) for one in chosen[:MOST_ROWS]],
+        linked=any(one.report for one in study.trials),
+        best=_shown(study, ranking),
+        failures=failures[:MOST_ROWS],
+        left_failures=failures[MOST_ROWS:],
+        stages=_stages(done),
+        version=__version__,
+    )
+
+
+def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTrial, Combination]]:
+    """The best repetition of each combination, the best combination first."""
+    if not study.figures:
+        return []
+    first = study.figures[0]
+    best = study.best or figure_words(first).best
+    badness: dict[Best, Callable[[float], float]] = {
+        "lower": lambda value: value,
+        "higher": lambda value: -value,
+        "one": lambda value: abs(value - 1),
+    }
+    if best not in badness:
+        return []
+    worse = badness[best]
+    ranked = [(one.mean(first).mean, one) for one in found]
+    ranked = sorted(
+        ((worse(mean), one) for mean, one in ranked if mean is not None), key=lambda pair: pair[0]
+    )
+    return [
+        (min(one.found(first).values(), key=lambda told: worse(told[1]))[0], one)
+        for _, one in ranked
+    ]
+
+
+def _varied(axis: StudyAxis, trials: Sequence[StudyTrial]) -> tuple[str, int, str]:
+    """An axis, how many values it has, and which."""
+    told = {in_words(v): v for one in trials if (v := one.axes.get(axis.label)) is not None}
+    values = list(told.values())
+    if numeric(values):
+        values.sort()
+    if len(values) <= _MOST_TOLD:
+        text = ", ".join(map(in_words, values))
+    elif numeric(values):
+        text = f"{in_words(values[0])} to {in_words(values[-1])}"
+    else:
+        text = ", ".join(map(in_words, values[:_MOST_TOLD])) + ", …"
+    return axis.title, len(values), text + (", logarithmic" if axis.log else "")
+
+
+class _Trend(NamedTuple):
+    address: str
+    axis: str
+    notes: list[str]
+
+
+def _pictures(
+    study: StudyData, found: Sequence[Combination], name: str, words: FigureWords
+) -> list[_Trend]:
+    """A figure over each axis that has two values or more."""
+    pictures: list[_Trend] = []
+    for index, axis in enumerate(study.axes):
+        shown = trend(found, index, name)
+        if len(shown.values) < 2:
+            continue
+        others = [other.title for other in study.axes if other is not axis]
+        notes: list[str] = []
+        if shown.averaged:
+            notes.append(f"averaged over the combinations of {', '.join(others)}")
+        if not shown.has_intervals:
+            notes.append("no repetitions, hence no intervals")
+        if shown.left_out:
+            notes.append(f"without {shown.left_out} combinations that it does not apply to")
+        picture = trend_picture(shown, axis.title, words.label, others, words.factor, axis.log)
+        pictures.append(_Trend(picture.data_uri, axis.label, notes))
+    return pictures
+
+
+def _digits(
+    found: Sequence[Combination], words: Mapping[str, FigureWords]
+) -> list[tuple[str, FigureWords, int]]:
+    """Figures with the digits that show two places of a typical interval."""
+    columns: list[tuple[str, FigureWords, int]] = []
+    for name, shown in words.items():
+        halves = [half for one in found if (half := one.mean(name).half)]
+        digits = shown.digits
+        if halves:
+            places = 1 - math.floor(math.log10(shown.factor * float(np.median(halves))))
+            digits = min(max(digits, places), digits + 4)
+        columns.append((name, shown, digits))
+    return columns
+
+
+class _Row(NamedTuple):
+    values: list[str]
+    means: dict[str, Mean]
+    failed: int
+    links: list[tuple[str, int]]
+    more: int
+
+
+def _row(study: StudyData, one: Combination) -> _Row:
+    links = [(quote(trial.report), trial.trial) for trial in one.trials if trial.report]
+    return _Row(
+        [in_words(value) for value in one.values],
+        {name: one.mean(name) for name in study.figures},
+        sum(not trial.done for trial in one.trials),
+        links[:_MOST_TOLD],
+        len(links[_MOST_TOLD:]),
+    )
+
+
+class _Shown(NamedTuple):
+    """Planes as (title, address), what each trial is, and what cannot be compared."""
+
+    pictures: list[tuple[str, str]]
+    trials: list[tuple[StudyTrial, str, str]]
+    notes: list[str]
+
+
+def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) -> _Shown:
+    """The best trials' pictures, or those of all that have some where none is better."""
+    order = [one for one, _ in ranking] or list(study.trials)
+    having = [one for one in order if any(study.sections.get(one.trial, {}).values())][:MOST_BEST]
+    pictures: list[tuple[str, str]] = []
+    notes: list[str] = []
+    if having:
+        of = {f"trial {one.trial}": study.sections[one.trial] for one in having}
+        every = [s for planes in of.values() for s in planes.values() if s is not None]
+        mu = study.mu_reference or max(float(s.truth.max()) for s in every)
+        looks = windows(every, mu)
+        for plane in dict.fromkeys(plane for planes in of.values() for plane in planes):
+            columns = {name: planes.get(plane) for name, planes in of.items()}
+            there = {name: s for name, s in columns.items() if s is not None}
+            if not there:
+                continue
+            (first, section), *others = there.items()
+            if any(not np.array_equal(s.truth, section.truth) for _, s in others):
+                notes = [
+                    f"The truth is that of {first}; those of others are not the same, in other "
+                    "voxels or of another specimen, and each error is against its own."
+                ]
+            title = f"{plane}, {section.position}".rstrip(", ")
+            pictures.append((title, side_by_side(columns, "truth", looks).data_uri))
+    labels = [axis.title for axis in study.axes]
+    told: list[tuple[StudyTrial, str, str]] = []
+    for one in having:
+        values = [in_words(one.axes.get(axis.label)) for axis in study.axes]
+        in_line = "; ".join(f"{k} {v}" for k, v in zip(labels, values, strict=True) if v != "–")
+        told.append((one, in_line, quote(one.report)))
+    return _Shown(pictures, told, notes)
+
+
+def _failures(trials: Iterable[StudyTrial]) -> list[tuple[int, str, str, str]]:
+    """Count, message, class of the error and trials, the most frequent first."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for one in trials:
+        if not one.done:
+            groups.setdefault((one.message, one.kind), []).append(one.trial)
+    return sorted(
+        ((len(n), message, kind, _ranges(n)) for (message, kind), n in groups.items()),
+        key=lambda group: -group[0],
+    )
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    """Such as "0 to 4, 7"."""
+    told: list[str] = []
+    runs = itertools.groupby(enumerate(sorted(numbers)), key=lambda pair: pair[1] - pair[0])
+    for _, run in runs:
+        members = [number for _, number in run]
+        first, last = members[0], members[-1]
+        told.append(f"{first}" if first == last else f"{first} to {last}")
+    return ", ".join(told[:_MOST_TOLD]) + (", …" if len(told) > _MOST_TOLD else "")
+
+
+def _stages(done: Sequence[StudyTrial]) -> list[tuple[str, str, str, int]]:
+    """Name, seconds of all trials, of each that has it, and how many those are."""
+    names = dict.fromkeys(name for one in done for name in one.seconds)
+    rows: list[tuple[str, str, str, int]] = []
+    for name in sorted(names, key="total".__eq__):
+        seconds = [one.seconds[name] for one in done if name in one.seconds]
+        whole = math.fsum(seconds)
+        rows.append(
+            (stage_title(name), duration(whole), duration(whole / len(seconds)), len(seconds))
+        )
+    return rows
