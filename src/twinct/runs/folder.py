@@ -11,20 +11,11 @@ from typing import Any, cast
 import yaml
 
 from twinct.errors import InputError, ScanExistsError
+from twinct.files.below import Below, names_below
 from twinct.files.writing import check_folder, draft_of
 from twinct.record import recordings
 from twinct.scan import OWN, named_geometries
 from twinct.scenario import Scenario, load_scenario, stage_digests
-
-
-class _Below:
-    """A path below the folder, by its name."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __get__(self, folder: Folder, owner: type[Folder]) -> Path:
-        return folder.path / self.name
 
 
 @dataclass(frozen=True)
@@ -50,20 +41,20 @@ class Folder:
     """
 
     path: Path
-    scan = _Below("scan.zarr")
-    volume = _Below("volume.nii")
-    truth = _Below("truth.nii")
-    metrics = _Below("metrics.json")
-    report = _Below("report.html")
-    geometries = _Below("geometries")
-    reconstructions = _Below("reconstructions")
-    checkpoints = _Below("checkpoints")
-    scenario = _Below("scenario.yaml")
-    views = _Below("views.csv")
-    seconds = _Below("seconds.json")
-    logs = _Below("log")
-    log = _Below("twinct.log")
-    lock = _Below("twinct.lock")
+    scan = Below("scan.zarr")
+    volume = Below("volume.nii")
+    truth = Below("truth.nii")
+    metrics = Below("metrics.json")
+    report = Below("report.html")
+    geometries = Below("geometries")
+    reconstructions = Below("reconstructions")
+    checkpoints = Below("checkpoints")
+    scenario = Below("scenario.yaml")
+    views = Below("views.csv")
+    seconds = Below("seconds.json")
+    logs = Below("log")
+    log = Below("twinct.log")
+    lock = Below("twinct.lock")
 
     @property
     def results(self) -> tuple[Path, ...]:
@@ -97,7 +88,7 @@ class Folder:
 
     def refuse_others(self) -> None:
         """Raise where something else than a run of before is in the way."""
-        own = [part.name for part in vars(Folder).values() if isinstance(part, _Below)]
+        own = names_below(Folder)
         drafts = [draft_of(self.path / name).name for name in (*own, "scan.zarr.new")]
         recorded = (path.name for path in recordings(self.path))
         check_folder(self.path, {*own, "scan.zarr.new", *drafts, *recorded})

@@ -110,7 +110,7 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     Raises:
         OSError: a file that cannot be read. One that is gone counts as such.
     """
-    content = cache(_content_digest)  # a large file is read once for all stages
+    content = cache(content_digest)  # a large file is read once for all stages
     found: dict[StageName, str] = {}
     for name, stage in STAGES.items():
         on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
@@ -194,7 +194,8 @@ def _told(
     return told
 
 
-def _content_digest(path: Path, key: str) -> str:
+def content_digest(path: Path, key: str) -> str:
+    """SHA-256 of a file or folder that a key names, with all that belongs to it."""
     if not path.exists():
         return "gone"
     digest = hashlib.sha256()

@@ -20,12 +20,8 @@ from twinct.scenario import Scenario, Template
 from twinct.scenario.messages import problems
 from twinct.scenario.reading import Draft, is_list, is_mapping, key_of, read_yaml
 from twinct.settings import FILE_KEYS
+from twinct.study.results import OWN_COLUMNS
 from twinct.study.settings import Axis, NormalDraw, Study
-
-MOST_PROBLEMS = 20
-"""Problems that are told at a time."""
-
-_OTHER_COLUMNS = ("trial", "seed", "status", "message", "kind", "scan", "report", "key")
 
 
 @dataclass(frozen=True)
@@ -206,7 +202,7 @@ def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
             place = draft.origin(("axes", index, "paired"))
             yield f"{place + ': ' if place else ''}axes.{index}.paired: {told}; as many are needed"
     for label in (taken := [*design.labels]):
-        if taken.count(label) > 1 or label in _OTHER_COLUMNS:
+        if taken.count(label) > 1 or label in OWN_COLUMNS:
             yield f"axis {label!r}: the name is taken; give it another 'label'"
     repeated = study.repetitions.keys if study.repetitions else ()
     dimensions = study.search.keys if study.search else ()

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, JsonValue, model_validator
+from pydantic import AfterValidator, Field, JsonValue, model_validator
 
 from twinct.settings import Conflict, ConflictError, Finite, NonNegative, Positive, Section, setting
 
-Key = Annotated[str, Field(pattern=r"^[a-z_0-9]+(\.[a-z_0-9]+)*$")]
+
+def _dotted(text: str) -> str:
+    if not re.fullmatch(r"[a-z_0-9]+(\.[a-z_0-9]+)*", text):
+        raise ValueError(f"{text!r} is no dotted key such as reconstruction.relaxation")
+    return text
+
+
+Key = Annotated[str, AfterValidator(_dotted)]
 Keys = Key | Annotated[tuple[Key, ...], Field(min_length=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Count = Annotated[int, Field(ge=1)]
@@ -85,7 +93,9 @@ class Axis(Section):
         if len(ways) != 1:
             found = f"{' and '.join(ways)} are there" if ways else "there is none of them"
             raise ConflictError(
-                Conflict(f"one of values, range, draw and paired is needed; {found}", tuple(ways))
+                Conflict(
+                    f"one of values, range, draw and paired is needed; {found}", (*ways, "key")
+                )
             )
         if (self.paired is None) == (self.key is None):
             message = "an axis has a key, or pairs axes that have one each"

@@ -1,0 +1,52 @@
+"""What trials of each kind took on this machine, for estimates."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from twinct.files.writing import storage_errors, write_json
+
+
+@dataclass
+class Book:
+    """Mean seconds and bytes by kind of work, over all studies of this user on this machine.
+
+    Attributes:
+        path: its file; ``$XDG_CACHE_HOME/twinct/study.json``.
+        entries: by kind: how many were counted, and the mean.
+    """
+
+    path: Path
+    entries: dict[str, tuple[int, float]]
+
+    @classmethod
+    def open(cls) -> Book:
+        """Read it; an empty one where there is none, or no readable one: it only helps."""
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        path = Path(base) / "twinct" / "study.json"
+        try:
+            told = json.loads(path.read_text(encoding="utf-8"))
+            entries = {str(kind): (int(n), float(mean)) for kind, (n, mean) in told.items()}
+        except (OSError, ValueError, TypeError, AttributeError):
+            entries = {}
+        return cls(path, entries)
+
+    def add(self, kind: str, value: float) -> None:
+        """Count one more; older ones count for no more than twenty."""
+        number, mean = self.entries.get(kind, (0, 0.0))
+        number = min(number, 20)
+        self.entries[kind] = number + 1, mean + (value - mean) / (number + 1)
+
+    def mean(self, kind: str) -> float | None:
+        """Of a kind; None: it has not been counted here."""
+        return self.entries[kind][1] if kind in self.entries else None
+
+    def write(self) -> None:
+        """Keep it."""
+        told = {kind: list(entry) for kind, entry in self.entries.items()}
+        with storage_errors(self.path):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_json(self.path, told)

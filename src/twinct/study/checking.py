@@ -1,0 +1,148 @@
+"""All trials of a study looked at before the first starts: what each needs, and what is wrong."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from twinct.errors import InputError
+from twinct.progress import SILENT, Progress
+from twinct.runs import Need, needs
+from twinct.scenario import Scenario, stage_digests
+from twinct.study.design import Design, Trial
+from twinct.study.figures import figure_names
+
+MOST_PROBLEMS = 20
+"""Problems that are told at a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A trial that can be tried.
+
+    Attributes:
+        trial: which.
+        key: hex digest that identifies it, whatever its number.
+        scan: digest of its scan.
+        cost: of what kind it is; trials of a kind take alike.
+    """
+
+    trial: Trial
+    key: str
+    scan: str
+    cost: Cost
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What trials of one kind take.
+
+    Attributes:
+        scan: what the kind of scan is called in the book of seconds.
+        rest: the same of all that comes after.
+        stages: of a run of this kind.
+    """
+
+    scan: str
+    rest: str
+    stages: dict[str, Need]
+
+    @property
+    def memory_bytes(self) -> int:
+        """At the peak."""
+        return max(need.memory_bytes for need in self.stages.values())
+
+    @property
+    def scan_bytes(self) -> int:
+        """Of its scan on disk."""
+        return self.stages["views"].disk_bytes
+
+    @property
+    def volume_bytes(self) -> int:
+        """Of its volume on disk."""
+        return self.stages["reconstruction"].disk_bytes
+
+
+@dataclass
+class Checker:
+    """Checks trials of a design; remembers what they have in common."""
+
+    design: Design
+    costs: dict[str, Cost] = field(default_factory=dict[str, Cost])
+
+    def checked(self, trials: Iterable[Trial], progress: Progress = SILENT) -> list[Checked]:
+        """All trials, each a scenario that can be had.
+
+        Raises:
+            InputError: with a sentence for each problem, the first twenty of them.
+        """
+        found: list[Checked] = []
+        problems: dict[str, Trial] = {}
+        figures: set[str] = set()
+        for trial in progressed(trials, progress):
+            try:
+                scenario = self.design.scenario(trial)
+            except InputError as error:
+                for problem in error.problems:
+                    problems.setdefault(problem, trial)
+                if len(problems) >= MOST_PROBLEMS:
+                    break
+                continue
+            if not problems:
+                figures.update(figure_names(scenario))
+                found.append(self._checked(trial, scenario))
+        if problems:
+            raise InputError(
+                [
+                    f"{problem} ({trial})" if trial.axes else problem
+                    for problem, trial in problems.items()
+                ]
+            )
+        wanted = self.design.study.figures
+        if self.design.study.search:
+            wanted = (*wanted, self.design.study.search.figure)
+        if missing := [name for name in wanted if name not in figures]:
+            known = ", ".join(sorted(figures))
+            raise InputError(f"figure {missing[0]!r}: no trial has it; there are {known}")
+        keys = Counter(one.key for one in found)
+        if twice := [one.trial for one in found if keys[one.key] > 1]:
+            raise InputError(f"{twice[0]} and {twice[1]} are the same: a value stands twice")
+        return found
+
+    def _checked(self, trial: Trial, scenario: Scenario) -> Checked:
+        digests = stage_digests(scenario)
+        told = json.dumps([digests["volume"], trial.changes], sort_keys=True)
+        key = hashlib.sha256(told.encode()).hexdigest()[:32]
+        return Checked(trial, key, digests["images"], self._cost(scenario, digests["surface"]))
+
+    def _cost(self, scenario: Scenario, surface: str) -> Cost:
+        study, detector, section = self.design.study, scenario.detector, scenario.reconstruction
+        views = getattr(scenario.trajectory, "views", None)
+        views = views or scenario.trajectory.model_dump(mode="json")
+        how = [study.link, study.threads]
+        panel = [views, detector.columns, detector.rows]
+        scan = [*panel, surface, scenario.cell.kind, scenario.source.motion_samples, detector.keep]
+        volume = [section.algorithm, getattr(section, "iterations", 1), section.grid]
+        rest = [*panel, *volume, len(section.geometries), study.keep]
+        kinds = _digest([*scan, *how]), _digest([*rest, *how])
+        if (both := "".join(kinds)) not in self.costs:
+            self.costs[both] = Cost(*kinds, needs(scenario, study.link))
+        return self.costs[both]
+
+
+def progressed(trials: Iterable[Trial], progress: Progress) -> Iterator[Trial]:
+    """The same trials, told of as a stage."""
+    listed = list(trials)
+    with progress.stage("check of all trials", len(listed)) as step:
+        for trial in listed:
+            yield trial
+            step()
+
+
+def _digest(told: Any) -> str:
+    text = json.dumps(told, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

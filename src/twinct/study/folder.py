@@ -1,0 +1,98 @@
+"""The folder of a study, and whose it is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twinct.errors import InputError, ScanExistsError
+from twinct.files.below import Below
+from twinct.files.writing import check_folder, write_json, write_text
+from twinct.study import journal, results
+from twinct.study.design import Design
+
+FORMAT = "twinct study 1"
+
+
+@dataclass(frozen=True)
+class StudyFolder:
+    """Where a study keeps what it has.
+
+    Attributes:
+        path: the folder.
+        study: the study's file, as it was last run.
+        identity: which study it is.
+        journal: a line for each trial that ended.
+        results: the table made from that.
+        page: the same for people.
+        log: tracebacks, and what else happened.
+        lock: held by the process that runs the study.
+        scans: those that several trials share.
+        trials: what is kept of each.
+        best: cross-sections of the best.
+        inputs: descriptions of arms, with all that belongs to them.
+        work: where workers of this machine work.
+    """
+
+    path: Path
+    study = Below("study.yaml")
+    identity = Below("study.json")
+    journal = Below(journal.NAME)
+    results = Below(results.NAME)
+    page = Below("study.html")
+    log = Below("study.log")
+    lock = Below("twinct.lock")
+    scans = Below("scans")
+    trials = Below("trials")
+    best = Below("best")
+    inputs = Below("inputs")
+    work = Below("work")
+
+    def claim(self, design: Design, *, resume: bool) -> str:
+        """Make the folder this study's, or make sure that it is; the study's own name.
+
+        Raises:
+            InputError: it holds something else, or another study.
+            ScanExistsError: it holds this study, and ``resume`` is false.
+        """
+        own = names_below(StudyFolder)
+        check_folder(self.path, {*own, *(draft_of(Path(name)).name for name in own)})
+        told = {"format": FORMAT, "base": _base(design), "keep": design.study.keep}
+        if self.identity.exists():
+            there = self._identity()
+            if {name: there.get(name) for name in told} != told:
+                what = "keep" if there.get("base") == told["base"] else "scenario, or its 'set',"
+                raise InputError(
+                    f"--out {self.path}: the folder is of another study: its {what} was another; "
+                    "choose another folder"
+                )
+            if not resume:
+                raise ScanExistsError(
+                    f"{self.path} holds this study already: go on, or extend it, with --resume"
+                )
+            name = there["id"]
+        else:
+            name = uuid.uuid4().hex[:12]
+            self.path.mkdir(parents=True, exist_ok=True)
+            write_json(self.identity, {**told, "id": name, "name": design.study.name})
+        write_text(self.study, design.text)
+        return name
+
+    def _identity(self) -> dict[str, Any]:
+        try:
+            told = json.loads(self.identity.read_text(encoding="utf-8"))
+            if told["format"] != FORMAT:
+                raise ValueError(f"format {told['format']!r}, this twinct knows {FORMAT!r}")
+            return told
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{self.identity}: no study: {error}") from None
+
+
+def _base(design: Design) -> str:
+    """Digest of the scenario before anything is varied."""
+    data = {k: v for k, v in design.template.data.items() if k not in ("name", "description")}
+    return hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()

@@ -1,0 +1,131 @@
+"""The journal of a study under way: rows of its trials, and the pictures of the best."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from twinct.pool import Done, Failed
+from twinct.report.figure_words import figure_words
+from twinct.study.checking import Checked
+from twinct.study.folder import StudyFolder
+from twinct.study.journal import Journal, Row
+
+MOST_BEST = 24
+"""Trials whose cross-sections are kept, one for each combination of values."""
+
+
+class Rows:
+    """Rows by the key of their trial; each is in the journal before anybody hears of it."""
+
+    def __init__(self, folder: StudyFolder, figure: str) -> None:
+        """Read those of before; trials are ranked by a figure."""
+        self._folder, self._figure = folder, figure
+        self._journal = Journal(folder.path)
+        self.status: dict[str, str] = {}
+        self._ranked: dict[str, tuple[float, str]] = {}
+        for row in self._journal.rows():
+            self._count(row)
+
+    def _count(self, row: Row) -> None:
+        self.status[row.key] = row.status
+        if (self._folder.best / f"{row.key}.npz").exists() and row.status == "done":
+            self._ranked[_combination(row)] = self._rank(row), row.key
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Keep rows of trials that ended."""
+        rows = list(rows)
+        self._journal.append(rows)
+        for row in rows:
+            self.status[row.key] = row.status
+
+    def done(self, one: Checked, event: Done, seconds: Mapping[str, float], report: str) -> Row:
+        """A trial that came to its end; its cross-sections are kept if it is among the best."""
+        row = _row(
+            one,
+            status="done",
+            figures=event.value["figures"],
+            seconds=dict(seconds) | event.value["seconds"],
+            report=report,
+        )
+        if "sections" in event.parcels and self._among_best(row):
+            event.parcels["sections"].save(self._folder.best / f"{row.key}.npz")
+        self.add([row])
+        return row
+
+    def failed(self, trials: Iterable[Checked], event: Failed) -> None:
+        """Trials that cannot be had, for one reason."""
+        message, seconds = "; ".join(event.problems), {"total": event.seconds}
+        self.add(
+            _row(
+                one,
+                status="failed",
+                figures={},
+                seconds=seconds,
+                message=message,
+                kind=event.kind,
+            )
+            for one in trials
+        )
+
+    def renumbered(self, trials: Iterable[Checked]) -> None:
+        """Give trials of before the numbers that they have now; those left out come last."""
+        now = {one.key: one.trial.number for one in trials}
+        rest = iter(range(len(now), len(now) + len(self.status)))
+        moved = [
+            dataclasses.replace(row, trial=number)
+            for row in self._journal.rows()
+            if (number := now[row.key] if row.key in now else next(rest)) != row.trial
+        ]
+        if moved:
+            self.add(moved)
+
+    def all(self) -> list[Row]:
+        """Of all trials that ended, by number."""
+        return self._journal.rows()
+
+    def _among_best(self, row: Row) -> bool:
+        rank, of = self._rank(row), _combination(row)
+        if of in self._ranked:
+            worst = of
+        elif len(self._ranked) < MOST_BEST:
+            self._ranked[of] = rank, row.key
+            return True
+        else:
+            worst = max(self._ranked, key=lambda name: self._ranked[name])
+        if rank >= self._ranked[worst][0]:
+            return False
+        (self._folder.best / f"{self._ranked.pop(worst)[1]}.npz").unlink(missing_ok=True)
+        self._ranked[of] = rank, row.key
+        return True
+
+    def _rank(self, row: Row) -> float:
+        value = row.figures.get(self._figure)
+        if value is None:
+            return float("inf")
+        return _RANK[figure_words(self._figure).best](value)
+
+
+_RANK = {
+    "lower": lambda x: x,
+    "higher": lambda x: -x,
+    "one": lambda x: abs(x - 1),
+    "": lambda x: 0.0,
+}
+
+
+def _combination(row: Row) -> str:
+    return repr(sorted(row.axes.items(), key=lambda item: item[0]))
+
+
+def _row(one: Checked, **told: Any) -> Row:
+    trial = one.trial
+    return Row(trial.number, one.key, trial.axes, trial.seed, scan=one.scan, **told)
+
+
+def sections_of(folder: StudyFolder, row: Row) -> Path | None:
+    """File of a trial's cross-sections, if they were kept."""
+    path = folder.best / f"{row.key}.npz"
+    return path if path.exists() else None
