@@ -13,7 +13,7 @@ from twinct.version import __version__
 if TYPE_CHECKING:
     from twinct.runs import compare, load_scan, needs, reconstruct, run, simulate
     from twinct.scenario import load_scenario
-    from twinct.study.results import load_results
+    from twinct.study import load_results, run_study
 
 
 __all__ = [
@@ -25,11 +25,13 @@ __all__ = [
     "needs",
     "reconstruct",
     "run",
+    "run_study",
     "simulate",
 ]
 
 _HOMES = {name: "twinct.runs" for name in __all__[1:]} | {
-    "load_results": "twinct.study.results",
+    "load_results": "twinct.study",
+    "run_study": "twinct.study",
     "load_scenario": "twinct.scenario",
 }
 

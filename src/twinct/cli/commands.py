@@ -13,6 +13,7 @@ from rich.table import Table
 
 from twinct.cli.ctsimu import ctsimu
 from twinct.cli.progress import on_terminal, say
+from twinct.cli.study import study
 from twinct.scenario import load_scenario, named_places, scenario_schema
 
 if TYPE_CHECKING:
@@ -562,4 +563,5 @@ def _percent(share: float | None) -> str:
     return "no figure" if share is None else f"{100 * share:.1f} %"
 
 
+app.command(study)
 app.command(ctsimu, name="ctsimu", help="Scenarios of the CTSimU format: render, export, qualify.")

@@ -113,10 +113,17 @@ class Checker:
             raise InputError(f"{twice[0]} and {twice[1]} are the same: a value stands twice")
         return found
 
+    def one(self, trial: Trial) -> Checked:
+        """A trial that a search came upon.
+
+        Raises:
+            ScenarioError: it is no scenario.
+        """
+        return self._checked(trial, self.design.scenario(trial))
+
     def _checked(self, trial: Trial, scenario: Scenario) -> Checked:
         digests = stage_digests(scenario)
-        told = json.dumps([digests["volume"], trial.changes], sort_keys=True)
-        key = hashlib.sha256(told.encode()).hexdigest()[:32]
+        key = trial_key(digests["volume"], trial)
         return Checked(trial, key, digests["images"], self._cost(scenario, digests["surface"]))
 
     def _cost(self, scenario: Scenario, surface: str) -> Cost:
@@ -132,6 +139,12 @@ class Checker:
         if (both := "".join(kinds)) not in self.costs:
             self.costs[both] = Cost(*kinds, needs(scenario, study.link))
         return self.costs[both]
+
+
+def trial_key(volume: str, trial: Trial) -> str:
+    """What identifies a trial, whatever its number: digest of its volume, and what it changes."""
+    told = json.dumps([volume, trial.changes], sort_keys=True)
+    return hashlib.sha256(told.encode()).hexdigest()[:32]
 
 
 def progressed(trials: Iterable[Trial], progress: Progress) -> Iterator[Trial]:

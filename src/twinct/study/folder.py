@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from twinct.errors import InputError, ScanExistsError
-from twinct.files.below import Below
-from twinct.files.writing import check_folder, write_json, write_text
+from twinct.files.below import Below, names_below
+from twinct.files.writing import check_folder, draft_of, write_json, write_text
 from twinct.study import journal, results
 from twinct.study.design import Design
 
@@ -52,37 +52,42 @@ class StudyFolder:
     inputs = Below("inputs")
     work = Below("work")
 
-    def claim(self, design: Design, *, resume: bool) -> str:
-        """Make the folder this study's, or make sure that it is; the study's own name.
+    def check(self, design: Design, *, resume: bool) -> None:
+        """Make sure that a study may be run here.
 
         Raises:
-            InputError: it holds something else, or another study.
+            InputError: the folder holds something else, or another study.
             ScanExistsError: it holds this study, and ``resume`` is false.
         """
         own = names_below(StudyFolder)
         check_folder(self.path, {*own, *(draft_of(Path(name)).name for name in own)})
-        told = {"format": FORMAT, "base": _base(design), "keep": design.study.keep}
-        if self.identity.exists():
-            there = self._identity()
-            if {name: there.get(name) for name in told} != told:
-                what = "keep" if there.get("base") == told["base"] else "scenario, or its 'set',"
-                raise InputError(
-                    f"--out {self.path}: the folder is of another study: its {what} was another; "
-                    "choose another folder"
-                )
-            if not resume:
-                raise ScanExistsError(
-                    f"{self.path} holds this study already: go on, or extend it, with --resume"
-                )
-            name = there["id"]
-        else:
-            name = uuid.uuid4().hex[:12]
-            self.path.mkdir(parents=True, exist_ok=True)
-            write_json(self.identity, {**told, "id": name, "name": design.study.name})
-        write_text(self.study, design.text)
-        return name
+        if not self.identity.exists():
+            return
+        told, there = _identity(design), self._there()
+        if {name: there.get(name) for name in told} != told:
+            what = "keep" if there.get("base") == told["base"] else "scenario, or its 'set',"
+            raise InputError(
+                f"--out {self.path}: the folder is of another study: its {what} was another; "
+                "choose another folder"
+            )
+        if not resume:
+            raise ScanExistsError(
+                f"{self.path} holds this study already: go on, or extend it, with --resume"
+            )
 
-    def _identity(self) -> dict[str, Any]:
+    @property
+    def name(self) -> str:
+        """What the study is called among all others: as before, or a new name."""
+        return self._there()["id"] if self.identity.exists() else uuid.uuid4().hex[:12]
+
+    def claim(self, design: Design, name: str) -> None:
+        """Write down whose folder it is; ``check`` has been asked."""
+        if not self.identity.exists():
+            told = {**_identity(design), "id": name, "name": design.study.name}
+            write_json(self.identity, told)
+        write_text(self.study, design.text)
+
+    def _there(self) -> dict[str, Any]:
         try:
             told = json.loads(self.identity.read_text(encoding="utf-8"))
             if told["format"] != FORMAT:
@@ -92,7 +97,8 @@ class StudyFolder:
             raise InputError(f"{self.identity}: no study: {error}") from None
 
 
-def _base(design: Design) -> str:
-    """Digest of the scenario before anything is varied."""
+def _identity(design: Design) -> dict[str, Any]:
+    """What must not change: the scenario before anything is varied, and what is kept."""
     data = {k: v for k, v in design.template.data.items() if k not in ("name", "description")}
-    return hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()
+    base = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()
+    return {"format": FORMAT, "base": base, "keep": design.study.keep}

@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from twinct.errors import InputError
 from twinct.pool import Done, Failed
 from twinct.report.figure_words import figure_words
-from twinct.study.checking import Checked
+from twinct.study.checking import Checked, trial_key
+from twinct.study.design import Trial
 from twinct.study.folder import StudyFolder
 from twinct.study.journal import Journal, Row
 
@@ -70,6 +72,13 @@ class Rows:
             for one in trials
         )
 
+    def refused(self, trial: Trial, error: InputError) -> str:
+        """A trial that is no scenario; its key."""
+        key, message = trial_key("", trial), "; ".join(error.problems)
+        told = {"figures": {}, "seconds": {}, "message": message, "kind": type(error).__name__}
+        self.add([Row(trial.number, key, trial.axes, trial.seed, status="failed", **told)])
+        return key
+
     def renumbered(self, trials: Iterable[Checked]) -> None:
         """Give trials of before the numbers that they have now; those left out come last."""
         now = {one.key: one.trial.number for one in trials}
@@ -81,6 +90,14 @@ class Rows:
         ]
         if moved:
             self.add(moved)
+
+    def wanted(self, key: str, *, retry: bool) -> bool:
+        """Whether a trial is still to be tried."""
+        return key not in self.status or (retry and self.status[key] == "failed")
+
+    def figures(self, name: str) -> dict[str, float | None]:
+        """One figure of all trials that have ended, by their keys; None of those that failed."""
+        return {row.key: row.figures.get(name) for row in self._journal.rows()}
 
     def all(self) -> list[Row]:
         """Of all trials that ended, by number."""

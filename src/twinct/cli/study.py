@@ -1,0 +1,135 @@
+"""The command that runs a study."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from twinct.cli.progress import on_terminal
+from twinct.errors import InputError
+from twinct.report.template import duration
+
+if TYPE_CHECKING:
+    from twinct.study import DryRun, Tally
+
+_LINE_EVERY_S = 30.0
+_MOST_SHOWN = 40
+
+Flag = tyro.conf.FlagCreatePairsOff[bool]
+
+
+def study(
+    file: Annotated[
+        tyro.conf.Positional[Path],
+        tyro.conf.arg(metavar="STUDY", help="Study file (YAML), such as examples/study.yaml."),
+    ],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|local|HOST:PORT")] = None,
+    jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    resume: Flag = False,
+    retry_failed: Flag = False,
+    dry_run: Flag = False,
+) -> None:
+    """Run a study: many trials of one scenario, each thing done once.
+
+    Writes journal.jsonl, results.parquet and study.html into DIR.
+
+    Args:
+        out: Folder for the results; one of this study is gone on with, or extended, by --resume.
+        address: Where Ray answers; local starts one on this machine. Default: local processes.
+        jobs: Trials at a time on this machine (default: as many as there are threads for).
+        resume: Go on with a study that was interrupted, or extend one.
+        retry_failed: With --resume, try failed trials again, too.
+        dry_run: Only tell which trials there are, and what they would take.
+    """
+    if retry_failed and not resume:
+        raise InputError("--retry-failed goes with --resume")
+    if jobs is not None and jobs < 1:
+        raise InputError(f"--jobs {jobs}: at least 1 needed")
+    if dry_run:
+        _show(_planned(file, out, jobs, retry_failed))
+        return
+    from twinct.study import run_study
+
+    with on_terminal() as audience, _Line() as line:
+        finished = run_study(
+            file,
+            out,
+            address=address,
+            jobs=jobs,
+            resume=resume,
+            retry=retry_failed,
+            tell=line.tell,
+            observers=audience,
+        )
+    failed = f", {finished.failed} failed" if finished.failed else ""
+    Console().print(
+        f"{finished.done} trials done{failed}; the page is {finished.folder.page}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _planned(file: Path, out: Path, jobs: int | None, retry: bool) -> DryRun:
+    from twinct.study import dry_run
+
+    with on_terminal() as audience:
+        return dry_run(file, out, jobs=jobs, retry=retry, observers=audience)
+
+
+def _show(found: DryRun) -> None:
+    console, told = Console(), found.estimate
+    table = Table(box=None)
+    labels = list(found.trials[0].axes) if found.trials else []
+    for name in ("trial", *labels, "seed"):
+        table.add_column(name)
+    for trial in found.trials[:_MOST_SHOWN]:
+        values = ["" if trial.axes[name] is None else str(trial.axes[name]) for name in labels]
+        table.add_row(str(trial.number), *values, "" if trial.seed is None else str(trial.seed))
+    console.print(table)
+    if len(found.trials) > _MOST_SHOWN:
+        console.print(f"... and {len(found.trials) - _MOST_SHOWN} more")
+    there = f", {found.there} are there already" if found.there else ""
+    size = f"{told.disk_bytes / 1e6:.1f} MB" if told.disk_bytes < 1e9 else ""
+    size = size or f"{told.disk_bytes / 1e9:.2f} GB"
+    console.print(f"{told.trials} trials to try{there}; {told.scans} scans", highlight=False)
+    known = "" if told.measured else " or less: no trial of this kind has run on this machine"
+    console.print(f"disk: {size}{known}", highlight=False)
+    if told.seconds is not None:
+        console.print(f"time: about {duration(told.seconds)}", highlight=False)
+
+
+class _Line:
+    """How far a study is, in one line; where there is no terminal, one every half a minute."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._live = Live(console=self._console, transient=True, refresh_per_second=4)
+        self._shown = time.monotonic()
+
+    def __enter__(self) -> _Line:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._live.stop()
+
+    def tell(self, tally: Tally) -> None:
+        """Show it."""
+        text = f"{tally.done} done, {tally.running} running, {tally.failed} failed"
+        text += f" of {tally.total}"
+        if tally.left_s is not None and tally.left_s > 0:
+            text += f", about {duration(tally.left_s)} left"
+        if self._console.is_terminal:
+            self._live.start()
+            self._live.update(Text(text))
+        elif time.monotonic() - self._shown > _LINE_EVERY_S:
+            self._shown = time.monotonic()
+            self._console.print(text, highlight=False)

@@ -1,0 +1,251 @@
+"""Runs a study: gives trials to a pool, each thing once, and journals what comes back."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from twinct.pool import Done, Failed, Pool, Work, each
+from twinct.scenario import Scenario
+from twinct.scenario.digests import readers
+from twinct.study.book import Book
+from twinct.study.checking import Checked
+from twinct.study.design import Design
+from twinct.study.folder import StudyFolder
+from twinct.study.inputs import Inputs
+from twinct.study.rows import Rows
+from twinct.study.taking import Errand, take_scan, try_trial
+
+log = logging.getLogger(__name__)
+
+_SCAN = "scan "
+"""How keys of work that takes a shared scan begin."""
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How far a study is.
+
+    Attributes:
+        done: trials that came to their end, those of before included.
+        failed: trials that cannot be had.
+        running: trials and scans that the pool has.
+        total: trials of the study.
+        left_s: seconds until the end, as far as it can be told.
+    """
+
+    done: int
+    failed: int
+    running: int
+    total: int
+    left_s: float | None
+
+
+@dataclass
+class Driver:
+    """One study on one pool.
+
+    Attributes:
+        design: the study.
+        folder: its own.
+        rows: its journal.
+        pool: what works.
+        tell: hears of each change.
+        total: trials of the study, as far as they are known.
+    """
+
+    design: Design
+    folder: StudyFolder
+    rows: Rows
+    pool: Pool
+    tell: Callable[[Tally], None]
+    total: int
+    _book: Book = field(default_factory=Book.open)
+    _began: float = field(default_factory=time.monotonic)
+    _ended: int = 0
+
+    def __post_init__(self) -> None:
+        self._inputs = Inputs(self.folder.inputs)
+        self._scans: dict[str, _SharedScan] = {}
+
+    def run(self, trials: Sequence[Checked]) -> None:
+        """Try trials; each has its row when this returns.
+
+        Raises:
+            TwinctError: the pool is lost, or the folder cannot be written.
+        """
+        self._share(trials)
+        by_key = {one.key: one for one in trials}
+        released: deque[Checked] = deque()
+        running = 0
+
+        def works() -> Iterator[Work | None]:
+            nonlocal running
+            waiting = iter(trials)
+            while True:
+                one = released.popleft() if released else next(waiting, None)
+                if one is None:
+                    if not any(scan.waiting for scan in self._scans.values()):
+                        return
+                    yield None
+                    continue
+                work = self._work(one)
+                if work is not None:
+                    running += 1
+                    yield work
+
+        for event in each(self.pool, works()):
+            running -= 1
+            if event.key.startswith(_SCAN):
+                released.extend(self._scanned(event.key.removeprefix(_SCAN), event))
+            else:
+                self._tried(by_key[event.key], event)
+            self._say(running)
+        self._book.write()
+
+    def _share(self, trials: Sequence[Checked]) -> None:
+        """Find the scans that several trials have in common."""
+        search = self.design.study.search
+        keys = [key for d in search.keys for key in d.keys] if search else []
+        later = bool(keys) and not any({*readers(key)} & _BEFORE_IMAGES for key in keys)
+        for digest, number in Counter(one.scan for one in trials).items():
+            kept = self.folder.scans / digest[:32]
+            if number > 1 or later or kept.exists():
+                shared = self._scans.setdefault(digest, _SharedScan())
+                shared.wanted += number
+                if kept.exists() and not shared.there:
+                    shared.there = True
+                    self.pool.offer(f"scan-{digest[:32]}", kept)
+
+    def _work(self, one: Checked) -> Work | None:
+        """What a trial asks for now; None where that is another's to bring, or has failed."""
+        shared = self._scans.get(one.scan)
+        if shared is None or shared.there:
+            return self._trial_work(one, shared is not None)
+        if shared.failed is not None:
+            self._fail([one], shared.failed)
+            return None
+        shared.waiting.append(one)
+        if len(shared.waiting) > 1:
+            return None
+        errand = self._errand(one, shared=True)
+        names = tuple(name for name, _ in errand.files.values())
+        memory = max(one.cost.stages[stage].memory_bytes for stage in _OF_SCAN)
+        return Work(_SCAN + one.scan, take_scan, errand, memory, names)
+
+    def _trial_work(self, one: Checked, shared: bool) -> Work:
+        errand = self._errand(one, shared=shared)
+        names = [name for name, _ in errand.files.values()]
+        names += [errand.scan_name] if shared else []
+        return Work(one.key, try_trial, errand, one.cost.memory_bytes, tuple(names))
+
+    def _errand(self, one: Checked, *, shared: bool) -> Errand:
+        scenario: Scenario = self.design.scenario(one.trial)
+        return Errand(
+            key=one.key,
+            scenario=scenario.model_dump(mode="json"),
+            files=self._inputs.offered(scenario, self.pool),
+            scan=one.scan,
+            shared=shared,
+            keep=self.design.study.keep,
+            link=self.design.study.link,
+        )
+
+    def _scanned(self, digest: str, event: Done | Failed) -> list[Checked]:
+        """Trials that may go on now that their scan is there; none if it has failed."""
+        shared = self._scans[digest]
+        waiting, shared.waiting = shared.waiting, []
+        if isinstance(event, Failed):
+            shared.failed = event
+            self._fail(waiting, event)
+            return []
+        kept = self.folder.scans / digest[:32]
+        event.parcels["scan"].save(kept)
+        self.pool.offer(f"scan-{digest[:32]}", kept)
+        shared.there = True
+        shared.seconds = event.value
+        self._book.add(waiting[0].cost.scan, sum(event.value.values()))
+        self._book.add(f"{waiting[0].cost.scan} bytes", _bytes_below(kept))
+        return waiting
+
+    def _tried(self, one: Checked, event: Done | Failed) -> None:
+        if isinstance(event, Failed):
+            self._fail([one], event)
+        else:
+            report = ""
+            parcel, name = {
+                "everything": ("run", f"trials/{one.key}"),
+                "volume": ("volume", f"trials/{one.key}.nii"),
+            }.get(self.design.study.keep, ("", ""))
+            if parcel:
+                event.parcels[parcel].save(self.folder.path / name)
+                report = f"{name}/report.html" if parcel == "run" else name
+            shared = self._scans.get(one.scan)
+            before = shared.take_seconds() if shared else {}
+            self.rows.done(one, event, before, report)
+            spent = event.value["seconds"]
+            if "scan" in spent:
+                self._book.add(one.cost.scan, spent["scan"])
+            self._book.add(one.cost.rest, spent["total"] - spent.get("scan", 0.0))
+            self._ended += 1
+            self._leave(one)
+
+    def _fail(self, trials: Sequence[Checked], event: Failed) -> None:
+        self.rows.failed(trials, event)
+        self._ended += len(trials)
+        for one in trials:
+            self._leave(one)
+        log.warning("%s: %s: %s", trials[0].trial, event.kind, "; ".join(event.problems))
+        if event.trace:
+            log.warning(event.trace)
+
+    def _leave(self, one: Checked) -> None:
+        shared = self._scans.get(one.scan)
+        if shared is not None:
+            shared.wanted -= 1
+            if not shared.wanted:
+                self.pool.withdraw(f"scan-{one.scan[:32]}")
+                del self._scans[one.scan]
+
+    def _say(self, running: int) -> None:
+        counts = Counter(self.rows.status.values())
+        left = self.total - len(self.rows.status)
+        spent = time.monotonic() - self._began
+        left_s = spent / self._ended * left if self._ended else None
+        self.tell(Tally(counts["done"], counts["failed"], running, self.total, left_s))
+
+
+_BEFORE_IMAGES = {"surface", "plan", "executed", "images"}
+_OF_SCAN = ("specimen", "plan", "views")
+
+
+@dataclass
+class _SharedScan:
+    """A scan that several trials have in common.
+
+    Attributes:
+        wanted: trials that have not ended yet.
+        there: whether it has been taken.
+        waiting: trials that go on once it is there.
+        failed: why it cannot be taken.
+        seconds: that it took, until a row tells of them.
+    """
+
+    wanted: int = 0
+    there: bool = False
+    waiting: list[Checked] = field(default_factory=list[Checked])
+    failed: Failed | None = None
+    seconds: dict[str, float] = field(default_factory=dict[str, float])
+
+    def take_seconds(self) -> dict[str, float]:
+        """The seconds, once."""
+        found, self.seconds = self.seconds, {}
+        return found
+
+
+def _bytes_below(path: Path) -> int:
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())

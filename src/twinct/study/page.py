@@ -1,0 +1,65 @@
+"""The page of a study, from its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from twinct.report.repetitions import StudyTrial
+from twinct.report.study_page import StudyAxis, StudyData, best_trials, write_study
+from twinct.study.design import Design
+from twinct.study.folder import StudyFolder
+from twinct.study.journal import Row
+from twinct.study.rows import sections_of
+from twinct.study.sections import read_sections
+from twinct.study.settings import Axis
+
+
+def write_page(
+    folder: StudyFolder, design: Design, rows: Sequence[Row], total: int, wall_seconds: float
+) -> None:
+    """Write ``study.html`` of what has ended so far.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    study = design.study
+    figures = study.figures
+    if study.search and study.search.figure not in figures:
+        figures = (study.search.figure, *figures)
+    log = {part.name for a in study.axes for part in a.paired or (a,) if _is_log(part)}
+    log |= {d.name for d in (study.search.keys if study.search else ()) if d.scale == "log"}
+    data = StudyData(
+        title=study.name,
+        description=study.description,
+        axes=[StudyAxis(label, log=label in log) for label in design.labels],
+        figures=figures,
+        trials=[
+            StudyTrial(
+                trial=row.trial,
+                axes=row.axes,
+                seed=row.seed,
+                done=row.status == "done",
+                figures=row.figures,
+                seconds=row.seconds,
+                message=row.message,
+                kind=row.kind,
+                report=row.report,
+            )
+            for row in rows
+        ],
+        yaml=design.text,
+        planned=total if len(rows) < total else None,
+        wall_seconds=wall_seconds,
+    )
+    kept = {row.trial: path for row in rows if (path := sections_of(folder, row))}
+    shown = {n: read_sections(kept[n]) for n in best_trials(data) if n in kept}
+    mu_reference = next((mu for _, mu in shown.values()), None)
+    sections = {number: found for number, (found, _) in shown.items()}
+    write_study(folder.page, replace(data, sections=sections, mu_reference=mu_reference))
+
+
+def _is_log(axis: Axis) -> bool:
+    return bool(axis.range and axis.range.scale == "log") or bool(
+        axis.draw and axis.draw.kind == "log_uniform"
+    )

@@ -1,0 +1,262 @@
+"""A study from its file to its page."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from twinct.errors import InputError
+from twinct.extras import require
+from twinct.files.lock import sole_owner
+from twinct.files.writing import storage_errors
+from twinct.observers import Audience, Observers, audience_of
+from twinct.pool import LocalPool, Pool
+from twinct.study.book import Book
+from twinct.study.checking import Checked, Checker
+from twinct.study.design import Design, Trial, load_study
+from twinct.study.driver import Driver, Tally
+from twinct.study.estimate import Estimate, bytes_below, estimate, page_kind
+from twinct.study.folder import StudyFolder
+from twinct.study.page import write_page
+from twinct.study.results import load_results, write_results
+from twinct.study.rows import Rows
+from twinct.study.search import Tried, asked, choice_of
+from twinct.threads import threads
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+StudySource = str | Path | Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """A study that was run.
+
+    Attributes:
+        folder: all that it has.
+        done: trials that came to their end.
+        failed: trials that cannot be had.
+    """
+
+    folder: StudyFolder
+    done: int
+    failed: int
+
+    @property
+    def results(self) -> pd.DataFrame:
+        """Its table; see ``twinct.load_results``."""
+        return load_results(self.folder.path)
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What a study would do.
+
+    Attributes:
+        trials: that it would try, those that are there already left out.
+        there: trials that are there already.
+        estimate: what it would take.
+    """
+
+    trials: Sequence[Trial]
+    there: int
+    estimate: Estimate
+
+
+def run_study(
+    source: StudySource,
+    out: str | Path,
+    *,
+    address: str | None = None,
+    jobs: int | None = None,
+    memory_bytes: int | None = None,
+    resume: bool = False,
+    retry: bool = False,
+    tell: Callable[[Tally], None] | None = None,
+    observers: Observers = (),
+) -> StudyRun:
+    """Run a study: every trial gets a row, whatever dies meanwhile.
+
+    Args:
+        source: the study's file, or the same as plain data.
+        out: folder for the results.
+        address: where Ray answers: ``auto``, HOST:PORT, or ``local`` for one of this machine's own;
+            None: a pool of local processes.
+        jobs: trials at a time on this machine; as many as its processors give threads.
+        memory_bytes: that all of them may take together; what this machine has.
+        resume: go on with what is there, or extend it.
+        retry: try failed trials again.
+        tell: hears of each change.
+        observers: hear of the stages before.
+
+    Raises:
+        InputError: whatever can be known before work starts; nothing has been written then.
+        FolderInUseError: another process works in the folder.
+        TwinctError: what went wrong afterwards; all rows are kept.
+    """
+    require("study")
+    design, folder = load_study(source), StudyFolder(Path(out))
+    study = design.study
+    with audience_of(observers) as audience:
+        folder.check(design, resume=resume)
+        checker = Checker(design)
+        trials = _first_trials(design, checker, audience)
+    with ExitStack() as stack:
+        name = folder.name
+        pool = _pool(folder, name, study.threads, address, jobs, memory_bytes)
+        stack.callback(pool.close)
+        stack.enter_context(storage_errors(folder.path))
+        folder.path.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(sole_owner(folder.lock))
+        stack.enter_context(_logged_to(folder.log))
+        folder.claim(design, name)
+        ranked = study.search.figure if study.search else study.figures[0]
+        rows = Rows(folder, ranked)
+        rows.renumbered(trials)
+        total = len(design.seeds) * study.search.trials if study.search else len(trials)
+        driver = Driver(design, folder, rows, pool, tell or (lambda _: None), total)
+        began = time.monotonic()
+        try:
+            if study.search:
+                _search(design, checker, driver, retry)
+            else:
+                driver.run([one for one in trials if rows.wanted(one.key, retry=retry)])
+        finally:
+            _conclude(design, folder, rows, total, time.monotonic() - began)
+        pool.close(clear=True)
+        status = list(rows.status.values())
+    return StudyRun(folder, status.count("done"), status.count("failed"))
+
+
+def dry_run(
+    source: StudySource,
+    out: str | Path | None = None,
+    *,
+    jobs: int | None = None,
+    retry: bool = False,
+    observers: Observers = (),
+) -> DryRun:
+    """Check a study and tell what it would do; of a search, its first batch.
+
+    Raises:
+        InputError: whatever can be known before work starts.
+    """
+    design = load_study(source)
+    with audience_of(observers) as audience:
+        folder = StudyFolder(Path(out)) if out is not None else None
+        if folder is not None:
+            folder.check(design, resume=True)
+        trials = _first_trials(design, Checker(design), audience)
+    there = Rows(folder, design.study.figures[0]) if folder else None
+    open_ = [one for one in trials if there is None or there.wanted(one.key, retry=retry)]
+    workers = jobs or _workers(design.study.threads)
+    found = estimate(design.study, open_, workers, Book.open())
+    return DryRun([one.trial for one in open_], len(trials) - len(open_), found)
+
+
+def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[Checked]:
+    """All trials of the axes, checked; of a search, those that can be checked before."""
+    study = design.study
+    if study.search is None:
+        trials = list(itertools.islice(design.trials(), study.max_trials + 1))
+        if len(trials) > study.max_trials:
+            raise InputError(
+                f"the study has more than {study.max_trials} trials (max_trials): raise that, or "
+                "take fewer values"
+            )
+        return checker.checked(trials, audience)
+    if (number := study.search.trials * len(design.seeds)) > study.max_trials:
+        raise InputError(f"the search has {number} trials, more than max_trials {study.max_trials}")
+    return checker.checked(_repeated(design, asked(study.search, []), 0), audience)
+
+
+def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> None:
+    """Ask for batches until all sets of values are tried; rows of before are told as they were."""
+    search = design.study.search
+    tried: list[Tried] = []
+    assert search is not None
+    while len(tried) < search.trials:
+        values = asked(search, tried)
+        keys: dict[int, str] = {}
+        trials: list[Checked] = []
+        for trial in _repeated(design, values, len(tried)):
+            try:
+                trials.append(checker.one(trial))
+                keys[trial.number] = trials[-1].key
+            except InputError as error:
+                keys[trial.number] = driver.rows.refused(trial, error)
+        driver.run([one for one in trials if driver.rows.wanted(one.key, retry=retry)])
+        figures = driver.rows.figures(search.figure)
+        for chosen in values:
+            first = len(tried) * len(design.seeds)
+            of_seeds = [figures.get(keys[first + n]) for n in range(len(design.seeds))]
+            found = [figure for figure in of_seeds if figure is not None]
+            tried.append((chosen, sum(found) / len(found) if found else None))
+
+
+def _repeated(design: Design, values: Sequence[Mapping[str, Any]], first: int) -> Iterator[Trial]:
+    """The trials of sets of values, the first of which has this number."""
+    search, seeds = design.study.search, len(design.seeds)
+    assert search is not None
+    for number, chosen in enumerate(values, first):
+        yield from design.repeated(number * seeds, choice_of(search, chosen))
+
+
+def _pool(
+    folder: StudyFolder,
+    name: str,
+    threads_each: int,
+    address: str | None,
+    jobs: int | None,
+    memory_bytes: int | None,
+) -> Pool:
+    if address is None:
+        workers = jobs or _workers(threads_each)
+        return LocalPool(
+            folder.work, workers=workers, threads=threads_each, memory_bytes=memory_bytes
+        )
+    from twinct.cluster import RayPool
+
+    return RayPool(address, name=name, threads=threads_each, memory_bytes=memory_bytes)
+
+
+def _workers(threads_each: int) -> int:
+    return max(threads() // threads_each, 1)
+
+
+def _conclude(
+    design: Design, folder: StudyFolder, rows: Rows, total: int, wall_seconds: float
+) -> None:
+    """Write table and page of what there is, also of a study that was interrupted."""
+    found = rows.all()
+    if not found:
+        return
+    write_results(folder.path, found)
+    write_page(folder, design, found, total, wall_seconds)
+    book = Book.open()
+    book.add("row bytes", (bytes_below([folder.journal, folder.results])) / len(found))
+    book.add(page_kind(design.study), folder.page.stat().st_size)
+    book.write()
+
+
+@contextmanager
+def _logged_to(path: Path) -> Iterator[None]:
+    """Keep what the package logs meanwhile."""
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logger = logging.getLogger("twinct.study")
+    logger.addHandler(handler)
+    propagate, logger.propagate = logger.propagate, False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = propagate
+        handler.close()
