@@ -20,9 +20,13 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
 }
 """Modules that cost little to import, so that they are: what is there may be broken."""
 
-_FOUND: dict[str, tuple[str, ...]] = {"xray": ("gvxrPython3",), "study": ("optuna",)}
-"""Modules that are only looked for: gVXR takes seconds and 2 GB, and belongs to one thread; only
-searches need Optuna."""
+_FOUND: dict[str, tuple[str, ...]] = {
+    "xray": ("gvxrPython3",),
+    "study": ("optuna",),
+    "cluster": ("ray",),
+}
+"""Modules that are only looked for: gVXR takes seconds and 2 GB, and belongs to one thread; Ray
+and Optuna take seconds, and Ray reads its environment then."""
 
 _CALLED = {"gvxrPython3": "gvxr", "itk": "itk-rtk", "mcap_ros2": "mcap-ros2-support"}
 """What pip calls a module, where the names differ."""

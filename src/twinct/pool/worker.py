@@ -5,10 +5,8 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import pickle
-import select
 import signal
 import sys
 from collections.abc import Mapping
@@ -17,6 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from twinct.pool.call import call
+from twinct.pool.lifeline import end_with
 from twinct.threads import limit_threads
 
 
@@ -33,24 +32,10 @@ class LocalPlace:
         return self.inputs[name]
 
 
-def end_with(lifeline: int) -> None:
-    """Let the kernel kill this process and its group when the other end of a pipe is closed.
-
-    It does so however its holder ends, and whatever this process is doing: a thread that watches
-    would wait for an engine that holds the interpreter. (Linux, fcntl(2): O_ASYNC, F_SETSIG.)
-    """
-    fcntl.fcntl(lifeline, fcntl.F_SETOWN, -os.getpgrp())
-    fcntl.fcntl(lifeline, fcntl.F_SETSIG, signal.SIGKILL)
-    fcntl.fcntl(lifeline, fcntl.F_SETFL, os.O_ASYNC)
-    if select.select([lifeline], [], [], 0)[0]:  # it was closed before
-        os.killpg(0, signal.SIGKILL)
-
-
 def main() -> None:
     """Work until the pool is gone."""
     connection, lifeline, threads = map(int, sys.argv[1:4])
     os.set_inheritable(connection, False)
-    os.set_inheritable(lifeline, False)
     end_with(lifeline)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the pool's: it ends its workers
     limit_threads(threads)

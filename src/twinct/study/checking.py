@@ -28,12 +28,14 @@ class Checked:
         trial: which.
         key: hex digest that identifies it, whatever its number.
         scan: digest of its scan.
+        volume: digest of its volume: trials may have that in common, too.
         cost: of what kind it is; trials of a kind take alike.
     """
 
     trial: Trial
     key: str
     scan: str
+    volume: str
     cost: Cost
 
 
@@ -124,7 +126,8 @@ class Checker:
     def _checked(self, trial: Trial, scenario: Scenario) -> Checked:
         digests = stage_digests(scenario)
         key = trial_key(digests["volume"], trial)
-        return Checked(trial, key, digests["images"], self._cost(scenario, digests["surface"]))
+        cost = self._cost(scenario, digests["surface"])
+        return Checked(trial, key, digests["images"], digests["volume"], cost)
 
     def _cost(self, scenario: Scenario, surface: str) -> Cost:
         study, detector, section = self.design.study, scenario.detector, scenario.reconstruction

@@ -71,6 +71,8 @@ class Driver:
     def __post_init__(self) -> None:
         self._inputs = Inputs(self.folder.inputs)
         self._scans: dict[str, _SharedScan] = {}
+        self._twins: dict[str, list[Checked]] = {}
+        self._running = 0
 
     def run(self, trials: Sequence[Checked]) -> None:
         """Try trials; each has its row when this returns.
@@ -78,34 +80,46 @@ class Driver:
         Raises:
             TwinctError: the pool is lost, or the folder cannot be written.
         """
-        self._share(trials)
-        by_key = {one.key: one for one in trials}
+        firsts = self._without_twins(trials)
+        self._share(firsts)
+        by_key = {one.key: one for one in firsts}
         released: deque[Checked] = deque()
-        running = 0
-
-        def works() -> Iterator[Work | None]:
-            nonlocal running
-            waiting = iter(trials)
-            while True:
-                one = released.popleft() if released else next(waiting, None)
-                if one is None:
-                    if not any(scan.waiting for scan in self._scans.values()):
-                        return
-                    yield None
-                    continue
-                work = self._work(one)
-                if work is not None:
-                    running += 1
-                    yield work
-
-        for event in each(self.pool, works()):
-            running -= 1
+        for event in each(self.pool, self._works(firsts, released)):
+            self._running -= 1
             if event.key.startswith(_SCAN):
                 released.extend(self._scanned(event.key.removeprefix(_SCAN), event))
             else:
                 self._tried(by_key[event.key], event)
-            self._say(running)
+            self._say()
         self._book.write()
+
+    def _works(self, trials: Sequence[Checked], released: deque[Checked]) -> Iterator[Work | None]:
+        """What the pool shall do next; None while all that is left waits for scans."""
+        waiting = iter(trials)
+        while True:
+            one = released.popleft() if released else next(waiting, None)
+            if one is not None:
+                if (work := self._work(one)) is not None:
+                    self._running += 1
+                    self._say()
+                    yield work
+            elif any(scan.waiting for scan in self._scans.values()):
+                yield None
+            else:
+                return
+
+    def _without_twins(self, trials: Sequence[Checked]) -> list[Checked]:
+        """One trial of each volume; the others get its figures when it has them."""
+        if self.design.study.keep == "everything":
+            return list(trials)
+        firsts: list[Checked] = []
+        for one in trials:
+            if one.volume in self._twins:
+                self._twins[one.volume].append(one)
+            else:
+                self._twins[one.volume] = []
+                firsts.append(one)
+        return firsts
 
     def _share(self, trials: Sequence[Checked]) -> None:
         """Find the scans that several trials have in common."""
@@ -186,7 +200,9 @@ class Driver:
                 report = f"{name}/report.html" if parcel == "run" else name
             shared = self._scans.get(one.scan)
             before = shared.take_seconds() if shared else {}
-            self.rows.done(one, event, before, report)
+            row = self.rows.done(one, event, before, report)
+            for twin in self._twins.pop(one.volume, ()):
+                self.rows.copied(twin, row)
             spent = event.value["seconds"]
             if "scan" in spent:
                 self._book.add(one.cost.scan, spent["scan"])
@@ -195,7 +211,8 @@ class Driver:
             self._leave(one)
 
     def _fail(self, trials: Sequence[Checked], event: Failed) -> None:
-        self.rows.failed(trials, event)
+        twins = [twin for one in trials for twin in self._twins.pop(one.volume, ())]
+        self.rows.failed([*trials, *twins], event)
         self._ended += len(trials)
         for one in trials:
             self._leave(one)
@@ -211,12 +228,12 @@ class Driver:
                 self.pool.withdraw(f"scan-{one.scan[:32]}")
                 del self._scans[one.scan]
 
-    def _say(self, running: int) -> None:
+    def _say(self) -> None:
         counts = Counter(self.rows.status.values())
         left = self.total - len(self.rows.status)
         spent = time.monotonic() - self._began
         left_s = spent / self._ended * left if self._ended else None
-        self.tell(Tally(counts["done"], counts["failed"], running, self.total, left_s))
+        self.tell(Tally(counts["done"], counts["failed"], self._running, self.total, left_s))
 
 
 _BEFORE_IMAGES = {"surface", "plan", "executed", "images"}

@@ -57,17 +57,17 @@ class Rows:
         self.add([row])
         return row
 
+    def copied(self, one: Checked, row: Row) -> None:
+        """A trial whose volume is the very one of another trial."""
+        told = {"figures": row.figures, "seconds": {}, "report": row.report}
+        self.add([_row(one, status="done", **told)])
+
     def failed(self, trials: Iterable[Checked], event: Failed) -> None:
         """Trials that cannot be had, for one reason."""
         message, seconds = "; ".join(event.problems), {"total": event.seconds}
         self.add(
             _row(
-                one,
-                status="failed",
-                figures={},
-                seconds=seconds,
-                message=message,
-                kind=event.kind,
+                one, status="failed", figures={}, seconds=seconds, message=message, kind=event.kind
             )
             for one in trials
         )

@@ -1,0 +1,118 @@
+"""Starts and ends Ray on this machine: on loopback, with a token, nothing left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from twinct.errors import LinkError
+
+ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_BACKEND_LOG_LEVEL": "fatal",  # what goes wrong comes as an exception, too
+    "RAY_NUM_REDIS_GET_RETRIES": "5",  # seconds, in which a cluster has to answer
+    "RAY_IGNORE_UNHANDLED_ERRORS": "1",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # else it prints advice
+}
+"""Of every process that talks to Ray."""
+
+PATIENCE_S = 120.0
+"""A busy machine starts Ray in half a minute."""
+
+
+class LocalRay:
+    """Ray's processes on this machine.
+
+    Attributes:
+        address: where it answers.
+        lifeline: a named pipe that is held open as long as this process lives.
+    """
+
+    def __init__(self, processors: int, memory_bytes: int) -> None:
+        """Start them.
+
+        Raises:
+            LinkError: they did not start.
+        """
+        # Sockets have short names only: the folder is not that of TMPDIR.
+        self._folder = Path(tempfile.mkdtemp(prefix="twinct-ray-", dir="/tmp"))
+        self.lifeline = self._folder / "lifeline"
+        os.mkfifo(self.lifeline)
+        self._held = os.open(self.lifeline, os.O_RDWR | os.O_CLOEXEC)
+        read, self._group = os.pipe()
+        heard, report = os.pipe()
+        self._before = {name: os.environ.get(name) for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN")}
+        os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+        settings = {"num_cpus": processors, "_memory": memory_bytes, "_temp_dir": str(self._folder)}
+        self._log = self._folder / "head.log"
+        with self._log.open("wb") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "twinct.cluster.head"]
+                + [str(read), str(report), json.dumps(settings)],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                pass_fds=(read, report),
+                process_group=0,
+                env={
+                    **os.environ,
+                    **ENVIRONMENT,
+                    # Ray then knows no address but loopback, and listens there alone.
+                    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+                    "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path),
+                },
+            )
+        os.close(read)
+        os.close(report)
+        try:
+            ready = select.select([heard], [], [], PATIENCE_S)[0]
+            self.address = os.read(heard, 256).decode() if ready else ""
+            if not self.address:
+                last = self._log.read_text(errors="replace").strip().splitlines()[-1:]
+                raise LinkError(
+                    f"Ray did not start: {' '.join(last) or f'{PATIENCE_S:.0f} s over'}"
+                )
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            os.close(heard)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process that started Ray lives."""
+        return self._process.poll() is None
+
+    def close(self) -> None:
+        """Kill them all, and what works for them."""
+        family = list(_descendants(self._process.pid))
+        os.close(self._held)
+        os.close(self._group)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        for pid in family:  # idle workers have groups of their own
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self._process.wait()
+        for name, value in self._before.items():
+            os.environ.pop(name, None)
+            os.environ |= {name: value} if value is not None else {}
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _descendants(pid: int) -> Iterator[int]:
+    for path in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            for child in map(int, path.read_text().split()):
+                yield child
+                yield from _descendants(child)
