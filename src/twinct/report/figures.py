@@ -300,7 +300,10 @@ _ABREAST = 4
 
 
 def side_by_side(
-    columns: Mapping[str, CrossSection | None], truth: str, looks: Sequence[Look]
+    columns: Mapping[str, CrossSection | None],
+    truth: str,
+    looks: Sequence[Look],
+    dpi: int = 150,
 ) -> Picture:
     """The same plane of several volumes: each reconstruction, below it its error.
 
@@ -310,6 +313,7 @@ def side_by_side(
         columns: what each shows, by its name; None: the plane passes its grid.
         truth: what the column of the truth is called.
         looks: as ``windows`` gives them, for all that is compared.
+        dpi: pixels an inch; a page shows about 100.
     """
     sections = [section for section in columns.values() if section is not None]
     first, extents = sections[0], np.array([section.extent_mm for section in sections])
@@ -360,7 +364,7 @@ def side_by_side(
             (grid[:, half:], looks[1], "reconstruction − truth / mm⁻¹"),
         ):
             _bar_below(figure, part, look, label, shrink=0.8, aspect=30)
-        return png(figure, 150)
+        return png(figure, dpi)
 
 
 _OUTSIDE = "#eceff2"

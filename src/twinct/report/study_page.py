@@ -129,6 +129,11 @@ def render_study(study: StudyData) -> str:
         repetitions=max((len(one.trials) for one in found), default=0),
         ranked=bool(ranking),
         words=words,
+        missing=[
+            shown.title
+            for name, shown in words.items()
+            if not any(one.done and one.figures.get(name) is not None for one in study.trials)
+        ],
         trends=[(words[name], _pictures(study, found, name, words[name])) for name in words],
         columns=_digits(chosen[:MOST_ROWS], words),
         rows=[_row(study, one) for one in chosen[:MOST_ROWS]],
@@ -273,7 +278,7 @@ def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) 
                     "voxels or of another specimen, and each error is against its own."
                 ]
             title = f"{plane}, {section.position}".rstrip(", ")
-            pictures.append((title, side_by_side(columns, "truth", looks).data_uri))
+            pictures.append((title, side_by_side(columns, "truth", looks, dpi=100).data_uri))
     labels = [axis.title for axis in study.axes]
     told: list[tuple[StudyTrial, str, str]] = []
     for one in having:
