@@ -27,12 +27,11 @@ class FigureWords(NamedTuple):
         return f"{self.title} / {self.unit}" if self.unit else self.title
 
 
-_BEST: tuple[tuple[str, Best], ...] = (
-    ("mean_bone_rel$", "one"),
-    ("psnr|ssim|clearance|fraction$|^reached$|real_time_factor", "higher"),
-    ("rmse|error|seconds", "lower"),
-)
-_BEST_UNKNOWN: Best = ""
+_BEST: dict[Best, str] = {
+    "one": "mean_bone_rel$",
+    "higher": "psnr|ssim|clearance|fraction$|^reached$|real_time_factor",
+    "lower": "rmse|error|seconds",
+}
 _UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_deg": "deg"}
 _STATISTICS = {"min": "smallest", "max": "largest", "mean": "mean", "std": "spread"}
 
@@ -48,7 +47,8 @@ def figure_words(name: str, reference: str = "bone") -> FigureWords:
     if len(parts) > 2 and parts[0] in ("image_by_geometry", "geometries"):
         of = f"{parts[1]} geometry"
         parts = [*(["image"] if parts[0] == "image_by_geometry" else []), *parts[2:]]
-    best = next((best for key, best in _BEST if re.search(key, name)), _BEST_UNKNOWN)
+    fitting: list[Best] = [best for best, key in _BEST.items() if re.search(key, name)]
+    best = fitting[0] if fitting else ""
     image = {f"image.{shown.key}": shown for shown in image_figures(reference)}
     shown = image.get(".".join(parts))
     if shown is not None:

@@ -14,6 +14,10 @@ from scipy.special import stdtrit
 CONFIDENCE = 0.95
 MOST_LINES = 6
 """Combinations of the other axes that a picture tells apart."""
+MOST_VALUES = 60
+"""On an axis; where there are more, only a cloud of combinations is drawn."""
+MOST_DOTS = 1000
+"""Of a cloud."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +73,14 @@ def mean_of(values: Iterable[float | None]) -> Mean:
 
 @dataclass(frozen=True, eq=False)
 class Combination:
-    """The trials that have the same values on all axes, in the axes' order; failed ones too."""
+    """The trials that have the same values on all axes, in the axes' order; failed ones too.
+
+    Attributes:
+        keys: texts that are the same for the same values.
+    """
 
     values: tuple[Any, ...]
+    keys: tuple[str, ...]
     trials: tuple[StudyTrial, ...]
 
     def found(self, figure: str) -> dict[int, tuple[StudyTrial, float]]:
@@ -90,17 +99,14 @@ class Combination:
 
 def combinations(trials: Iterable[StudyTrial], labels: Sequence[str]) -> list[Combination]:
     """Trials by their values on the axes, in the order of their first ones."""
-    found: dict[str, list[StudyTrial]] = {}
+    found: dict[tuple[str, ...], list[StudyTrial]] = {}
     for one in sorted(trials, key=lambda one: one.trial):
-        found.setdefault(_key([one.axes.get(label) for label in labels]), []).append(one)
+        keys = tuple(json.dumps(one.axes.get(label), sort_keys=True) for label in labels)
+        found.setdefault(keys, []).append(one)
     return [
-        Combination(tuple(same[0].axes.get(label) for label in labels), tuple(same))
-        for same in found.values()
+        Combination(tuple(same[0].axes.get(label) for label in labels), keys, tuple(same))
+        for keys, same in found.items()
     ]
-
-
-def _key(values: Any) -> str:
-    return json.dumps(values, sort_keys=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,23 +114,24 @@ class Trend:
     """A figure over an axis.
 
     Attributes:
-        lines: points (value on the axis, mean), for each combination of the other axes; all points
-            are in one line without values of others where each point is of one combination, or
-            where they are averaged.
-        averaged: whether there were too many combinations of the others, so that each point is
-            their average.
+        values: on the axis: numbers by size, others as they come.
+        lines: points (value, mean) for each combination of the other axes' values; a line without
+            such values where no two points differ by them alone, or where they are averaged.
+        cloud: (value, mean) of each combination by itself, or of ``MOST_DOTS`` of them evenly.
+        averaged: whether there were too many combinations of the others, so that points of the
+            line are their averages.
+        alone: whether other axes vary along with this one, so that points show all their effects.
         left_out: combinations to which the axis does not apply.
+        had: combinations to which it does.
     """
 
+    values: Sequence[Any]
     lines: Sequence[tuple[tuple[Any, ...], Sequence[tuple[Any, Mean]]]]
+    cloud: Sequence[tuple[Any, float]]
     averaged: bool
+    alone: bool
     left_out: int
-
-    @property
-    def values(self) -> list[Any]:
-        """Where there are points: numbers by size, others as they come."""
-        found = list({_key(x): x for _, line in self.lines for x, _ in line}.values())
-        return sorted(found) if numeric(found) else found
+    had: int
 
     @property
     def has_intervals(self) -> bool:
@@ -142,29 +149,47 @@ def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
     having = [one for one in found if one.found(figure)]
     on_axis = [one for one in having if one.values[axis] is not None]
     by_value: dict[str, list[Combination]] = {}
-    by_others: dict[str, list[Combination]] = {}
     for one in on_axis:
-        by_value.setdefault(_key(one.values[axis]), []).append(one)
-        by_others.setdefault(_key(_others(one, axis)), []).append(one)
-    left_out = len(having) - len(on_axis)
-    alone = all(len(same) == 1 for same in by_value.values())
-    if not alone and len(by_others) <= MOST_LINES:
+        by_value.setdefault(one.keys[axis], []).append(one)
+    values = [same[0].values[axis] for same in by_value.values()]
+    if numeric(values):
+        on_axis.sort(key=lambda one: one.values[axis])
+        by_value = dict(sorted(by_value.items(), key=lambda item: item[1][0].values[axis]))
+        values.sort()
+    by_others: dict[tuple[str, ...], list[Combination]] = {}
+    for one in on_axis:
+        by_others.setdefault(_others(one.keys, axis), []).append(one)
+
+    single = all(len(same) == 1 for same in by_value.values())
+    many = len(values) > MOST_VALUES
+    averaged = not (single or many) and len(by_others) > MOST_LINES
+    lines: list[tuple[tuple[Any, ...], list[tuple[Any, Mean]]]] = []
+    if single or averaged:
+        line = [(same[0].values[axis], _average(same, figure)) for same in by_value.values()]
+        lines = [((), line)]
+    else:
         lines = [
-            (_others(same[0], axis), _in_order((c.values[axis], c.mean(figure)) for c in same))
+            (_others(same[0].values, axis), [(c.values[axis], c.mean(figure)) for c in same])
             for same in by_others.values()
         ]
-        return Trend(lines, False, left_out)
-    points = _in_order((c[0].values[axis], _average(c, figure)) for c in by_value.values())
-    return Trend([((), points)], not alone, left_out)
+    cloud: list[tuple[Any, float]] = []
+    if many or averaged:
+        every = -(-len(on_axis) // MOST_DOTS)
+        told = [(c.values[axis], c.found(figure).values()) for c in on_axis[::every]]
+        cloud = [(x, sum(value for _, value in of) / len(of)) for x, of in told]
+    return Trend(
+        values=values,
+        lines=[] if many else lines,
+        cloud=cloud,
+        averaged=averaged,
+        alone=single and len(by_others) > 1,
+        left_out=len(having) - len(on_axis),
+        had=len(on_axis),
+    )
 
 
-def _others(one: Combination, axis: int) -> tuple[Any, ...]:
-    return one.values[:axis] + one.values[axis + 1 :]
-
-
-def _in_order(points: Iterable[tuple[Any, Mean]]) -> list[tuple[Any, Mean]]:
-    points = list(points)
-    return sorted(points, key=lambda point: point[0]) if numeric(x for x, _ in points) else points
+def _others(told: tuple[Any, ...], axis: int) -> tuple[Any, ...]:
+    return told[:axis] + told[axis + 1 :]
 
 
 def _average(found: Sequence[Combination], figure: str) -> Mean:
@@ -176,5 +201,5 @@ def _average(found: Sequence[Combination], figure: str) -> Mean:
     seeds = set(told[0]).intersection(*told[1:])
     if seeds:
         return mean_of(sum(one[seed][1] for one in told) / len(told) for seed in sorted(seeds))
-    means = [value for one in found if (value := one.mean(figure).mean) is not None]
+    means = [sum(value for _, value in one.values()) / len(one) for one in told]
     return Mean(sum(means) / len(means), None, 0)

@@ -204,8 +204,13 @@ def _pictures(
         notes: list[str] = []
         if shown.averaged:
             notes.append(f"averaged over the combinations of {', '.join(others)}")
-        if not shown.has_intervals:
-            notes.append("no repetitions, hence no intervals")
+        elif shown.alone:
+            notes.append(f"{', '.join(others)} vary along with it")
+        if shown.cloud:
+            some = f"{len(shown.cloud)} of {shown.had}" if len(shown.cloud) < shown.had else "the"
+            notes.append(f"dots: {some} combinations by themselves")
+        if not (shown.has_intervals or shown.cloud):
+            notes.append("no intervals")
         if shown.left_out:
             notes.append(f"without {shown.left_out} combinations that it does not apply to")
         picture = trend_picture(shown, axis.title, words.label, others, words.factor, axis.log)

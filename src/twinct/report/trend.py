@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from twinct.report.figures import LIMIT_COLOUR, STYLE, Picture, svg
 from twinct.report.repetitions import Trend, numeric
 
 _COLOURS = ("#1f6091", "#c4501b", "#3d7a4d", "#7a4d8f", "#b8860b", LIMIT_COLOUR)
 _MARKERS = "osD^vP"
-_MOST_JOINED = 40
-"""Points of a line; more are a cloud."""
-_MOST_BARS = 400
-"""Points with bars, drawn as shapes; more are one image, so that a page stays small."""
+_MOST_SHAPES = 300
+"""Dots of a cloud that are drawn as shapes; more are one image, so that a page stays small."""
 _MOST_NAMES = 24
 """Names that fit below a picture."""
+_NARROWEST_PX = 32
+"""Between numbers that are written below a picture, of 510 in all."""
 
 
 def in_words(value: Any) -> str:
@@ -53,38 +54,50 @@ def trend_picture(
         log: whether the axis is logarithmic; linear below its smallest positive value if it has
             others, too.
     """
-    values = shown.values
-    numbers, many = numeric(values), len(shown.lines)
-    count = sum(len(line) for _, line in shown.lines)
+    values, many = shown.values, len(shown.lines)
+    numbers = numeric(values)
+    joined = numbers and (shown.has_intervals or not shown.alone)
     with mpl.rc_context(STYLE):
         figure_ = Figure(figsize=(5.1, 3.3), layout="constrained")
         axes: Any = figure_.subplots()
+        places: Any = {} if numbers else {json.dumps(v): place for place, v in enumerate(values)}
+
+        def placed(points: Iterable[tuple[Any, Any]]) -> list[float]:
+            return [x if numbers else places[json.dumps(x)] for x, _ in points]
+
+        if shown.cloud:
+            y = factor * np.array([mean for _, mean in shown.cloud])
+            dots = {"marker": "o", "ls": "none", "mew": 0, "color": _COLOURS[0], "alpha": 0.35}
+            dots |= {"ms": 2.5, "rasterized": len(y) > _MOST_SHAPES, "zorder": 1}
+            axes.plot(placed(shown.cloud), y, **dots)
         for index, (told, line) in enumerate(shown.lines):
-            x = np.array([point if numbers else values.index(point) for point, _ in line], float)
-            if not numbers:
-                x += 0.5 * ((index + 0.5) / many - 0.5)  # beside each other
             y, half = (
                 factor * np.array([np.nan if v is None else v for v in column], dtype=np.float64)
                 for column in zip(*[mean[:2] for _, mean in line], strict=True)
             )
-            style: dict[str, Any] = {"color": _COLOURS[index], "marker": _MARKERS[index]}
-            joined = numbers and len(line) <= _MOST_JOINED
-            style |= {"ms": 4, "lw": 1.1, "ls": "-" if joined else "none"}
+            style: dict[str, Any] = {"color": _COLOURS[index], "marker": _MARKERS[index], "ms": 4}
+            style |= {"lw": 1.1, "ls": "-" if joined else "none", "capsize": 2.5, "elinewidth": 1}
             style["label"] = textwrap.shorten(", ".join(map(in_words, told)), 44, placeholder=" …")
-            if count > _MOST_BARS:
-                axes.plot(x, y, **style | {"ms": 2, "alpha": 0.4, "mew": 0}, rasterized=True)
-            else:
-                axes.errorbar(x, y, half, capsize=2.5, elinewidth=1, **style)
+            bars = axes.errorbar(placed(line), y, half, **style)
+            # Those at the same value stand beside each other, whatever the axis's scale.
+            shift = (index - (many - 1) / 2) * (3 if numbers else 8) / 72
+            beside = ScaledTranslation(shift, 0, figure_.dpi_scale_trans)
+            for artist in bars.get_children():
+                artist.set_transform(artist.get_transform() + beside)
         if numbers and log:
             positive = [value for value in values if value > 0]
             if len(positive) == len(values):
                 axes.set_xscale("log")
             elif positive:
                 axes.set_xscale("symlog", linthresh=min(positive))
-        if numbers and len(values) <= 8:
-            axes.set_xticks(values, [in_words(value) for value in values])
-            axes.set_xticks([], minor=True)
-        elif not numbers:
+        if numbers:
+            names = [f"{value:.4g}" for value in values]
+            axes.get_xlim()  # sets the scale that the next line asks for
+            across = axes.transData.transform([(value, 0) for value in values])[:, 0]
+            if np.diff(across).min() > _NARROWEST_PX and max(map(len, names)) <= 6:
+                axes.set_xticks(values, names)
+                axes.set_xticks([], minor=True)
+        else:
             names = [textwrap.shorten(in_words(v), 28, placeholder=" …") for v in values]
             turned = {"rotation": 30, "ha": "right"} if sum(map(len, names)) > 48 else {}
             axes.set_xlim(-0.5, len(values) - 0.5)
@@ -98,5 +111,6 @@ def trend_picture(
         axes.set_axisbelow(True)
         if many > 1:
             title = textwrap.shorten(", ".join(others), 60, placeholder=" …")
-            figure_.legend(loc="outside upper left", ncols=min(many, 3), title=title, borderpad=0)
+            place: dict[str, Any] = {"loc": "outside upper left", "alignment": "left"}
+            figure_.legend(**place, ncols=min(many, 3), title=title, borderpad=0)
         return svg(figure_)
