@@ -15,13 +15,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import twinct
 from twinct.cluster.content import Bytes, pack, unpack
 from twinct.errors import InputError
 from twinct.pool.call import Outcome, call
 from twinct.pool.lifeline import end_with
 from twinct.pool.parcel import remove
 from twinct.threads import limit_threads
+from twinct.version import __version__
 
 
 def ray_module() -> Any:
@@ -92,7 +92,7 @@ def versions() -> str:
     for path in sorted(Path(twinct.__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())
     return (
-        f"twinct {twinct.__version__} ({digest.hexdigest()[:8]}), "
+        f"twinct {__version__} ({digest.hexdigest()[:8]}), "
         f"Ray {ray_module().__version__}, Python {platform.python_version()}"
     )
 
