@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from twinct.errors import DamagedError
 from twinct.evaluate import region_of_interest
@@ -38,6 +38,9 @@ from twinct.specimen import BuiltSpecimen
 from twinct.study.figures import flat_figures
 from twinct.study.sections import write_sections
 from twinct.study.shelf import Shelf
+
+if TYPE_CHECKING:
+    from twinct.motion import MotionPlan
 
 log = logging.getLogger(__name__)
 
@@ -102,7 +105,8 @@ def take_scan(errand: Errand, place: Place) -> Made:
     """
     scenario, shelf, seconds = errand.scenario_at(place), Shelf(place.folder), _Seconds()
     _check(scenario)
-    workshop = Workshop(scenario, kept_specimen=_specimen(scenario, shelf, seconds))
+    specimen = _specimen(scenario, shelf, seconds)
+    workshop = Workshop(scenario, _plan(scenario, specimen, shelf, seconds), specimen)
     with seconds.stage("scan"):
         folder = shelf.path("scans", errand.scan, lambda draft: _acquire(errand, workshop, draft))
     return Made(seconds.stages, {"scan": folder / "scan.zarr"})
@@ -149,7 +153,6 @@ def _scan_path(errand: Errand, place: Place) -> Path | None:
 def _acquire(errand: Errand, workshop: Workshop, folder: Path) -> None:
     """Take a scan into a folder, or what one that was begun there lacks."""
     check_physics(workshop)
-    workshop.plan  # noqa: B018 - planned before anything is written
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "scan.zarr"
     with rig_factory(errand.link, folder / "log", Audience()) as make_rig:
@@ -171,7 +174,7 @@ def _figures(
 ) -> tuple[dict[str, Any], dict[str, Path]]:
     specimen = _specimen(scenario, shelf, seconds)
     path = kept or folder / "scan.zarr"
-    plan = ScanStore(path).plan if kept else None
+    plan = ScanStore(path).plan if kept else _plan(scenario, specimen, shelf, seconds)
     workshop = Workshop(scenario, plan, specimen)
     require_feasible(scenario, workshop.commanded)
     check_sight(workshop)
@@ -227,6 +230,22 @@ def _built(scenario: Scenario) -> BuiltSpecimen:
     specimen = Workshop(scenario).specimen
     _ = specimen.hull  # kept with it: many trials ask for it
     return specimen
+
+
+def _plan(
+    scenario: Scenario, specimen: BuiltSpecimen, shelf: Shelf, seconds: _Seconds
+) -> MotionPlan | None:
+    """As ``Workshop`` makes it; none with a gantry."""
+    if scenario.cell.kind != "arms":
+        return None
+    # Of the plan's stage is only which ways there are; speeds and exposures time them.
+    digest = stage_digests(scenario)["executed"]
+    with seconds.stage("plan"):
+        return _once(
+            "plan",
+            digest,
+            lambda: shelf.thing(digest, lambda: Workshop(scenario, None, specimen).plan),
+        )
 
 
 def _truth(scan: Scan, specimen: BuiltSpecimen, shelf: Shelf) -> Truth:
