@@ -1,0 +1,181 @@
+"""What a study costs beyond its trials, and what it gains: a difference and two ratios.
+
+python benchmarks/bench_study.py overhead    200 trials of 8 views, 32^3, against the same calls
+python benchmarks/bench_study.py scaling     40 scans of demo size, 2 workers against 1
+python benchmarks/bench_study.py sharing     10 relaxations on one scan against its parts
+
+Workers are warm, and each has one thread. What is compared takes turns, so that a noisy machine
+slows both. ``--pool ray`` takes Ray's workers in place of local processes.
+"""
+
+import argparse
+import os
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+
+os.environ["TWINCT_THREADS"] = "1"
+
+from twinct.pool import LocalPool  # noqa: E402 - threads are bounded before anything is loaded
+from twinct.study import load_study  # noqa: E402
+from twinct.study.checking import Checker  # noqa: E402
+from twinct.study.driver import Driver  # noqa: E402
+from twinct.study.folder import StudyFolder  # noqa: E402
+from twinct.study.rows import Rows  # noqa: E402
+from twinct.study.taking import take_scan, try_trial  # noqa: E402
+from twinct.threads import limit_threads  # noqa: E402
+
+ROOT = Path(__file__).parents[1]
+SMALL = {
+    "trajectory.views": 8,
+    "reconstruction.grid": {"voxels": 32, "voxel_mm": 4.96},
+}
+
+
+def seeds(number, scenario, **keys):
+    """A study of scans that differ in nothing but their noise."""
+    values = list(range(number))
+    return {
+        "scenario": str(ROOT / "scenarios" / scenario),
+        "set": {"detector.noise": {"kind": "snr", "snr": 100.0}, **keys},
+        "axes": [{"key": "seed", "label": "noise", "values": values}],
+    }
+
+
+class Bench:
+    """One study with a folder and checked trials."""
+
+    def __init__(self, told, folder):
+        self.design, self.folder = load_study(told), StudyFolder(folder)
+        folder.mkdir(parents=True)
+        self.rows = Rows(self.folder, "image.rmse_rel")
+        self.trials = Checker(self.design).checked(self.design.trials())
+
+    def on(self, pool):
+        """A driver of this study on a pool."""
+        return Driver(self.design, self.folder, self.rows, pool, lambda _: None, len(self.trials))
+
+
+class Here:
+    """A place in this process."""
+
+    threads = 1
+
+    def __init__(self, folder):
+        self.folder, self.offered = folder, {}
+
+    def fetch(self, name):
+        return self.offered[name]
+
+
+@contextmanager
+def pool_of(kind, workers, folder):
+    """Warm workers of one thread each."""
+    if kind == "local":
+        pool = LocalPool(folder, workers=workers, threads=1)
+    else:
+        from twinct.cluster import RayPool
+
+        pool = RayPool("local", name=f"bench-{workers}", threads=1)
+    with pool:
+        yield pool
+
+
+def seconds_of(call, *arguments):
+    """Wall-clock seconds of a call."""
+    start = time.perf_counter()
+    call(*arguments)
+    return time.perf_counter() - start
+
+
+def call_all(errands, place):
+    """The bare calls of some trials."""
+    for errand in errands:
+        try_trial(errand, place)
+
+
+def overhead(kind, folder, number):
+    """Seconds that a study takes for each trial beyond the bare call."""
+    bench = Bench(seeds(number + 2, "circle_gantry.yaml", **SMALL), folder / "study")
+    here = Here(folder / "here")
+    blocks = [bench.trials[2:][i : i + 10] for i in range(0, number, 10)]
+    differences = []
+    with pool_of(kind, 1, folder / "work") as pool:
+        driver = bench.on(pool)
+        driver.run(bench.trials[:2])
+        errands = [driver._errand(one, shared=False) for one in bench.trials]
+        for errand in errands[:2]:
+            try_trial(errand, here)
+        by_key = {errand.key: errand for errand in errands}
+        for turn, block in enumerate(blocks):
+            tried = seconds_of(driver.run, block)
+            called = seconds_of(lambda: [try_trial(by_key[o.key], here) for o in block])
+            differences.append((tried - called) / len(block))
+            print(
+                f"block {turn}: {tried / len(block):.3f} s a trial, bare {called / len(block):.3f} s"
+            )
+    mean = sum(differences) / len(differences)
+    print(f"{kind}: {number} trials: {mean:+.4f} s each (median {median(differences):+.4f} s)")
+
+
+def scaling(kind, folder, number):
+    """How much faster two workers take scans than one."""
+    told = seeds(number + 4, "demo.yaml", **{"reconstruction.iterations": 1})
+    bench = Bench(told, folder / "study")
+    turns = [bench.trials[4:][i : i + 4] for i in range(0, number, 4)]
+    spent = {1: 0.0, 2: 0.0}
+    with pool_of(kind, 1, folder / "one") as one, pool_of(kind, 2, folder / "two") as two:
+        drivers = {1: bench.on(one), 2: bench.on(two)}
+        drivers[1].run(bench.trials[:1])
+        drivers[2].run(bench.trials[1:4])
+        for turn, block in enumerate(turns):
+            for workers in (1, 2) if turn % 2 else (2, 1):
+                seconds = seconds_of(drivers[workers].run, block)
+                spent[workers] += seconds
+                print(f"turn {turn}: {workers} workers, {seconds:.1f} s for {len(block)} scans")
+    print(f"{kind}: {number} scans: {spent[1] / spent[2]:.2f} x as fast with two workers")
+
+
+def sharing(kind, folder, number):
+    """A study of relaxations on one scan, against the scan and the reconstructions alone."""
+    values = [0.1 * (1 + i) for i in range(number)]
+    told = {
+        "scenario": str(ROOT / "scenarios" / "demo.yaml"),
+        "axes": [{"key": "reconstruction.relaxation", "values": values}],
+    }
+    ratios = []
+    for turn in range(2):
+        bench, here = Bench(told, folder / f"study{turn}"), Here(folder / f"here{turn}")
+        with pool_of(kind, 1, folder / f"work{turn}") as pool:
+            warm = Bench(seeds(1, "circle_gantry.yaml", **SMALL), folder / f"warm{turn}")
+            warm.on(pool).run(warm.trials)
+            driver = bench.on(pool)
+            errands = [driver._errand(one, shared=True) for one in bench.trials]
+            studied = seconds_of(driver.run, bench.trials)
+        alone = seconds_of(take_scan, errands[0], here)
+        parts = [try_trial(errand, here).value["seconds"]["reconstruction"] for errand in errands]
+        ratios.append(studied / (alone + sum(parts)))
+        print(
+            f"turn {turn}: study {studied:.1f} s, scan {alone:.1f} s, {number} x {median(parts):.1f} s"
+        )
+    print(f"{kind}: {' and '.join(f'{ratio:.3f}' for ratio in ratios)} x its parts")
+
+
+def main():
+    """Run one of the three."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    what = {"overhead": (overhead, 200), "scaling": (scaling, 40), "sharing": (sharing, 10)}
+    parser.add_argument("what", choices=what, nargs="?", default="overhead")
+    parser.add_argument("--pool", choices=("local", "ray"), default="local")
+    parser.add_argument("--number", type=int)
+    options = parser.parse_args()
+    limit_threads(1)
+    function, usual = what[options.what]
+    with tempfile.TemporaryDirectory() as name:
+        function(options.pool, Path(name), options.number or usual)
+
+
+if __name__ == "__main__":
+    main()
