@@ -146,6 +146,24 @@ def test_an_axis_that_does_not_apply_leaves_a_combination_out():
     assert (shown.values, shown.left_out, shown.had) == ([1, 2], 1, 2)
 
 
+def test_what_varies_along_with_an_axis_makes_no_lines():
+    """Paired axes, one that has a single value, and one that is valid for one algorithm only."""
+    told = [("sart", n, c, i, "x") for n, c in ((0, 0), (1, 2), (3, 7)) for i in (3, 10)]
+    told += [("fdk", n, c, None, "x") for n, c in ((0, 0), (1, 2), (3, 7))]
+    labels = ["algorithm", "noise", "cut-off", "iterations", "same"]
+    trials = [trial(k, dict(zip(labels, v, strict=True)), None, 0.1) for k, v in enumerate(told)]
+    found = combinations(trials, labels)
+    noise, iterations = trend(found, 1, RMSE), trend(found, 3, RMSE)
+    assert (noise.others, noise.along, noise.joined) == ([0, 3], [2], True)
+    assert [told for told, _ in noise.lines] == [("sart", 3), ("sart", 10), ("fdk", None)]
+    assert (iterations.others, iterations.along, iterations.left_out) == ([1, 2], [], 3)
+    # One draw of all axes each, as a search asks for them: nothing lies between two of them.
+    drawn = [trial(k, {"a": k, "b": (7 * k) % 10}, None, 0.1) for k in range(10)]
+    assert not trend(combinations(drawn, ["a", "b"]), 0, RMSE).joined
+    again = [*drawn, *(replace(one, trial=one.trial + 10) for one in drawn)]
+    assert trend(combinations(again, ["a", "b"]), 0, RMSE).joined
+
+
 # --- words ---------------------------------------------------------------------------------------
 
 
@@ -333,7 +351,7 @@ def test_best_trials_are_shown_beside_the_truth(report, monkeypatch):
     best = best_trials(data)
     assert best == [8, 7, 6, 5, 4, 3]
     planes = {name: report.slices[name] for name in ("axial", "coronal")}
-    whole = replace(data, sections=dict.fromkeys(best, planes))
+    whole = replace(data, sections=dict.fromkeys(range(9), planes))
     html = render_study(whole)
     assert [names for names, _ in shown] == [[f"trial {k}" for k in best]] * 2
     assert shown[0][1] is shown[1][1], "the same windows"

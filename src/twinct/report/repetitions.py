@@ -115,12 +115,14 @@ class Trend:
 
     Attributes:
         values: on the axis: numbers by size, others as they come.
-        lines: points (value, mean) for each combination of the other axes' values; a line without
-            such values where no two points differ by them alone, or where they are averaged.
+        lines: points (value, mean) for each combination of the other axes' values; one line without
+            such values where there are no others, or where they are averaged.
         cloud: (value, mean) of each combination by itself, or of ``MOST_DOTS`` of them evenly.
         averaged: whether there were too many combinations of the others, so that points of the
             line are their averages.
-        alone: whether other axes vary along with this one, so that points show all their effects.
+        others: places of the other axes that vary at one value of this.
+        along: places of those that vary with this one alone, so that points show their effects too.
+        joined: whether neighbours are values in order, not one draw of many axes each.
         left_out: combinations to which the axis does not apply.
         had: combinations to which it does.
     """
@@ -129,7 +131,9 @@ class Trend:
     lines: Sequence[tuple[tuple[Any, ...], Sequence[tuple[Any, Mean]]]]
     cloud: Sequence[tuple[Any, float]]
     averaged: bool
-    alone: bool
+    others: Sequence[int]
+    along: Sequence[int]
+    joined: bool
     left_out: int
     had: int
 
@@ -156,22 +160,29 @@ def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
         on_axis.sort(key=lambda one: one.values[axis])
         by_value = dict(sorted(by_value.items(), key=lambda item: item[1][0].values[axis]))
         values.sort()
+    rest = [place for place in range(len(on_axis[0].keys) if on_axis else 0) if place != axis]
+    others = [
+        place
+        for place in rest
+        if any(len({one.keys[place] for one in same}) > 1 for same in by_value.values())
+    ]
+    along = [
+        place
+        for place in rest
+        if place not in others and len({one.keys[place] for one in on_axis}) > 1
+    ]
     by_others: dict[tuple[str, ...], list[Combination]] = {}
     for one in on_axis:
-        by_others.setdefault(_others(one.keys, axis), []).append(one)
+        by_others.setdefault(tuple(one.keys[place] for place in others), []).append(one)
 
-    single = all(len(same) == 1 for same in by_value.values())
-    many = len(values) > MOST_VALUES
-    averaged = not (single or many) and len(by_others) > MOST_LINES
+    many, averaged = len(values) > MOST_VALUES, len(by_others) > MOST_LINES
     lines: list[tuple[tuple[Any, ...], list[tuple[Any, Mean]]]] = []
-    if single or averaged:
-        line = [(same[0].values[axis], _average(same, figure)) for same in by_value.values()]
-        lines = [((), line)]
-    else:
-        lines = [
-            (_others(same[0].values, axis), [(c.values[axis], c.mean(figure)) for c in same])
-            for same in by_others.values()
-        ]
+    if averaged and not many:
+        lines = [((), [(c[0].values[axis], _average(c, figure)) for c in by_value.values()])]
+    elif not many:
+        for same in by_others.values():
+            told = tuple(same[0].values[place] for place in others)
+            lines.append((told, [(c.values[axis], c.mean(figure)) for c in same]))
     cloud: list[tuple[Any, float]] = []
     if many or averaged:
         every = -(-len(on_axis) // MOST_DOTS)
@@ -179,17 +190,15 @@ def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
         cloud = [(x, sum(value for _, value in of) / len(of)) for x, of in told]
     return Trend(
         values=values,
-        lines=[] if many else lines,
+        lines=lines,
         cloud=cloud,
-        averaged=averaged,
-        alone=single and len(by_others) > 1,
+        averaged=averaged and not many,
+        others=others,
+        along=along,
+        joined=bool(others) or not along or any(len(one.trials) > 1 for one in on_axis),
         left_out=len(having) - len(on_axis),
         had=len(on_axis),
     )
-
-
-def _others(told: tuple[Any, ...], axis: int) -> tuple[Any, ...]:
-    return told[:axis] + told[axis + 1 :]
 
 
 def _average(found: Sequence[Combination], figure: str) -> Mean:

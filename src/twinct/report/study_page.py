@@ -200,12 +200,15 @@ def _pictures(
         shown = trend(found, index, name)
         if len(shown.values) < 2:
             continue
-        others = [other.title for other in study.axes if other is not axis]
+        others, along = (
+            [study.axes[place].title for place in places] for places in (shown.others, shown.along)
+        )
         notes: list[str] = []
         if shown.averaged:
             notes.append(f"averaged over the combinations of {', '.join(others)}")
-        elif shown.alone:
-            notes.append(f"{', '.join(others)} vary along with it")
+        if along:
+            verb = "varies" if len(along) == 1 else "vary"
+            notes.append(f"{', '.join(along)} {verb} along with it")
         if shown.cloud:
             some = f"{len(shown.cloud)} of {shown.had}" if len(shown.cloud) < shown.had else "the"
             notes.append(f"dots: {some} combinations by themselves")

@@ -49,14 +49,13 @@ def trend_picture(
         shown: what is drawn.
         axis: label of the axis, with its unit.
         figure: label of the figure, with its unit.
-        others: labels of the other axes.
+        others: labels of the axes that tell its lines apart.
         factor: that the figure is shown with.
         log: whether the axis is logarithmic; linear below its smallest positive value if it has
             others, too.
     """
     values, many = shown.values, len(shown.lines)
     numbers = numeric(values)
-    joined = numbers and (shown.has_intervals or not shown.alone)
     with mpl.rc_context(STYLE):
         figure_ = Figure(figsize=(5.1, 3.3), layout="constrained")
         axes: Any = figure_.subplots()
@@ -76,7 +75,8 @@ def trend_picture(
                 for column in zip(*[mean[:2] for _, mean in line], strict=True)
             )
             style: dict[str, Any] = {"color": _COLOURS[index], "marker": _MARKERS[index], "ms": 4}
-            style |= {"lw": 1.1, "ls": "-" if joined else "none", "capsize": 2.5, "elinewidth": 1}
+            style |= {"ls": "-" if numbers and shown.joined else "none", "lw": 1.1}
+            style |= {"capsize": 2.5, "elinewidth": 1}
             style["label"] = textwrap.shorten(", ".join(map(in_words, told)), 44, placeholder=" …")
             bars = axes.errorbar(placed(line), y, half, **style)
             # Those at the same value stand beside each other, whatever the axis's scale.
