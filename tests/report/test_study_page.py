@@ -318,6 +318,7 @@ def test_all_failed_or_none_begun(axes):
     said = words_of(render_study(study(failed, *axes)))
     assert "3 failed" in said and "No trial has RMSE." in said and "3 no 0 to 2" in said
     assert "No trial has ended." in words_of(render_study(study([], *axes)))
+    assert "3 failed" in words_of(render_study(study(failed, *axes, figures=())))
 
 
 def test_ten_thousand_trials_stay_a_small_page(drawn):

@@ -106,7 +106,7 @@ def trend_picture(
             else:
                 axes.set_xticks([])
         axes.set_xlabel(axis)
-        axes.set_ylabel(textwrap.fill(figure, 42))
+        axes.set_ylabel(textwrap.fill(figure, 34))
         axes.grid(axis="y", color="#e4e7eb", lw=0.7)
         axes.set_axisbelow(True)
         if many > 1:
