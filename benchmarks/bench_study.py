@@ -111,11 +111,10 @@ def overhead(kind, folder, number):
         by_key = {errand.key: errand for errand in errands}
         for turn, block in enumerate(blocks):
             tried = seconds_of(driver.run, block)
-            called = seconds_of(lambda: [try_trial(by_key[o.key], here) for o in block])
+            called = seconds_of(call_all, [by_key[one.key] for one in block], here)
             differences.append((tried - called) / len(block))
-            print(
-                f"block {turn}: {tried / len(block):.3f} s a trial, bare {called / len(block):.3f} s"
-            )
+            each, bare = tried / len(block), called / len(block)
+            print(f"block {turn}: {each:.3f} s a trial, bare {bare:.3f} s")
     mean = sum(differences) / len(differences)
     print(f"{kind}: {number} trials: {mean:+.4f} s each (median {median(differences):+.4f} s)")
 
@@ -157,9 +156,8 @@ def sharing(kind, folder, number):
         alone = seconds_of(take_scan, errands[0], here)
         parts = [try_trial(errand, here).value["seconds"]["reconstruction"] for errand in errands]
         ratios.append(studied / (alone + sum(parts)))
-        print(
-            f"turn {turn}: study {studied:.1f} s, scan {alone:.1f} s, {number} x {median(parts):.1f} s"
-        )
+        each = median(parts)
+        print(f"turn {turn}: study {studied:.1f} s, scan {alone:.1f} s, {number} x {each:.1f} s")
     print(f"{kind}: {' and '.join(f'{ratio:.3f}' for ratio in ratios)} x its parts")
 
 

@@ -20,11 +20,13 @@ from twinct.errors import LinkError
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_BACKEND_LOG_LEVEL": "fatal",  # what goes wrong comes as an exception, too
-    "RAY_NUM_REDIS_GET_RETRIES": "5",  # seconds, in which a cluster has to answer
     "RAY_IGNORE_UNHANDLED_ERRORS": "1",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # else it prints advice
 }
 """Of every process that talks to Ray."""
+
+CLIENT = {"RAY_NUM_REDIS_GET_RETRIES": "2", "RAY_py_gcs_connect_timeout_s": "5"}
+"""Of one that joins a Ray that is there: a few seconds, after which nobody answers."""
 
 PATIENCE_S = 120.0
 """A busy machine starts Ray in half a minute."""
@@ -65,7 +67,7 @@ class LocalRay:
                 pass_fds=(read, report),
                 process_group=0,
                 env={
-                    **os.environ,
+                    **{k: v for k, v in os.environ.items() if k not in CLIENT},
                     **ENVIRONMENT,
                     # Ray then knows no address but loopback, and listens there alone.
                     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",

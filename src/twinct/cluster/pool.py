@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from twinct.cluster import node
 from twinct.cluster.content import pack, unpack
-from twinct.cluster.local import ENVIRONMENT, LocalRay
+from twinct.cluster.local import CLIENT, ENVIRONMENT, LocalRay
 from twinct.errors import InputError, LinkError, MemoryShortageError
 from twinct.extras import require
 from twinct.memory import available_bytes
@@ -103,7 +103,7 @@ class RayPool:
             problems.append(f"{name!r}: cannot be the name of a folder")
         if problems:
             raise InputError(problems)
-        os.environ.update(ENVIRONMENT)
+        os.environ.update(ENVIRONMENT | CLIENT)
         ray = node.ray_module()
         if ray.is_initialized():
             raise InputError("this process is connected to Ray already: one pool at a time")
@@ -201,10 +201,11 @@ class RayPool:
             return
         self._closed = True
         with contextlib.suppress(Exception):
-            if clear:
-                self._each_node(node.clear, self._terms.pool)
+            self._look()
             for reference in self._running:
                 self._ray.cancel(reference, force=True)
+            if clear:
+                self._each_node(node.clear, self._terms.pool)
         self._running.clear()
         self._tickets.clear()
         try:
@@ -215,6 +216,7 @@ class RayPool:
 
     def _measured(self) -> tuple[float, int, int]:
         if time.monotonic() - self._size[0] > LOOK_S:
+            self._look()
             with self._speaking():
                 nodes = [n["Resources"] for n in self._ray.nodes() if n["Alive"]]
             slots = [int(n.get("CPU", 0) // self._threads) for n in nodes]

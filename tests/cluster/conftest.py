@@ -1,0 +1,15 @@
+"""Workers import what they do by name: the jobs are those of the pool's tests."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+JOBS = str(Path(__file__).parents[1] / "pool")
+
+if JOBS not in sys.path:
+    sys.path.insert(0, JOBS)
+    os.environ["PYTHONPATH"] = os.pathsep.join(
+        filter(None, [JOBS, os.environ.get("PYTHONPATH")])
+    )  # of the nodes of simulated clusters
