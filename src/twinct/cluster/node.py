@@ -15,10 +15,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-<<<<<<< HEAD
-from twinct import version
-=======
->>>>>>> 54e3db3 (Tests of the pool on Ray)
 from twinct.cluster.content import Bytes, pack, unpack
 from twinct.errors import InputError
 from twinct.pool.call import Outcome, call
@@ -93,19 +89,11 @@ class NodePlace:
 def versions() -> str:
     """Of what has to be the same everywhere; twinct's also by its sources."""
     digest = hashlib.sha256()
-<<<<<<< HEAD
-    for path in sorted(Path(version.__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return (
-        f"twinct {version.__version__} ({digest.hexdigest()[:8]}), "
-        f"Ray {ray_module().version.__version__}, Python {platform.python_version()}"
-=======
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
     return (
         f"twinct {__version__} ({digest.hexdigest()[:8]}), "
         f"Ray {ray_module().__version__}, Python {platform.python_version()}"
->>>>>>> 54e3db3 (Tests of the pool on Ray)
     )
 
 
