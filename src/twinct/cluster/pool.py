@@ -33,6 +33,11 @@ LOOK_S = 2.0
 """How often a pool that waits makes sure that Ray is there."""
 
 
+_SETTINGS = b"\4"
+_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _SETTINGS + b"\0\0\0\0\0"
+"""How HTTP/2 begins, from either side a frame of settings (RFC 9113, 3.4 and 6.5)."""
+
+
 @dataclass(frozen=True)
 class _Sent:
     """A parcel that lies in Ray's store on the node that made it."""
@@ -300,7 +305,7 @@ class RayPool:
 
 def _connect(address: str, local: bool) -> str:
     """Join a cluster; its address."""
-    if address != "auto" and not _answers(address):
+    if address != "auto" and not _answers(address, as_ray=True):
         raise InputError(f"{address}: no Ray answers there (HOST:PORT, auto or local needed)")
     ray = node.ray_module()
     from ray._private import ray_constants, worker
@@ -338,10 +343,14 @@ def _quiet() -> Iterator[None]:
         os.close(kept)
 
 
-def _answers(address: str) -> bool:
+def _answers(address: str, *, as_ray: bool = False) -> bool:
+    """Whether something listens there, and speaks as Ray does: gRPC, over HTTP/2."""
     host, _, port = address.rpartition(":")
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S):
+        with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S) as connection:
+            if as_ray:
+                connection.sendall(_HELLO)
+                return connection.recv(9)[3:4] == _SETTINGS
             return True
     except (OSError, ValueError):
         return False
