@@ -50,7 +50,7 @@ class Bench:
     def __init__(self, told, folder):
         self.design, self.folder = load_study(told), StudyFolder(folder)
         folder.mkdir(parents=True)
-        self.rows = Rows(self.folder, "image.rmse_rel")
+        self.rows = Rows(self.folder, self.design.study)
         self.trials = Checker(self.design).checked(self.design.trials())
 
     def on(self, pool):

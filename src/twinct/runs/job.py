@@ -78,6 +78,7 @@ def run(
     resume: bool = False,
     record: bool = False,
     threads: int | None = None,
+    workshop: Workshop | None = None,
     observers: Observers = (),
 ) -> Run:
     """Run a scenario from the plan to the report.
@@ -90,6 +91,7 @@ def run(
             other settings is made anew.
         record: write all that is said during the scan to ``scan.mcap`` in the folder.
         threads: that each process may use; see ``limit_threads``.
+        workshop: holds parts already built of this scenario.
         observers: hear of the plan, moving joints, views, iterations, stages and warnings; see
             ``twinct.observers``.
 
@@ -117,7 +119,9 @@ def run(
             audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
     recorder = recorder_of(link, folder.path) if record else None
-    workshop = Workshop(scenario, store.plan if store else None)
+    workshop = workshop or Workshop(scenario)
+    if store:
+        workshop = replace(workshop, kept_plan=store.plan)
     check_physics(workshop)
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))

@@ -24,14 +24,14 @@ def write_page(
         StorageError: it cannot be written.
     """
     study = design.study
-    figures = study.figures
-    if study.search and study.search.figure not in figures:
-        figures = (study.search.figure, *figures)
+    ranked, better = study.ranked_by
+    figures = (ranked, *(name for name in study.figures if name != ranked))
     log = {part.name for a in study.axes for part in a.paired or (a,) if _is_log(part)}
     log |= {d.name for d in (study.search.keys if study.search else ()) if d.scale == "log"}
     data = StudyData(
         title=study.name,
         description=study.description,
+        best=better,
         axes=[StudyAxis(label, log=label in log) for label in design.labels],
         figures=figures,
         trials=[

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from twinct.errors import InputError
+from twinct.files.writing import complete
 from twinct.pool import Done, Failed
 from twinct.report.figure_words import figure_words
 from twinct.study.checking import Checked, trial_key
 from twinct.study.design import Trial
 from twinct.study.folder import StudyFolder
 from twinct.study.journal import Journal, Row
+from twinct.study.settings import Study
 
 MOST_BEST = 24
 """Trials whose cross-sections are kept, one for each combination of values."""
@@ -22,9 +24,10 @@ MOST_BEST = 24
 class Rows:
     """Rows by the key of their trial; each is in the journal before anybody hears of it."""
 
-    def __init__(self, folder: StudyFolder, figure: str) -> None:
-        """Read those of before; trials are ranked by a figure."""
-        self._folder, self._figure = folder, figure
+    def __init__(self, folder: StudyFolder, study: Study) -> None:
+        """Read those of before."""
+        self._folder = folder
+        self._figure, self._better = study.ranked_by
         self._journal = Journal(folder.path)
         self.status: dict[str, str] = {}
         self._ranked: dict[str, tuple[float, str]] = {}
@@ -52,8 +55,10 @@ class Rows:
             seconds=dict(seconds) | event.value["seconds"],
             report=report,
         )
-        if "sections" in event.parcels and self._among_best(row):
-            event.parcels["sections"].save(self._folder.best / f"{row.key}.npz")
+        if self._among_best(row):
+            self._folder.best.mkdir(exist_ok=True)
+            with complete(self._folder.best / f"{row.key}.npz") as draft:
+                draft.write_bytes(event.value["sections"])
         self.add([row])
         return row
 
@@ -122,7 +127,7 @@ class Rows:
         value = row.figures.get(self._figure)
         if value is None:
             return float("inf")
-        return _RANK[figure_words(self._figure).best](value)
+        return _RANK[self._better or figure_words(self._figure).best](value)
 
 
 _RANK = {

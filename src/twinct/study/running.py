@@ -117,8 +117,7 @@ def run_study(
         stack.enter_context(sole_owner(folder.lock))
         stack.enter_context(_logged_to(folder.log))
         folder.claim(design, name)
-        ranked = study.search.figure if study.search else study.figures[0]
-        rows = Rows(folder, ranked)
+        rows = Rows(folder, study)
         rows.renumbered(trials)
         total = len(design.seeds) * study.search.trials if study.search else len(trials)
         driver = Driver(design, folder, rows, pool, tell or (lambda _: None), total)
@@ -154,7 +153,7 @@ def dry_run(
         if folder is not None:
             folder.check(design, resume=True)
         trials = _first_trials(design, Checker(design), audience)
-    there = Rows(folder, design.study.figures[0]) if folder else None
+    there = Rows(folder, design.study) if folder else None
     open_ = [one for one in trials if there is None or there.wanted(one.key, retry=retry)]
     workers = jobs or _workers(design.study.threads)
     found = estimate(design.study, open_, workers, Book.open())

@@ -199,6 +199,13 @@ class Study(Section):
     threads: Count = setting(1, "That each trial may use.")
     max_trials: Count = setting(10_000, "More than so many are refused.")
 
+    @property
+    def ranked_by(self) -> tuple[str, Literal["lower", "higher", ""]]:
+        """The figure by which trials are ranked, and which way; empty: as the figure has it."""
+        if self.search is None:
+            return self.figures[0], ""
+        return self.search.figure, "lower" if self.search.direction == "minimize" else "higher"
+
     @model_validator(mode="after")
     def _one_way(self) -> Study:
         if self.search and self.axes:

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from twinct.errors import DamagedError
-from twinct.evaluate import region_of_interest
+from twinct.evaluate import ImageFigures, region_of_interest
 from twinct.observers import Audience
 from twinct.pool import Made, Place
+from twinct.pool.parcel import Here, remove
 from twinct.report import cross_sections
 from twinct.runs import (
     Truth,
@@ -36,8 +37,9 @@ from twinct.scan import Scan, ScanStore, Workshop
 from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
 from twinct.specimen import BuiltSpecimen
 from twinct.study.figures import flat_figures
-from twinct.study.sections import write_sections
+from twinct.study.sections import packed_sections
 from twinct.study.shelf import Shelf
+from twinct.volume import Volume
 
 if TYPE_CHECKING:
     from twinct.motion import MotionPlan
@@ -116,8 +118,8 @@ def try_trial(errand: Errand, place: Place) -> Made:
     """Take, reconstruct and judge one trial.
 
     Returns:
-        Figures and seconds, and parcels: ``sections``, the cross-sections; with ``volume`` also
-        that, with ``everything`` the run's folder as ``run``.
+        Figures, seconds and ``sections``, a small file of cross-sections; with ``volume`` that as a
+        parcel, with ``everything`` the run's folder as ``run``.
 
     Raises:
         InputError: it cannot be run.
@@ -130,11 +132,11 @@ def try_trial(errand: Errand, place: Place) -> Made:
         _check(scenario)
         kept = _scan_path(errand, place)
         if errand.keep == "everything":
-            figures, parcels = _whole_run(errand, scenario, kept, folder, place, seconds)
+            found, parcels = _whole_run(errand, scenario, kept, folder, place, seconds)
         else:
-            figures, parcels = _figures(errand, scenario, kept, folder, shelf, seconds)
+            found, parcels = _figures(errand, scenario, kept, folder, shelf, seconds)
     seconds.stages["total"] = time.perf_counter() - began
-    return Made({"figures": figures, "seconds": seconds.stages}, parcels)
+    return Made({**found, "seconds": seconds.stages}, parcels)
 
 
 def _check(scenario: Scenario) -> None:
@@ -185,21 +187,23 @@ def _figures(
     scan = replace(scan, scenario=scenario)
     with seconds.stage("truth"):
         truth = _truth(scan, specimen, shelf)
-    images, parcels = {}, {}
+    images: dict[str, ImageFigures] = {}
+    sections, parcels = b"", {}
     for which in scenario.reconstruction.geometries:
         with seconds.stage(f"reconstruction, {which}" if images else "reconstruction"):
             volume = reconstruct(scan, geometry=which, checkpoints=folder / "checkpoints")
         with seconds.stage("judge"):
             images[which] = judge(scan, volume, truth)
-        if not parcels:
-            parcels = {"sections": folder / "sections.npz"}
+        if not sections:
             grid = scenario.reconstruction.grid.volume_grid
             shown = cross_sections(volume.array, truth.volume, truth.region, grid)
-            write_sections(folder / "sections.npz", shown, truth.mu_reference)
+            sections = packed_sections(shown, truth.mu_reference)
             if errand.keep == "volume":
-                volume.write(folder / "volume.nii", "twinct, 1/mm")
-                parcels["volume"] = folder / "volume.nii"
-    return flat_figures(figures_of(scan, images)), parcels
+                parcels = {"volume": folder / "volume.nii"}
+                volume.write(parcels["volume"], "twinct, 1/mm")
+    for used in [path for path in folder.iterdir() if path not in parcels.values()]:
+        remove(used)
+    return {"figures": flat_figures(figures_of(scan, images)), "sections": sections}, parcels
 
 
 def _whole_run(
@@ -211,13 +215,27 @@ def _whole_run(
     seconds: _Seconds,
 ) -> tuple[dict[str, Any], dict[str, Path]]:
     if kept is not None and not (folder / "scan.zarr").exists():
-        draft = folder.with_name(f".{folder.name}.scan")
-        shutil.rmtree(draft, ignore_errors=True)
-        shutil.copytree(kept, draft)
-        draft.rename(folder / "scan.zarr")
-    finished = run(scenario, folder, link=errand.link, resume=True, threads=place.threads)
+        Here(kept).save(folder / "scan.zarr")
+    shelf = Shelf(place.folder)
+    specimen = _specimen(scenario, shelf, seconds)
+    plan = None if kept else _plan(scenario, specimen, shelf, seconds)
+    finished = run(
+        scenario,
+        folder,
+        link=errand.link,
+        resume=True,
+        threads=place.threads,
+        workshop=Workshop(scenario, plan, specimen),
+    )
     seconds.stages |= finished.figures["seconds"]
-    return flat_figures(finished.figures), {"run": folder}
+    grid, truth = scenario.reconstruction.grid.volume_grid, Volume.read(finished.paths.truth).array
+    region = region_of_interest(finished.scan.executed.geometry(scenario.detector.panel), grid)
+    shown = cross_sections(finished.volume.array, truth, region, grid)
+    found = {
+        "figures": flat_figures(finished.figures),
+        "sections": packed_sections(shown, float(truth.max())),
+    }
+    return found, {"run": folder}
 
 
 def _specimen(scenario: Scenario, shelf: Shelf, seconds: _Seconds) -> BuiltSpecimen:
