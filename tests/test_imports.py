@@ -9,12 +9,13 @@ import pytest
 
 BLOCKED = (
     *("mujoco", "mink", "ruckig", "ompl", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk"),
-    *("ctsimu", "pandas", "pyarrow", "optuna"),
+    *("ctsimu", "ray", "pandas", "pyarrow", "optuna"),
 )
 MODULES = (
     "twinct",
     "twinct.cell",
     "twinct.cli.commands",
+    "twinct.cluster",
     "twinct.ctsimu",
     "twinct.ctsimu.export",
     "twinct.ctsimu.suite",

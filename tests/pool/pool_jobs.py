@@ -36,6 +36,16 @@ def interval(seconds: float, place: Place) -> tuple[float, float]:
     return begun, time.monotonic()
 
 
+_kept: list[bytes] = []
+
+
+def grow(number: int, place: Place) -> int:
+    """Take bytes and keep them."""
+    _kept.append(b"x" * number)
+    time.sleep(0.3)
+    return os.getpid()
+
+
 class Sealed(Exception):
     """Cannot be pickled."""
 

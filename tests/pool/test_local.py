@@ -88,6 +88,22 @@ def test_small_work_passes_what_waits_for_memory_but_not_for_ever(tmp_path: Path
 
 
 @pytest.mark.process
+def test_an_idle_worker_is_ended_if_its_memory_may_be_needed(tmp_path: Path) -> None:
+    with LocalPool(tmp_path, workers=2, memory_bytes=GIB) as pool:
+        for key in "ab":
+            pool.submit(Work(key, jobs.grow, GIB // 4, memory_bytes=GIB // 2))
+        grown = {e.value for e in finish(pool).values() if isinstance(e, Done)}
+        pool.submit(Work("small", jobs.who, None, memory_bytes=GIB // 2))
+        assert len(grown) == 2 and isinstance(finish(pool)["small"], Done)
+        assert not any(gone(pid) for pid in grown)
+        pool.submit(Work("big", jobs.who, None, memory_bytes=GIB))
+        big = finish(pool)["big"]
+        assert isinstance(big, Done) and {pid for pid in grown if not gone(pid)} == {
+            big.value["process"]
+        }
+
+
+@pytest.mark.process
 def test_what_fails_is_told_and_no_worker_dies_of_it(pool: LocalPool) -> None:
     kinds = ("input", "meant", "sealed", "result", "exit", "missing", "other")
     for kind in kinds:

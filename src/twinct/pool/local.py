@@ -80,6 +80,14 @@ class _Worker:
         options = os.WEXITED | os.WNOHANG | os.WNOWAIT
         return os.waitid(os.P_PID, self._process.pid, options) is None
 
+    def resident_bytes(self) -> int:
+        """Memory that it holds."""
+        try:
+            pages = Path(f"/proc/{self._process.pid}/statm").read_text(encoding="ascii").split()[1]
+        except (OSError, IndexError):  # it is no more
+            return 0
+        return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
     def end(self) -> str:
         """Kill it, unless it is dead, and all that it started in its group; how it ended."""
         with contextlib.suppress(ProcessLookupError):
@@ -101,8 +109,9 @@ class LocalPool:
     """Processes of this machine, started when there is work for them; see ``twinct.pool.Pool``.
 
     One thread at a time may use it. Work starts in the order of submission; while the first in line
-    waits for memory, others that fit may pass it, at most 16 of them. The kernel kills the workers
-    when this process ends, however it ends.
+    waits for memory, others that fit may pass it, at most 16 of them. Idle workers stay warm unless
+    running work may need the memory that they hold. The kernel kills the workers when this process
+    ends, however it ends.
     """
 
     def __init__(
@@ -204,6 +213,7 @@ class LocalPool:
             task = self._queue[place]
             worker = self._free_worker()
             worker.task = task
+            self._make_room()
             with contextlib.suppress(OSError):  # it has died just now, which is heard next
                 worker.connection.send_bytes(task.message)
             del self._queue[place]
@@ -231,6 +241,17 @@ class LocalPool:
         number = min(set(range(self._slots)) - {worker.number for worker in self._workers})
         self._workers.append(_Worker(number, self.folder, self._threads))
         return self._workers[-1]
+
+    def _make_room(self) -> None:
+        """End idle workers whose memory the running ones may need."""
+        idle = [worker for worker in self._workers if worker.task is None]
+        tasks = [worker.task for worker in self._workers if worker.task is not None]
+        free = self._memory - sum(task.memory_bytes for task in tasks)
+        held = {worker: worker.resident_bytes() for worker in idle}
+        while held and sum(held.values()) > free:
+            largest = max(held, key=held.__getitem__)
+            del held[largest]
+            self._remove(largest)
 
     def _remove(self, worker: _Worker) -> str:
         how = worker.end()
