@@ -87,8 +87,10 @@ def leave(argument: Path, place: Place) -> None:
 
 
 def hold(seconds: float, place: Place) -> None:
-    """Stay in C with the interpreter held: no other thread of the process runs."""
-    (place.folder / f"held-{os.getpid()}").write_text("")
+    """Stay in C with the interpreter held, and have a child: no other thread runs."""
+    child = subprocess.Popen(["sleep", str(seconds)])
+    (place.folder / f".held-{os.getpid()}").write_text(str(child.pid))
+    (place.folder / f".held-{os.getpid()}").rename(place.folder / f"held-{os.getpid()}")
     ctypes.PyDLL(None).sleep(int(seconds))
 
 

@@ -154,10 +154,11 @@ def test_workers_that_hold_the_interpreter_end_with_their_driver(
         text=True,
     )
     until(lambda: len(list(tmp_path.glob("held-*"))) == 2)
-    workers = [int(p.name.partition("-")[2]) for p in tmp_path.glob("held-*")]
-    assert not any(gone(pid) for pid in workers)
+    held = list(tmp_path.glob("held-*"))
+    processes = [int(p.name.partition("-")[2]) for p in held] + [int(p.read_text()) for p in held]
+    assert not any(gone(pid) for pid in processes)
     os.killpg(driver.pid, number)
-    until(lambda: all(gone(pid) for pid in workers), 2.0)
+    until(lambda: all(gone(pid) for pid in processes), 2.0)
     assert driver.wait() == -number
 
 
