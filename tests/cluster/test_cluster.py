@@ -241,6 +241,10 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
             str(p.parent) for p in tmp_path.glob("*/study/*/inputs/*/content/a.txt")
         }
 
+        for key in "wxyz":
+            pool.submit(Work(key, jobs.write, key))
+        written = finish(pool)
+        assert list(tmp_path.glob("second/study/*/made-*"))
         for key in ("one", "two"):
             pool.submit(Work(key, jobs.hold, 5.0))
         until(lambda: len(list(tmp_path.glob("*/study/*/held-*"))) == 2, 10.0)
@@ -248,6 +252,10 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
         events = finish(pool)
         (lost,) = [event for event in events.values() if isinstance(event, Died)]
         assert not lost.blamed and lost.how == "its node was lost"
+        for key, event in written.items():
+            assert isinstance(event, Done)
+            event.parcels["folder"].save(tmp_path / key)
+            assert (tmp_path / key / "deep" / "a.txt").read_text() == key
         steer("add")
         until(lambda: pool.slots == 2, 30.0)  # a dead node counts until it is missed
         works = [Work(key, jobs.interval, 1.0) for key in "abcd"]
@@ -257,3 +265,6 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
         os.killpg(group, signal.SIGKILL)
         with pytest.raises(LinkError, match="does not answer"):
             list(each(pool, [Work("late", jobs.double, 1)]))
+    assert isinstance(written["w"], Done)
+    with pytest.raises(ValueError, match="closed"):
+        written["w"].parcels["file"].save(tmp_path / "late")

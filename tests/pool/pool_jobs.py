@@ -96,6 +96,7 @@ def hold(seconds: float, place: Place) -> None:
 
 def write(argument: str, place: Place) -> Made:
     """A file and a folder."""
+    time.sleep(0.3)
     folder = place.folder / f"made-{argument}"
     (folder / "deep").mkdir(parents=True, exist_ok=True)
     (folder / "deep" / "a.txt").write_text(argument)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from twinct.cluster import node
-from twinct.cluster.content import pack, unpack
+from twinct.cluster.content import Bytes, pack, unpack
 from twinct.cluster.local import CLIENT, ENVIRONMENT, LocalRay
 from twinct.errors import InputError, LinkError, MemoryShortageError
 from twinct.extras import require
@@ -39,26 +39,23 @@ _HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _SETTINGS + b"\0\0\0\
 
 
 @dataclass(frozen=True)
-class _Sent:
-    """A parcel that lies in Ray's store on the node that made it."""
+class _Come:
+    """A parcel that is in Ray's store on this machine, whatever comes of the node that made it."""
 
-    content: Any
-    name: str
+    content: Bytes
+    pool: RayPool
 
     def save(self, path: Path) -> None:
-        """Fetch it and put it there.
+        """Unpack it there.
 
         Raises:
             StorageError: it cannot be written.
-            LinkError: its node was lost.
+            ValueError: the pool is closed, and Ray's store with it.
         """
-        ray = node.ray_module()
-        try:
-            packed = ray.get(self.content)[self.name]
-        except ray.exceptions.RayError as error:
-            raise LinkError(f"{path}: its node was lost before it came: {_line(error)}") from error
+        if self.pool.closed:
+            raise ValueError(f"{path}: the pool is closed")
         with arriving(path) as draft:
-            unpack(packed, draft)
+            unpack(self.content, draft)
 
 
 class RayPool:
@@ -66,7 +63,10 @@ class RayPool:
 
     One thread at a time may use it, and one pool a process. Each piece of work is a task of Ray: it
     starts where processors and memory are free, in a process that works for nobody else meanwhile,
-    and stays warm for the next.
+    and stays warm for the next. Parcels can be saved until it is closed.
+
+    Attributes:
+        closed: whether it is.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class RayPool:
         self._ray = ray
         self._threads = threads
         self._head: LocalRay | None = None
-        self._closed = False
+        self.closed = False
         self._paths: dict[str, Path] = {}
         self._tickets: dict[str, node.Ticket] = {}
         self._running: dict[Any, tuple[str, Any]] = {}
@@ -129,7 +129,9 @@ class RayPool:
             self._address = _connect(address or "", local)
             lifeline = self._head.lifeline if self._head is not None else None
             self._terms = node.Terms(name, threads, node.versions(), lifeline)
-            self._work: Any = ray.remote(num_cpus=threads, max_retries=0, num_returns=2)(node.work)
+            self._work: Any = ray.remote(
+                num_cpus=threads, max_retries=0, num_returns=2, scheduling_strategy="SPREAD"
+            )(node.work)
             self._compare()
         except BaseException:
             self.close()
@@ -169,8 +171,8 @@ class RayPool:
                 f"work {work.key!r} takes {work.memory_bytes / 2**30:.2f} GiB of memory, and no "
                 f"node has more than {most / 2**30:.2f} GiB"
             )
-        if self._closed or any(work.key == key for key, _ in self._running.values()):
-            raise ValueError("the pool is closed" if self._closed else f"{work.key!r}: known")
+        if self.closed or any(work.key == key for key, _ in self._running.values()):
+            raise ValueError("the pool is closed" if self.closed else f"{work.key!r}: known")
         if missing := [name for name in work.inputs if name not in self._paths]:
             raise ValueError(f"not offered to the pool: {', '.join(missing)}")
         with self._speaking():
@@ -202,9 +204,9 @@ class RayPool:
 
     def close(self, *, clear: bool = False) -> None:
         """See ``twinct.pool.Pool``; a Ray that was started for the pool ends with it."""
-        if self._closed:
+        if self.closed:
             return
-        self._closed = True
+        self.closed = True
         with contextlib.suppress(Exception):
             self._look()
             for reference in self._running:
@@ -242,6 +244,7 @@ class RayPool:
         failures = self._ray.exceptions
         try:
             outcome: Outcome = self._ray.get(reference)
+            packed: dict[str, Bytes] = self._ray.get(content) if outcome.parcels else {}
         except failures.RayTaskError as error:
             raise getattr(error, "cause", error) from None
         except (failures.WorkerCrashedError, failures.OutOfMemoryError) as error:
@@ -249,7 +252,7 @@ class RayPool:
             return Died(key, "its node ran out of memory" if memory else "its worker was ended")
         except (failures.NodeDiedError, failures.ObjectLostError):
             return Died(key, "its node was lost", blamed=False)
-        return event(key, outcome, {parcel: _Sent(content, parcel) for parcel in outcome.parcels})
+        return event(key, outcome, {name: _Come(one, self) for name, one in packed.items()})
 
     def _compare(self) -> None:
         """Refuse nodes with other versions."""
