@@ -28,11 +28,13 @@ def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scena
     """
     found: dict[Key, list[tuple[bool, str]]] = {}
     conflicts: list[str] = []
+    in_conflict: list[Key] = []
     for detail in error.errors():
         key, model, others = _plain_key(detail["loc"], draft.data, root)
         cause = detail.get("ctx", {}).get("error")
         if isinstance(cause, ConflictError):
             conflicts += (_blamed(draft, key, conflict) for conflict in cause.conflicts)
+            in_conflict.append(key)
             continue
         if detail["type"] == "union_tag_invalid":
             by_kind = "kind" in detail.get("ctx", {})["discriminator"]
@@ -41,7 +43,8 @@ def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scena
         found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model, others)))
     sentences: list[str] = []
     for key, parts in found.items():
-        deeper = any(len(other) > len(key) and other[: len(key)] == key for other in found)
+        others = (*found, *in_conflict)
+        deeper = any(len(other) > len(key) and other[: len(key)] == key for other in others)
         meant = [text for wrong_shape, text in parts if not wrong_shape]
         if not meant and not deeper:
             meant = [text for _, text in parts]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -100,7 +99,7 @@ class Checker:
         if problems:
             raise InputError(
                 [
-                    f"{problem} ({trial})" if trial.axes else problem
+                    f"{problem}; in {trial}" if trial.axes else problem
                     for problem, trial in problems.items()
                 ]
             )
@@ -110,9 +109,15 @@ class Checker:
         if missing := [name for name in wanted if name not in figures]:
             known = ", ".join(sorted(figures))
             raise InputError(f"figure {missing[0]!r}: no trial has it; there are {known}")
-        keys = Counter(one.key for one in found)
-        if twice := [one.trial for one in found if keys[one.key] > 1]:
-            raise InputError(f"{twice[0]} and {twice[1]} are the same: a value stands twice")
+        if taken := [label for label in self.design.labels if label in figures]:
+            raise InputError(
+                f"axis {taken[0]}: a figure has this name; give the axis another 'label'"
+            )
+        first: dict[str, Trial] = {}
+        for one in found:
+            same = first.setdefault(one.key, one.trial)
+            if same is not one.trial and not self.design.study.search:
+                raise InputError(f"{same} and {one.trial} are the same: a value stands twice")
         return found
 
     def one(self, trial: Trial) -> Checked:

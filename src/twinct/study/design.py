@@ -131,7 +131,12 @@ class Design:
 
     def _value(self, key: str, so_far: Choice) -> Any:
         """What a key has after the changes so far; the default where nothing sets it."""
-        return so_far.changes[key] if key in so_far.changes else _at(self.defaults, key)
+        for setter, value in reversed([*so_far.changes.items()]):
+            if setter == key:
+                return value
+            if key.startswith(f"{setter}."):  # a whole section
+                return _at(value, key.removeprefix(f"{setter}."))
+        return _at(self.defaults, key)
 
     @cached_property
     def defaults(self) -> Any:
@@ -152,13 +157,14 @@ def load_study(source: str | Path | Mapping[str, Any]) -> Design:
         InputError: with one sentence for each problem, naming key, value and origin.
     """
     if isinstance(source, Mapping):
-        draft, folder, text = Draft(dict(source)), Path.cwd(), json.dumps(source, indent=1)
+        draft, folder = Draft(dict(source)), Path.cwd()
+        text = json.dumps(draft.data, indent=1, default=str)
     else:
         path = Path(source).expanduser()
         draft, folder = read_yaml(path, "study"), path.absolute().parent
         text = path.read_text(encoding="utf-8")
-    if isinstance(draft.data.get("scenario"), str):
-        draft.data["scenario"] = str(folder / Path(draft.data["scenario"]).expanduser())
+    if isinstance(file := draft.data.get("scenario"), (str, Path)):
+        draft.data["scenario"] = str((folder / Path(file).expanduser()).resolve())
     try:
         study = Study.model_validate_json(json.dumps(draft.data, default=str), strict=True)
     except ValidationError as error:
@@ -166,14 +172,24 @@ def load_study(source: str | Path | Mapping[str, Any]) -> Design:
     fixed = {key: _absolute(key, value, folder) for key, value in study.set.items()}
     where = draft.origin(("set",))
     places = {key: draft.origin(("set", key)) or f"{where}set {key}" for key in fixed}
-    inner = study.scenario
-    read = Template.read(inner if isinstance(inner, dict) else inner.resolve()).changed(
-        fixed, places
-    )
+    read = _template(study, draft).changed(fixed, places)
     design = Design(study, read, _places(study, draft), text, folder)
     if found := list(_design_problems(design, draft)):
         raise InputError(found)
     return design
+
+
+def _template(study: Study, draft: Draft) -> Template:
+    """Its scenario; one that stands in the study's file knows the lines of its keys there."""
+    if isinstance(study.scenario, dict):
+        read = Template.read(study.scenario)
+        lines = {key[1:]: at for key, at in draft.origins.items() if key[:1] == ("scenario",)}
+        read.draft.record(lines)
+        return read
+    if not study.scenario.is_file():
+        place = draft.origin(("scenario",))
+        raise InputError(f"{place and place + ': '}scenario: no file at {study.scenario}")
+    return Template.read(study.scenario)
 
 
 def _places(study: Study, draft: Draft) -> dict[str, str]:
@@ -195,18 +211,28 @@ def _places(study: Study, draft: Draft) -> dict[str, str]:
 
 def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
     study = design.study
+    parts = [part for axis in study.axes for part in axis.paired or (axis,)]
+    numbers = {part.name: span.number for part in parts if (span := part.range or part.draw)}
+    numbers |= {"repetitions": study.repetitions.number} if study.repetitions else {}
+    if many := [f"{name} has {n}" for name, n in numbers.items() if n > study.max_trials]:
+        yield f"more than {study.max_trials} trials (max_trials): {', '.join(many)}"
+        return  # they would be made to be counted
     for index, axis in enumerate(study.axes):
         numbers = {part.name: len(list(_values(part))) for part in axis.paired or ()}
         if len(set(numbers.values())) > 1:
             told = ", ".join(f"{name} has {number}" for name, number in numbers.items())
             place = draft.origin(("axes", index, "paired"))
             yield f"{place + ': ' if place else ''}axes.{index}.paired: {told}; as many are needed"
-    for label in (taken := [*design.labels]):
-        if taken.count(label) > 1 or label in OWN_COLUMNS:
-            yield f"axis {label!r}: the name is taken; give it another 'label'"
+    for label in dict.fromkeys(design.labels):
+        other = "another axis" if design.labels.count(label) > 1 else "a column of the results"
+        own = label in OWN_COLUMNS or label.startswith("seconds.")
+        if own or design.labels.count(label) > 1:
+            named = [*parts, *(study.search.keys if study.search else ())]
+            place = design.places[next(p for p in reversed(named) if p.name == label).keys[0]]
+            yield f"{place}: {other} has this name; give it another 'label'"
     repeated = study.repetitions.keys if study.repetitions else ()
     dimensions = study.search.keys if study.search else ()
-    keys = [key for axis in study.axes for part in axis.paired or (axis,) for key in part.keys]
+    keys = [key for part in parts for key in part.keys]
     keys += [*repeated, *(key for dimension in dimensions for key in dimension.keys)]
     for key in dict.fromkeys(key for key in keys if keys.count(key) > 1):
         yield f"{design.places[key]}: {key} is varied twice"
@@ -214,7 +240,8 @@ def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
     for axis in study.axes:
         for key in axis.only:
             if key not in earlier and _at(design.defaults, key) is None:
-                yield f"axis {axis.name}: only: {key} is no key of the scenario or an earlier axis"
+                place = f"{design.places[axis.keys[0]]}: " if axis.keys else ""
+                yield f"{place}only: {key} is no key of the scenario or an earlier axis"
         earlier |= {key for part in axis.paired or (axis,) for key in part.keys}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,8 @@ class Rows:
         """A trial that is no scenario; its key."""
         key, message = trial_key("", trial), "; ".join(error.problems)
         told = {"figures": {}, "seconds": {}, "message": message, "kind": type(error).__name__}
-        self.add([Row(trial.number, key, trial.axes, trial.seed, status="failed", **told)])
+        if key not in self.status:  # a search that is replayed comes upon it again
+            self.add([Row(trial.number, key, trial.axes, trial.seed, status="failed", **told)])
         return key
 
     def renumbered(self, trials: Iterable[Checked]) -> None:
@@ -125,7 +127,7 @@ class Rows:
 
     def _rank(self, row: Row) -> float:
         value = row.figures.get(self._figure)
-        if value is None:
+        if value is None or math.isnan(value):
             return float("inf")
         return _RANK[self._better or figure_words(self._figure).best](value)
 

@@ -118,7 +118,8 @@ def run_study(
         stack.enter_context(_logged_to(folder.log))
         folder.claim(design, name)
         rows = Rows(folder, study)
-        rows.renumbered(trials)
+        if study.search is None:
+            rows.renumbered(trials)
         total = len(design.seeds) * study.search.trials if study.search else len(trials)
         driver = Driver(design, folder, rows, pool, tell or (lambda _: None), total)
         began = time.monotonic()
@@ -128,7 +129,7 @@ def run_study(
             else:
                 driver.run([one for one in trials if rows.wanted(one.key, retry=retry)])
         finally:
-            _conclude(design, folder, rows, total, time.monotonic() - began)
+            _conclude(design, folder, rows, driver.total, time.monotonic() - began)
         pool.close(clear=True)
         status = list(rows.status.values())
     return StudyRun(folder, status.count("done"), status.count("failed"))
@@ -177,9 +178,13 @@ def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[
 
 
 def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> None:
-    """Ask for batches until all sets of values are tried; rows of before are told as they were."""
+    """Ask for batches until all sets of values are tried; rows of before are told as they were.
+
+    What is asked for again is not tried again: it has one row, which counts as often as it is.
+    """
     search = design.study.search
     tried: list[Tried] = []
+    known: dict[str, Checked | None] = {}
     assert search is not None
     while len(tried) < search.trials:
         values = asked(search, tried)
@@ -187,17 +192,24 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
         trials: list[Checked] = []
         for trial in _repeated(design, values, len(tried)):
             try:
-                trials.append(checker.one(trial))
-                keys[trial.number] = trials[-1].key
+                one = checker.one(trial)
+                key = one.key
             except InputError as error:
-                keys[trial.number] = driver.rows.refused(trial, error)
-        driver.run([one for one in trials if driver.rows.wanted(one.key, retry=retry)])
+                one, key = None, driver.rows.refused(trial, error)
+            keys[trial.number] = key
+            if key in known:
+                driver.total -= 1
+            elif one is not None and driver.rows.wanted(key, retry=retry):
+                trials.append(one)
+            known.setdefault(key, one)
+        driver.run(trials)
         figures = driver.rows.figures(search.figure)
         for chosen in values:
             first = len(tried) * len(design.seeds)
             of_seeds = [figures.get(keys[first + n]) for n in range(len(design.seeds))]
             found = [figure for figure in of_seeds if figure is not None]
             tried.append((chosen, sum(found) / len(found) if found else None))
+    driver.rows.renumbered([one for one in known.values() if one is not None])
 
 
 def _repeated(design: Design, values: Sequence[Mapping[str, Any]], first: int) -> Iterator[Trial]:

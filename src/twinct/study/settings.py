@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, JsonValue, model_validator
 
@@ -45,7 +45,17 @@ class _Draw(Section):
     seed: Seed = setting(0, "Keys the draws.")
 
 
-class UniformDraw(_Draw):
+class _Between(_Draw):
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        low, high = getattr(self, "low"), getattr(self, "high")  # noqa: B009 - of those below
+        if low > high:
+            message = f"nothing lies between low {low:g} and high {high:g}"
+            raise ConflictError(Conflict(message, ("low", "high")))
+        return self
+
+
+class UniformDraw(_Between):
     """Numbers drawn evenly between two ends."""
 
     kind: Literal["uniform"] = Field(description="Drawn evenly.")
@@ -53,7 +63,7 @@ class UniformDraw(_Draw):
     high: Finite = Field(description="Upper end.")
 
 
-class LogUniformDraw(_Draw):
+class LogUniformDraw(_Between):
     """Numbers whose logarithms are drawn evenly."""
 
     kind: Literal["log_uniform"] = Field(description="Logarithms drawn evenly.")
@@ -153,6 +163,11 @@ class Dimension(Section):
             if self.low >= self.high or (self.scale == "log" and self.low <= 0):
                 message = f"no {self.scale} range from {self.low:g} to {self.high:g}"
                 raise ConflictError(Conflict(message, ("low", "high", "scale")))
+            if self.whole and not (self.low.is_integer() and self.high.is_integer()):
+                message = (
+                    f"whole numbers between {self.low:g} and {self.high:g}: both must be whole"
+                )
+                raise ConflictError(Conflict(message, ("low", "high", "whole")))
         return self
 
     @property
