@@ -38,7 +38,7 @@ def search(key: str) -> str:
             "4: axes.0.paired: must have at least 2 entries, but has 1",
         ),
         (
-            "axes:\n  - paired:\n    - {key: a, values: [1]}\n    - {key: b, values: [1], only: {c: 2}}",
+            "axes:\n- paired:\n  - {key: a, values: [1]}\n  - {key: b, values: [1], only: {c: 2}}",
             "4: axes.0: axes that are paired have key and values, no 'paired' or 'only'",
         ),
         (
@@ -77,7 +77,7 @@ def search(key: str) -> str:
         ),
         (
             search("{key: a, low: 0.4, high: 3, whole: true}"),
-            "2: search.keys.0: whole numbers between 0.4 and 3: both must be whole",
+            "2: search.keys.0: whole numbers from 0.4 to 3: both must be whole",
         ),
         (
             f"axes: [{{{KEY}, values: [1]}}]\n{search('{key: a, low: 0, high: 1}')}",

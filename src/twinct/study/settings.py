@@ -164,9 +164,7 @@ class Dimension(Section):
                 message = f"no {self.scale} range from {self.low:g} to {self.high:g}"
                 raise ConflictError(Conflict(message, ("low", "high", "scale")))
             if self.whole and not (self.low.is_integer() and self.high.is_integer()):
-                message = (
-                    f"whole numbers between {self.low:g} and {self.high:g}: both must be whole"
-                )
+                message = f"whole numbers from {self.low:g} to {self.high:g}: both must be whole"
                 raise ConflictError(Conflict(message, ("low", "high", "whole")))
         return self
 
