@@ -1,0 +1,79 @@
+"""What workers of one node share: made once, whoever asks and whoever dies."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct.study.shelf import Shelf
+
+# Forked: a process that imports all of twinct takes seconds.
+PROCESSES = multiprocessing.get_context("fork")
+
+
+def make(draft: Path, *, die: bool = False) -> None:
+    """Slowly; goes on from what is there."""
+    draft.mkdir(exist_ok=True)
+    if (draft / "begun").exists():
+        (draft / "went on").write_text("")
+    (draft / "begun").write_text(str(os.getpid()))
+    if die:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.3)
+    (draft / "made").write_text(str(os.getpid()))
+
+
+def ask(folder: Path, die: bool) -> None:
+    Shelf(folder).path("things", "digest", lambda draft: make(draft, die=die))
+
+
+@pytest.mark.process
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_of_two_processes_one_makes_it_and_goes_on_from_a_dead_ones_draft(tmp_path: Path) -> None:
+    killed = PROCESSES.Process(target=ask, args=(tmp_path, True))
+    killed.start()
+    killed.join()
+    assert killed.exitcode == -signal.SIGKILL
+    made = tmp_path / "things" / "digest" / "made"
+    assert not made.parent.exists()
+    both = [PROCESSES.Process(target=ask, args=(tmp_path, False)) for _ in range(2)]
+    for process in both:
+        process.start()
+    for process in both:
+        process.join()
+    assert [process.exitcode for process in both] == [0, 0]
+    assert int(made.read_text()) in [process.pid for process in both]
+    assert (made.parent / "went on").exists()
+    assert made.read_text() == (made.parent / "begun").read_text()  # by one of them alone
+
+
+def test_things_are_made_once_and_come_back_the_same(tmp_path: Path) -> None:
+    shelf, calls = Shelf(tmp_path), []
+
+    def make() -> np.ndarray:
+        calls.append(1)
+        return np.arange(6.0).reshape(2, 3)
+
+    for _ in range(2):
+        np.testing.assert_array_equal(shelf.array("a", make), np.arange(6.0).reshape(2, 3))
+        assert shelf.thing("b", lambda: calls.append(1) or {"x": (1, 2)}) == {"x": (1, 2)}
+    assert len(calls) == 2
+    shelf.array("other", make)
+    assert len(calls) == 3
+
+
+def test_what_could_not_be_made_is_not_there_and_may_be_asked_for_again(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path)
+
+    def fail() -> np.ndarray:
+        raise RuntimeError("no")
+
+    with pytest.raises(RuntimeError, match="no"):
+        shelf.array("a", fail)
+    assert shelf.array("a", lambda: np.zeros(1)).tolist() == [0]
