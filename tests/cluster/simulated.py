@@ -1,6 +1,7 @@
-"""A cluster of two nodes on this machine: python simulated.py FOLDER, steered through stdin.
+"""A cluster of two nodes on this machine, steered through stdin.
 
-Says its address; ``remove`` kills the second node, ``add`` brings another one.
+``python simulated.py FOLDER [BYTES]``: memory of each node, a GiB unless told. Says its address;
+``remove`` kills the second node, ``add`` brings another one.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from ray.cluster_utils import Cluster
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
+    memory = int(sys.argv[2]) if len(sys.argv) > 2 else 2**30
 
     def node(name: str):
         cache = {"TWINCT_CACHE": str(folder / name)}
-        return cluster.add_node(num_cpus=1, memory=2**30, env_vars=cache)
+        return cluster.add_node(num_cpus=1, memory=memory, env_vars=cache)
 
     cluster = Cluster(shutdown_at_exit=False)
     node("first")

@@ -1,0 +1,309 @@
+"""Kill processes of a running study at random moments, resume, compare with one left in peace.
+
+python tools/kill_study.py --workers 20 --nodes 5 --drivers 5
+python tools/kill_study.py --pool local --workers 20 --drivers 5
+
+Five trials for each seed: one with a scan of its own, four that share another. They are run on a
+simulated cluster of two nodes (``ray.cluster_utils``) in a process of its own, or by local
+processes. ``kill -9`` of a worker at work; of all processes of the second node, which comes back
+some seconds later; of the driver, and then ``--resume``. A kill comes a little after a number of
+rows, drawn evenly, is in the journal; one in five of the driver's while it starts. The rows must
+equal the undisturbed ones in all but seconds, none may be lost or there twice, and nothing may be
+left of a driver, nor at the end. Ends with 1 if anything is otherwise.
+
+A trial is given up when it has killed its worker three times, which a driver counts. No driver here
+lives through more than two kills of workers, so no trial can be blamed for three by chance.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import os
+import random
+import secrets
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from kill_trials import ROOT
+
+from twinct import load_results
+from twinct.study.journal import Journal
+
+STUDY = {
+    "scenario": str(ROOT / "scenarios" / "circle_gantry.yaml"),
+    "set": {
+        "detector.noise": {"kind": "snr", "snr": 100.0},
+        "detector.columns": 64,
+        "detector.rows": 48,
+        "reconstruction.grid": {"voxels": 24, "voxel_mm": 6.6},
+    },
+}
+MARK = "TWINCT_KILL_STUDY"
+MEMORY_BYTES = 2**32
+WORKERS_A_DRIVER = 2
+IN_THE_START = 0.2
+START_S = 10.0
+A_LITTLE_S = 1.0
+AWAY_S = (1.0, 4.0)
+TO_END_S = 10.0
+PATIENCE_S = 900.0
+
+
+def study(seeds):
+    """Five trials for each seed."""
+    relaxations = {"key": "reconstruction.relaxation", "values": [0.1, 0.3, 0.5, 0.7]}
+    return STUDY | {
+        "axes": [
+            {"key": "trajectory.views", "values": [4, 8]},
+            {"key": "seed", "label": "noise", "values": list(range(seeds))},
+            relaxations | {"only": {"trajectory.views": 8}},
+        ]
+    }
+
+
+def alive(*marks):
+    """Processes that have all marks in their environment: pid to command line."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (folder / "environ").read_bytes().split(b"\0")
+            line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except OSError:
+            continue
+        if line.strip() and all(mark.encode() in environment for mark in marks):
+            found[int(folder.name)] = line
+    return found
+
+
+def until_none(processes, patience_s=TO_END_S):
+    """Seconds until a function finds no processes any more, and those that are there still."""
+    begun = time.monotonic()
+    while (left := processes()) and time.monotonic() - begun < patience_s:
+        time.sleep(0.02)
+    return time.monotonic() - begun, list(left.values())
+
+
+class LocalProcesses:
+    """Workers of the local pool."""
+
+    words = ("--jobs", "2")
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def workers(self):
+        """Those that a driver started."""
+        return {p: line for p, line in alive(self.mark).items() if "twinct.pool.worker" in line}
+
+    busy = workers
+
+    def close(self):
+        """Nothing is there but the driver's."""
+
+
+class SimulatedCluster:
+    """Two nodes, each with a folder of its own."""
+
+    def __init__(self, mark, folder):
+        self.mark, self._second = mark, f"TWINCT_CACHE={folder / 'second'}"
+        program = ROOT / "tests" / "cluster" / "simulated.py"
+        self._process = subprocess.Popen(
+            [sys.executable, str(program), str(folder), str(MEMORY_BYTES)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            process_group=0,
+            text=True,
+        )
+        self.words = ("--address", self._process.stdout.readline().strip())
+
+    def workers(self):
+        """Those that work for a driver, or wait for it."""
+        return {p: line for p, line in alive(self.mark).items() if line.startswith("ray::")}
+
+    def busy(self):
+        """Those at work."""
+        return {p: line for p, line in self.workers().items() if line.startswith("ray::twinct")}
+
+    def lose_node(self, away_s):
+        """Kill the second node, its raylet first as it is the node to all others."""
+        processes = alive(self.mark, self._second)
+        for pid in sorted(processes, key=lambda pid: "/raylet " not in processes[pid]):
+            kill(pid)
+        time.sleep(away_s)
+        for word in ("remove", "add"):
+            print(word, file=self._process.stdin, flush=True)
+            assert self._process.stdout.readline().strip() == word
+
+    def close(self):
+        """End it in peace."""
+        self._process.stdin.close()
+        self._process.wait(PATIENCE_S)
+
+
+def kill(pid):
+    """As kill -9; whether it was there."""
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+class Trials:
+    """A study that is run again and again.
+
+    Attributes:
+        killed: how often, by victim.
+        slowest_s: until the last worker of a driver was gone.
+        left: what outlived its driver.
+    """
+
+    def __init__(self, folder, seeds, site):
+        self.folder, self.site, self.number = folder, site, 5 * seeds
+        self.file = folder / "study.json"
+        self.file.write_text(json.dumps(study(seeds)))
+        self.killed, self.slowest_s, self.left = Counter(), 0.0, []
+        self.expected = None
+
+    def start(self, out, *more):
+        """A driver."""
+        words = ["study", str(self.file), "--out", str(out), *self.site.words, *more]
+        with out.with_suffix(".log").open("ab") as log:
+            return subprocess.Popen(
+                [sys.executable, "-m", "twinct", *words], stdout=log, stderr=log, process_group=0
+            )
+
+    def end(self, driver):
+        """Wait for a driver and all that works for it; whether it ended well."""
+        try:
+            code = driver.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            driver.kill()
+            code = driver.wait()
+        seconds, left = until_none(self.site.workers)
+        self.slowest_s = max(self.slowest_s, seconds)
+        self.left += left
+        return code == 0
+
+    def run(self, name, plan, moments):
+        """One study with its kills, as a row of the table; whether all is well."""
+        out, begun, before = self.folder / name, time.monotonic(), Counter(self.killed)
+        driver = self.start(out)
+        for rows, victim in plan:
+            if victim == "driver" and moments.random() < IN_THE_START:
+                time.sleep(moments.uniform(0, START_S))
+            else:
+                while journalled(out) < rows and driver.poll() is None:
+                    time.sleep(0.02)
+                time.sleep(moments.uniform(0, A_LITTLE_S))
+            if driver.poll() is not None:
+                break
+            if victim == "worker":
+                while not (busy := sorted(self.site.busy())) and driver.poll() is None:
+                    time.sleep(0.01)
+                self.killed[victim] += bool(busy) and kill(moments.choice(busy))
+            elif victim == "node":
+                self.site.lose_node(moments.uniform(*AWAY_S))
+                self.killed[victim] += 1
+            else:
+                driver.kill()
+                self.killed[victim] += 1
+                self.end(driver)
+                driver = self.start(out, "--resume")
+        good, seconds = self.end(driver), time.monotonic() - begun
+        rows = {row.key: dataclasses.replace(row, seconds={}) for row in Journal(out).rows()}
+        lines = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
+        done = Counter(line["key"] for line in lines if line["status"] == "done")
+        self.expected = self.expected or rows
+        equal = sum(rows.get(key) == row for key, row in self.expected.items())
+        lost, twice = self.number - len(done), done.total() - len(done)
+        good &= equal == self.number and not lost and not twice and len(lines) == self.number
+        good &= [row.key for row in rows.values()] == load_results(out).key.tolist()
+        kills = self.killed - before
+        print(
+            f"{name:11}  {kills['worker']:7}  {kills['node']:4}  {kills['driver']:6}  {equal:10}"
+            f"  {lost:4}  {twice:5}  {seconds:5.0f} s",
+            flush=True,
+        )
+        if not good:
+            print(out.with_suffix(".log").read_text(), file=sys.stderr)
+            print((out / "study.log").read_text(), file=sys.stderr)
+        return good
+
+
+def journalled(out):
+    """Rows that a study has."""
+    try:
+        return (out / "journal.jsonl").read_bytes().count(b"\n")
+    except FileNotFoundError:
+        return 0
+
+
+def plan_of(left, number, moments):
+    """Kills of one study as (rows, victim): one of the driver, one of the node, some workers."""
+    middle = moments.randrange(number + 1) if left["driver"] > 0 else number
+    lives = [(0, middle), (middle, number)] if left["driver"] > 0 else [(0, number)]
+    kills = [
+        (moments.randrange(first, last + 1), "worker", life)
+        for life, (first, last) in enumerate(lives)
+        for _ in range(WORKERS_A_DRIVER)
+    ][: max(left["worker"], 0)]
+    kills += [(middle, "driver", 0.5)] if left["driver"] > 0 else []
+    if left["node"] > 0:
+        rows = moments.randrange(number)
+        kills.append((rows, "node", int(rows >= middle)))
+    return [(rows, victim) for rows, victim, _ in sorted(kills, key=lambda k: (k[2], k[0]))]
+
+
+def main():
+    """Run the studies and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pool", choices=("cluster", "local"), default="cluster")
+    parser.add_argument("--workers", type=int, default=20)
+    parser.add_argument("--nodes", type=int, default=5)
+    parser.add_argument("--drivers", type=int, default=5)
+    parser.add_argument("--seeds", type=int, default=12, help="of five trials each")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    options = parser.parse_args()
+    wanted = {"worker": options.workers, "node": options.nodes, "driver": options.drivers}
+    wanted["node"] *= options.pool == "cluster"
+    moments = random.Random(options.seed)
+    token = secrets.token_hex(16)
+    mark = f"{MARK}={token}"
+    os.environ |= {MARK: token, "TWINCT_THREADS": "1", "RAY_USAGE_STATS_ENABLED": "0"}
+    os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
+        folder = Path(name)
+        cluster = options.pool == "cluster"
+        site = SimulatedCluster(mark, folder / "nodes") if cluster else LocalProcesses(mark)
+        stack.callback(site.close)
+        trials = Trials(folder, options.seeds, site)
+        print("study        workers  node  driver  rows equal  lost  twice  seconds")
+        good = trials.run("undisturbed", [], moments)
+        left = Counter(wanted)
+        for number in range(1, 1 + 3 * max(wanted.values())):
+            if not any(count > 0 for count in left.values()):
+                break
+            good &= trials.run(f"killed {number}", plan_of(left, trials.number, moments), moments)
+            left = Counter(wanted)
+            left.subtract(trials.killed)
+        stack.close()
+        own = os.getpid()
+        seconds, rest = until_none(lambda: {p: s for p, s in alive(mark).items() if p != own})
+    killed = ", ".join(f"{victim} {trials.killed[victim]} of {n}" for victim, n in wanted.items())
+    print(f"killed: {killed}; workers gone at most {trials.slowest_s:.1f} s after their driver")
+    print(f"left over: {len(trials.left)} of a driver, {len(rest)} at the end")
+    print("\n".join([*trials.left, *rest]), file=sys.stderr)
+    good &= not trials.left and not rest and all(count <= 0 for count in left.values())
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
