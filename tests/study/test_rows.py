@@ -45,7 +45,7 @@ def kept(folder: StudyFolder) -> set[str]:
     return {path.stem for path in folder.best.glob("*.npz")}
 
 
-def end(rows: Rows, one: Checked, figure: float | None, **more: Mapping[str, float]) -> None:
+def end(rows: Rows, one: Checked, figure: float | None) -> None:
     rows.done(one, done(one, figure), {}, "")
 
 
@@ -76,8 +76,8 @@ def test_for_some_figures_more_is_better(folder: StudyFolder) -> None:
     rows = Rows(folder, ranked_by("image.ssim"))
     for seed, figure in enumerate((0.5, 0.9, 0.7)):
         one = trial(seed, 0, seed)
-        value = {"figures": {"image.ssim": figure}, "seconds": {}}
-        rows.done(one, Done(one.key, value, {"sections": Text("")}, 0.0), {}, "")
+        value = {"figures": {"image.ssim": figure}, "seconds": {}, "sections": b""}
+        rows.done(one, Done(one.key, value, {}, 0.0), {}, "")
     assert kept(folder) == {"key-0-1"}
 
 

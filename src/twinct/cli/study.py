@@ -92,7 +92,7 @@ def _show(found: DryRun) -> None:
     for name in ("trial", *labels, "seed"):
         table.add_column(name)
     for trial in found.trials[:_MOST_SHOWN]:
-        values = ["" if trial.axes[name] is None else str(trial.axes[name]) for name in labels]
+        values = [_told(trial.axes[name]) for name in labels]
         table.add_row(str(trial.number), *values, "" if trial.seed is None else str(trial.seed))
     console.print(table)
     if len(found.trials) > _MOST_SHOWN:
@@ -100,11 +100,25 @@ def _show(found: DryRun) -> None:
     there = f", {found.there} are there already" if found.there else ""
     size = f"{told.disk_bytes / 1e6:.1f} MB" if told.disk_bytes < 1e9 else ""
     size = size or f"{told.disk_bytes / 1e9:.2f} GB"
-    console.print(f"{told.trials} trials to try{there}; {told.scans} scans", highlight=False)
+    first = (
+        f" (the first batch of {found.total})" if found.total > told.trials + found.there else ""
+    )
+    trials, scans = _number(told.trials, "trial"), _number(told.scans, "scan")
+    console.print(f"{trials} to try{first}{there}; {scans}", highlight=False)
     known = "" if told.measured else " or less: no trial of this kind has run on this machine"
     console.print(f"disk: {size}{known}", highlight=False)
     if told.seconds is not None:
         console.print(f"time: about {duration(told.seconds)}", highlight=False)
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def _told(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 class _Line:

@@ -62,11 +62,13 @@ class DryRun:
     Attributes:
         trials: that it would try, those that are there already left out.
         there: trials that are there already.
+        total: trials of the study; more than these two of a search, whose first batch they are.
         estimate: what it would take.
     """
 
     trials: Sequence[Trial]
     there: int
+    total: int
     estimate: Estimate
 
 
@@ -158,7 +160,9 @@ def dry_run(
     open_ = [one for one in trials if there is None or there.wanted(one.key, retry=retry)]
     workers = jobs or _workers(design.study.threads)
     found = estimate(design.study, open_, workers, Book.open())
-    return DryRun([one.trial for one in open_], len(trials) - len(open_), found)
+    search = design.study.search
+    total = search.trials * len(design.seeds) if search else len(trials)
+    return DryRun([one.trial for one in open_], len(trials) - len(open_), total, found)
 
 
 def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[Checked]:
