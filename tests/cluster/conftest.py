@@ -10,6 +10,6 @@ JOBS = str(Path(__file__).parents[1] / "pool")
 
 if JOBS not in sys.path:
     sys.path.insert(0, JOBS)
-    os.environ["PYTHONPATH"] = os.pathsep.join(
-        filter(None, [JOBS, os.environ.get("PYTHONPATH")])
-    )  # of the nodes of simulated clusters
+
+# Of drivers and of the nodes of simulated clusters.
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [JOBS, os.environ.get("PYTHONPATH")]))

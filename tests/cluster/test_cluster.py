@@ -180,7 +180,9 @@ def _told(pool: Pool, content: Path, out: Path) -> list[object]:
 @pytest.mark.cluster
 @pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["SIGKILL", "SIGINT"])
-def test_nothing_of_a_local_ray_outlives_its_driver(tmp_path: Path, number: signal.Signals) -> None:
+def test_nothing_of_a_local_ray_outlives_its_driver(
+    tmp_path: Path, number: signal.Signals, figure: Callable[[str], None]
+) -> None:
     mark = f"TWINCT_POOL_TEST={secrets.token_hex(8)}"
     driver = subprocess.Popen(
         [sys.executable, str(HERE / "driver.py"), str(tmp_path)],
@@ -188,11 +190,13 @@ def test_nothing_of_a_local_ray_outlives_its_driver(tmp_path: Path, number: sign
         start_new_session=True,
         env=os.environ | {"TWINCT_POOL_TEST": mark.partition("=")[2]},
     )
-    until(lambda: len(list(tmp_path.glob("study/*/held-*"))) == 2, 90.0)
+    until(lambda: len(list(tmp_path.glob("study/*/held-*"))) == 2 or bool(driver.poll()), 90.0)
     assert len(alive(mark)) > 5
     os.killpg(driver.pid, number)
+    begun = time.monotonic()
     driver.wait()
     until(lambda: not alive(mark), 8.0)
+    figure(f"{number.name}: no process left after {time.monotonic() - begun:.1f} s")
 
 
 @pytest.fixture

@@ -144,7 +144,7 @@ def test_what_a_dead_worker_started_ends_with_it(pool: LocalPool, tmp_path: Path
 @pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["SIGKILL", "SIGINT"])
 def test_workers_that_hold_the_interpreter_end_with_their_driver(
-    tmp_path: Path, number: signal.Signals
+    tmp_path: Path, number: signal.Signals, figure: Callable[[str], None]
 ) -> None:
     here = Path(__file__).parent
     driver = subprocess.Popen(
@@ -158,7 +158,9 @@ def test_workers_that_hold_the_interpreter_end_with_their_driver(
     processes = [int(p.name.partition("-")[2]) for p in held] + [int(p.read_text()) for p in held]
     assert not any(gone(pid) for pid in processes)
     os.killpg(driver.pid, number)
+    begun = time.monotonic()
     until(lambda: all(gone(pid) for pid in processes), 2.0)
+    figure(f"{number.name}: no process left after {time.monotonic() - begun:.2f} s")
     assert driver.wait() == -number
 
 
