@@ -93,6 +93,10 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
         assert (pool.slots, pool.most_memory_bytes) == (4, 8 * GIB)
         assert _loopback_only(mark)
 
+        (said,) = [e.value for e in each(pool, [Work("who", jobs.who, 0)]) if isinstance(e, Done)]
+        assert said["main"] and said["threads"] == (1, "1", "1")
+        assert said["folder"].parent == tmp_path / "cache" / "study"
+
         spans = [
             event.value
             for event in each(pool, [_three_gigabytes(key) for key in range(6)])

@@ -165,6 +165,23 @@ def test_workers_that_hold_the_interpreter_end_with_their_driver(
 
 
 @pytest.mark.process
+@pytest.mark.parametrize("held", [True, False])
+def test_a_lifeline_that_was_cut_before_is_noticed(tmp_path: Path, held: bool) -> None:
+    """A named pipe that nobody writes to looks like one whose writer is idle."""
+    pipe = tmp_path / "lifeline"
+    os.mkfifo(pipe)
+    writer = os.open(pipe, os.O_RDWR) if held else None
+    program = (
+        "import os, sys; from twinct.pool.lifeline import end_with; "
+        "end_with(os.open(sys.argv[1], os.O_RDONLY | os.O_NONBLOCK))"
+    )
+    done = subprocess.run([sys.executable, "-c", program, str(pipe)], process_group=0)
+    assert done.returncode == (0 if held else -signal.SIGKILL)
+    if writer is not None:
+        os.close(writer)
+
+
+@pytest.mark.process
 def test_close_ends_busy_workers_and_clears_the_folder(pool: LocalPool, tmp_path: Path) -> None:
     pool.submit(Work("busy", jobs.hold, 60.0))
     until(lambda: bool(list(pool.folder.glob("held-*"))))

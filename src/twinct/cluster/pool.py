@@ -252,6 +252,10 @@ class RayPool:
             return Died(key, "its node ran out of memory" if memory else "its worker was ended")
         except (failures.NodeDiedError, failures.ObjectLostError):
             return Died(key, "its node was lost", blamed=False)
+        except (failures.RaySystemError, failures.LocalRayletDiedError, failures.RpcError):
+            raise
+        except failures.RayError as error:  # full disk, full store: not without end
+            return Died(key, f"Ray gave it up: {_line(error)}")
         return event(key, outcome, {name: _Come(one, self) for name, one in packed.items()})
 
     def _compare(self) -> None:
