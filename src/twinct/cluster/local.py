@@ -32,6 +32,9 @@ PATIENCE_S = 120.0
 """A busy machine starts Ray in half a minute."""
 
 
+_PREFIX, _LIFELINE = "twinct-ray-", "lifeline"
+
+
 class LocalRay:
     """Ray's processes on this machine.
 
@@ -47,10 +50,13 @@ class LocalRay:
             LinkError: they did not start.
         """
         # Sockets have short names only: the folder is not that of TMPDIR.
-        self._folder = Path(tempfile.mkdtemp(prefix="twinct-ray-", dir="/tmp"))
-        self.lifeline = self._folder / "lifeline"
-        os.mkfifo(self.lifeline)
-        self._held = os.open(self.lifeline, os.O_RDWR | os.O_CLOEXEC)
+        _sweep()
+        self._folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir="/tmp"))
+        self.lifeline = self._folder / _LIFELINE
+        unheld = self._folder / "unheld"
+        os.mkfifo(unheld)
+        self._held = os.open(unheld, os.O_RDWR | os.O_CLOEXEC)
+        unheld.rename(self.lifeline)  # under this name it is always held
         read, self._group = os.pipe()
         heard, report = os.pipe()
         self._before = {name: os.environ.get(name) for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN")}
@@ -110,6 +116,18 @@ class LocalRay:
             os.environ.pop(name, None)
             os.environ |= {name: value} if value is not None else {}
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _sweep() -> None:
+    """Remove what processes left that were killed: nobody holds their lifelines."""
+    for folder in Path("/tmp").glob(f"{_PREFIX}*"):
+        with contextlib.suppress(OSError):  # not ours, or held: BlockingIOError
+            pipe = os.open(folder / _LIFELINE, os.O_RDONLY | os.O_NONBLOCK)
+            try:
+                os.read(pipe, 1)
+            finally:
+                os.close(pipe)
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _descendants(pid: int) -> Iterator[int]:
