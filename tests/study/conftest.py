@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+
+from twinct.pool import LocalPool
+from twinct.pool.parcel import remove
 
 SCENARIO: dict[str, Any] = {
     "cell": {"kind": "gantry"},
@@ -22,11 +25,39 @@ SCENARIO: dict[str, Any] = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """What trials take here is no business of the user's own book, nor the other way round."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-    monkeypatch.setenv("TWINCT_THREADS", "1")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("TWINCT_THREADS", "1")
+        yield
+
+
+class WarmPool(LocalPool):
+    """Its worker outlives a study: to start another one takes seconds."""
+
+    def close(self, *, clear: bool = False) -> None:
+        """Leave the worker and, if asked, nothing else."""
+        while self.wait():
+            pass
+        for path in self.folder.iterdir() if clear else ():
+            if path.name != "logs":
+                remove(path)
+
+    def end(self) -> None:
+        """What ``LocalPool.close`` does."""
+        super().close()
+
+
+@pytest.fixture(scope="module")
+def warm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WarmPool]:
+    """The pool of all studies of a test file, with one worker."""
+    pool = WarmPool(tmp_path_factory.mktemp("node"), workers=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("twinct.study.running._pool", lambda *_: pool)
+        yield pool
+    pool.end()
 
 
 @pytest.fixture

@@ -90,7 +90,7 @@ class Driver:
                 released.extend(self._scanned(event.key.removeprefix(_SCAN), event))
             else:
                 self._tried(by_key[event.key], event)
-            self._say()
+            self.say()
         self._book.write()
 
     def _works(self, trials: Sequence[Checked], released: deque[Checked]) -> Iterator[Work | None]:
@@ -101,7 +101,7 @@ class Driver:
             if one is not None:
                 if (work := self._work(one)) is not None:
                     self._running += 1
-                    self._say()
+                    self.say()
                     yield work
             elif any(scan.waiting for scan in self._scans.values()):
                 yield None
@@ -228,7 +228,8 @@ class Driver:
                 self.pool.withdraw(f"scan-{one.scan[:32]}")
                 del self._scans[one.scan]
 
-    def _say(self) -> None:
+    def say(self) -> None:
+        """Tell how far it is."""
         counts = Counter(self.rows.status.values())
         left = self.total - len(self.rows.status)
         spent = time.monotonic() - self._began

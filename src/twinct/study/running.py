@@ -214,6 +214,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
             found = [figure for figure in of_seeds if figure is not None]
             tried.append((chosen, sum(found) / len(found) if found else None))
     driver.rows.renumbered([one for one in known.values() if one is not None])
+    driver.say()
 
 
 def _repeated(design: Design, values: Sequence[Mapping[str, Any]], first: int) -> Iterator[Trial]:
