@@ -73,10 +73,10 @@ def alive(*marks):
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             environment = (folder / "environ").read_bytes().split(b"\0")
-            line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
         except OSError:
             continue
-        if line.strip() and all(mark.encode() in environment for mark in marks):
+        if line and all(mark.encode() in environment for mark in marks):
             found[int(folder.name)] = line
     return found
 
@@ -113,23 +113,30 @@ class SimulatedCluster:
     def __init__(self, mark, folder):
         self.mark, self._second = mark, f"TWINCT_CACHE={folder / 'second'}"
         program = ROOT / "tests" / "cluster" / "simulated.py"
-        self._process = subprocess.Popen(
-            [sys.executable, str(program), str(folder), str(MEMORY_BYTES)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            process_group=0,
-            text=True,
-        )
-        self.words = ("--address", self._process.stdout.readline().strip())
+        folder.mkdir()
+        with (folder / "log").open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, str(program), str(folder), str(MEMORY_BYTES)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                process_group=0,
+                text=True,
+            )
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._steer, self._said = self._process.stdin, self._process.stdout
+        self.words = ("--address", self._said.readline().strip())
+        if not self.words[1]:
+            raise SystemExit((folder / "log").read_text())
 
     def workers(self):
         """Those that work for a driver, or wait for it."""
-        return {p: line for p, line in alive(self.mark).items() if line.startswith("ray::")}
+        titles = alive(self.mark).items()
+        return {p: t for p, t in titles if t.startswith("ray::") and "Agent" not in t}
 
     def busy(self):
         """Those at work."""
-        return {p: line for p, line in self.workers().items() if line.startswith("ray::twinct")}
+        return {p: title for p, title in self.workers().items() if title.startswith("ray::twinct")}
 
     def lose_node(self, away_s):
         """Kill the second node, its raylet first as it is the node to all others."""
@@ -138,12 +145,12 @@ class SimulatedCluster:
             kill(pid)
         time.sleep(away_s)
         for word in ("remove", "add"):
-            print(word, file=self._process.stdin, flush=True)
-            assert self._process.stdout.readline().strip() == word
+            print(word, file=self._steer, flush=True)
+            assert self._said.readline().strip() == word
 
     def close(self):
         """End it in peace."""
-        self._process.stdin.close()
+        self._steer.close()
         self._process.wait(PATIENCE_S)
 
 
@@ -207,7 +214,7 @@ class Trials:
                 break
             if victim == "worker":
                 while not (busy := sorted(self.site.busy())) and driver.poll() is None:
-                    time.sleep(0.01)
+                    time.sleep(0.05)
                 self.killed[victim] += bool(busy) and kill(moments.choice(busy))
             elif victim == "node":
                 self.site.lose_node(moments.uniform(*AWAY_S))
@@ -219,6 +226,8 @@ class Trials:
                 driver = self.start(out, "--resume")
         good, seconds = self.end(driver), time.monotonic() - begun
         rows = {row.key: dataclasses.replace(row, seconds={}) for row in Journal(out).rows()}
+        if not (out / "journal.jsonl").exists():
+            raise SystemExit(out.with_suffix(".log").read_text())
         lines = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
         done = Counter(line["key"] for line in lines if line["status"] == "done")
         self.expected = self.expected or rows

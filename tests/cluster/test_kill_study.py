@@ -1,0 +1,23 @@
+"""Death of a worker, of a node and of the driver changes nothing in a study but its seconds."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOL = Path(__file__).parents[2] / "tools" / "kill_study.py"
+
+
+@pytest.mark.cluster
+@pytest.mark.process
+@pytest.mark.parametrize("pool", ["cluster", "local"])
+def test_one_of_each(pool: str) -> None:
+    """The tool says what it found, and ends with 1 if that is not what is asked for."""
+    counts = [f"--{victim}=1" for victim in ("workers", "nodes", "drivers")]
+    words = [sys.executable, str(TOOL), f"--pool={pool}", *counts, "--seeds=2"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"node {int(pool == 'cluster')} of" in done.stdout
