@@ -240,7 +240,9 @@ def _pool(
         )
     from twinct.cluster import RayPool
 
-    return RayPool(address, name=name, threads=threads_each, memory_bytes=memory_bytes)
+    return RayPool(
+        address, name=name, threads=threads_each, workers=jobs, memory_bytes=memory_bytes
+    )
 
 
 def _workers(threads_each: int) -> int:
