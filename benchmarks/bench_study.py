@@ -105,7 +105,7 @@ def overhead(kind, folder, number):
     with pool_of(kind, 1, folder / "work") as pool:
         driver = bench.on(pool)
         driver.run(bench.trials[:2])
-        errands = [driver._errand(one, shared=False) for one in bench.trials]
+        errands = [driver.errand(one, shared=False) for one in bench.trials]
         for errand in errands[:2]:
             try_trial(errand, here)
         by_key = {errand.key: errand for errand in errands}
@@ -151,7 +151,7 @@ def sharing(kind, folder, number):
             warm = Bench(seeds(1, "circle_gantry.yaml", **SMALL), folder / f"warm{turn}")
             warm.on(pool).run(warm.trials)
             driver = bench.on(pool)
-            errands = [driver._errand(one, shared=True) for one in bench.trials]
+            errands = [driver.errand(one, shared=True) for one in bench.trials]
             studied = seconds_of(driver.run, bench.trials)
         alone = seconds_of(take_scan, errands[0], here)
         parts = [try_trial(errand, here).value["seconds"]["reconstruction"] for errand in errands]

@@ -146,18 +146,19 @@ class Driver:
         shared.waiting.append(one)
         if len(shared.waiting) > 1:
             return None
-        errand = self._errand(one, shared=True)
+        errand = self.errand(one, shared=True)
         names = tuple(name for name, _ in errand.files.values())
         memory = max(one.cost.stages[stage].memory_bytes for stage in _OF_SCAN)
         return Work(_SCAN + one.scan, take_scan, errand, memory, names)
 
     def _trial_work(self, one: Checked, shared: bool) -> Work:
-        errand = self._errand(one, shared=shared)
+        errand = self.errand(one, shared=shared)
         names = [name for name, _ in errand.files.values()]
         names += [errand.scan_name] if shared else []
         return Work(one.key, try_trial, errand, one.cost.memory_bytes, tuple(names))
 
-    def _errand(self, one: Checked, *, shared: bool) -> Errand:
+    def errand(self, one: Checked, *, shared: bool) -> Errand:
+        """A trial as it travels; ``shared``: its scan is another trial's, too."""
         scenario: Scenario = self.design.scenario(one.trial)
         return Errand(
             key=one.key,
