@@ -74,13 +74,17 @@ class Driver:
         self._twins: dict[str, list[Checked]] = {}
         self._running = 0
 
-    def run(self, trials: Sequence[Checked]) -> None:
-        """Try trials; each has its row when this returns.
+    def run(self, trials: Sequence[Checked], *, retry: bool = False) -> None:
+        """Try those of some trials that have no row yet; each has one when this returns.
+
+        Args:
+            trials: which.
+            retry: try failed ones again.
 
         Raises:
             TwinctError: the pool is lost, or the folder cannot be written.
         """
-        firsts = self._without_twins(trials)
+        firsts = self._without_twins(trials, retry)
         self._share(firsts)
         by_key = {one.key: one for one in firsts}
         released: deque[Checked] = deque()
@@ -108,13 +112,18 @@ class Driver:
             else:
                 return
 
-    def _without_twins(self, trials: Sequence[Checked]) -> list[Checked]:
-        """One trial of each volume; the others get its figures when it has them."""
-        if self.design.study.keep == "everything":
-            return list(trials)
+    def _without_twins(self, trials: Sequence[Checked], retry: bool) -> list[Checked]:
+        """One trial of each volume that is not there; the others get its figures in the end."""
+        wanted = [one for one in trials if self.rows.wanted(one.key, retry=retry)]
+        if self.design.study.keep == "everything" or not wanted:
+            return wanted
+        there = {row.key: row for row in self.rows.all() if row.status == "done"}
+        volumes = {one.volume: there[one.key] for one in trials if one.key in there}
         firsts: list[Checked] = []
-        for one in trials:
-            if one.volume in self._twins:
+        for one in wanted:
+            if one.volume in volumes:
+                self.rows.copied(one, volumes[one.volume])
+            elif one.volume in self._twins:
                 self._twins[one.volume].append(one)
             else:
                 self._twins[one.volume] = []
@@ -232,10 +241,10 @@ class Driver:
     def say(self) -> None:
         """Tell how far it is."""
         counts = Counter(self.rows.status.values())
-        left = self.total - len(self.rows.status)
+        left, running = self.total - len(self.rows.status), min(self._running, self.pool.slots)
         spent = time.monotonic() - self._began
         left_s = spent / self._ended * left if self._ended else None
-        self.tell(Tally(counts["done"], counts["failed"], self._running, self.total, left_s))
+        self.tell(Tally(counts["done"], counts["failed"], running, self.total, left_s))
 
 
 _BEFORE_IMAGES = {"surface", "plan", "executed", "images"}

@@ -129,7 +129,7 @@ def run_study(
             if study.search:
                 _search(design, checker, driver, retry)
             else:
-                driver.run([one for one in trials if rows.wanted(one.key, retry=retry)])
+                driver.run(trials, retry=retry)
         finally:
             _conclude(design, folder, rows, driver.total, time.monotonic() - began)
         pool.close(clear=True)
@@ -206,7 +206,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
             elif one is not None and driver.rows.wanted(key, retry=retry):
                 trials.append(one)
             known.setdefault(key, one)
-        driver.run(trials)
+        driver.run(trials, retry=retry)
         figures = driver.rows.figures(search.figure)
         for chosen in values:
             first = len(tried) * len(design.seeds)
