@@ -15,10 +15,11 @@ from twinct.scenario.digests import readers
 from twinct.study.book import Book
 from twinct.study.checking import Checked
 from twinct.study.design import Design
+from twinct.study.estimate import bytes_below
 from twinct.study.folder import StudyFolder
 from twinct.study.inputs import Inputs
 from twinct.study.rows import Rows
-from twinct.study.taking import Errand, take_scan, try_trial
+from twinct.study.taking import START, Errand, take_scan, try_trial
 
 log = logging.getLogger(__name__)
 
@@ -67,6 +68,7 @@ class Driver:
     _book: Book = field(default_factory=Book.open)
     _began: float = field(default_factory=time.monotonic)
     _ended: int = 0
+    _busy_s: float = 0.0
 
     def __post_init__(self) -> None:
         self._inputs = Inputs(self.folder.inputs)
@@ -192,8 +194,8 @@ class Driver:
         self.pool.offer(f"scan-{digest[:32]}", kept)
         shared.there = True
         shared.seconds = event.value
-        self._book.add(waiting[0].cost.scan, sum(event.value.values()))
-        self._book.add(f"{waiting[0].cost.scan} bytes", _bytes_below(kept))
+        self._count(waiting[0].cost.scan, sum(event.value.values()) - event.value.get(START, 0.0))
+        self._book.add(f"{waiting[0].cost.scan} bytes", bytes_below([kept]))
         return waiting
 
     def _tried(self, one: Checked, event: Done | Failed) -> None:
@@ -213,12 +215,36 @@ class Driver:
             row = self.rows.done(one, event, before, report)
             for twin in self._twins.pop(one.volume, ()):
                 self.rows.copied(twin, row)
-            spent = event.value["seconds"]
-            if "scan" in spent:
-                self._book.add(one.cost.scan, spent["scan"])
-            self._book.add(one.cost.rest, spent["total"] - spent.get("scan", 0.0))
+            self._count_trial(one, event, self.folder.path / name if parcel else None)
             self._ended += 1
             self._leave(one)
+
+    def book_around(self, wall_s: float) -> None:
+        """Count what a study takes beside its trials: start of workers, table, page."""
+        if self._ended:
+            book = Book.open()
+            busy_s = self._busy_s / min(self.pool.slots, self._ended)
+            book.add("seconds around", max(wall_s - busy_s, 0.0))
+            book.write()
+
+    def _count(self, kind: str, seconds: float) -> None:
+        self._busy_s += seconds
+        self._book.add(kind, seconds)
+
+    def _count_trial(self, one: Checked, event: Done, kept: Path | None) -> None:
+        """Count seconds and bytes of a trial; those of a scan that it took itself apart."""
+        spent, scan_s = event.value["seconds"], 0.0
+        if one.scan not in self._scans:
+            scan_s = sum(spent.get(stage, 0.0) for stage in _SCAN_STAGES)
+            self._count(one.cost.scan, scan_s)
+        self._count(one.cost.rest, spent["total"] - scan_s)
+        self._book.add(f"{one.cost.rest} sections bytes", len(event.value["sections"]))
+        scan_bytes = event.value.get("scan_bytes", 0)
+        if kept is not None:
+            scan_bytes = bytes_below([kept / "scan.zarr"])
+            self._book.add(f"{one.cost.rest} bytes", bytes_below([kept]) - scan_bytes)
+        if scan_bytes:
+            self._book.add(f"{one.cost.scan} bytes", scan_bytes)
 
     def _fail(self, trials: Sequence[Checked], event: Failed) -> None:
         twins = [twin for one in trials for twin in self._twins.pop(one.volume, ())]
@@ -249,6 +275,8 @@ class Driver:
 
 _BEFORE_IMAGES = {"surface", "plan", "executed", "images"}
 _OF_SCAN = ("specimen", "plan", "views")
+_SCAN_STAGES = ("scan", "plan", "motion", "xray", "storing", "link")
+"""Stages whose seconds are of a scan; all but the first two as ``twinct.run`` tells them."""
 
 
 @dataclass
@@ -273,7 +301,3 @@ class _SharedScan:
         """The seconds, once."""
         found, self.seconds = self.seconds, {}
         return found
-
-
-def _bytes_below(path: Path) -> int:
-    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())

@@ -7,15 +7,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from twinct.report.study_page import MOST_BEST as MOST_SHOWN
 from twinct.study.book import Book
 from twinct.study.checking import Checked
 from twinct.study.rows import MOST_BEST
 from twinct.study.settings import Study
 
 ROW_BYTES = 2_000
+TABLE_BYTES = 30_000
 SECTIONS_BYTES = 100_000
-PAGE_BYTES = 1_000_000
+PAGE_BYTES = 150_000
 """Taken until one was written here."""
+
+BYTES_IN_TABLE = 250
+"""Of a row in the table of results: columns are compressed, and have a size of their own."""
 
 
 @dataclass(frozen=True)
@@ -40,34 +45,44 @@ class Estimate:
 
 def estimate(study: Study, trials: Sequence[Checked], workers: int, book: Book) -> Estimate:
     """Of the trials that are still to be tried, by so many workers."""
+    whole = study.keep == "everything"
     numbers = Counter(one.scan for one in trials)
     first = {one.scan: one for one in trials}
+    # Trials with one volume have it once.
+    tried = trials if whole else list({one.volume: one for one in trials}.values())
     seconds: list[float | None] = [book.mean(one.cost.scan) for one in first.values()]
-    seconds += [book.mean(one.cost.rest) for one in trials]
+    seconds += [book.mean(one.cost.rest) for one in tried]
     known = [s for s in seconds if s is not None]
-    shared = [one for digest, one in first.items() if numbers[digest] > 1]
+    kept = [one for digest, one in first.items() if whole or numbers[digest] > 1]
     # Hard links: a scan that is kept in a trial's folder, too, takes its bytes once.
-    size = sum(_mean(book, f"{one.cost.scan} bytes", one.cost.scan_bytes) for one in shared)
-    for one in trials:
-        size += _mean(book, "row bytes", ROW_BYTES)
-        if study.keep == "volume":
-            size += one.cost.volume_bytes
-        elif study.keep == "everything":
-            need = sum(stage.disk_bytes for stage in one.cost.stages.values())
-            size += _mean(book, f"{one.cost.rest} bytes", need + one.cost.volume_bytes)
+    size = sum(_mean(book, f"{one.cost.scan} bytes", one.cost.scan_bytes) for one in kept)
+    size += len(trials) * (_mean(book, "row bytes", ROW_BYTES) + BYTES_IN_TABLE)
+    if study.keep != "figures":
+        for one in tried:
+            need = sum(stage.disk_bytes for stage in one.cost.stages.values()) if whole else 0.0
+            need += one.cost.volume_bytes - (one.cost.scan_bytes if whole else 0)
+            size += _mean(book, f"{one.cost.rest} bytes", need)
     if trials:
+        size += _mean(book, "table bytes", TABLE_BYTES)
         combinations = min(len({repr(one.trial.axes) for one in trials}), MOST_BEST)
         kind = f"{trials[0].cost.rest} sections bytes"
         size += combinations * _mean(book, kind, SECTIONS_BYTES)
-        size += _mean(book, page_kind(study), PAGE_BYTES)
+        size += page_parts(combinations) * _mean(book, page_kind(study), PAGE_BYTES)
     complete = len(known) == len(seconds)
-    wall = sum(known) / max(min(workers, len(trials)), 1) if complete else None
+    wall = sum(known) / max(min(workers, len(tried)), 1) if complete else None
+    if wall:
+        wall += book.mean("seconds around") or 0.0
     return Estimate(len(trials), len(numbers), round(size), wall, complete)
 
 
 def page_kind(study: Study) -> str:
     """What pages of studies like this are called in the book."""
     return f"page {len(study.axes)} {len(study.figures)} bytes"
+
+
+def page_parts(combinations: int) -> int:
+    """Into how many parts of about one size a page goes: trends, and each of the best trials."""
+    return 1 + min(combinations, MOST_SHOWN)
 
 
 def bytes_below(paths: Iterable[Path]) -> int:

@@ -21,7 +21,7 @@ from twinct.study.book import Book
 from twinct.study.checking import Checked, Checker
 from twinct.study.design import Design, Trial, load_study
 from twinct.study.driver import Driver, Tally
-from twinct.study.estimate import Estimate, bytes_below, estimate, page_kind
+from twinct.study.estimate import BYTES_IN_TABLE, Estimate, estimate, page_kind, page_parts
 from twinct.study.folder import StudyFolder
 from twinct.study.page import write_page
 from twinct.study.results import load_results, write_results
@@ -132,6 +132,7 @@ def run_study(
                 driver.run(trials, retry=retry)
         finally:
             _conclude(design, folder, rows, driver.total, time.monotonic() - began)
+        driver.book_around(time.monotonic() - began)
         pool.close(clear=True)
         status = list(rows.status.values())
     return StudyRun(folder, status.count("done"), status.count("failed"))
@@ -259,8 +260,11 @@ def _conclude(
     write_results(folder.path, found)
     write_page(folder, design, found, total, wall_seconds)
     book = Book.open()
-    book.add("row bytes", (bytes_below([folder.journal, folder.results])) / len(found))
-    book.add(page_kind(design.study), folder.page.stat().st_size)
+    book.add("row bytes", folder.journal.stat().st_size / len(found))
+    table = folder.results.stat().st_size - BYTES_IN_TABLE * len(found)
+    book.add("table bytes", max(table, 0))
+    parts = page_parts(len({repr(row.axes) for row in found}))
+    book.add(page_kind(design.study), folder.page.stat().st_size / parts)
     book.write()
 
 

@@ -6,14 +6,15 @@ import hashlib
 import json
 import logging
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from twinct.errors import DamagedError
+from twinct.errors import DamagedError, TwinctError
 from twinct.evaluate import ImageFigures, region_of_interest
 from twinct.observers import Audience
 from twinct.pool import Made, Place
@@ -36,6 +37,7 @@ from twinct.runs.reporting import figures_of
 from twinct.scan import Scan, ScanStore, Workshop
 from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
 from twinct.specimen import BuiltSpecimen
+from twinct.study.estimate import bytes_below
 from twinct.study.figures import flat_figures
 from twinct.study.sections import packed_sections
 from twinct.study.shelf import Shelf
@@ -107,6 +109,7 @@ def take_scan(errand: Errand, place: Place) -> Made:
     """
     scenario, shelf, seconds = errand.scenario_at(place), Shelf(place.folder), _Seconds()
     _check(scenario)
+    _start(errand, seconds)
     specimen = _specimen(scenario, shelf, seconds)
     workshop = Workshop(scenario, _plan(scenario, specimen, shelf, seconds), specimen)
     with seconds.stage("scan"):
@@ -124,11 +127,13 @@ def try_trial(errand: Errand, place: Place) -> Made:
     Raises:
         InputError: it cannot be run.
     """
-    shelf, began = Shelf(place.folder), time.perf_counter()
+    shelf, seconds = Shelf(place.folder), _Seconds()
+    _start(errand, seconds)
+    began = time.perf_counter()
     with shelf.locked("trials", errand.key):
         folder = place.folder / "trials" / errand.key
         folder.mkdir(parents=True, exist_ok=True)
-        scenario, seconds = errand.scenario_at(place), _Seconds()
+        scenario = errand.scenario_at(place)
         _check(scenario)
         kept = _scan_path(errand, place)
         if errand.keep == "everything":
@@ -137,6 +142,35 @@ def try_trial(errand: Errand, place: Place) -> Made:
             found, parcels = _figures(errand, scenario, kept, folder, shelf, seconds)
     seconds.stages["total"] = time.perf_counter() - began
     return Made({**found, "seconds": seconds.stages}, parcels)
+
+
+START = "start"
+"""The stage of a worker's first work in which it loads the engines; no trial's own."""
+
+_SMALLEST = {
+    "cell": {"kind": "gantry"},
+    "trajectory": {"kind": "circle", "views": 2},
+    "detector": {"columns": 8, "rows": 8, "pixel_pitch_mm": 40},
+    "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 50}}]},
+    "reconstruction": {"grid": {"voxels": 8, "voxel_mm": 20}},
+}
+
+
+def _start(errand: Errand, seconds: _Seconds) -> None:
+    """Load all engines by a trial of next to nothing, so that the first trial takes as others do.
+
+    Over ROS 2 they are loaded by other processes, with each scan.
+    """
+    global _started
+    if not _started and errand.link == "local":
+        _started = True
+        smallest, taken = parse_scenario(_SMALLEST), _Seconds()
+        with seconds.stage(START), tempfile.TemporaryDirectory() as name, suppress(TwinctError):
+            first = replace(errand, scan=START, shared=False, keep="figures")
+            _figures(first, smallest, None, Path(name), Shelf(Path(name)), taken)
+
+
+_started = False
 
 
 def _check(scenario: Scenario) -> None:
@@ -201,9 +235,12 @@ def _figures(
             if errand.keep == "volume":
                 parcels = {"volume": folder / "volume.nii"}
                 volume.write(parcels["volume"], "twinct, 1/mm")
+    found = {"figures": flat_figures(figures_of(scan, images)), "sections": sections}
+    if kept is None:  # for estimates: the next trials may share it
+        found["scan_bytes"] = bytes_below([path])
     for used in [path for path in folder.iterdir() if path not in parcels.values()]:
         remove(used)
-    return {"figures": flat_figures(figures_of(scan, images)), "sections": sections}, parcels
+    return found, parcels
 
 
 def _whole_run(
