@@ -288,6 +288,7 @@ def main():
     mark = f"{MARK}={token}"
     os.environ |= {MARK: token, "TWINCT_THREADS": "1", "RAY_USAGE_STATS_ENABLED": "0"}
     os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+    os.environ["RAY_worker_niceness"] = "0"  # else whatever runs beside starves Ray's workers
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         cluster = options.pool == "cluster"
