@@ -6,12 +6,14 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from twinct.errors import InputError
 from twinct.progress import SILENT, Progress
 from twinct.runs import Need, needs
 from twinct.scenario import Scenario, stage_digests
+from twinct.settings import FILE_KEYS
 from twinct.study.design import Design, Trial
 from twinct.study.figures import figure_names
 
@@ -151,7 +153,11 @@ class Checker:
 
 def trial_key(volume: str, trial: Trial) -> str:
     """What identifies a trial, whatever its number: digest of its volume, and what it changes."""
-    told = json.dumps([volume, trial.changes], sort_keys=True)
+    changes = {  # files count by what is in them, and by their names, wherever they lie
+        key: Path(value).name if key.rpartition(".")[2] in FILE_KEYS else value
+        for key, value in trial.changes.items()
+    }
+    told = json.dumps([volume, changes], sort_keys=True)
     return hashlib.sha256(told.encode()).hexdigest()[:32]
 
 
