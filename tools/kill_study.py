@@ -256,17 +256,21 @@ def journalled(out):
 
 
 def plan_of(left, number, moments):
-    """Kills of one study as (rows, victim): one of the driver, one of the node, some workers."""
+    """Kills of one study as (rows, victim): one of the driver, one of the node, some workers.
+
+    But for the driver's none comes in the last fifth, which may be over too soon.
+    """
+    late = number - number // 5
     middle = moments.randrange(number + 1) if left["driver"] > 0 else number
     lives = [(0, middle), (middle, number)] if left["driver"] > 0 else [(0, number)]
     kills = [
-        (moments.randrange(first, last + 1), "worker", life)
+        (moments.randrange(first, max(first, min(last, late)) + 1), "worker", life)
         for life, (first, last) in enumerate(lives)
         for _ in range(WORKERS_A_DRIVER)
     ][: max(left["worker"], 0)]
     kills += [(middle, "driver", 0.5)] if left["driver"] > 0 else []
     if left["node"] > 0:
-        rows = moments.randrange(number)
+        rows = moments.randrange(late)
         kills.append((rows, "node", int(rows >= middle)))
     return [(rows, victim) for rows, victim, _ in sorted(kills, key=lambda k: (k[2], k[0]))]
 
