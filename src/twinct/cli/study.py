@@ -28,7 +28,9 @@ Flag = tyro.conf.FlagCreatePairsOff[bool]
 def study(
     file: Annotated[
         tyro.conf.Positional[Path],
-        tyro.conf.arg(metavar="STUDY", help="Study file (YAML), such as examples/study.yaml."),
+        tyro.conf.arg(
+            metavar="STUDY", help="Study file (YAML), such as examples/studies/relaxation.yaml."
+        ),
     ],
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],

@@ -30,6 +30,7 @@ from twinct.report import (
     build_metrics,
     cross_sections,
     draw_pictures,
+    plain,
     write_report,
 )
 from twinct.runs.folder import Folder, as_yaml
@@ -149,7 +150,8 @@ def figures_of(scan: Scan, image: Mapping[str, ImageFigures]) -> dict[str, Any]:
     nothing = {stage: 0.0 for stage in STAGES}
     whole = build_metrics(**_of_scan(scan), image=image, seconds=nothing, scenario_digest="")
     others = "seconds", "real_time_factor", "scenario_digest", "twinct_version"
-    return {name: value for name, value in whole.items() if name not in others}
+    found = {name: value for name, value in whole.items() if name not in others}
+    return found | {"geometries": plain(_geometries(scan))}
 
 
 def _of_scan(scan: Scan) -> dict[str, Any]:

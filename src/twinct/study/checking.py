@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
 from collections.abc import Iterable, Iterator
@@ -9,11 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from twinct.errors import InputError
+from twinct.errors import InputError, SpecimenError
 from twinct.progress import SILENT, Progress
 from twinct.runs import Need, needs
 from twinct.scenario import Scenario, stage_digests
 from twinct.settings import FILE_KEYS
+from twinct.specimen.materials import material
 from twinct.study.design import Design, Trial
 from twinct.study.figures import figure_names
 
@@ -29,7 +31,8 @@ class Checked:
         trial: which.
         key: hex digest that identifies it, whatever its number.
         scan: digest of its scan.
-        volume: digest of its volume: trials may have that in common, too.
+        volume: digests of its volume and of what is believed of its poses: trials may have both in
+            common, and then all figures.
         cost: of what kind it is; trials of a kind take alike.
     """
 
@@ -76,6 +79,7 @@ class Checker:
 
     design: Design
     costs: dict[str, Cost] = field(default_factory=dict[str, Cost])
+    materials: dict[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
     def checked(self, trials: Iterable[Trial], progress: Progress = SILENT) -> list[Checked]:
         """All trials, each a scenario that can be had.
@@ -89,6 +93,7 @@ class Checker:
         for trial in progressed(trials, progress):
             try:
                 scenario = self.design.scenario(trial)
+                self._check_materials(scenario)
             except InputError as error:
                 for problem in error.problems:
                     problems.setdefault(problem, trial)
@@ -109,8 +114,7 @@ class Checker:
         if self.design.study.search:
             wanted = (*wanted, self.design.study.search.figure)
         if missing := [name for name in wanted if name not in figures]:
-            known = ", ".join(sorted(figures))
-            raise InputError(f"figure {missing[0]!r}: no trial has it; there are {known}")
+            raise InputError(self._unknown_figure(missing[0], figures))
         if taken := [label for label in self.design.labels if label in figures]:
             raise InputError(
                 f"axis {taken[0]}: a figure has this name; give the axis another 'label'"
@@ -121,6 +125,32 @@ class Checker:
             if same is not one.trial and not self.design.study.search:
                 raise InputError(f"{same} and {one.trial} are the same: a value stands twice")
         return found
+
+    def _unknown_figure(self, name: str, known: set[str]) -> str:
+        place = self.design.places.get("figures", "")
+        near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ", ".join(sorted(known))
+        return f"{place + ': ' if place else ''}figure {name!r}: no trial has it; {hint}"
+
+    def _check_materials(self, scenario: Scenario) -> None:
+        """Refuse materials that nobody knows; each is looked up once.
+
+        Raises:
+            SpecimenError: with a sentence for each.
+        """
+        problems: list[str] = []
+        for index, part in enumerate(scenario.specimen.parts):
+            told = repr(part.material)
+            if told not in self.materials:
+                self.materials[told] = ()
+                try:
+                    material(part.material, origin=f"specimen.parts.{index}.material")
+                except SpecimenError as error:
+                    self.materials[told] = error.problems
+            place = self.design.places.get(f"specimen.parts.{index}.material", "")
+            problems += [f"{place}: {p}" if place else p for p in self.materials[told]]
+        if problems:
+            raise SpecimenError(problems)
 
     def one(self, trial: Trial) -> Checked:
         """A trial that a search came upon.
@@ -134,7 +164,7 @@ class Checker:
         digests = stage_digests(scenario)
         key = trial_key(digests["volume"], trial)
         cost = self._cost(scenario, digests["surface"])
-        return Checked(trial, key, digests["images"], digests["volume"], cost)
+        return Checked(trial, key, digests["images"], digests["volume"] + digests["believed"], cost)
 
     def _cost(self, scenario: Scenario, surface: str) -> Cost:
         study, detector, section = self.design.study, scenario.detector, scenario.reconstruction

@@ -20,7 +20,8 @@ def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
     for name in (*_IMAGES, *_SECTIONS, *_WITH_ARMS):
         if name in metrics:
             found |= _flat(name, metrics[name])
-    return found
+    believed = metrics["geometries"]["believed"]["pose_error"]
+    return found | _flat("geometries.believed.pose_error", believed)
 
 
 def figure_names(scenario: Scenario) -> tuple[str, ...]:
@@ -32,7 +33,8 @@ def figure_names(scenario: Scenario) -> tuple[str, ...]:
         names += [f"image_by_geometry.{g}.{name}" for g in geometries for name in of_image]
     names += ["views", "reached", "simulated_seconds", "clearance_mm.min"]
     names += [
-        f"pose_error.{side}.{what}.{figure}"
+        f"{of}.{side}.{what}.{figure}"
+        for of in ("pose_error", "geometries.believed.pose_error")
         for side in ("source", "detector")
         for what in ("position_mm", "rotation_deg")
         for figure in ("mean", "std", "max")

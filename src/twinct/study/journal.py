@@ -38,6 +38,8 @@ class Row:
         kind: class of the error.
         scan: digest of the scan that it used.
         report: path of its report or folder, relative to the study's folder; empty: none.
+        current: whether the study names it still; what was left out of it is kept, and comes back
+            when it is named again.
     """
 
     trial: int
@@ -51,6 +53,7 @@ class Row:
     kind: str = ""
     scan: str = ""
     report: str = ""
+    current: bool = True
 
     def to_json(self) -> str:
         """One line of strict JSON, without its end."""
@@ -116,7 +119,15 @@ class Journal:
             _sync_folder(self.path.parent)
 
     def rows(self) -> list[Row]:
-        """The last row of each trial, by its number; none before the first is written.
+        """The last row of each trial that the study names, by its number.
+
+        Raises:
+            InputError: a line is broken; it names file and line.
+        """
+        return [row for row in self.all_rows() if row.current]
+
+    def all_rows(self) -> list[Row]:
+        """The same with trials that were left out since; none before the first is written.
 
         Raises:
             InputError: a line is broken; it names file and line.

@@ -45,7 +45,10 @@ class Rows:
         rows = list(rows)
         self._journal.append(rows)
         for row in rows:
-            self.status[row.key] = row.status
+            if row.current:
+                self.status[row.key] = row.status
+            else:
+                self.status.pop(row.key, None)
 
     def done(self, one: Checked, event: Done, seconds: Mapping[str, float], report: str) -> Row:
         """A trial that came to its end; its cross-sections are kept if it is among the best."""
@@ -87,16 +90,14 @@ class Rows:
         return key
 
     def renumbered(self, trials: Iterable[Checked]) -> None:
-        """Give trials of before the numbers that they have now; those left out come last."""
+        """Give trials of before the numbers that they have now; those left out are told no more."""
         now = {one.key: one.trial.number for one in trials}
-        rest = iter(range(len(now), len(now) + len(self.status)))
         moved = [
-            dataclasses.replace(row, trial=number)
-            for row in self._journal.rows()
-            if (number := now[row.key] if row.key in now else next(rest)) != row.trial
+            dataclasses.replace(row, trial=now.get(row.key, row.trial), current=row.key in now)
+            for row in self._journal.all_rows()
         ]
-        if moved:
-            self.add(moved)
+        there = {row.key: row for row in self._journal.all_rows()}
+        self.add(row for row in moved if row != there[row.key])
 
     def wanted(self, key: str, *, retry: bool) -> bool:
         """Whether a trial is still to be tried."""

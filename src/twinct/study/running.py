@@ -54,6 +54,10 @@ class StudyRun:
         """Its table; see ``twinct.load_results``."""
         return load_results(self.folder.path)
 
+    def __repr__(self) -> str:
+        """One line."""
+        return f"StudyRun({str(self.folder.path)!r}, {self.done} done, {self.failed} failed)"
+
 
 @dataclass(frozen=True)
 class DryRun:
@@ -130,10 +134,17 @@ def run_study(
                 _search(design, checker, driver, retry)
             else:
                 driver.run(trials, retry=retry)
+        except BaseException as error:
+            pool.close()
+            if isinstance(error, KeyboardInterrupt):
+                with audience_of(observers) as audience:
+                    audience.say(f"interrupted: {len(rows.status)} of {total} trials are kept")
+            raise
+        else:
+            pool.close(clear=True)
         finally:
             _conclude(design, folder, rows, driver.total, time.monotonic() - began)
         driver.book_around(time.monotonic() - began)
-        pool.close(clear=True)
         status = list(rows.status.values())
     return StudyRun(folder, status.count("done"), status.count("failed"))
 
