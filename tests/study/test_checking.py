@@ -95,9 +95,13 @@ def test_trials_of_one_kind_take_alike(small) -> None:
             "  - {key: reconstruction.relaxation, values: [0.5]}",
             r":4: axis reconstruction.relaxation: .*relaxation.*in trial 1 \(.*algorithm = fdk",
         ),
+        (
+            "axes: [{key: specimen.parts.0.material, values: [bone, unobtainium]}]",
+            ":2: axis specimen.parts.0.material: .*unknown material 'unobtainium'.*; in trial 1",
+        ),
         ("repetitions: {number: 2, key: uncertainty.sead}", ":2: repetitions: uncertainty.sead: "),
         ("set: {detector.columns: -1}", ":2: detector.columns: must be greater than or equal to 1"),
-        ("figures: [image.rmse]", "figure 'image.rmse': no trial has it; there are clearance"),
+        ("figures: [image.rmse]", "figure 'image.rmse': no trial has it; did you mean"),
         (
             "search: {figure: image.rms, trials: 1, keys: [{key: seed, choices: [1], label: s}]}",
             "figure 'image.rms': no trial has it",

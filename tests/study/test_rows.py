@@ -86,15 +86,15 @@ def test_trials_of_before_get_the_numbers_that_they_have_now(folder: StudyFolder
     for number, value in enumerate("abc"):
         end(rows, trial(number, value), number)
     size = folder.journal.stat().st_size
-    rows.renumbered([trial(n, value) for n, value in enumerate("abc")])
+    rows.renumbered({trial(0, value).key: n for n, value in enumerate("abc")})
     assert folder.journal.stat().st_size == size  # nothing to say
-    rows.renumbered([trial(n, value) for n, value in enumerate("xcya")])
-    assert [(row.trial, row.axes["x"]) for row in rows.all()] == [(1, "c"), (3, "a"), (4, "b")]
-    assert [row.figures["image.rmse_rel"] for row in Rows(folder, ranked_by("views")).all()] == [
-        2,
-        0,
-        1,
-    ]
+    rows.renumbered({trial(0, value).key: n for n, value in enumerate("xcya")})
+    assert [(row.trial, row.axes["x"]) for row in rows.all()] == [(1, "c"), (3, "a")]
+    assert not rows.wanted("key-a-0", retry=False) and rows.wanted("key-b-0", retry=False)
+    again = Rows(folder, ranked_by("views"))
+    again.renumbered({trial(0, value).key: n for n, value in enumerate("bc")})
+    told = [(row.axes["x"], row.figures["image.rmse_rel"]) for row in again.all()]
+    assert told == [("b", 1), ("c", 2)]  # it had been left out
 
 
 def test_failed_trials_say_why_and_are_wanted_again_if_asked(folder: StudyFolder) -> None:

@@ -20,7 +20,7 @@ from twinct.study.folder import StudyFolder
 
 from .conftest import SCENARIO
 
-RELAXATION, MATERIAL = "reconstruction.relaxation", "specimen.parts.0.material"
+RELAXATION, SPECTRUM = "reconstruction.relaxation", "source.spectrum"
 NOISE = ["uncertainty.source.sigma_mm", "uncertainty.detector.sigma_mm"]
 
 pytestmark = pytest.mark.process
@@ -137,9 +137,14 @@ def test_an_extended_study_keeps_its_rows_under_new_numbers_and_its_scan(
     table = load_results(out)
     assert scans(out) == scans(base[0].folder.path)
     assert table["seconds.scan"].notna().sum() == 1 and events[0].done == 8
-    # A study with fewer trials leaves the rows of the others, last.
-    run_study(study(0.7), out, resume=True)
-    assert rows(out)["relaxation"].tolist() == [0.7] * 4 + [0.5] * 4 + [0.2] * 4
+    # What a study does not name any more is not told, and comes back when it is named again.
+    assert run_study(study(0.7), out, resume=True).done == 4
+    assert rows(out)["relaxation"].tolist() == [0.7] * 4
+    size = finished.folder.journal.stat().st_size
+    assert run_study(study(0.7, 0.2), out, resume=True).done == 8
+    assert rows(out)["relaxation"].tolist() == [0.7] * 4 + [0.2] * 4
+    added = finished.folder.journal.read_bytes()[size:].splitlines()
+    assert len(added) == 4 and scans(out) == scans(base[0].folder.path)
 
 
 def test_an_interrupted_study_goes_on_to_equal_rows(base, warm, no_page, tmp_path) -> None:
@@ -159,9 +164,16 @@ def test_an_interrupted_study_goes_on_to_equal_rows(base, warm, no_page, tmp_pat
     pd.testing.assert_frame_equal(rows(out), rows(base[0].folder.path))
 
 
-def failing(*materials: str, **more: Any) -> dict[str, Any]:
+def spectra(folder: Path) -> list[dict[str, str]]:
+    """One that no scan can be taken with, and one that is good."""
+    (folder / "nonsense.csv").write_text("no numbers\n")
+    (folder / "good.csv").write_text("60, 1\n80, 2\n")
+    return [{"kind": "file", "path": str(folder / f"{name}.csv")} for name in ("nonsense", "good")]
+
+
+def failing(folder: Path, **more: Any) -> dict[str, Any]:
     axes = [
-        {"key": MATERIAL, "label": "material", "values": list(materials)},
+        {"key": SPECTRUM, "label": "spectrum", "values": spectra(folder)},
         {"key": RELAXATION, "label": "relaxation", "values": [0.2, 0.5]},
     ]
     return {"scenario": SCENARIO, "axes": axes, **more}
@@ -169,31 +181,31 @@ def failing(*materials: str, **more: Any) -> dict[str, Any]:
 
 def test_what_fails_is_a_row_and_the_others_go_on(warm, no_page, tmp_path) -> None:
     out = tmp_path / "out"
-    finished = run_study(failing("kryptonite", "bone"), out)
+    finished = run_study(failing(tmp_path), out)
     table = finished.results
     assert (finished.done, finished.failed) == (2, 2)
     assert table["status"].tolist() == ["failed"] * 2 + ["done"] * 2
     # A scan that fails fails all its trials, with one message.
     (message,) = {*table["message"][:2]}
-    assert "kryptonite" in message and table["message"][2:].tolist() == ["", ""]
+    assert "nonsense.csv" in message and table["message"][2:].tolist() == ["", ""]
     assert table["image.rmse_rel"].notna().tolist() == [False] * 2 + [True] * 2
     assert finished.folder.log.read_text().count("WARNING") == 1
-    assert "kryptonite" in finished.folder.page.read_text()
+    assert "nonsense.csv" in finished.folder.page.read_text()
     before = finished.folder.journal.read_text().splitlines()
-    run_study(failing("kryptonite", "bone"), out, resume=True)
+    run_study(failing(tmp_path), out, resume=True)
     assert finished.folder.journal.read_text().splitlines() == before
     # Failed ones are tried again, alone.
-    again = run_study(failing("kryptonite", "bone"), out, resume=True, retry=True)
+    again = run_study(failing(tmp_path), out, resume=True, retry=True)
     new = finished.folder.journal.read_text().splitlines()[len(before) :]
     assert (again.done, again.failed, len(new)) == (2, 2, 2)
-    assert all("kryptonite" in line for line in new)
+    assert all("nonsense.csv" in line for line in new)
 
 
 def test_a_trial_with_a_scan_of_its_own_fails_alone(warm, no_page, tmp_path) -> None:
-    axes = [{"key": MATERIAL, "label": "m", "values": ["kryptonite", "bone"]}]
+    axes = [{"key": SPECTRUM, "label": "s", "values": spectra(tmp_path)}]
     finished = run_study({"scenario": SCENARIO, "axes": axes}, tmp_path / "out")
     assert finished.results["status"].tolist() == ["failed", "done"]
-    assert "kryptonite" in finished.results["message"][0]
+    assert "nonsense.csv" in finished.results["message"][0]
     assert scans(finished.folder.path) == []  # each had its own, which nobody else needs
 
 

@@ -128,8 +128,9 @@ class Checker:
 
     def _unknown_figure(self, name: str, known: set[str]) -> str:
         place = self.design.places.get("figures", "")
-        near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
-        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ", ".join(sorted(known))
+        hint = f"there are {', '.join(sorted(known))}"
+        if near := difflib.get_close_matches(name, known, n=3, cutoff=0.6):
+            hint = f"did you mean {' or '.join(map(repr, near))}?"
         return f"{place + ': ' if place else ''}figure {name!r}: no trial has it; {hint}"
 
     def _check_materials(self, scenario: Scenario) -> None:

@@ -89,15 +89,15 @@ class Rows:
             self.add([Row(trial.number, key, trial.axes, trial.seed, status="failed", **told)])
         return key
 
-    def renumbered(self, trials: Iterable[Checked]) -> None:
-        """Give trials of before the numbers that they have now; those left out are told no more."""
-        now = {one.key: one.trial.number for one in trials}
+    def renumbered(self, now: Mapping[str, int]) -> None:
+        """Give trials the numbers that they have now, by key; those left out are told no more."""
         moved = [
             dataclasses.replace(row, trial=now.get(row.key, row.trial), current=row.key in now)
             for row in self._journal.all_rows()
         ]
         there = {row.key: row for row in self._journal.all_rows()}
-        self.add(row for row in moved if row != there[row.key])
+        if changed := [row for row in moved if row != there[row.key]]:
+            self.add(changed)
 
     def wanted(self, key: str, *, retry: bool) -> bool:
         """Whether a trial is still to be tried."""

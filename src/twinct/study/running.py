@@ -125,7 +125,7 @@ def run_study(
         folder.claim(design, name)
         rows = Rows(folder, study)
         if study.search is None:
-            rows.renumbered(trials)
+            rows.renumbered({one.key: one.trial.number for one in trials})
         total = len(design.seeds) * study.search.trials if study.search else len(trials)
         driver = Driver(design, folder, rows, pool, tell or (lambda _: None), total)
         began = time.monotonic()
@@ -200,7 +200,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
     """
     search = design.study.search
     tried: list[Tried] = []
-    known: dict[str, Checked | None] = {}
+    known: dict[str, int] = {}
     assert search is not None
     while len(tried) < search.trials:
         values = asked(search, tried)
@@ -217,7 +217,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
                 driver.total -= 1
             elif one is not None and driver.rows.wanted(key, retry=retry):
                 trials.append(one)
-            known.setdefault(key, one)
+            known.setdefault(key, trial.number)
         driver.run(trials, retry=retry)
         figures = driver.rows.figures(search.figure)
         for chosen in values:
@@ -225,7 +225,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
             of_seeds = [figures.get(keys[first + n]) for n in range(len(design.seeds))]
             found = [figure for figure in of_seeds if figure is not None]
             tried.append((chosen, sum(found) / len(found) if found else None))
-    driver.rows.renumbered([one for one in known.values() if one is not None])
+    driver.rows.renumbered(known)
     driver.say()
 
 
