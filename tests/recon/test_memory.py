@@ -28,7 +28,9 @@ SCRATCH = 500_000
 
 
 @pytest.mark.parametrize("name", RUNS)
-@pytest.mark.parametrize("large", ["volume", "projections"])
+@pytest.mark.parametrize(
+    "large", ["volume", pytest.param("projections", marks=pytest.mark.tutorial)]
+)
 def test_peak_is_as_stated(name, large, circle):
     grid, views, panel = (
         (VolumeGrid((80, 80, 80), 0.5), 24, Panel(16, 16, 5.0, 5.0))
