@@ -75,6 +75,7 @@ class Driver:
         self._scans: dict[str, _SharedScan] = {}
         self._twins: dict[str, list[Checked]] = {}
         self._running = 0
+        self._slots = 1  # of the pool when it was last given work: it may be closed by now
 
     def run(self, trials: Sequence[Checked], *, retry: bool = False) -> None:
         """Try those of some trials that have no row yet; each has one when this returns.
@@ -86,6 +87,7 @@ class Driver:
         Raises:
             TwinctError: the pool is lost, or the folder cannot be written.
         """
+        self._slots = max(self.pool.slots, 1)
         firsts = self._without_twins(trials, retry)
         self._share(firsts)
         by_key = {one.key: one for one in firsts}
@@ -226,7 +228,7 @@ class Driver:
         """Count what a study takes beside its trials: start of workers, table, page."""
         if self._ended:
             book = Book.open()
-            busy_s = self._busy_s / min(self.pool.slots, self._ended)
+            busy_s = self._busy_s / min(self._slots, self._ended)
             book.add("seconds around", max(wall_s - busy_s, 0.0))
             book.write()
 
@@ -270,7 +272,7 @@ class Driver:
     def say(self) -> None:
         """Tell how far it is."""
         counts = Counter(self.rows.status.values())
-        left, running = self.total - len(self.rows.status), min(self._running, self.pool.slots)
+        left, running = self.total - len(self.rows.status), min(self._running, self._slots)
         spent = time.monotonic() - self._began
         left_s = spent / self._ended * left if self._ended else None
         self.tell(Tally(counts["done"], counts["failed"], running, self.total, left_s))
