@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from twinct.files.writing import storage_errors, write_json
+from twinct.files.writing import write_json
+
+log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -45,8 +48,10 @@ class Book:
         return self.entries[kind][1] if kind in self.entries else None
 
     def write(self) -> None:
-        """Keep it."""
+        """Keep it where that is possible: no study shall fail for its estimates."""
         told = {kind: list(entry) for kind, entry in self.entries.items()}
-        with storage_errors(self.path):
+        try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             write_json(self.path, told)
+        except OSError as error:
+            log.info("%s: seconds for estimates are not kept: %s", self.path, error)

@@ -193,7 +193,7 @@ def _template(study: Study, draft: Draft) -> Template:
 
 
 def _places(study: Study, draft: Draft) -> dict[str, str]:
-    found = {key: place for key in ("figures", "max_trials") if (place := draft.origin((key,)))}
+    found = {key: place for key in ("figures",) if (place := draft.origin((key,)))}
     for index, axis in enumerate(study.axes):
         for inner, part in enumerate(axis.paired or (axis,)):
             where = ("axes", index, "paired", inner) if axis.paired else ("axes", index)

@@ -173,7 +173,7 @@ class Driver:
     def errand(self, one: Checked, *, shared: bool) -> Errand:
         """A trial as it travels; ``shared``: its scan is another trial's, too."""
         scenario: Scenario = self.design.scenario(one.trial)
-        told = str(one.trial).partition(" (")[2].rstrip(")")  # its number may become another
+        told = str(one.trial).partition(" (")[2].removesuffix(")")  # its number may become another
         name = f"{self.design.study.name}: {told}" if told else self.design.study.name
         scenario = scenario.model_copy(update={"name": name})
         return Errand(
