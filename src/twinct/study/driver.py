@@ -19,7 +19,7 @@ from twinct.study.estimate import bytes_below
 from twinct.study.folder import StudyFolder
 from twinct.study.inputs import Inputs
 from twinct.study.rows import Rows
-from twinct.study.taking import START, Errand, take_scan, try_trial
+from twinct.study.taking import START, Errand, scan_name, take_scan, try_trial
 
 log = logging.getLogger(__name__)
 
@@ -146,7 +146,7 @@ class Driver:
                 shared.wanted += number
                 if kept.exists() and not shared.there:
                     shared.there = True
-                    self.pool.offer(f"scan-{digest[:32]}", kept)
+                    self.pool.offer(scan_name(digest), kept)
 
     def _work(self, one: Checked) -> Work | None:
         """What a trial asks for now; None where that is another's to bring, or has failed."""
@@ -196,7 +196,7 @@ class Driver:
             return []
         kept = self.folder.scans / digest[:32]
         event.parcels["scan"].save(kept)
-        self.pool.offer(f"scan-{digest[:32]}", kept)
+        self.pool.offer(scan_name(digest), kept)
         shared.there = True
         shared.seconds = event.value
         self._count(waiting[0].cost.scan, sum(event.value.values()) - event.value.get(START, 0.0))
@@ -266,7 +266,7 @@ class Driver:
         if shared is not None:
             shared.wanted -= 1
             if not shared.wanted:
-                self.pool.withdraw(f"scan-{one.scan[:32]}")
+                self.pool.withdraw(scan_name(one.scan))
                 del self._scans[one.scan]
 
     def say(self) -> None:

@@ -46,11 +46,13 @@ class _Draw(Section):
 
 
 class _Between(_Draw):
+    low: Finite = Field(description="Lower end.")
+    high: Finite = Field(description="Upper end.")
+
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        low, high = getattr(self, "low"), getattr(self, "high")  # noqa: B009 - of those below
-        if low > high:
-            message = f"nothing lies between low {low:g} and high {high:g}"
+        if self.low > self.high:
+            message = f"nothing lies between low {self.low:g} and high {self.high:g}"
             raise ConflictError(Conflict(message, ("low", "high")))
         return self
 
@@ -59,8 +61,6 @@ class UniformDraw(_Between):
     """Numbers drawn evenly between two ends."""
 
     kind: Literal["uniform"] = Field(description="Drawn evenly.")
-    low: Finite = Field(description="Lower end.")
-    high: Finite = Field(description="Upper end.")
 
 
 class LogUniformDraw(_Between):

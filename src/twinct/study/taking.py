@@ -49,6 +49,11 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
+def scan_name(digest: str) -> str:
+    """What a shared scan is offered under."""
+    return f"scan-{digest[:32]}"
+
+
 @dataclass(frozen=True)
 class Errand:
     """A trial, as it travels to a worker.
@@ -74,7 +79,7 @@ class Errand:
     @property
     def scan_name(self) -> str:
         """What its scan is offered under."""
-        return f"scan-{self.scan[:32]}"
+        return scan_name(self.scan)
 
     def scenario_at(self, place: Place) -> Scenario:
         """The scenario, with the files as they are at a place."""
