@@ -137,6 +137,12 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
         with pytest.raises(ValueError, match="not offered"):
             pool.submit(Work("work", jobs.double, 1, inputs=("nothing",)))
 
+        nodes = pool._ray.nodes()
+        gone = {**nodes[0], "NodeID": "5c" * (len(nodes[0]["NodeID"]) // 2)}
+        with monkeypatch.context() as patch:  # as Ray tells it for seconds after a node's death
+            patch.setattr(pool._ray, "nodes", lambda: [*nodes, gone])
+            pool._compare()
+
         pool._terms = dataclasses.replace(pool._terms, versions="twinct 0.0")
         pool.submit(Work("work", jobs.double, 1))
         with pytest.raises(InputError, match=r"is refused: it has twinct .*needed: twinct 0\.0"):

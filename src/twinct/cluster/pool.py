@@ -272,6 +272,7 @@ class RayPool:
             raise InputError(problems)
 
     def _each_node(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
+        """What each node answers, or its error; nodes that are gone are left out."""
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         task = self._ray.remote(num_cpus=0, max_retries=0)(function)
@@ -283,11 +284,14 @@ class RayPool:
                 for n in self._ray.nodes()
                 if n["Alive"]
             ]
+        failures = self._ray.exceptions
         found: list[Any] = []
         for reference in asked:
             try:
                 found.append(self._ray.get(reference, timeout=60))
-            except self._ray.exceptions.RayError as error:
+            except (failures.TaskUnschedulableError, failures.NodeDiedError):
+                continue  # Ray counts a node that is gone for some seconds more
+            except failures.RayError as error:
                 found.append(error)
         return found
 
