@@ -1,11 +1,12 @@
-"""What a study costs beyond its trials, and what it gains: a difference and two ratios.
+"""What a study costs beyond its trials, what it gains, and what it says beforehand.
 
 python benchmarks/bench_study.py overhead    200 trials of 8 views, 32^3, against the same calls
 python benchmarks/bench_study.py scaling     40 scans of demo size, 2 workers against 1
 python benchmarks/bench_study.py sharing     10 relaxations on one scan against its parts
+python benchmarks/bench_study.py estimates   12 trials against what one trial said of them
 
 Workers are warm, and each has one thread. What is compared takes turns, so that a noisy machine
-slows both. ``--pool ray`` takes Ray's workers in place of local processes.
+slows both. ``--pool ray`` takes Ray's workers in place of local processes (not for estimates).
 """
 
 import argparse
@@ -19,9 +20,10 @@ from statistics import median
 os.environ["TWINCT_THREADS"] = "1"
 
 from twinct.pool import LocalPool  # noqa: E402 - threads are bounded before anything is loaded
-from twinct.study import load_study  # noqa: E402
+from twinct.study import dry_run, load_study, run_study  # noqa: E402
 from twinct.study.checking import Checker  # noqa: E402
 from twinct.study.driver import Driver  # noqa: E402
+from twinct.study.estimate import bytes_below  # noqa: E402
 from twinct.study.folder import StudyFolder  # noqa: E402
 from twinct.study.rows import Rows  # noqa: E402
 from twinct.study.taking import take_scan, try_trial  # noqa: E402
@@ -161,10 +163,32 @@ def sharing(kind, folder, number):
     print(f"{kind}: {' and '.join(f'{ratio:.3f}' for ratio in ratios)} x its parts")
 
 
+def estimates(kind, folder, number):
+    """What was estimated of a study after one trial of its kind, against what it took."""
+    os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
+
+    def told(keep, scans, relaxations):
+        study = seeds(scans, "circle_gantry.yaml", **{"reconstruction.grid.voxels": 128})
+        axis = {"key": "reconstruction.relaxation", "values": relaxations}
+        return {**study, "axes": [*study["axes"], axis], "keep": keep}
+
+    for keep in ("figures", "volume", "everything"):
+        run_study(told(keep, 1, [0.3]), folder / "one" / keep, jobs=1)
+        study = told(keep, number // 4, [0.2, 0.3, 0.4, 0.5])
+        said = dry_run(study, jobs=1).estimate
+        seconds = seconds_of(lambda study: run_study(study, folder / study["keep"], jobs=1), study)
+        size = bytes_below([folder / keep])
+        print(
+            f"{keep}: {size / 1e6:.1f} MB, {said.disk_bytes / size:.3f} x estimated; "
+            f"{seconds:.0f} s, {said.seconds / seconds:.2f} x estimated"
+        )
+
+
 def main():
-    """Run one of the three."""
+    """Run one of the four."""
     parser = argparse.ArgumentParser(description=__doc__)
     what = {"overhead": (overhead, 200), "scaling": (scaling, 40), "sharing": (sharing, 10)}
+    what["estimates"] = estimates, 12
     parser.add_argument("what", choices=what, nargs="?", default="overhead")
     parser.add_argument("--pool", choices=("local", "ray"), default="local")
     parser.add_argument("--number", type=int)
