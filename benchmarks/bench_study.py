@@ -124,18 +124,20 @@ def overhead(kind, folder, number):
 def scaling(kind, folder, number):
     """How much faster two workers take scans than one."""
     told = seeds(number + 4, "demo.yaml", **{"reconstruction.iterations": 1})
-    bench = Bench(told, folder / "study")
-    turns = [bench.trials[4:][i : i + 4] for i in range(0, number, 4)]
+    benches = {workers: Bench(told, folder / f"study{workers}") for workers in (1, 2)}
+    trials = benches[1].trials
+    turns = [trials[4:][i : i + 4] for i in range(0, number, 4)]
     spent = {1: 0.0, 2: 0.0}
     with pool_of(kind, 1, folder / "one") as one, pool_of(kind, 2, folder / "two") as two:
-        drivers = {1: bench.on(one), 2: bench.on(two)}
-        drivers[1].run(bench.trials[:1])
-        drivers[2].run(bench.trials[1:4])
+        drivers = {1: benches[1].on(one), 2: benches[2].on(two)}
+        drivers[1].run(trials[:1])
+        drivers[2].run(trials[:4])
         for turn, block in enumerate(turns):
             for workers in (1, 2) if turn % 2 else (2, 1):
                 seconds = seconds_of(drivers[workers].run, block)
                 spent[workers] += seconds
-                print(f"turn {turn}: {workers} workers, {seconds:.1f} s for {len(block)} scans")
+                told = f"{workers} workers, {seconds:.1f} s for {len(block)} scans"
+                print(f"turn {turn}: {told}", flush=True)
     print(f"{kind}: {number} scans: {spent[1] / spent[2]:.2f} x as fast with two workers")
 
 
@@ -159,7 +161,10 @@ def sharing(kind, folder, number):
         parts = [try_trial(errand, here).value["seconds"]["reconstruction"] for errand in errands]
         ratios.append(studied / (alone + sum(parts)))
         each = median(parts)
-        print(f"turn {turn}: study {studied:.1f} s, scan {alone:.1f} s, {number} x {each:.1f} s")
+        print(
+            f"turn {turn}: study {studied:.1f} s, scan {alone:.1f} s, {number} x {each:.1f} s",
+            flush=True,
+        )
     print(f"{kind}: {' and '.join(f'{ratio:.3f}' for ratio in ratios)} x its parts")
 
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage as scipy_ndimage
+from numpy.typing import ArrayLike
 
 from twinct.errors import InputError
-from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.recon.checks import Checks, Mask, mask_of, masked_image
+from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.recon.checks import Checks, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
 from twinct.recon.projector import Projector
+from twinct.recon.resolution import binned, interpolated
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
-
-ndimage: Any = scipy_ndimage  # it comes without types
 
 
 def without_surroundings(
@@ -90,18 +87,18 @@ def without_surroundings(
         raise InputError(
             f"with margin_mm {margin_mm:g}, {problem}" for problem in error.problems
         ) from None
-    binned, binned_mask = _bin(p, pixels, factors)
+    coarser, coarser_mask = binned(p, pixels, factors)
     volume = sart(
         A.on(coarse, geometry.binned(*factors)),
-        binned,
+        coarser,
         iterations=iterations,
         relaxation=relaxation,
         nonnegative=nonnegative,
-        mask=binned_mask,
+        mask=coarser_mask,
         callback=callback,
     )
-    del binned
-    inside = _interpolated(volume.array, coarse, grid)
+    del coarser
+    inside = interpolated(volume.array, coarse, grid)
     rest = np.empty(p.shape, np.float32)
     for view, image in enumerate(rest):
         image[:] = masked_image(p, view, pixels)
@@ -116,8 +113,8 @@ def surroundings_bytes(
     """Bytes that ``without_surroundings`` takes beside the line integrals that it is given."""
     coarse = coarse_grid(grid, margin_mm, voxel_mm)
     across, up = _binning(geometry, coarse)
-    binned = geometry.panel.rows // across * (geometry.panel.columns // up)
-    pixels = len(geometry) * (math.prod(geometry.panel.shape) + binned)
+    coarser = geometry.panel.rows // across * (geometry.panel.columns // up)
+    pixels = len(geometry) * (math.prod(geometry.panel.shape) + coarser)
     return 4 * (math.prod(grid.shape) + 2 * math.prod(coarse.shape) + pixels)
 
 
@@ -138,46 +135,3 @@ def _binning(geometry: ScanGeometry, coarse: VolumeGrid) -> tuple[int, int]:
         int(np.clip(shadow / panel.pitch_v, 1, panel.rows)),
         int(np.clip(shadow / panel.pitch_u, 1, panel.columns)),
     )
-
-
-def _bin(
-    p: NDArray[Any], pixels: Mask | None, factors: tuple[int, int]
-) -> tuple[Singles, Mask | None]:
-    """Mean of the pixels that count; a binned pixel counts if half of its pixels do."""
-    views, rows, columns = p.shape
-    shape = rows // factors[0], columns // factors[1]
-    binned = np.empty((views, *shape), np.float32)
-    mask = None if pixels is None else np.empty(binned.shape, np.bool_)
-    for view, image in enumerate(binned):
-        total = _blocks(masked_image(p, view, pixels), shape, factors)
-        if mask is None or pixels is None:
-            image[:] = total
-            continue
-        share = _blocks(mask_of(pixels, view), shape, factors)
-        mask[view] = share >= 0.5
-        image[:] = np.divide(total, share, out=np.zeros_like(total), where=share > 0)
-    return binned, mask
-
-
-def _blocks(
-    image: NDArray[Any], shape: tuple[int, int], factors: tuple[int, int]
-) -> NDArray[np.float64]:
-    cut = image[: shape[0] * factors[0], : shape[1] * factors[1]]
-    blocks = cut.reshape(shape[0], factors[0], shape[1], factors[1])
-    return blocks.mean(axis=(1, 3), dtype=np.float64)
-
-
-def _interpolated(volume: Singles, coarse: VolumeGrid, grid: VolumeGrid) -> Singles:
-    """The coarse volume at the voxels of the grid, trilinear, one plane at a time."""
-    z, y, x = (
-        own / edge + (n - 1) / 2
-        for own, edge, n in zip(grid.axes()[::-1], coarse.voxel[::-1], coarse.shape, strict=True)
-    )
-    fine = np.empty(grid.shape, np.float32)
-    places = cast(list[Floats], np.meshgrid(y, x, indexing="ij"))
-    for plane, height in zip(fine, z, strict=True):
-        below = min(int(height), coarse.shape[0] - 2)
-        share = np.float32(height - below)
-        slab = volume[below] + share * (volume[below + 1] - volume[below])
-        ndimage.map_coordinates(slab, places, output=plane, order=1, mode="nearest")
-    return fine

@@ -1,0 +1,70 @@
+"""The same scan and the same volume in larger pixels and voxels, and back."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage as scipy_ndimage
+
+from twinct.geometry import Floats, VolumeGrid
+from twinct.recon.checks import Mask, mask_of, masked_image
+from twinct.recon.engine import Singles
+
+ndimage: Any = scipy_ndimage  # it comes without types
+
+
+def binned(
+    p: NDArray[Any], pixels: Mask | None, factors: tuple[int, int]
+) -> tuple[Singles, Mask | None]:
+    """Projections in larger pixels: the mean of those that count.
+
+    Args:
+        p: (views, rows, columns).
+        pixels: True where a pixel counts, (rows, columns) or (views, rows, columns).
+        factors: pixels taken as one along rows and columns; what fills no such pixel is left out.
+
+    Returns:
+        The larger pixels, and which of them count: those of which half of the pixels do.
+    """
+    views, rows, columns = p.shape
+    shape = rows // factors[0], columns // factors[1]
+    larger = np.empty((views, *shape), np.float32)
+    mask = None if pixels is None else np.empty(larger.shape, np.bool_)
+    for view, image in enumerate(larger):
+        total = _blocks(masked_image(p, view, pixels), shape, factors)
+        if mask is None or pixels is None:
+            image[:] = total
+            continue
+        share = _blocks(mask_of(pixels, view), shape, factors)
+        mask[view] = share >= 0.5
+        image[:] = np.divide(total, share, out=np.zeros_like(total), where=share > 0)
+    return larger, mask
+
+
+def _blocks(
+    image: NDArray[Any], shape: tuple[int, int], factors: tuple[int, int]
+) -> NDArray[np.float64]:
+    cut = image[: shape[0] * factors[0], : shape[1] * factors[1]]
+    blocks = cut.reshape(shape[0], factors[0], shape[1], factors[1])
+    return blocks.mean(axis=(1, 3), dtype=np.float64)
+
+
+def interpolated(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:
+    """A volume at the voxels of another grid about the same middle, (z, y, x), trilinear.
+
+    Beside the volume its outermost voxels go on.
+    """
+    z, y, x = (
+        own / edge + (n - 1) / 2
+        for own, edge, n in zip(at.axes()[::-1], of.voxel[::-1], of.shape, strict=True)
+    )
+    fine = np.empty(at.shape, np.float32)
+    places = cast(list[Floats], np.meshgrid(y, x, indexing="ij"))
+    for plane, height in zip(fine, z, strict=True):
+        below = int(np.clip(height, 0, of.shape[0] - 2))
+        share = np.float32(np.clip(height - below, 0, 1))
+        slab = volume[below] + share * (volume[below + 1] - volume[below])
+        ndimage.map_coordinates(slab, places, output=plane, order=1, mode="nearest")
+    return fine
