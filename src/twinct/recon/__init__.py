@@ -2,6 +2,7 @@
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.cgls import cgls
+from twinct.recon.fast import fast
 from twinct.recon.fdk import fdk
 from twinct.recon.fista_tv import fista_tv
 from twinct.recon.memory import available_bytes, peak_bytes, refuse_if_short
@@ -25,6 +26,7 @@ __all__ = [
     "Step",
     "available_bytes",
     "cgls",
+    "fast",
     "fdk",
     "fista_tv",
     "fit_circle",

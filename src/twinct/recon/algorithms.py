@@ -8,6 +8,7 @@ from typing import Any
 from twinct.extensions import Offers, offers
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.cgls import CGLS
+from twinct.recon.fast import FAST
 from twinct.recon.fdk import FDK
 from twinct.recon.fista_tv import FISTA_TV
 from twinct.recon.os_sart import OS_SART
@@ -16,7 +17,8 @@ from twinct.recon.sart import SART
 from twinct.recon.sirt import SIRT
 
 BUILT_IN: dict[str, Algorithm[Any]] = {
-    algorithm.name: algorithm for algorithm in (SART, OS_SART, SIRT, CGLS, FDK, FISTA_TV, RTK_SART)
+    algorithm.name: algorithm
+    for algorithm in (SART, FAST, OS_SART, SIRT, CGLS, FDK, FISTA_TV, RTK_SART)
 }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.errors import InputError
-from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
@@ -118,7 +118,7 @@ def surroundings_bytes(
     return 4 * (math.prod(grid.shape) + 2 * math.prod(coarse.shape) + pixels)
 
 
-def coarse_grid(grid: VolumeGrid, margin_mm: float, voxel_mm: float) -> VolumeGrid:
+def coarse_grid(grid: VolumeGrid, margin_mm: float, voxel_mm: float | Floats) -> VolumeGrid:
     """A grid larger by a margin on every side, whose planes include the borders of the grid."""
     across = np.maximum(np.round(grid.size_mm / voxel_mm), 1).astype(int)
     edges = grid.size_mm / across

@@ -1,0 +1,236 @@
+"""SART from coarse to fine: a good volume in a tenth of the passes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from twinct.errors import InputError
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
+from twinct.recon.checks import Checks, Mask, mask_of, masked_image
+from twinct.recon.denoise import SHARE, lower_variation, noise
+from twinct.recon.engine import Singles
+from twinct.recon.memory import require_memory
+from twinct.recon.order import spread_order
+from twinct.recon.projector import LOWEST, Projector
+from twinct.recon.resolution import binned, interpolated
+from twinct.recon.settings import Nonnegative
+from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.recon.surroundings import coarse_grid
+from twinct.settings import NonNegative
+from twinct.volume import Volume
+
+SMALLEST = 8
+"""Voxels and pixels along an axis that a coarser level has at least."""
+
+
+class Fast(AlgorithmSettings):
+    """SART from coarse to fine, with one pass at full resolution."""
+
+    algorithm: Literal["fast"] = "fast"
+    passes: int = Field(
+        default=1, ge=1, le=1000, description="Passes over all views at full resolution."
+    )
+    coarse_passes: int = Field(
+        default=4, ge=1, le=1000, description="Passes at each coarser level."
+    )
+    levels: int = Field(
+        default=3, ge=1, le=6, description="Resolutions, each with voxels and pixels twice as fine."
+    )
+    relaxation: float = Field(
+        default=1.5,
+        gt=0,
+        lt=2,
+        description="Of the first update of a level; it falls where views are many for the voxels.",
+    )
+    regularisation: NonNegative | None = Field(
+        default=None,
+        description="Strength of the total variation in the end, in voxel edges times the unit of "
+        "the volume; by default found from the volume's noise; 0 is none.",
+    )
+    margin: float = Field(
+        default=0.2,
+        ge=0,
+        le=2,
+        description="By how much the coarsest grid is larger on each side, share of the grid's "
+        "size: what lies there is taken out of the finer levels.",
+    )
+    nonnegative: Nonnegative = True
+
+
+def fast(
+    A: Projector,
+    line_integrals: ArrayLike,
+    *,
+    passes: int = 1,
+    coarse_passes: int = 4,
+    levels: int = 3,
+    relaxation: float = 1.5,
+    regularisation: float | None = None,
+    margin: float = 0.2,
+    nonnegative: bool = True,
+    mask: ArrayLike | None = None,
+    callback: Callback | None = None,
+) -> Volume:
+    """Reconstruct a volume from line integrals, most of the way in larger voxels and pixels.
+
+    The updates are those of ``sart``, view after view in golden-angle order. Level by level voxels
+    and pixels become half as large, so that a pass takes an eighth of the next one's time; each
+    level starts from the interpolated volume of the one before, and a pass at full resolution
+    adds but the details. On the coarsest level the grid is larger, and what lies in its margin is
+    projected and subtracted from then on, as ``without_surroundings`` does.
+
+    An update of relaxation 1 to 2 makes details in one pass, and noise where several views tell of
+    each voxel. So the relaxation falls from its first value, in geometric steps over a level, to
+    that value times voxels along an axis over views, where views are more than these. What noise
+    is left goes with the total variation (``lower_variation``), as strong as the volume's
+    ``noise`` asks for. Why these numbers: docs/reconstruction.md.
+
+    Memory at its peak: 3 volumes, and half of the projections, beside those.
+
+    Args:
+        A: the projector, with the believed geometry.
+        line_integrals: p, (views, rows, columns), mm times the unit of the result.
+        passes: at full resolution, at least 1.
+        coarse_passes: at each coarser level, at least 1.
+        levels: at least 1; fewer where the coarsest would have less than 8 voxels or pixels.
+        relaxation: first one of a level, between 0 and 2, both excluded.
+        regularisation: strength of the total variation in voxel edges times the unit of the result;
+            0 for none; from the noise if not given.
+        margin: share of the grid's size by which the coarsest grid is larger, on each side.
+        nonnegative: clip at zero after every update.
+        mask: as in ``sart``.
+        callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
+            stops.
+
+    Raises:
+        InputError: as in ``sart``; or with its margin the grid reaches behind a source.
+    """
+    checks = Checks(A.range_shape)
+    p, pixels = checks.projections(line_integrals, mask)
+    passes = checks.count("passes", passes)
+    coarse_passes = checks.count("coarse_passes", coarse_passes)
+    levels = checks.count("levels", levels)
+    relaxation = checks.relaxation(relaxation)
+    margin = checks.not_negative("margin", margin)
+    if regularisation is not None:
+        regularisation = checks.not_negative("regularisation", regularisation)
+    checks.done()
+    require_memory(FAST, A)
+    floor = 0.0 if nonnegative else LOWEST
+    factors = [2**n for n in reversed(range(levels)) if _fits(A, 2**n)]
+    numbers = [passes if factor == 1 else coarse_passes for factor in factors]
+    listener = Listener(callback, len(A) * sum(numbers))
+    done, x, grid, outside = 0, np.zeros((2, 2, 2), np.float32), A.grid, None
+    for factor, number in zip(factors, numbers, strict=True):
+        level = _level(A, p, pixels, factor, 0.0 if outside else margin, outside)
+        x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
+        grid = level.A.grid
+        last = relaxation * min(1.0, float(np.mean(x.shape)) / len(A))
+        shares = np.geomspace(relaxation, last, number * len(A))
+        for share, view in zip(shares, np.tile(spread_order(len(A)), number), strict=True):
+            square, rays = level.update(x, int(view), float(share), floor, listener.wanted)
+            if listener(0, done, square, rays, x):
+                return Volume(interpolated(x, grid, A.grid), A.grid)
+            done += 1
+        if outside is None and factor > 1:
+            outside = _outside(A, level, x, factor)
+    strength = SHARE * noise(x) if regularisation is None else regularisation
+    lower_variation(x, grid, A.kernels, strength * float(grid.voxel.mean()), floor)
+    return Volume(x, A.grid)
+
+
+def _fits(A: Projector, factor: int) -> bool:
+    return factor == 1 or min(*A.domain_shape, *A.range_shape[1:]) // factor >= SMALLEST
+
+
+@dataclass(frozen=True, eq=False)
+class _Outside:
+    """Line integrals of what lies around the grid, in pixels that are larger by a factor."""
+
+    images: Singles
+    factor: int
+
+    def at(self, view: int, shape: tuple[int, ...], factor: int) -> Singles:
+        """In pixels larger by another factor, bilinear."""
+        image, ratio = self.images[view], self.factor / factor
+        for axis, (n, m) in enumerate(zip(image.shape, shape, strict=True)):
+            place = np.clip((np.arange(m) + 0.5) / ratio - 0.5, 0, n - 1)
+            low = np.minimum(place.astype(int), n - 2)
+            share = np.expand_dims((place - low).astype(np.float32), 1 - axis)
+            below = image.take(low, axis)
+            image = below + share * (image.take(low + 1, axis) - below)
+        return image
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """The scan in voxels and pixels that are larger by a factor."""
+
+    A: Projector
+    p: NDArray[Any]
+    pixels: Mask | None
+    factor: int
+    outside: _Outside | None
+
+    def update(
+        self, x: Singles, view: int, relaxation: float, floor: float, wanted: bool
+    ) -> tuple[float, int]:
+        """SART's, in place; sum of squared residuals before it and number of rays, if wanted."""
+        measured, mask = masked_image(self.p, view, self.pixels), mask_of(self.pixels, view)
+        if self.outside is not None:
+            measured = measured - self.outside.at(view, measured.shape, self.factor)
+        estimate, counts = self.A.update(
+            x, view, measured, relaxation=relaxation, mask=mask, floor=floor
+        )
+        if not wanted:
+            return 0.0, 0
+        rest = (measured - estimate)[None, counts > 0]
+        return sum_of_squares(rest), rest.size
+
+
+def _level(
+    A: Projector,
+    p: NDArray[Any],
+    pixels: Mask | None,
+    factor: int,
+    margin: float,
+    outside: _Outside | None,
+) -> _Level:
+    if factor == 1:
+        return _Level(A, p, pixels, 1, outside)
+    size = margin * float(A.grid.size_mm.max())
+    grid = coarse_grid(A.grid, size, factor * A.grid.voxel)
+    try:
+        coarse = A.on(grid, A.geometry.binned(factor, factor))
+    except InputError as error:
+        told = [f"with a margin of {margin:g} ({size:.0f} mm), {one}" for one in error.problems]
+        raise InputError(told) from None
+    return _Level(coarse, *binned(p, pixels, (factor, factor)), factor, outside)
+
+
+def _outside(A: Projector, level: _Level, x: Singles, factor: int) -> _Outside:
+    """What the margin of the coarsest level adds to the line integrals."""
+    inner = level.A.on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel))
+    images = level.A(x)
+    middle = [
+        slice((n - m) // 2, (n + m) // 2) for n, m in zip(x.shape, inner.domain_shape, strict=True)
+    ]
+    own = np.ascontiguousarray(x[tuple(middle)])
+    for view, image in enumerate(images):
+        image -= inner[view](own)[0]
+    return _Outside(images, factor)
+
+
+FAST = Algorithm(
+    Fast,
+    partial(solve_by, fast),
+    volumes=3,
+    projections=0.5,
+    updates=lambda own, views: views * (own.passes + own.coarse_passes * (own.levels - 1)),
+)

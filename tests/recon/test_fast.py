@@ -1,0 +1,118 @@
+"""From coarse to fine: what it is at one level, what it takes out, what it gains."""
+
+import numpy as np
+import pytest
+from skimage.restoration import denoise_tv_chambolle
+
+from twinct.errors import InputError
+from twinct.evaluate import region_of_interest
+from twinct.geometry import Panel, VolumeGrid
+from twinct.recon import Projector, fast, sart
+from twinct.recon.denoise import lower_variation, noise
+from twinct.recon.engine import kernels
+
+
+@pytest.fixture
+def bodies(circle, ellipsoid_integrals):
+    """A body in the grid, off its middle, and one that reaches out of it, by some of 60 views."""
+    geometry = circle(60, Panel(60, 64, 2.0, 2.0))
+    grid = VolumeGrid((40, 44, 42), 1.0)
+    parts = [((4, -3, 2), (9, 7, 11)), ((24, 8, 0), (9, 9, 15))]
+    p = sum(ellipsoid_integrals(geometry, *part) for part in parts)
+    x, y, z = grid.axes()
+    truth = np.zeros(grid.shape, np.float32)
+    for (cx, cy, cz), (a, b, c) in parts:
+        square = (((z - cz) / c) ** 2)[:, None, None] + (((y - cy) / b) ** 2)[:, None]
+        truth[square + ((x - cx) / a) ** 2 <= 1] = 1
+    region = region_of_interest(geometry, grid)
+
+    def error(volume):
+        return float(np.sqrt(np.mean((volume.array - truth)[region] ** 2)))
+
+    return Projector(geometry, grid), p, error
+
+
+def test_one_level_without_more_is_sart(bodies):
+    A, p, _ = bodies
+    A, p = A[::2], p[::2]  # fewer views than voxels along an axis: the relaxation stays
+    own = fast(A, p, passes=2, levels=1, relaxation=0.5, regularisation=0)
+    other = sart(A, p, iterations=2, relaxation=0.5, nonnegative=True)
+    np.testing.assert_array_equal(own, other)
+
+
+def test_one_pass_beats_sart_at_its_best_iteration(bodies):
+    A, p, error = bodies
+    found = []
+    sart(
+        A,
+        p,
+        iterations=10,
+        relaxation=0.3,
+        nonnegative=True,
+        callback=lambda step: found.append(step.volume.copy()) if step.update == 59 else None,
+    )
+    best = min(error(type("", (), {"array": volume})) for volume in found)
+    assert error(fast(A, p)) < 0.8 * best
+
+
+def test_what_lies_around_is_taken_out(bodies):
+    A, p, error = bodies
+    assert error(fast(A, p)) < 0.8 * error(fast(A, p, margin=0))
+
+
+def test_updates_are_those_that_were_promised(bodies):
+    A, p, _ = bodies
+    seen = []
+    fast(A, p, callback=lambda step: seen.append((step.update, step.updates, step.volume.shape[0])))
+    assert [update for update, _, _ in seen] == list(range(len(seen)))
+    assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 9}
+    # The coarsest grid has its margin; 40 / 4 would be 10.
+    assert [shape for _, _, shape in seen[:: 60 * 4]] == [16, 20, 40]
+
+
+def test_a_margin_behind_the_source_is_named(bodies):
+    A, p, _ = bodies
+    with pytest.raises(
+        InputError, match=r"with a margin of 2 \(528 mm\), the grid reaches .* behind"
+    ):
+        fast(Projector(A.geometry, VolumeGrid((40, 44, 42), 6.0)), p, margin=2.0)
+
+
+def objective(x, noisy, strength):
+    steps = [np.diff(x, axis=axis, append=x.take([-1], axis)) for axis in range(3)]
+    variation = np.sqrt(sum(step**2 for step in steps)).sum()
+    return 0.5 * np.sum((x - noisy) ** 2) + strength * variation
+
+
+@pytest.fixture
+def ball():
+    """A ball with noise, and its deviation."""
+    z, y, x = np.ogrid[-20:21, -20:21, -20:21]
+    even = (x**2 + (y - 2) ** 2 + z**2 < 13**2).astype(np.float32)
+    return even, (even + np.random.default_rng(3).normal(0, 0.1, even.shape)).astype(np.float32)
+
+
+def test_variation_is_lowered_as_by_another_solver(ball):
+    _, noisy = ball
+    own, grid = noisy.copy(), VolumeGrid(noisy.shape, 1.0)
+    lower_variation(own, grid, kernels(), 0.1, -10.0)
+    other = denoise_tv_chambolle(noisy.astype(float), weight=0.1, eps=1e-9, max_num_iter=500)
+    least = objective(other, noisy, 0.1)
+    assert objective(own, noisy, 0.1) < least + 0.02 * (objective(noisy, noisy, 0.1) - least)
+
+
+def test_slabs_are_the_whole(ball, monkeypatch):
+    _, noisy = ball
+    whole, slabs, grid = noisy.copy(), noisy.copy(), VolumeGrid(noisy.shape, 1.0)
+    lower_variation(whole, grid, kernels(), 0.1, 0.0)
+    monkeypatch.setattr("twinct.recon.denoise.SLAB_PLANES", 4)
+    lower_variation(slabs, grid, kernels(), 0.1, 0.0)
+    np.testing.assert_array_equal(slabs, whole)
+    assert whole.min() == 0
+
+
+def test_noise_is_that_of_the_even_parts(ball):
+    even, noisy = ball
+    # Of 27 values the deviation scatters by a seventh, and its lower quartile is a tenth lower.
+    assert noise(noisy) == pytest.approx(0.09, rel=0.1)
+    assert noise(even) == 0 == noise(np.zeros_like(even))
