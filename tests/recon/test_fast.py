@@ -66,8 +66,8 @@ def test_updates_are_those_that_were_promised(bodies):
     fast(A, p, callback=lambda step: seen.append((step.update, step.updates, step.volume.shape[0])))
     assert [update for update, _, _ in seen] == list(range(len(seen)))
     assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 9}
-    # The coarsest grid has its margin; 40 / 4 would be 10.
-    assert [shape for _, _, shape in seen[:: 60 * 4]] == [16, 20, 40]
+    # The coarsest grid has its margin: 10 and 2 on each side.
+    assert [shape for _, _, shape in seen[:: 60 * 4]] == [14, 20, 40]
 
 
 def test_a_margin_behind_the_source_is_named(bodies):

@@ -102,7 +102,8 @@ def fast(
         relaxation: first one of a level, between 0 and 2, both excluded.
         regularisation: strength of the total variation in voxel edges times the unit of the result;
             0 for none; from the noise if not given.
-        margin: share of the grid's size by which the coarsest grid is larger, on each side.
+        margin: share of the grid's size along each axis by which the coarsest grid is larger, on
+            each side.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
         callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
@@ -204,12 +205,14 @@ def _level(
 ) -> _Level:
     if factor == 1:
         return _Level(A, p, pixels, 1, outside)
-    size = margin * float(A.grid.size_mm.max())
+    size = margin * A.grid.size_mm
     grid = coarse_grid(A.grid, size, factor * A.grid.voxel)
     try:
         coarse = A.on(grid, A.geometry.binned(factor, factor))
     except InputError as error:
-        told = [f"with a margin of {margin:g} ({size:.0f} mm), {one}" for one in error.problems]
+        told = [
+            f"with a margin of {margin:g} ({size.max():.0f} mm), {one}" for one in error.problems
+        ]
         raise InputError(told) from None
     return _Level(coarse, *binned(p, pixels, (factor, factor)), factor, outside)
 

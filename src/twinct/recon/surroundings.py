@@ -118,7 +118,9 @@ def surroundings_bytes(
     return 4 * (math.prod(grid.shape) + 2 * math.prod(coarse.shape) + pixels)
 
 
-def coarse_grid(grid: VolumeGrid, margin_mm: float, voxel_mm: float | Floats) -> VolumeGrid:
+def coarse_grid(
+    grid: VolumeGrid, margin_mm: float | Floats, voxel_mm: float | Floats
+) -> VolumeGrid:
     """A grid larger by a margin on every side, whose planes include the borders of the grid."""
     across = np.maximum(np.round(grid.size_mm / voxel_mm), 1).astype(int)
     edges = grid.size_mm / across
