@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from twinct.evaluate import ArmErrors, ImageFigures, PoseErrors
-from twinct.report import build_metrics
+from twinct.report import build_metrics, plain
 
 ERRORS = PoseErrors(
     ArmErrors(np.array([1.0, 3.0]), np.array([0.1, 0.2])),
     ArmErrors(np.array([5.0, 7.0]), np.array([0.3, 0.5])),
 )
-FIGURES = ImageFigures(0.1, 0.2, 20.0, 0.9, 0.99, 0.4, 0.1)
+ZERO = {"rmse_rel": 0.3, "ssim": 0.7}
+FURTHER = {"edge_width_mm": 1.5, "mtf": {"ball": {"f50_per_mm": 0.5, "mtf": np.ones(3)}}}
+FIGURES = ImageFigures(0.1, 0.2, 20.0, 0.9, 0.99, 0.4, 0.1, 0.8, ZERO, FURTHER)
 SECONDS = {"plan": 1.0, "motion": 4.0, "xray": 2.0, "reconstruction": 8.0, "total": 16.0}
 
 
@@ -50,7 +52,8 @@ def test_keys_are_those_that_scripts_rely_on():
     contract |= {
         f"image.{name}"
         for name in (
-            "rmse_rel rmse_bone_rel psnr_db ssim mean_bone_rel roi_fraction roi_bone_fraction"
+            "rmse_rel rmse_bone_rel psnr_db ssim mean_bone_rel roi_fraction roi_bone_fraction "
+            "ssim_bone zero.rmse_rel zero.ssim edge_width_mm mtf.ball.f50_per_mm mtf.ball.mtf"
         ).split()
     }
     contract |= {
@@ -71,9 +74,14 @@ def test_values_land_under_their_names():
 
 
 def test_several_geometries_stand_side_by_side():
-    other = ImageFigures(0.05, 0.1, 26.0, 0.95, 1.0, 0.4, 0.1)
+    further = FURTHER | {"edge_width_mm": 1.25, "nps": {"brain": {"noise_rel": 0.1}}}
+    other = ImageFigures(0.05, 0.1, 26.0, 0.95, 1.0, 0.4, 0.1, 0.85, ZERO, further)
     result = metrics(image={"believed": FIGURES, "executed": other})
-    assert result["image"] == FIGURES.as_dict(), "the first one's volume is kept"
+    assert result["image"] == plain(FIGURES.as_dict()), "the first one's volume is kept"
+    difference = result["believed_minus_executed"]
+    assert difference["rmse_rel"] == 0.05 and difference["psnr_db"] == -6.0
+    assert difference["edge_width_mm"] == 0.25 and difference["mtf"] == {"ball": {"f50_per_mm": 0}}
+    assert "nps" not in difference and "believed_minus_executed" not in metrics()
     assert list(result["image_by_geometry"]) == ["believed", "executed"]
     assert result["image_by_geometry"]["executed"]["rmse_rel"] == 0.05
     assert "image_by_geometry" not in metrics(image={"believed": FIGURES})

@@ -415,16 +415,22 @@ def import_(
 
 
 @app.command
-def report(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]) -> None:
+def report(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    set_: Overrides = (),
+) -> None:
     """Judge a finished run again and rewrite its metrics.json and report.html.
+
+    ``--set evaluation.KEY=VALUE`` measures other things in its volumes; none is made anew.
 
     Args:
         folder: What ``twinct run --out`` wrote.
     """
     from twinct.runs import report_again
 
-    with on_terminal() as audience:
-        again = report_again(folder, audience)
+    with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
+        again = report_again(folder, audience, set_)
     _say_result(again)
 
 

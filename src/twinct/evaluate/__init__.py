@@ -1,18 +1,56 @@
 """Judgement: the region every view sees, the image in it, and how well the arms arrived."""
 
+from twinct.evaluate.contrast import Contrast, contrast
+from twinct.evaluate.depth import (
+    DEPTHS_MM,
+    RegionDepth,
+    depth_names,
+    region_depth,
+    rmse_by_depth,
+)
+from twinct.evaluate.edges import edge_width
 from twinct.evaluate.image import ImageFigures, image_figures
+from twinct.evaluate.mtf import Mtf, edge_mtf, edge_reach
+from twinct.evaluate.nps import Nps, detrended, noise_power_spectrum
+from twinct.evaluate.observer import detectability
+from twinct.evaluate.places import Voxels, ball, centres, cuboid, cylinder, part_of, shell
 from twinct.evaluate.pose import ArmErrors, PoseErrors, pose_errors, tool_speeds
 from twinct.evaluate.region import region_of_interest
 from twinct.evaluate.sight import Sight, sight
+from twinct.evaluate.streaks import around_axis, streak_index
 
 __all__ = [
+    "DEPTHS_MM",
     "ArmErrors",
+    "Contrast",
     "ImageFigures",
+    "Mtf",
+    "Nps",
     "PoseErrors",
+    "RegionDepth",
     "Sight",
+    "Voxels",
+    "around_axis",
+    "ball",
+    "centres",
+    "contrast",
+    "cuboid",
+    "cylinder",
+    "depth_names",
+    "detectability",
+    "detrended",
+    "edge_mtf",
+    "edge_reach",
+    "edge_width",
     "image_figures",
+    "noise_power_spectrum",
+    "part_of",
     "pose_errors",
+    "region_depth",
     "region_of_interest",
+    "rmse_by_depth",
+    "shell",
     "sight",
+    "streak_index",
     "tool_speeds",
 ]

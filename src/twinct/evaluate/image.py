@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
-from skimage.metrics import structural_similarity
 
 from twinct.errors import InputError, TwinctError
+from twinct.evaluate.similarity import WINDOW, similarities, whole_windows
 from twinct.geometry import VolumeGrid
 from twinct.threads import threads
 
@@ -22,9 +22,6 @@ BONE_SHARE = 0.5
 PURE_BONE_TOLERANCE = 1e-3
 """Largest relative departure from mu(bone) of a voxel that lies entirely inside bone: far below the
 1/64 that one of 4^3 supersamples weighs, far above float32 rounding."""
-
-SSIM_WINDOW = 7
-"""Edge of the cubic, uniform SSIM window in voxels: scikit-image's default."""
 
 SLAB_PLANES = 24
 """Planes along z judged at a time: bounds the memory to a few hundred MB at 512^3."""
@@ -48,6 +45,10 @@ class ImageFigures:
             value mu(bone)), relative to mu(bone); 1 is right.
         roi_fraction: share of the grid's voxels that are in R.
         roi_bone_fraction: share of R's voxels that are bone voxels.
+        ssim_bone: ``ssim`` over the windows whose centre is near bone, as in ``rmse_bone_rel``.
+        zero: what a volume of zeros gets, the baseline: ``rmse_rel``, ``rmse_bone_rel``,
+            ``psnr_db``, ``ssim`` and ``ssim_bone``.
+        further: figures of other kinds by name, nested as in ``metrics.json``.
     """
 
     rmse_rel: float
@@ -57,10 +58,21 @@ class ImageFigures:
     mean_bone_rel: float
     roi_fraction: float
     roi_bone_fraction: float
+    ssim_bone: float = math.nan
+    zero: Mapping[str, float] = field(default_factory=dict[str, float])
+    further: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, Any]:
         """The figures by name."""
-        return asdict(self)
+        told = {name: value for name, value in vars(self).items() if name != "further"}
+        return told | dict(self.further)
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> ImageFigures:
+        """What ``as_dict`` gave, of older versions, too."""
+        own = [one.name for one in fields(cls) if one.name != "further"]
+        further = {name: value for name, value in told.items() if name not in own}
+        return cls(**{name: told[name] for name in own if name in told}, further=further)
 
 
 def image_figures(
@@ -109,9 +121,9 @@ def image_figures(
             raise TwinctError("the reconstructed volume holds values that are not finite")
         true_values = truth[slab][inside].astype(np.float64)
         square = (values - true_values) ** 2
-        near = _near_bone(truth, slab, BONE_SHARE * mu_reference, bone_distance_mm, grid)[inside]
+        near_bone = _near_bone(truth, slab, BONE_SHARE * mu_reference, bone_distance_mm, grid)
+        near = near_bone[inside]
         pure = np.abs(true_values - mu_reference) <= PURE_BONE_TOLERANCE * mu_reference
-        ssim, windows = _ssim_sum(volume, truth, roi, box, planes, mu_reference)
         return _Sums(
             voxels=values.size,
             square=float(square.sum()),
@@ -120,8 +132,9 @@ def image_figures(
             near_square=float(square[near].sum()),
             pure=int(np.count_nonzero(pure)),
             pure_value=float(values[pure].sum()),
-            windows=windows,
-            ssim=ssim,
+            zero_square=float((true_values**2).sum()),
+            zero_near_square=float((true_values[near] ** 2).sum()),
+            **_ssim_sums(volume, truth, roi, box, planes, near_bone, mu_reference),
         )
 
     # scipy's filters let go of the interpreter lock. The sums are added in the order of the slabs:
@@ -130,14 +143,23 @@ def image_figures(
         sums = _Sums.total(pool.map(judge, _slabs(box[0])))
 
     rmse_rel = math.sqrt(sums.square / sums.voxels) / mu_reference
+    zero_rel = math.sqrt(sums.zero_square / sums.voxels) / mu_reference
     return ImageFigures(
         rmse_rel=rmse_rel,
         rmse_bone_rel=math.sqrt(_ratio(sums.near_square, sums.near)) / mu_reference,
-        psnr_db=-20 * math.log10(rmse_rel) if rmse_rel > 0 else math.inf,
+        psnr_db=_psnr(rmse_rel),
         ssim=_ratio(sums.ssim, sums.windows),
         mean_bone_rel=_ratio(sums.pure_value, sums.pure) / mu_reference,
         roi_fraction=sums.voxels / roi.size,
         roi_bone_fraction=sums.bone / sums.voxels,
+        ssim_bone=_ratio(sums.ssim_near, sums.windows_near),
+        zero={
+            "rmse_rel": zero_rel,
+            "rmse_bone_rel": math.sqrt(_ratio(sums.zero_near_square, sums.near)) / mu_reference,
+            "psnr_db": _psnr(zero_rel),
+            "ssim": _ratio(sums.zero_ssim, sums.windows),
+            "ssim_bone": _ratio(sums.zero_ssim_near, sums.windows_near),
+        },
     )
 
 
@@ -154,6 +176,12 @@ class _Sums:
     pure_value: float = 0.0
     windows: int = 0
     ssim: float = 0.0
+    zero_ssim: float = 0.0
+    windows_near: int = 0
+    ssim_near: float = 0.0
+    zero_ssim_near: float = 0.0
+    zero_square: float = 0.0
+    zero_near_square: float = 0.0
 
     @classmethod
     def total(cls, parts: Iterator[_Sums]) -> _Sums:
@@ -171,6 +199,10 @@ Image = NDArray[np.floating]
 
 def _ratio(numerator: float, denominator: int) -> float:
     return numerator / denominator if denominator else math.nan
+
+
+def _psnr(rmse_rel: float) -> float:
+    return -20 * math.log10(rmse_rel) if rmse_rel > 0 else math.inf
 
 
 def _bounding_box(mask: NDArray[np.bool_]) -> Box | None:
@@ -220,30 +252,40 @@ def _near_bone(
     return square <= limit
 
 
-def _ssim_sum(
-    volume: Image, truth: Image, roi: NDArray[np.bool_], box: Box, planes: slice, data_range: float
-) -> tuple[float, int]:
-    """Sum of SSIM over the windows in the region centred on the planes, and their number."""
-    half = SSIM_WINDOW // 2
+def _ssim_sums(
+    volume: Image,
+    truth: Image,
+    roi: NDArray[np.bool_],
+    box: Box,
+    planes: slice,
+    near: NDArray[np.bool_],
+    data_range: float,
+) -> dict[str, Any]:
+    """Sums of SSIM over the windows in the region centred on the planes, and their numbers."""
+    half = WINDOW // 2
     first, last = max(planes.start - half, box[0].start), min(planes.stop + half, box[0].stop)
     halo = (slice(first, last), *box[1:])
     inside = roi[halo]
-    if min(inside.shape) < SSIM_WINDOW:
-        return 0.0, 0
-    whole = ndimage.minimum_filter(
-        inside.view(np.uint8), size=SSIM_WINDOW, mode="constant", cval=0
-    ).view(np.bool_)
-    whole[: planes.start - first] = False
-    whole[planes.stop - first :] = False
-    count = int(np.count_nonzero(whole))
+    centres = whole_windows(inside)
+    centres[: planes.start - first] = False
+    centres[planes.stop - first :] = False
+    count = int(np.count_nonzero(centres))
     if not count:
-        return 0.0, 0
+        return {}
     # The filters run along whole lines: what is outside must not leak in by rounding, or as NaN.
-    similarity = structural_similarity(
+    ssim, zero = similarities(
         np.where(inside, truth[halo], 0).astype(np.float32, copy=False),
         np.where(inside, volume[halo], 0).astype(np.float32, copy=False),
-        win_size=SSIM_WINDOW,
-        data_range=data_range,
-        full=True,
-    )[1]
-    return float(similarity[whole].sum(dtype=np.float64)), count
+        centres,
+        data_range,
+    )
+    own = slice(planes.start - first, planes.stop - first)
+    at = near[centres[own]]
+    return {
+        "windows": count,
+        "ssim": float(ssim.sum(dtype=np.float64)),
+        "zero_ssim": float(zero.sum(dtype=np.float64)),
+        "windows_near": int(np.count_nonzero(at)),
+        "ssim_near": float(ssim[at].sum(dtype=np.float64)),
+        "zero_ssim_near": float(zero[at].sum(dtype=np.float64)),
+    }

@@ -31,7 +31,7 @@ def region_of_interest(
     Returns:
         (z, y, x), True where every view of the executed geometry sees the voxel centre.
     """
-    normals, offsets = _half_spaces(executed, margin_px)
+    normals, offsets = half_spaces(executed, margin_px)
     x, y, z = grid.axes()
     axes, origin = grid.world_from_grid.rotation, grid.world_from_grid.position
     slope_x, slope_y, slope_z = axes.T @ normals.T
@@ -54,7 +54,7 @@ def region_of_interest(
     return region
 
 
-def _half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Floats]:
+def half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Floats]:
     """Half-spaces that bound what all views see.
 
     With n = u x v, reach = (D - S) . n < 0 and the ray r = p - S, a point projects to

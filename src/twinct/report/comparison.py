@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from twinct.files.writing import write_text
 from twinct.report.data import CrossSection
 from twinct.report.figures import side_by_side, windows
+from twinct.report.measured import nested
 from twinct.report.page import image_figures, stage_title
 from twinct.report.template import duration, fixed, rendered
 from twinct.scenario import Scenario
@@ -161,7 +162,7 @@ def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
         _row(
             shown.title,
             shown.unit,
-            [one.image.get(shown.key) for one in compared],
+            [nested(one.image, shown.key) for one in compared],
             partial(fixed, digits=shown.digits, factor=shown.factor),
             shown.meaning,
             alike,

@@ -28,9 +28,10 @@ class FigureWords(NamedTuple):
 
 
 _BEST: dict[Best, str] = {
-    "one": "mean_bone_rel$",
-    "higher": "psnr|ssim|clearance|fraction$|^reached$|real_time_factor",
-    "lower": "rmse|error|seconds",
+    "one": "mean_bone_rel$|recovery$",
+    "higher": "psnr|ssim|clearance|fraction$|^reached$|real_time_factor"
+    "|cnr$|f[15]0_per_mm$|detectability",
+    "lower": "rmse|error|seconds|width|streak|noise",
 }
 _UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_deg": "deg"}
 _STATISTICS = {"min": "smallest", "max": "largest", "mean": "mean", "std": "spread"}

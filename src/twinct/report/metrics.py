@@ -40,7 +40,8 @@ def build_metrics(
         pose_errors: executed against commanded.
         clearance_mm: smallest gap during the move to each view, (views,), mm.
         image: image figures, or those of each geometry reconstructed from; the first one's volume
-            is kept, and ``image_by_geometry`` is there when there are several.
+            is kept, and ``image_by_geometry`` is there when there are several;
+            ``believed_minus_executed``, what the poses' errors cost, when both are.
         seconds: wall-clock seconds of each stage, ``STAGES`` at least.
         simulated_seconds: simulated time of the scan.
         scenario_digest: ties the figures to the scenario.
@@ -73,9 +74,24 @@ def build_metrics(
     }
     if len(by_geometry) > 1:
         metrics["image_by_geometry"] = {name: of.as_dict() for name, of in by_geometry.items()}
+    if {"believed", "executed"} <= by_geometry.keys():
+        both = (by_geometry[name].as_dict() for name in ("believed", "executed"))
+        metrics["believed_minus_executed"] = _difference(*both)
     if taken := sorted(metrics.keys() & extra.keys()):
         raise ValueError(f"extra keys {', '.join(taken)} are taken")
     return plain(metrics | extra)
+
+
+def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    """What nested numbers differ by; those that only one has, and curves, left out."""
+    found: dict[str, Any] = {}
+    for name in one.keys() & other.keys():
+        a, b = one[name], other[name]
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            found[name] = _difference(a, b)
+        elif isinstance(a, float) and isinstance(b, float):
+            found[name] = a - b
+    return {name: found[name] for name in one if name in found}
 
 
 def plain(value: Any) -> Any:

@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twinct.evaluate import pose_errors
+from twinct.evaluate import DEPTHS_MM, depth_names, pose_errors
 from twinct.files.writing import write_text
 from twinct.report import figures
 from twinct.report.data import ReportData
 from twinct.report.figures import Picture
+from twinct.report.measured import curves_picture, depth_picture, measured_rows, nested
 from twinct.report.physics import physics_in_words
 from twinct.report.template import rendered
 from twinct.scenario import AnyCell, GantryCell
@@ -34,7 +35,10 @@ PAPER_TABLE_1 = {
 
 
 class _Figure(NamedTuple):
-    """How one image figure is shown; {0} stands for the material that figures are relative to."""
+    """How one image figure is shown; {0} stands for the material that figures are relative to.
+
+    Its key is dotted where figures are nested.
+    """
 
     key: str
     title: str
@@ -49,9 +53,19 @@ _IMAGE_FIGURES = (
     _Figure("rmse_bone_rel", "RMSE near {0}", 100, 1, "%", "of μ({0}), within 3 mm of {0}"),
     _Figure("psnr_db", "PSNR", 1, 1, "dB", "peak is μ({0})"),
     _Figure("ssim", "SSIM", 1, 3, "", "3-D, windows of 7³ voxels inside the region; 1 is best"),
+    _Figure("ssim_bone", "SSIM near {0}", 1, 3, "", "of windows centred within 3 mm of {0}"),
+    _Figure("edge_width_mm", "edge width", 1, 2, "mm", "10 to 90 % across edges of {0}, median"),
     _Figure("mean_bone_rel", "mean {0}", 100, 1, "%", "of μ({0}), voxels entirely in {0}"),
     _Figure("roi_fraction", "region", 100, 1, "%", "of the grid, seen by every view"),
     _Figure("roi_bone_fraction", "{0} in the region", 100, 1, "%", "of the region's voxels"),
+    *(
+        _Figure(
+            f"rmse_rel_by_depth.{name}",
+            f"RMSE, {name[:-3].replace('_', ' ')} mm deep",
+            *(100, 1, "%", "of μ({0}), by the distance to the region's border"),
+        )
+        for name in depth_names()
+    ),
 )
 
 
@@ -91,7 +105,8 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
     scenario, metrics = report.scenario, report.metrics
     speeds = metrics.get("tool_speed_mm_s", {}).values()
     fastest_mm_s = max((speed["max"] for speed in speeds), default=0.0)
-    cell = scenario.cell
+    cell, columns = scenario.cell, _columns(report)
+    beside, shown = _beside(report), image_figures(report.reference)
     return rendered(
         "report.html",
         fastest_mm_s=fastest_mm_s,
@@ -102,10 +117,19 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         metrics=metrics,
         paper=PAPER,
         paper_table=PAPER_TABLE_1,
-        pictures=draw_pictures(report) if pictures is None else pictures,
+        pictures=(draw_pictures(report) if pictures is None else pictures)
+        | {
+            "depth": depth_picture(columns, DEPTHS_MM),
+            "mtf": curves_picture(columns, "mtf", "mtf", "MTF"),
+            "nps": curves_picture(columns, "nps", "nps_mm3", "noise power / mm³"),
+        },
         reference=report.reference,
-        image_figures=image_figures(report.reference),
-        image_columns=_columns(report),
+        image_columns=[*columns, *beside],
+        image_rows=[
+            (one, [nested(told, one.key) for told in (columns | beside).values()]) for one in shown
+        ],
+        measured_columns=[*columns],
+        measured_rows=measured_rows(columns, report.reference),
         others=[(f"slices {other.name}", other) for other in report.others],
         stages=_stages(metrics["seconds"]),
         nearest=" and ".join(report.nearest),
@@ -127,6 +151,15 @@ def _columns(report: ReportData) -> dict[str, Any]:
     own = report.metrics.get("image_by_geometry") or {first: report.metrics["image"]}
     named = {f"{name} geometry": figures for name, figures in own.items()}
     return named | {other.name: other.figures for other in report.others}
+
+
+def _beside(report: ReportData) -> dict[str, Any]:
+    """Columns beside the volumes': what the poses' errors cost, and what a volume of zeros gets."""
+    found = {
+        "believed − executed": report.metrics.get("believed_minus_executed"),
+        "all zero": report.metrics["image"].get("zero"),
+    }
+    return {title: told for title, told in found.items() if told}
 
 
 def draw_pictures(report: ReportData) -> Pictures:

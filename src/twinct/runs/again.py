@@ -15,7 +15,7 @@ from twinct.files.lock import sole_owner
 from twinct.files.writing import storage_errors
 from twinct.observers import Audience, Observers, audience_of
 from twinct.report import cross_sections
-from twinct.runs.folder import Folder
+from twinct.runs.folder import Folder, refuse_other_keys
 from twinct.runs.job import Run, finished_run, report_again
 from twinct.runs.kept import Reconstruction, kept_reconstructions
 from twinct.runs.reporting import judge, truth_of
@@ -54,7 +54,7 @@ def derive_geometry(
         InputError: another key, a name that is taken, no scan.
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
-    _refuse_others(overrides, "uncertainty")
+    refuse_other_keys(overrides, "uncertainty")
     scenario = _scenario_of(folder, overrides)
     if checked_name(name) in OWN:
         raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
@@ -96,7 +96,7 @@ def reconstruct_again(
             algorithm or the memory refuse; nothing has been written then.
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
-    _refuse_others(overrides, "reconstruction")
+    refuse_other_keys(overrides, "reconstruction")
     finished_run(folder)
     scenario = _scenario_of(folder, overrides)
     which = geometry or scenario.reconstruction.geometries[0]
@@ -151,7 +151,7 @@ def _made(
         geometry_digest=of_geometry,
         in_words=scenario.reconstruction.in_words,
         settings=scenario.reconstruction.model_dump(mode="json"),
-        figures=judge(scan, volume, truth),
+        figures=judge(scan, volume, truth, workshop.specimen),
         residuals=tuple(residuals),
         seconds=seconds,
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),
@@ -179,12 +179,3 @@ def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:
 def _with_geometry(scenario: Scenario, which: str) -> Scenario:
     section = scenario.reconstruction.model_copy(update={"geometry": which})
     return scenario.model_copy(update={"reconstruction": section})
-
-
-def _refuse_others(overrides: tuple[str, ...], section: str) -> None:
-    others = [o for o in overrides if not o.startswith((f"{section}.", f"{section}="))]
-    if others:
-        raise InputError(
-            f"--set {others[0]}: only keys of {section} can be changed here; a scan with others is "
-            "another run"
-        )

@@ -9,6 +9,7 @@ from twinct.evaluate import sight
 from twinct.extras import require
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
+from twinct.runs.named import Places
 from twinct.scan import OWN, Workshop, named_geometries
 from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.size import SpecimenSize, specimen_size
@@ -20,6 +21,7 @@ def check_sight(workshop: Workshop) -> list[str]:
     Raises:
         TrajectoryError: no view sees the specimen, it stands behind a panel, or no voxel is seen by
             every view, so that nothing could be judged.
+        InputError: see ``check_places``.
     """
     place = workshop.specimen.world_from_specimen
     grid = workshop.scenario.reconstruction.grid.volume_grid
@@ -45,6 +47,7 @@ def check_sight(workshop: Workshop) -> list[str]:
         )
     if problems:
         raise TrajectoryError(problems)
+    check_places(workshop)
     warnings: list[str] = []
     if seen.blind:
         warnings.append(f"{_views(seen.blind)} of {seen.views} in all see nothing of {where}")
@@ -55,6 +58,20 @@ def check_sight(workshop: Workshop) -> list[str]:
             "nothing of it"
         )
     return warnings
+
+
+def check_places(workshop: Workshop) -> None:
+    """Make sure that there is something to measure where the section ``evaluation`` looks.
+
+    Raises:
+        InputError: regions without a voxel, bodies too small, each with its key.
+    """
+    scenario = workshop.scenario
+    if scenario.evaluation is None:
+        return
+    specimen, grid = workshop.specimen, scenario.reconstruction.grid.volume_grid
+    if problems := Places(scenario, specimen, specimen.world_from_specimen, grid).check():
+        raise InputError(problems)
 
 
 def _size(workshop: Workshop) -> SpecimenSize:

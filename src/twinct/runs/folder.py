@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -101,6 +102,20 @@ class Folder:
                 f"{self.path} already holds {', '.join(taken)}: "
                 "choose another --out, or go on with --resume"
             )
+
+
+def refuse_other_keys(overrides: Iterable[str], section: str) -> None:
+    """Refuse what would change more of a run than one of its sections.
+
+    Raises:
+        InputError: an override of another key.
+    """
+    others = [o for o in overrides if not o.startswith((f"{section}.", f"{section}="))]
+    if others:
+        raise InputError(
+            f"--set {others[0]}: only keys of {section} can be changed here; a scan with others is "
+            "another run"
+        )
 
 
 def as_yaml(scenario: Scenario) -> str:

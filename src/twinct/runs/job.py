@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,14 +24,22 @@ from twinct.observers import Audience, Observers, audience_of
 from twinct.record import recorder_of
 from twinct.report import physics_in_words
 from twinct.runs.acquisition import Link, RigFactory, acquire_to_store, rig_factory
-from twinct.runs.checks import check_geometries, check_physics, check_sight, require_extras
-from twinct.runs.folder import Folder, as_yaml, read_metrics
+from twinct.runs.checks import (
+    check_geometries,
+    check_physics,
+    check_places,
+    check_sight,
+    require_extras,
+)
+from twinct.runs.folder import Folder, as_yaml, read_metrics, refuse_other_keys
+from twinct.runs.kept import kept_reconstructions
 from twinct.runs.mending import resumable
+from twinct.runs.named import OF_KIND
 from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, named_geometries
-from twinct.scenario import Scenario, load_scenario, stage_digests
+from twinct.scenario import SECTIONS, Scenario, load_scenario, stage_digests
 from twinct.scenario.version_0_1 import volume_digest
 from twinct.threads import limit_threads
 from twinct.volume import Volume
@@ -115,6 +123,9 @@ def run(
     check_geometries(scenario, folder.geometries if store else None)
     check_drawing()
     if store and folder.finished(scenario) and not store.damage:
+        made = finished_run(folder)
+        if made.scenario.evaluation != scenario.evaluation:
+            return _judged_again(made, scenario, observers)
         with audience_of(observers) as audience:
             audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
@@ -168,26 +179,63 @@ def finished_run(folder: Folder) -> Run:
     return run
 
 
-def report_again(path: str | Path, observers: Observers = ()) -> Run:
+def report_again(path: str | Path, observers: Observers = (), overrides: Iterable[str] = ()) -> Run:
     """Judge a finished run again and rewrite its figures and its report.
 
+    Args:
+        path: folder of a run.
+        observers: hear of the stages.
+        overrides: ``evaluation.KEY=VALUE`` against the run's scenario: what else is measured.
+
     Raises:
-        InputError: the folder holds no finished run, or one that was being made anew.
+        InputError: the folder holds no finished run, or one that was being made anew; another key;
+            what cannot be measured.
     """
-    folder = Folder(Path(path))
-    run = finished_run(folder)
+    folder, overrides = Folder(Path(path)), tuple(overrides)
+    refuse_other_keys(overrides, "evaluation")
+    made = finished_run(folder)
+    planned = ScanStore(folder.scan).plan is not None
+    scenario = folder.scenario_of_run(overrides, planned=planned) if overrides else made.scenario
+    return _judged_again(made, scenario, observers)
+
+
+def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
+    """Rewrite the figures of a run; the scenario may differ in what is measured."""
+    folder, now = made.paths, Run(scenario, made.paths)
+    workshop = Workshop(scenario, ScanStore(folder.scan).plan)
+    asked_anew = scenario.evaluation != made.scenario.evaluation
+    if asked_anew:
+        check_places(workshop)
     with storage_errors(folder.path), sole_owner(folder.lock), audience_of(observers) as audience:
-        before, scenario = read_metrics(folder.metrics), run.scenario
-        workshop = Workshop(scenario, ScanStore(folder.scan).plan)
-        truth = truth_of(run.scan, workshop, audience)
-        truth.write(folder.truth, run.scan)
-        figures = {scenario.reconstruction.geometries[0]: judge(run.scan, run.volume, truth)}
+        before = read_metrics(folder.metrics)
+        truth = truth_of(now.scan, workshop, audience)
+        truth.write(folder.truth, now.scan)
+        first = judge(now.scan, made.volume, truth, workshop.specimen)
+        figures = {scenario.reconstruction.geometries[0]: first}
         for which, values in before.get("image_by_geometry", {}).items():
-            figures.setdefault(which, ImageFigures(**values))
-        results = Results(run.volume, truth, figures, before.get("residuals", {}))
+            # Their volumes are gone: what was not measured in them then never can be.
+            told = {k: v for k, v in values.items() if not (asked_anew and k in OF_KIND)}
+            figures.setdefault(which, ImageFigures.of(told))
+        if asked_anew:
+            _judge_others(now, workshop, audience)
+        results = Results(made.volume, truth, figures, before.get("residuals", {}))
         timing = Timing(before["seconds"], before["real_time_factor"])
-        write_results(folder, workshop, run.scan, results, timing)
-    return run
+        write_results(folder, workshop, now.scan, results, timing)
+        if asked_anew:
+            write_text(folder.scenario, as_yaml(scenario))
+    return now
+
+
+def _judge_others(run: Run, workshop: Workshop, audience: Audience) -> None:
+    """Judge the reconstructions beside a run's own, too."""
+    for kept in kept_reconstructions(run.paths.reconstructions).values():
+        section = SECTIONS[str(kept.settings["algorithm"])].model_validate(dict(kept.settings))
+        scenario = run.scenario.model_copy(update={"reconstruction": section})
+        scan = replace(run.scan, scenario=scenario)
+        of_it = replace(workshop, scenario=scenario, kept_specimen=workshop.specimen)
+        kept.write_figures(
+            judge(scan, kept.volume, truth_of(scan, of_it, audience), workshop.specimen)
+        )
 
 
 def _prepare(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Audience) -> list[str]:
@@ -271,7 +319,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience
             with seconds.stage("storing"):
                 volume.write(folder.volume, _note_of(folder, scenario))
         with seconds.stage("judge"), audience.stage(f"judge, {which} geometry", 1) as step:
-            figures[which] = judge(scan, volume, truth)
+            figures[which] = judge(scan, volume, truth, workshop.specimen)
             step()
         del volume
     assert kept is not None

@@ -16,7 +16,7 @@ import numpy as np
 from twinct.errors import InputError
 from twinct.evaluate import ImageFigures
 from twinct.files.writing import write_json
-from twinct.report import CrossSection
+from twinct.report import CrossSection, plain
 from twinct.volume import Volume
 
 FORMAT = "twinct reconstruction 1"
@@ -85,6 +85,12 @@ class Reconstruction:
         write_json(draft / "reconstruction.json", kept)
         draft.rename(self.path)
 
+    def write_figures(self, figures: ImageFigures) -> None:
+        """Write others in place of its figures."""
+        file = self.path / "reconstruction.json"
+        told = json.loads(file.read_text(encoding="utf-8"))
+        write_json(file, told | {"figures": plain(figures.as_dict())})
+
     @classmethod
     def read(cls, path: Path) -> Reconstruction:
         """Read what ``keep`` wrote, the voxels left aside.
@@ -114,7 +120,7 @@ class Reconstruction:
             residuals = tuple(told.pop("residuals"))
             return cls(
                 **told,
-                figures=ImageFigures(**figures),
+                figures=ImageFigures.of(figures),
                 residuals=residuals,
                 slices=slices,
                 path=path,
@@ -161,5 +167,5 @@ def _plain(kept: Reconstruction) -> dict[str, Any]:
     return told | {
         "residuals": list(kept.residuals),
         "settings": dict(kept.settings),
-        "figures": {k: v if np.isfinite(v) else None for k, v in kept.figures.as_dict().items()},
+        "figures": plain(kept.figures.as_dict()),
     }

@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from twinct.errors import MissingExtraError
 from twinct.evaluate import (
     ImageFigures,
+    edge_width,
     image_figures,
     pose_errors,
+    region_depth,
     region_of_interest,
+    rmse_by_depth,
     tool_speeds,
 )
 from twinct.files.writing import write_json
@@ -35,9 +38,11 @@ from twinct.report import (
 )
 from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.kept import Reconstruction, kept_reconstructions
+from twinct.runs.named import Places
 from twinct.runs.seconds import Seconds, Timing
 from twinct.scan import Scan, Workshop
 from twinct.scenario import stage_digests
+from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
@@ -83,10 +88,28 @@ def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -
     return Truth(volume, region, workshop.specimen.reference_mu(energy))
 
 
-def judge(scan: Scan, volume: Volume, truth: Truth) -> ImageFigures:
-    """The image figures of a reconstruction."""
-    grid = scan.scenario.reconstruction.grid.volume_grid
-    return image_figures(volume.array, truth.volume, truth.region, truth.mu_reference, grid)
+def judge(
+    scan: Scan, volume: Volume, truth: Truth, specimen: BuiltSpecimen | None = None
+) -> ImageFigures:
+    """The image figures of a reconstruction, and those that the section ``evaluation`` asks for.
+
+    Its parts are those of the specimen, which is built where it is needed and not given.
+    """
+    scenario, array = scan.scenario, volume.array
+    grid, mu = scenario.reconstruction.grid.volume_grid, truth.mu_reference
+    figures = image_figures(array, truth.volume, truth.region, mu, grid)
+    depth = region_depth(scan.executed.geometry(scenario.detector.panel), grid)
+    further: dict[str, Any] = {
+        "edge_width_mm": edge_width(array, truth.volume, truth.region, mu, grid),
+        "rmse_rel_by_depth": rmse_by_depth(array, truth.volume, truth.region, depth, mu),
+    }
+    if scenario.evaluation is not None:
+        built, stands = (
+            specimen or build_specimen(scenario.specimen),
+            scan.executed_object[len(scan) // 2],
+        )
+        further |= Places(scenario, built, stands, grid).figures(array, truth.volume, mu)
+    return replace(figures, further=further)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,14 +215,14 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
 
 
 def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData:
-    """All that a report shows but the figures."""
+    """All that a report shows but most figures."""
     scenario, plan, truth = workshop.scenario, workshop.plan, results.truth
     grid = scenario.reconstruction.grid.volume_grid
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
     return ReportData(
         scenario=scenario,
         scenario_yaml=as_yaml(scenario),
-        metrics={},
+        metrics={"residuals": dict(results.residuals)},
         commanded=scan.commanded,
         executed=scan.executed,
         panel=scenario.detector.panel,

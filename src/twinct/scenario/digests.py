@@ -85,8 +85,8 @@ STAGES: dict[StageName, _Stage] = {
     ),
 }
 
-COUNT_FOR_NONE = ("name", "description", "specimen.parts.name")
-"""Keys that change no result."""
+COUNT_FOR_NONE = ("name", "description", "specimen.parts.name", "evaluation")
+"""Keys, and sections, that change neither scan nor truth nor volume."""
 
 _OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only arms read."""

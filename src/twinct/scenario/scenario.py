@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from twinct.scenario.cell import AnyCell, Cell, GantryCell
 from twinct.scenario.detector import Detector
+from twinct.scenario.evaluation import Evaluation
 from twinct.scenario.motion import Motion
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
 from twinct.scenario.source import Source, TubeSpectrum
@@ -50,12 +51,16 @@ class Scenario(Section):
     reconstruction: AnyReconstruction = setting(
         SECTIONS[DEFAULT_ALGORITHM].model_validate({}), "How the volume is made."
     )
+    evaluation: Evaluation | None = setting(
+        None, "What is measured in the volume beside the figures that every run has."
+    )
 
     @model_validator(mode="after")
     def _sections_go_together(self) -> Scenario:
         found = (
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
+            *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
         )
         if conflicts := [conflict for conflict in found if conflict is not None]:
             raise ConflictError(*conflicts)

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from twinct.evaluate import ImageFigures
+from twinct.evaluate import depth_names
+from twinct.runs.named import named_figures
 from twinct.scenario import Scenario
 
 _SECTIONS = ("views", "reached", "simulated_seconds", "clearance_mm", "pose_error")
 _WITH_ARMS = ("tool_speed_mm_s",)
-_IMAGES = ("image", "image_by_geometry")
+_IMAGES = ("image", "image_by_geometry", "believed_minus_executed")
+_SHARES = ("rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "ssim_bone")
+_OF_IMAGE = (
+    *_SHARES,
+    *("mean_bone_rel", "roi_fraction", "roi_bone_fraction", "edge_width_mm"),
+    *(f"zero.{name}" for name in _SHARES),
+    *(f"rmse_rel_by_depth.{name}" for name in depth_names()),
+)
 
 
 def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
@@ -26,11 +33,14 @@ def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
 
 def figure_names(scenario: Scenario) -> tuple[str, ...]:
     """The figures that a trial of a scenario will have."""
-    of_image = [field.name for field in dataclasses.fields(ImageFigures)]
+    asked = scenario.evaluation
+    of_image = [*_OF_IMAGE, *(named_figures(asked) if asked else ())]
     names = [f"image.{name}" for name in of_image]
     geometries = scenario.reconstruction.geometries
     if len(geometries) > 1:
         names += [f"image_by_geometry.{g}.{name}" for g in geometries for name in of_image]
+    if {"believed", "executed"} <= {*geometries}:
+        names += [f"believed_minus_executed.{name}" for name in of_image]
     names += ["views", "reached", "simulated_seconds", "clearance_mm.min"]
     names += [
         f"{of}.{side}.{what}.{figure}"
@@ -49,4 +59,4 @@ def figure_names(scenario: Scenario) -> tuple[str, ...]:
 def _flat(name: str, value: Any) -> dict[str, float | None]:
     if isinstance(value, Mapping):
         return {k: v for key in value for k, v in _flat(f"{name}.{key}", value[key]).items()}
-    return {name: value}
+    return {} if isinstance(value, list) else {name: value}  # a curve is no figure

@@ -232,7 +232,7 @@ def _figures(
         with seconds.stage(f"reconstruction, {which}" if images else "reconstruction"):
             volume = reconstruct(scan, geometry=which, checkpoints=folder / "checkpoints")
         with seconds.stage("judge"):
-            images[which] = judge(scan, volume, truth)
+            images[which] = judge(scan, volume, truth, specimen)
         if not sections:
             grid = scenario.reconstruction.grid.volume_grid
             shown = cross_sections(volume.array, truth.volume, truth.region, grid)

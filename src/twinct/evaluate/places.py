@@ -1,0 +1,130 @@
+"""Voxels of a region: a ball, a cylinder, a box, or a shell around a body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from twinct.geometry import Floats, Pose, VolumeGrid
+
+Box = tuple[slice, slice, slice]
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """Some voxels of a grid.
+
+    Attributes:
+        box: slices along z, y, x that hold them all.
+        mask: which of the box they are, (z, y, x), bool.
+    """
+
+    box: Box
+    mask: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """How many they are."""
+        return int(np.count_nonzero(self.mask))
+
+    def of(self, array: NDArray[np.floating]) -> Floats:
+        """Their values of an array on the whole grid, (voxels,)."""
+        return array[self.box][self.mask].astype(np.float64)
+
+    def points(self, grid: VolumeGrid) -> Floats:
+        """Their centres in the world, (voxels, 3), mm."""
+        index = np.argwhere(self.mask) + [side.start for side in self.box]
+        local = index[:, ::-1] * grid.voxel + grid.first_voxel_mm
+        return grid.world_from_grid.apply(local)
+
+
+def ball(grid: VolumeGrid, world_from_ball: Pose, radius_mm: float) -> Voxels:
+    """Voxels whose centre lies in a ball."""
+    return _inside(
+        grid,
+        world_from_ball,
+        (radius_mm,) * 3,
+        lambda x, y, z: x * x + y * y + z * z <= radius_mm**2,
+    )
+
+
+def cylinder(
+    grid: VolumeGrid, world_from_cylinder: Pose, radius_mm: float, height_mm: float
+) -> Voxels:
+    """Voxels whose centre lies in a cylinder along z."""
+    return _inside(
+        grid,
+        world_from_cylinder,
+        (radius_mm, radius_mm, height_mm / 2),
+        lambda x, y, z: (x * x + y * y <= radius_mm**2) & (np.abs(z) <= height_mm / 2),
+    )
+
+
+def cuboid(grid: VolumeGrid, world_from_box: Pose, size_mm: ArrayLike) -> Voxels:
+    """Voxels whose centre lies in a box."""
+    hx, hy, hz = half = np.asarray(size_mm, dtype=np.float64) / 2
+    return _inside(
+        grid,
+        world_from_box,
+        half,
+        lambda x, y, z: (np.abs(x) <= hx) & (np.abs(y) <= hy) & (np.abs(z) <= hz),
+    )
+
+
+def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxels:
+    """Voxels outside of a body whose centre is so far from that of its nearest voxel."""
+    wider = around(body.box, grid, to_mm)
+    mask = np.zeros([s.stop - s.start for s in wider], dtype=np.bool_)
+    at = tuple(
+        slice(b.start - w.start, b.stop - w.start) for b, w in zip(body.box, wider, strict=True)
+    )
+    mask[at] = body.mask
+    distance = np.asarray(ndimage.distance_transform_edt(~mask, sampling=grid.voxel[::-1]))
+    return Voxels(wider, ~mask & (distance >= from_mm) & (distance <= to_mm))
+
+
+def around(box: Box, grid: VolumeGrid, margin_mm: float) -> Box:
+    """A box that is wider on all sides, as far as the grid goes."""
+    more = (margin_mm / grid.voxel[::-1]).astype(int) + 1
+    z, y, x = (
+        slice(max(s.start - int(m), 0), min(s.stop + int(m), n))
+        for s, m, n in zip(box, more, grid.shape, strict=True)
+    )
+    return z, y, x
+
+
+def part_of(grid: VolumeGrid, box: Box) -> VolumeGrid:
+    """The voxels of a box as a grid of its own."""
+    low, high = (np.array([getattr(s, end) for s in box[::-1]]) for end in ("start", "stop"))
+    middle = grid.first_voxel_mm + ((low + high - 1) / 2) * grid.voxel
+    pose = grid.world_from_grid
+    shape = [s.stop - s.start for s in box]
+    return VolumeGrid(shape, grid.voxel, Pose(pose.apply(middle), pose.quat))
+
+
+def centres(grid: VolumeGrid, box: Box, frame: Pose | None = None) -> Floats:
+    """Voxel centres of a box, (z, y, x, 3), mm, in the world, or in a frame given world_from_it."""
+    x, y, z = (axis[part] for axis, part in zip(grid.axes(), box[::-1], strict=True))
+    local = np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1)
+    pose = frame.inverse() @ grid.world_from_grid if frame else grid.world_from_grid
+    return pose.apply(local)
+
+
+def _inside(
+    grid: VolumeGrid,
+    world_from_region: Pose,
+    half_mm: ArrayLike,
+    inside: Callable[[Floats, Floats, Floats], NDArray[np.bool_]],
+) -> Voxels:
+    grid_from_region = grid.world_from_grid.inverse() @ world_from_region
+    reach = np.abs(grid_from_region.rotation) @ np.asarray(half_mm)
+    index = (grid_from_region.position - grid.first_voxel_mm) / grid.voxel
+    size = np.array(grid.shape_xyz)
+    low = np.clip(np.floor(index - reach / grid.voxel), 0, size).astype(int)
+    high = np.clip(np.ceil(index + reach / grid.voxel) + 1, low, size).astype(int)
+    x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+    points = centres(grid, (z, y, x), world_from_region)
+    return Voxels((z, y, x), inside(*np.moveaxis(points, -1, 0)))

@@ -1,0 +1,140 @@
+"""Figures by their place among nested ones: of regions, tasks and implants, and their curves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from twinct.report.figures import (
+    DETECTOR_COLOUR,
+    LIMIT_COLOUR,
+    SOURCE_COLOUR,
+    STYLE,
+    Picture,
+    svg,
+)
+
+_COLOURS = (SOURCE_COLOUR, DETECTOR_COLOUR, "#3d7a4d", "#8a5a9e", "#b08900", LIMIT_COLOUR)
+
+Columns = Mapping[str, Mapping[str, Any]]
+"""Figures of each volume, nested as in ``metrics.json``, by what the volume is called."""
+
+
+class Measured(NamedTuple):
+    """How a figure of a kind is shown; {0} stands for the material that figures are relative to."""
+
+    key: str
+    title: str
+    factor: float
+    digits: int
+    unit: str
+    meaning: str
+
+
+KINDS: Mapping[str, tuple[Measured, ...]] = {
+    "regions": (
+        Measured("mean_rel", "mean", 100, 2, "%", "of μ({0})"),
+        Measured("bias_rel", "mean error", 100, 2, "%", "of μ({0}), volume less truth"),
+        Measured("rmse_rel", "RMSE", 100, 2, "%", "of μ({0})"),
+    ),
+    "contrasts": (
+        Measured("contrast_rel", "contrast", 100, 2, "%", "of μ({0}), difference of the means"),
+        Measured("recovery", "contrast recovery", 100, 1, "%", "of the true contrast"),
+        Measured("cnr", "contrast to noise", 1, 2, "", "over the background's standard deviation"),
+    ),
+    "mtf": (
+        Measured("f50_per_mm", "MTF 50 %", 1, 3, "mm⁻¹", "frequency transferred by half"),
+        Measured("f10_per_mm", "MTF 10 %", 1, 3, "mm⁻¹", "frequency transferred by a tenth"),
+    ),
+    "nps": (
+        Measured("noise_rel", "noise", 100, 2, "%", "of μ({0}), standard deviation less a trend"),
+        Measured("mean_frequency_per_mm", "mean frequency of noise", 1, 3, "mm⁻¹", "by its power"),
+    ),
+    "tasks": (
+        Measured("detectability", "detectability d′", 1, 2, "", "non-prewhitening observer"),
+    ),
+    "streaks": (
+        Measured("streak_rel", "streaks", 100, 2, "%", "of μ({0}), error from sector to sector"),
+    ),
+}
+"""What is shown of what a scenario's section ``evaluation`` asks for."""
+
+
+def nested(told: Mapping[str, Any], dotted: str) -> Any:
+    """What is at a dotted name; None where nothing is, as in figures of older versions."""
+    found: Any = told
+    for name in dotted.split("."):
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return found
+
+
+def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Measured, list[Any]]]:
+    """What was measured where, how it is shown, and a value for each volume or None."""
+    rows: list[tuple[str, Measured, list[Any]]] = []
+    for kind, shown in KINDS.items():
+        names = dict.fromkeys(name for told in columns.values() for name in told.get(kind) or ())
+        for name in names:
+            for one in shown:
+                words = one._replace(meaning=one.meaning.format(reference))
+                values = [nested(told, f"{kind}.{name}.{one.key}") for told in columns.values()]
+                rows.append((name.replace("_against_", " against "), words, values))
+    return rows
+
+
+def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None:
+    """RMSE over the depth in the region that every view sees; None where it is not known."""
+    lines = {
+        name: [100 * value if value is not None else np.nan for value in by_depth.values()]
+        for name, told in columns.items()
+        if (by_depth := told.get("rmse_rel_by_depth"))
+    }
+    if not lines:
+        return None
+    ends = [0.0, *edges_mm, 2 * edges_mm[-1] - edges_mm[-2]]
+    with mpl.rc_context(STYLE):
+        figure, axes = _figure()
+        for (name, values), colour in zip(lines.items(), _COLOURS, strict=False):
+            axes.stairs(values, ends, baseline=None, color=colour, lw=1.3, label=name)
+        axes.set_xticks(ends[:-1])
+        axes.set_xlim(0, ends[-1])
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel("depth in the region / mm")
+        axes.set_ylabel("RMSE / %")
+        axes.legend(loc="best", borderpad=0)
+        return svg(figure)
+
+
+def curves_picture(columns: Columns, kind: str, key: str, label: str) -> Picture | None:
+    """Curves over frequency of all volumes and places; None where there are none."""
+    lines = {
+        f"{place}, {name}" if len(columns) > 1 else place: (curve["frequency_per_mm"], curve[key])
+        for name, told in columns.items()
+        for place, curve in (told.get(kind) or {}).items()
+        if curve.get(key)
+    }
+    if not lines:
+        return None
+    with mpl.rc_context(STYLE):
+        figure, axes = _figure()
+        for index, (name, (frequency, values)) in enumerate(lines.items()):
+            dashes = ("-", (0, (4, 2)), (0, (1, 1.5)))[index // len(_COLOURS) % 3]
+            colour = _COLOURS[index % len(_COLOURS)]
+            axes.plot(frequency, values, color=colour, ls=dashes, lw=1.3, label=name)
+        axes.set_xlim(left=0)
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel("frequency / mm⁻¹")
+        axes.set_ylabel(label)
+        axes.legend(loc="upper right", borderpad=0)
+        return svg(figure)
+
+
+def _figure() -> tuple[Figure, Any]:
+    figure = Figure(figsize=(5.6, 2.6), layout="constrained")
+    axes: Any = figure.subplots()
+    axes.grid(axis="y", color="#e4e7eb", lw=0.7)
+    axes.set_axisbelow(True)
+    return figure, axes

@@ -1,0 +1,224 @@
+"""What is measured in the volume beside the figures that every run has, and where."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from twinct.geometry import Pose
+from twinct.scenario.specimen import Box, Cylinder, Specimen, Sphere
+from twinct.settings import Conflict, Finite, NonNegative, Positive, Section, Vector, setting
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+"""Part of a figure's dotted name."""
+
+
+class Shell(Section):
+    """What lies around a part of the specimen."""
+
+    kind: Literal["shell"]
+    part: str = Field(description="Name of the part.")
+    from_mm: NonNegative = setting(0.0, "Distance from the part at which it begins.")
+    to_mm: Positive = Field(description="Distance from the part at which it ends.")
+
+    @model_validator(mode="after")
+    def _outwards(self) -> Shell:
+        if self.to_mm <= self.from_mm:
+            raise ValueError(f"to_mm ({self.to_mm:g}) must be above from_mm ({self.from_mm:g})")
+        return self
+
+
+class Region(Section):
+    """A named region; voxels count whose centre lies in it."""
+
+    name: Name = Field(description="What figures call it.")
+    shape: Annotated[Sphere | Cylinder | Box | Shell, Field(discriminator="kind")] = Field(
+        description="Its shape; a shell is placed by its part."
+    )
+    position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the specimen's frame.")
+    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
+
+    @property
+    def specimen_from_region(self) -> Pose:
+        """Pose of the region in the specimen's frame."""
+        return Pose.from_euler(self.position_mm, self.rotation_deg)
+
+
+class RegionContrast(Section):
+    """Contrast of a region against another, and contrast to noise."""
+
+    region: str = Field(description="Name of the region.")
+    against: str = Field(description="Name of the region that is its background.")
+
+    @property
+    def label(self) -> str:
+        """Its figures' name."""
+        return f"{self.region}_against_{self.against}"
+
+
+class Transfer(Section):
+    """Local modulation transfer, from the edge of a sphere, or of a cylinder along its side."""
+
+    at: str = Field(
+        description="Name of a part or a region that is a sphere or a cylinder; a region must have "
+        "the surface of a body of the specimen."
+    )
+
+    @property
+    def label(self) -> str:
+        """Its figures' name."""
+        return figure_part(self.at)
+
+
+class NoisePower(Section):
+    """Noise power spectrum of a homogeneous region, its trend taken off."""
+
+    region: str = Field(description="Name of the region.")
+
+    @property
+    def label(self) -> str:
+        """Its figures' name."""
+        return self.region
+
+
+class SphereSignal(Section):
+    """A ball of one contrast."""
+
+    kind: Literal["sphere"]
+    radius_mm: Positive = Field(description="Radius.")
+    contrast_rel: Finite = Field(description="Of mu(reference).", json_schema_extra={"x-unit": "1"})
+
+
+class GaussianSignal(Section):
+    """A contrast that falls off as a Gaussian."""
+
+    kind: Literal["gaussian"]
+    sigma_mm: Positive = Field(description="Sigma.")
+    contrast_rel: Finite = Field(
+        description="In its middle, of mu(reference).", json_schema_extra={"x-unit": "1"}
+    )
+
+
+class Task(Section):
+    """Telling a signal from nothing in the noise of a region: index of detectability."""
+
+    name: Name = Field(description="What its figure is called.")
+    signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
+        description="What is looked for."
+    )
+    region: str = Field(description="Name of the homogeneous region whose noise it is seen in.")
+    mtf: str | None = setting(
+        None, "What blurs it: an `at` of `evaluation.mtf`; nothing where null."
+    )
+
+    @property
+    def label(self) -> str:
+        """Its figure's name."""
+        return self.name
+
+
+class Streaks(Section):
+    """How much the error around a part depends on the direction."""
+
+    part: str = Field(description="Name of the part, such as an implant.")
+    from_mm: NonNegative = setting(2.0, "Distance from the part at which the shell begins.")
+    to_mm: Positive = setting(15.0, "Distance from the part at which the shell ends.")
+
+    @model_validator(mode="after")
+    def _outwards(self) -> Streaks:
+        if self.to_mm <= self.from_mm:
+            raise ValueError(f"to_mm ({self.to_mm:g}) must be above from_mm ({self.from_mm:g})")
+        return self
+
+    @property
+    def label(self) -> str:
+        """Its figure's name."""
+        return figure_part(self.part)
+
+
+class Evaluation(Section):
+    """What is measured in the volume beside the figures that every run has.
+
+    It makes no volume anew: `twinct report DIR --set evaluation...` measures in one that is there.
+    """
+
+    regions: tuple[Region, ...] = setting((), "Regions by name; each has a mean and an RMSE.")
+    contrasts: tuple[RegionContrast, ...] = setting((), "Contrasts between regions.")
+    mtf: tuple[Transfer, ...] = setting((), "Where the modulation transfer is measured.")
+    nps: tuple[NoisePower, ...] = setting((), "Where the noise power spectrum is measured.")
+    tasks: tuple[Task, ...] = setting((), "What shall be detected.")
+    streaks: tuple[Streaks, ...] = setting((), "Around which parts streaks are looked for.")
+
+    def region(self, name: str) -> Region:
+        """The region of a name."""
+        return next(region for region in self.regions if region.name == name)
+
+    def conflicts(self, specimen: Specimen) -> list[Conflict]:
+        """Names that are not there, that come twice, or that name what has no edge."""
+        regions = {region.name: region.shape for region in self.regions}
+        parts = {part.label: part.shape for part in specimen.parts}
+        bodies: Mapping[str, object] = parts | regions
+        measured = {transfer.at: transfer for transfer in self.mtf}
+        known: dict[tuple[str, str], tuple[str, Mapping[str, object]]] = {
+            ("regions", "shape.part"): ("part", parts),
+            ("contrasts", "region"): ("region", regions),
+            ("contrasts", "against"): ("region", regions),
+            ("mtf", "at"): ("part or region", bodies),
+            ("nps", "region"): ("region", regions),
+            ("tasks", "region"): ("region", regions),
+            ("tasks", "mtf"): ("'at' of evaluation.mtf", measured),
+            ("streaks", "part"): ("part", parts),
+        }
+        found = [
+            _conflict(f"{of}.{i}.{key}", f"there is no {what} {name!r}; there {_are(having)}")
+            for (of, key), (what, having) in known.items()
+            for i, one in enumerate(getattr(self, of))
+            if (name := _at(one, key)) is not None and name not in having
+        ]
+        for i, one in enumerate(self.mtf):
+            body = bodies.get(one.at)
+            if body is not None and not isinstance(body, Sphere | Cylinder):
+                found.append(
+                    _conflict(f"mtf.{i}.at", f"{one.at!r} is neither a sphere nor a cylinder")
+                )
+        found += [
+            _conflict(f"regions.{i}.name", f"a part is called {region.name!r}, too")
+            for i, region in enumerate(self.regions)
+            if region.name in parts
+        ]
+        for name, labels in {
+            "regions": [one.name for one in self.regions],
+            **{of: [one.label for one in getattr(self, of)] for of in KINDS},
+        }.items():
+            twice = [label for label, times in Counter(labels).items() if times > 1]
+            found += [_conflict(name, f"{label!r} comes twice") for label in twice]
+        return found
+
+
+KINDS = ("contrasts", "mtf", "nps", "tasks", "streaks")
+"""What may be asked of regions and parts."""
+
+
+def figure_part(name: str) -> str:
+    """A name as part of a dotted one."""
+    return name.replace(".", "_")
+
+
+def _at(section: Section, key: str) -> str | None:
+    """What a section has at a dotted key; None where it has no such key."""
+    found: Any = section
+    for step in key.split("."):
+        found = getattr(found, step, None)
+    return found
+
+
+def _conflict(key: str, message: str) -> Conflict:
+    return Conflict(f"evaluation.{key}: {message}", (f"evaluation.{key}",))
+
+
+def _are(having: Iterable[str]) -> str:
+    names = [repr(name) for name in having]
+    return f"{'are' if len(names) > 1 else 'is'} {', '.join(names)}" if names else "is none"
