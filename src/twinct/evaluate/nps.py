@@ -52,9 +52,9 @@ class Nps:
 
     @property
     def mean_frequency_per_mm(self) -> float:
-        """Mean frequency, weighted by the power: how fine the noise is, 1/mm."""
+        """Mean frequency, weighted by the power: how fine the noise is, 1/mm; NaN without any."""
         power = self.value * self.share
-        return float(self.frequency_per_mm @ power / power.sum())
+        return float(self.frequency_per_mm @ power / power.sum()) if power.any() else math.nan
 
 
 def frequencies(shape: Sequence[int], voxel_mm: Sequence[float]) -> Floats:

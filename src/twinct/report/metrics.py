@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,7 @@ def build_metrics(
     if len(by_geometry) > 1:
         metrics["image_by_geometry"] = {name: of.as_dict() for name, of in by_geometry.items()}
     if {"believed", "executed"} <= by_geometry.keys():
-        both = (by_geometry[name].as_dict() for name in ("believed", "executed"))
+        both = (replace(by_geometry[name], zero={}).as_dict() for name in ("believed", "executed"))
         metrics["believed_minus_executed"] = _difference(*both)
     if taken := sorted(metrics.keys() & extra.keys()):
         raise ValueError(f"extra keys {', '.join(taken)} are taken")
@@ -91,7 +92,7 @@ def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, A
             found[name] = _difference(a, b)
         elif isinstance(a, float) and isinstance(b, float):
             found[name] = a - b
-    return {name: found[name] for name in one if name in found}
+    return {name: found[name] for name in one if name in found and found[name] != {}}
 
 
 def plain(value: Any) -> Any:

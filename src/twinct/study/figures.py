@@ -40,7 +40,9 @@ def figure_names(scenario: Scenario) -> tuple[str, ...]:
     if len(geometries) > 1:
         names += [f"image_by_geometry.{g}.{name}" for g in geometries for name in of_image]
     if {"believed", "executed"} <= {*geometries}:
-        names += [f"believed_minus_executed.{name}" for name in of_image]
+        names += [
+            f"believed_minus_executed.{name}" for name in of_image if not name.startswith("zero.")
+        ]
     names += ["views", "reached", "simulated_seconds", "clearance_mm.min"]
     names += [
         f"{of}.{side}.{what}.{figure}"
