@@ -13,7 +13,7 @@ from twinct.geometry import Panel, Pose, VolumeGrid
 PANEL = Panel(24, 32, 10.0, 10.0)
 
 
-def test_against_the_distance_to_voxels_outside(random_geometry) -> None:
+def test_against_the_distance_to_voxels_outside(random_geometry, figure) -> None:
     geometry = random_geometry(12, PANEL, np.random.default_rng(3))
     grid = VolumeGrid((90, 80, 85), (2.0, 2.2, 2.1), Pose.from_euler((4, -3, 2), (10, 20, 30)))
     region = region_of_interest(geometry, grid)
@@ -25,6 +25,7 @@ def test_against_the_distance_to_voxels_outside(random_geometry) -> None:
     distance = ndimage.distance_transform_edt(region, sampling=grid.voxel[::-1])
     # Voxel centres outside lie up to a diagonal beyond the border.
     beyond = (distance - depth)[region]
+    figure(f"depth short of the distance by {beyond.min():.2f} to {beyond.max():.2f} mm")
     assert beyond.min() > -0.7 and beyond.max() < np.linalg.norm(grid.voxel)
     assert np.median(depth[region]) > 5
 

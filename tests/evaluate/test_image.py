@@ -123,6 +123,16 @@ def test_whole_grid_gives_what_scikit_image_says():
     )
 
 
+def test_similarity_has_the_bits_of_scikit_image():
+    """In one slab: figures of before stay what they were."""
+    volume, truth, _ = scene((20, 15, 19))
+    everywhere = np.ones(truth.shape, bool)
+    figures = image_figures(volume, truth, everywhere, MU, VolumeGrid(truth.shape, 1))
+    similarity = structural_similarity(truth, volume, data_range=MU, full=True)[1]
+    inner = np.ascontiguousarray(similarity[3:-3, 3:-3, 3:-3]).ravel()
+    assert figures.ssim == float(inner.sum(dtype=np.float64)) / inner.size
+
+
 @pytest.mark.parametrize("bone", [(23, 4, 8), (25, 4, 8)], ids=["slab below", "slab above"])
 @pytest.mark.parametrize("distance", [0.0, 1.9, 2.0, 2.5, 40.0])
 def test_distance_to_bone_is_euclidean(distance, bone):

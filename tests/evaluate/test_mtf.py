@@ -30,7 +30,7 @@ def blurred(shape, voxel, centre, radius, sigma):
 def worst(found: Mtf, sigma: float) -> float:
     expected = np.exp(-2 * (np.pi * sigma * found.frequency_per_mm) ** 2)
     counts = expected >= 0.1
-    assert counts.sum() > 40
+    assert counts.sum() > 30
     return float(np.abs(found.value - expected)[counts].max())
 
 
@@ -42,26 +42,28 @@ def test_a_blurred_sphere(sigma, figure) -> None:
     figure(f"MTF of a sphere, sigma {sigma} voxels: off by {worst(found, sigma):.4f}")
     assert worst(found, sigma) < MTF_TOLERANCE
     expected = math.sqrt(math.log(10) / 2) / (math.pi * sigma)
-    if expected < found.frequency_per_mm[-1]:
-        assert found.falls_to(0.1) == pytest.approx(expected, rel=0.03)
+    assert found.falls_to(0.1) == pytest.approx(expected, rel=0.03)
     # Its contrast and what surrounds it have no influence.
     other = edge_mtf(5 - 3 * volume, rings(shape, voxel, centre) - radius, radius, voxel)
     np.testing.assert_allclose(other.value, found.value, atol=1e-12)
 
 
-def test_a_small_sphere_is_corrected_for_its_curvature() -> None:
+def test_a_small_sphere_is_corrected_for_its_curvature(figure) -> None:
     shape, voxel, radius, sigma = (26, 26, 26), 1.0, 5.0, 1.0
     volume, centre = blurred(shape, voxel, (12.3, 12.6, 12.2), radius, sigma)
     offset = rings(shape, voxel, centre) - radius
     errors = [worst(edge_mtf(volume, offset, radius, voxel, c), sigma) for c in (2, 0)]
+    figure(f"MTF of a small sphere: off by {errors[0]:.4f}; by {errors[1]:.4f} as of a plane")
     assert errors[0] < MTF_TOLERANCE and errors[0] < errors[1]
 
 
-def test_a_wire() -> None:
+def test_a_wire(figure) -> None:
     shape, voxel, radius, sigma = (90, 91), 0.5, 6.0, 0.6
     image, centre = blurred(shape, voxel, (22.4, 22.9), radius, sigma)
     offset = rings(shape, voxel, centre) - radius
-    assert worst(edge_mtf(image, offset, radius, voxel, curved=1), sigma) < MTF_TOLERANCE
+    found = worst(edge_mtf(image, offset, radius, voxel, curved=1), sigma)
+    figure(f"MTF of a wire: off by {found:.4f}")
+    assert found < MTF_TOLERANCE
 
 
 def test_between_and_beyond_its_frequencies() -> None:

@@ -20,21 +20,24 @@ def rod():
     return pose.apply(points), turn, along, pose.apply(own)
 
 
-def test_a_wave_about_the_axis(rod) -> None:
+def test_a_wave_about_the_axis(rod, figure) -> None:
     points, turn, along, own = rod
     where = around_axis(points, own)
     for offset in (0.0, 3.0):
         wave = 0.2 * np.cos(2 * turn) + offset
         # 24 sectors lessen a wave of two periods by sinc(1/12), 1.1 %.
-        assert streak_index(wave, *where) == pytest.approx(0.2 / math.sqrt(2), rel=0.03)
+        found = streak_index(wave, *where)
+        figure(f"streaks {found:.4f}, {0.2 / math.sqrt(2):.4f} expected")
+        assert found == pytest.approx(0.2 / math.sqrt(2), rel=0.03)
     # What depends on the place along the axis alone is no streak.
     assert streak_index(0.2 * np.sign(along), *where) < 0.02
 
 
-def test_noise_alone_is_none(rod) -> None:
+def test_noise_alone_is_none(rod, figure) -> None:
     points, turn, _, own = rod
     where, noise = around_axis(points, own), np.random.default_rng(6).normal(0, 0.3, len(points))
     # Of 120 voxels a sector's mean has 0.3 / 11 = 0.027; a tenth of it in variance is left.
+    figure(f"of noise of 0.3: {streak_index(noise, *where):.4f}")
     assert streak_index(noise, *where) < 0.01
     both = streak_index(noise + 0.2 * np.cos(2 * turn), *where)
     assert both == pytest.approx(0.2 / math.sqrt(2), rel=0.03)

@@ -188,6 +188,16 @@ def test_what_varies_along_with_an_axis_makes_no_lines():
         ("seconds.xray", "time: X-ray projections / s", "lower"),
         ("tool_speed_mm_s.source.max", "tool speed, source, largest / mm/s", ""),
         ("views", "views", ""),
+        ("image.edge_width_mm", "edge width / mm", "lower"),
+        ("image.zero.ssim", "SSIM, all zero", ""),
+        ("image.rmse_rel_by_depth.5_to_10_mm", "RMSE, 5 to 10 mm deep / %", "lower"),
+        ("image.contrasts.a_against_b.cnr", "contrast to noise, a against b", "higher"),
+        (
+            "image_by_geometry.executed.nps.brain.noise_rel",
+            "noise, brain, executed geometry / %",
+            "lower",
+        ),
+        ("believed_minus_executed.rmse_rel", "RMSE, believed minus executed / %", ""),
     ],
 )
 def test_figures_have_words(name, label, best):

@@ -27,7 +27,8 @@ evaluation:
   mtf: [{{at: ball}}, {{at: rod}}]
   nps: [{{region: outer}}]
   tasks:
-    - {{name: lesion, signal: {{kind: sphere, radius_mm: 3, contrast_rel: 0.1}}, region: outer, mtf: ball}}
+    - {{name: lesion, signal: {{kind: gaussian, sigma_mm: 2, contrast_rel: 0.1}}, region: outer,
+       mtf: ball}}
   streaks: [{{part: rod, to_mm: 10}}]
 """
 
@@ -57,11 +58,11 @@ def test_what_is_asked_for_is_read(file: Path) -> None:
         (13, "at: rod", "at: water", "mtf.1.at: 'water' is neither a sphere nor a cylinder"),
         (13, "at: ball}}", "at: bowl}}", "mtf.0.at: there is no part or region 'bowl'; there are"),
         (14, "region: outer", "region: out", "nps.0.region: there is no region 'out'; there are"),
-        (16, "mtf: ball", "mtf: inner", "tasks.0.mtf: there is no 'at' of evaluation.mtf 'inner'"),
-        (17, "part: rod", "part: screw", "streaks.0.part: there is no part 'screw'; there are"),
+        (17, "mtf: ball", "mtf: inner", "tasks.0.mtf: there is no 'at' of evaluation.mtf 'inner'"),
+        (18, "part: rod", "part: screw", "streaks.0.part: there is no part 'screw'; there are"),
         (9, "name: inner", "name: ball", "regions.0.name: a part is called 'ball', too"),
         (10, "name: outer", "name: inner", "regions: 'inner' comes twice"),
-        (17, "to_mm: 10", "to_mm: 1", "to_mm (1) must be above from_mm (2)"),
+        (18, "to_mm: 10", "to_mm: 1", "to_mm (1) must be above from_mm (2)"),
         (10, "name: outer", "name: a.b", "regions.1.name"),
     ],
 )

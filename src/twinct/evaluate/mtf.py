@@ -76,7 +76,8 @@ def edge_mtf(
         values: of voxels, (n,), in any unit.
         offset_mm: distance of their centres from the surface, outwards positive, (n,), mm.
         radius_mm: of the body.
-        voxel_mm: the smallest edge of a voxel; the highest frequency is 1 / (2 voxel_mm).
+        voxel_mm: the smallest edge of a voxel; the highest frequency is 1 / voxel_mm, twice
+            what a single line of voxels could tell.
         curved: directions in which the surface is curved: 2 for a sphere, 1 for a cylinder, 0 for a
             plane.
 
@@ -104,7 +105,7 @@ def edge_mtf(
     spread = -np.diff(np.interp(at, places, means)) / step
     t = (at[1:] + at[:-1]) / 2
     spread *= ((radius_mm + t) / radius_mm) ** (curved / 2) * tukey(len(t), 0.5)
-    frequency = np.linspace(0, 0.5 / voxel_mm, _FREQUENCIES)
+    frequency = np.linspace(0, 1 / voxel_mm, _FREQUENCIES)
     transfer = np.abs(np.exp(-2j * np.pi * frequency[:, None] * t) @ spread)
     if not transfer[0] > 0:
         raise InputError("a body without contrast has no MTF")

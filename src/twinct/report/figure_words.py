@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Literal, NamedTuple
 
+from twinct.report.measured import KINDS
 from twinct.report.page import image_figures, stage_title
 
 Best = Literal["lower", "higher", "one", ""]
@@ -48,8 +49,18 @@ def figure_words(name: str, reference: str = "bone") -> FigureWords:
     if len(parts) > 2 and parts[0] in ("image_by_geometry", "geometries"):
         of = f"{parts[1]} geometry"
         parts = [*(["image"] if parts[0] == "image_by_geometry" else []), *parts[2:]]
+    if parts[0] == "believed_minus_executed":
+        of, parts = "believed minus executed", ["image", *parts[1:]]
+    if parts[:2] == ["image", "zero"]:
+        of, parts = "all zero", ["image", *parts[2:]]
     fitting: list[Best] = [best for best, key in _BEST.items() if re.search(key, name)]
-    best = fitting[0] if fitting else ""
+    best = fitting[0] if fitting and not of.startswith(("believed minus", "all zero")) else ""
+    if len(parts) == 4 and parts[0] == "image":
+        kind = KINDS.get(parts[1], ())
+        if one := next((one for one in kind if one.key == parts[3]), None):
+            title = ", ".join(filter(None, [one.title, parts[2].replace("_", " "), of]))
+            meaning = one.meaning.format(reference)
+            return FigureWords(title, one.unit, one.factor, one.digits, meaning, best)
     image = {f"image.{shown.key}": shown for shown in image_figures(reference)}
     shown = image.get(".".join(parts))
     if shown is not None:

@@ -22,7 +22,7 @@ def rendered(template: str, **values: Any) -> str:
 
 def fixed(value: float | None, digits: int = 2, factor: float = 1.0) -> str:
     """A number with a fixed count of digits, or a dash where there is none."""
-    return "–" if value is None else f"{factor * value:.{digits}f}"
+    return "–" if value is None else f"{factor * value:z.{digits}f}"
 
 
 def duration(seconds: float | None) -> str:
