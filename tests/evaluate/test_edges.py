@@ -37,7 +37,7 @@ def sharp_ball(r, radius, voxel):
 
 @pytest.mark.parametrize(
     ("voxel", "sigma"),
-    [(0.5, 0.5), (0.5, 0.8), (1.0, 1.0), ((0.5, 0.6, 0.8), 0.8)],
+    [(0.5, 0.5), (0.5, 0.8), (1.0, 1.0), ((0.5, 0.6, 1.2), 1.2)],
     ids=["1 voxel", "1.6 voxels", "1 mm", "unequal edges"],
 )
 def test_a_blurred_sphere(voxel, sigma, figure) -> None:
@@ -51,6 +51,17 @@ def test_a_blurred_sphere(voxel, sigma, figure) -> None:
     figure(f"edge of sigma {sigma} mm, voxel {voxel} mm: {found / sigma:.3f} sigma, {WIDTH:.3f}")
     # 3 %: the sampling, and the cubic's own blur at one voxel.
     assert found == pytest.approx(WIDTH * sigma, rel=0.03)
+
+
+def test_a_plane_askew_in_long_voxels() -> None:
+    """Normals are those of space, not of the lattice."""
+    grid = VolumeGrid((30, 60, 60), (0.5, 0.5, 1.5))
+    x, y, z = grid.axes()
+    along = (0.6 * x + 0.1) + (0 * y)[:, None] + (0.8 * z)[:, None, None]
+    truth = (MU * np.clip(0.5 - along / 1.5, 0, 1)).astype(np.float32)
+    volume = (MU * 0.5 * (1 - erf(along / (math.sqrt(2) * 1.2)))).astype(np.float32)
+    found = edge_width(volume, truth, np.ones(grid.shape, bool), MU, grid)
+    assert found == pytest.approx(WIDTH * 1.2, rel=0.04)  # sigma is less than a voxel
 
 
 def test_noise_moves_the_median_little() -> None:

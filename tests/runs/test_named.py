@@ -35,7 +35,8 @@ KEYS = [
     """specimen.parts=[
       {name: water, shape: {kind: cylinder, radius_mm: 42, height_mm: 90}, material: water},
       {name: ball.1, shape: {kind: sphere, radius_mm: 10}, position_mm: [20, 0, 0]},
-      {name: rod, shape: {kind: cylinder, radius_mm: 5, height_mm: 60}, position_mm: [-22, 0, 0]}
+      {name: rod, shape: {kind: cylinder, radius_mm: 5, height_mm: 40}, position_mm: [-22, 0, 0],
+       rotation_deg: [30, 0, 0]}
     ]""",
     """evaluation={
       regions: [
@@ -76,7 +77,7 @@ def found(places: Places) -> dict:
     blurred = ndimage.gaussian_filter(truth, BLUR_MM)
     noise = NOISE * mu * np.random.default_rng(3).standard_normal(truth.shape)
     about = places.region("about")
-    frame = places.world_from_specimen @ Pose.from_euler((-22, 0, 0), (0, 0, 0))
+    frame = places.world_from_specimen @ Pose.from_euler((-22, 0, 0), (30, 0, 0))
     at = frame.inverse().apply(about.points(places.grid))
     wave = np.zeros(truth.shape)
     wave[about.box][about.mask] = 0.2 * mu * np.cos(2 * np.arctan2(at[:, 1], at[:, 0]))

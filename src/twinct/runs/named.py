@@ -210,8 +210,8 @@ class Places:
         points = centres(self.grid, box, pose)
         offset = np.linalg.norm(points[..., : curved + 1], axis=-1) - radius
         values = volume[box]
-        if isinstance(shape, scenario.Cylinder):  # its ends are edges, too
-            side = np.abs(points[..., 2]) <= shape.height_mm / 2 - reach
+        if isinstance(shape, scenario.Cylinder):  # its side, not its ends
+            side = np.abs(points[..., 2]) <= shape.height_mm / 2
             offset, values = offset[side], values[side]
         try:
             return edge_mtf(values, offset, radius, voxel, curved)
