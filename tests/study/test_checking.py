@@ -43,6 +43,19 @@ def test_trials_that_differ_in_reconstruction_or_belief_share_one_scan(small) ->
     assert len({one.volume for one in found}) == 4
 
 
+def test_trials_that_measure_other_things_share_no_figures_but_a_scan(small) -> None:
+    region = {"name": "a", "shape": {"kind": "sphere", "radius_mm": 30}}
+    study = small(
+        axes=[axis("evaluation.regions.0.shape.radius_mm", 20, 30)],
+        figures=["image.edge_width_mm", "image.regions.a.mean_rel", "image.zero.ssim"],
+    )
+    study["scenario"] = study["scenario"] | {"evaluation": {"regions": [region]}}
+    found = checked(study)
+    assert len({one.scan for one in found}) == 1 and len({one.volume for one in found}) == 2
+    study["figures"] = ["image.regions.b.mean_rel"]
+    assert any("image.regions.b.mean_rel" in problem for problem in problems(study))
+
+
 def test_a_trial_has_one_key_whatever_its_number(small) -> None:
     first = checked(small(axes=[axis(RELAXATION, 0.2, 0.5)]))
     before = {one.trial.axes[RELAXATION]: one.key for one in first}

@@ -31,8 +31,8 @@ class Checked:
         trial: which.
         key: hex digest that identifies it, whatever its number.
         scan: digest of its scan.
-        volume: digests of its volume and of what is believed of its poses: trials may have both in
-            common, and then all figures.
+        volume: digests of its volume and of what is believed of its poses, and what is measured:
+            trials may have all of it in common, and then all figures.
         cost: of what kind it is; trials of a kind take alike.
     """
 
@@ -165,7 +165,9 @@ class Checker:
         digests = stage_digests(scenario)
         key = trial_key(digests["volume"], trial)
         cost = self._cost(scenario, digests["surface"])
-        return Checked(trial, key, digests["images"], digests["volume"] + digests["believed"], cost)
+        measured = scenario.evaluation.model_dump_json() if scenario.evaluation else ""
+        volume = digests["volume"] + digests["believed"] + measured
+        return Checked(trial, key, digests["images"], volume, cost)
 
     def _cost(self, scenario: Scenario, surface: str) -> Cost:
         study, detector, section = self.design.study, scenario.detector, scenario.reconstruction
