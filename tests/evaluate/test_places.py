@@ -49,6 +49,14 @@ def test_a_shell_lies_around_a_body() -> None:
     np.testing.assert_array_equal(found, expected)
 
 
+def test_slabs_of_a_shell_do_not_show(monkeypatch) -> None:
+    body = ball(GRID, PLACE, 3)
+    whole_shell = whole(shell(body, GRID, 1.0, 2.6))
+    monkeypatch.setattr("twinct.evaluate.places._SHELL_VOXELS", 1)
+    np.testing.assert_array_equal(whole(shell(body, GRID, 1.0, 2.6)), whole_shell)
+    assert whole_shell.sum() > 50
+
+
 def test_outside_of_the_grid_there_is_nothing() -> None:
     assert len(ball(GRID, Pose.from_euler((500, 0, 0), (0, 0, 0)), 6)) == 0
     assert len(cuboid(GRID, Pose.from_euler((-500, 0, 0), (0, 0, 0)), (1, 1, 1))) == 0

@@ -13,6 +13,9 @@ from twinct.geometry import Floats, Pose, VolumeGrid
 
 Box = tuple[slice, slice, slice]
 
+_SHELL_VOXELS = 30_000_000
+"""Voxels whose distance to a body is worked out at a time."""
+
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
@@ -77,13 +80,23 @@ def cuboid(grid: VolumeGrid, world_from_box: Pose, size_mm: ArrayLike) -> Voxels
 def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxels:
     """Voxels outside of a body whose centre is so far from that of its nearest voxel."""
     wider = around(body.box, grid, to_mm)
-    mask = np.zeros([s.stop - s.start for s in wider], dtype=np.bool_)
+    filled = np.zeros([s.stop - s.start for s in wider], dtype=np.bool_)
     at = tuple(
         slice(b.start - w.start, b.stop - w.start) for b, w in zip(body.box, wider, strict=True)
     )
-    mask[at] = body.mask
-    distance = np.asarray(ndimage.distance_transform_edt(~mask, sampling=grid.voxel[::-1]))
-    return Voxels(wider, ~mask & (distance >= from_mm) & (distance <= to_mm))
+    filled[at] = body.mask
+    mask = np.zeros_like(filled)
+    # A transform takes some 50 bytes a voxel: it is done by slabs, with all that is near enough.
+    halo = int(to_mm / grid.voxel[2]) + 1
+    planes = max(_SHELL_VOXELS // filled[0].size - 2 * halo, halo)
+    for start in range(0, len(filled), planes):
+        first = max(start - halo, 0)
+        near, own = ~filled[first : start + planes + halo], slice(start - first, None)
+        if not near.all():
+            distance = np.asarray(ndimage.distance_transform_edt(near, grid.voxel[::-1]))[own]
+            there = near[own] & (distance >= from_mm) & (distance <= to_mm)
+            mask[start : start + planes] = there[:planes]
+    return Voxels(wider, mask)
 
 
 def around(box: Box, grid: VolumeGrid, margin_mm: float) -> Box:
@@ -126,5 +139,8 @@ def _inside(
     low = np.clip(np.floor(index - reach / grid.voxel), 0, size).astype(int)
     high = np.clip(np.ceil(index + reach / grid.voxel) + 1, low, size).astype(int)
     x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-    points = centres(grid, (z, y, x), world_from_region)
-    return Voxels((z, y, x), inside(*np.moveaxis(points, -1, 0)))
+    mask = np.empty([s.stop - s.start for s in (z, y, x)], dtype=np.bool_)
+    for k, plane in enumerate(mask, start=z.start):  # the places of all would be large
+        points = centres(grid, (slice(k, k + 1), y, x), world_from_region)[0]
+        plane[:] = inside(*np.moveaxis(points, -1, 0))
+    return Voxels((z, y, x), mask)

@@ -77,6 +77,14 @@ class Folder:
         told = read_metrics(self.metrics).get("reconstruction_digest")
         return told == self.volume_digest(scenario)
 
+    def measured(self, scenario: Scenario) -> bool:
+        """Whether the figures of a finished run are those that a scenario asks for."""
+        if not self.scenario.is_file():
+            return True
+        told = yaml.safe_load(self.scenario.read_text(encoding="utf-8")).get("evaluation")
+        asked = scenario.evaluation
+        return told == (asked and asked.model_dump(mode="json"))
+
     def volume_digest(self, scenario: Scenario) -> str:
         """Of all that the volume depends on, derived geometries included."""
         digest = stage_digests(scenario)["volume"]

@@ -123,9 +123,8 @@ def run(
     check_geometries(scenario, folder.geometries if store else None)
     check_drawing()
     if store and folder.finished(scenario) and not store.damage:
-        made = finished_run(folder)
-        if made.scenario.evaluation != scenario.evaluation:
-            return _judged_again(made, scenario, observers)
+        if not folder.measured(scenario):
+            return _judged_again(finished_run(folder), scenario, observers)
         with audience_of(observers) as audience:
             audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)

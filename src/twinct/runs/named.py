@@ -161,11 +161,12 @@ class Places:
         section, found = self.section, {kind: dict[str, Any]() for kind in OF_KIND}
         places = {region.name: self.region(region.name) for region in section.regions}
         for name, voxels in places.items():
-            error = (voxels.of(volume) - voxels.of(truth)) / mu_reference
+            values = voxels.of(volume)
+            error = values - voxels.of(truth)
+            figures = _mean(values), _mean(error), math.sqrt(_mean(error * error))
             found["regions"][name] = {
-                "mean_rel": _mean(voxels.of(volume)) / mu_reference,
-                "bias_rel": _mean(error),
-                "rmse_rel": math.sqrt(_mean(error**2)),
+                key: figure / mu_reference
+                for key, figure in zip(OF_KIND["regions"], figures, strict=True)
             }
         for one in section.contrasts:
             inner, outer = places[one.region], places[one.against]
