@@ -42,6 +42,7 @@ def changed(one: dict[str, str], other: dict[str, str]) -> set[str]:
         ("specimen.parts.0.shape.scale=1.1", ALL),
         ("specimen.parts.0.rotation_deg=[0, 0, 9]", ALL),
         ("specimen.parts.0.material=water", IMAGED),
+        ("specimen.reference=skull", {"volume"}),
         ("specimen.rotation_deg=[0, 0, 9]", PLANNED),
         ("trajectory.views=99", PLANNED),
         ("detector.columns=320", PLANNED),

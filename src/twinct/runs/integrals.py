@@ -47,7 +47,7 @@ def hardening_corrected(
     known = build_spectrum(source), build_response(detector)
     materials = _materials(section)
     if section.kind == "one_material":
-        substances = materials or [Workshop(scenario).specimen.reference_part.material]
+        substances = materials or [Workshop(scenario).specimen.largest_part.material]
         return _each(Hardening(*known, substances, energy), integrals)
 
     base, dense = materials

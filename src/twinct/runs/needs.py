@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from twinct.runs.acquisition import Link
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Workshop
-from twinct.scenario import CtVolume, MeshFile, Scenario, Skull
+from twinct.scenario import Brain, CtVolume, Head, MeshFile, Scenario, Skull
 from twinct.threads import threads
 
 PROCESS_BYTES = 400 * 2**20
@@ -22,7 +22,9 @@ GVXR_BYTES = 2500 * 2**20
 
 SKULL_BYTES_PER_CELL = 40
 SKULL_MM = 220.0
-"""The built-in skull is cut out of a lattice of this edge."""
+"""The built-in skull is cut out of a lattice of this edge, the brain out of a smaller one."""
+HEAD_MM = 320.0
+"""The same of the head."""
 
 FILE_FACTOR = 24
 """Bytes in memory for each byte of a mesh or a compressed CT volume, at the peak."""
@@ -83,8 +85,9 @@ def _specimen_bytes(scenario: Scenario) -> int:
     found = 0
     for part in scenario.specimen.parts:
         shape = part.shape
-        if isinstance(shape, Skull):
-            cells = (SKULL_MM * shape.scale / shape.mesh_resolution_mm) ** 3
+        if isinstance(shape, Skull | Head | Brain):
+            edge = HEAD_MM if isinstance(shape, Head) else SKULL_MM
+            cells = (edge * shape.scale / shape.mesh_resolution_mm) ** 3
             found += int(SKULL_BYTES_PER_CELL * cells)
         elif isinstance(shape, MeshFile | CtVolume):
             files = shape.path.rglob("*") if shape.path.is_dir() else [shape.path]

@@ -59,9 +59,11 @@ from twinct.scenario.source import (
 )
 from twinct.scenario.specimen import (
     Box,
+    Brain,
     CtVolume,
     Cylinder,
     Ellipsoid,
+    Head,
     MeshFile,
     Part,
     Shape,
@@ -78,6 +80,7 @@ __all__ = [
     "BadPixels",
     "BeamHardening",
     "Box",
+    "Brain",
     "Capsule",
     "Cell",
     "Composition",
@@ -99,6 +102,7 @@ __all__ = [
     "GaussianSpot",
     "GaussianSpread",
     "Grid",
+    "Head",
     "ImageSpot",
     "IntegratingResponse",
     "InverseKinematics",

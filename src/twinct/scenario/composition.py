@@ -1,4 +1,4 @@
-"""A material by its elements."""
+"""A material by its elements, or a known one at another density."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from twinct.settings import Positive, Section, setting
 
 
 class Composition(Section):
-    """A material by its elements."""
+    """A material by its elements, or a known one at another density."""
 
+    of: str | None = setting(
+        None, "A material by its name, such as brain: its elements, at the density given here."
+    )
     formula: str | None = setting(
         None,
         "Chemical formula, such as Ca10(PO4)6(OH)2.",
@@ -24,6 +27,6 @@ class Composition(Section):
 
     @model_validator(mode="after")
     def _one_description(self) -> Composition:
-        if (self.formula is None) == (self.mass_fractions is None):
-            raise ValueError("give either formula or mass_fractions")
+        if [self.of, self.formula, self.mass_fractions].count(None) != 2:
+            raise ValueError("give either formula, mass_fractions or of")
         return self

@@ -81,7 +81,10 @@ STAGES: dict[StageName, _Stage] = {
     "believed": _Stage(1, ("uncertainty", "seed"), on=("executed",)),
     # Of the detector what it leaves out: volumes from before it did were others.
     "volume": _Stage(
-        1, ("reconstruction", "seed", "detector.bad_pixels"), on=("images", "believed")
+        1,
+        # The reference counts for the figures, which come with the volume.
+        ("reconstruction", "seed", "detector.bad_pixels", "specimen.reference"),
+        on=("images", "believed"),
     ),
 }
 
@@ -125,7 +128,8 @@ def specimen_digest(scenario: Scenario) -> str:
     section = scenario.specimen
     materials = [part.model_dump(mode="json", include={"material"}) for part in section.parts]
     stands = section.position_mm, section.rotation_deg
-    told = json.dumps([stage_digests(scenario)["surface"], materials, stands])
+    parts = [stage_digests(scenario)["surface"], materials, stands]
+    told = json.dumps([*parts, section.reference] if section.reference else parts)
     return hashlib.sha256(told.encode()).hexdigest()
 
 

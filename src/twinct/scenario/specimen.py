@@ -5,11 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twinct.geometry import Pose
 from twinct.scenario.composition import Composition
-from twinct.settings import Finite, Lengths, NonNegative, Positive, Section, Vector, setting
+from twinct.settings import (
+    Conflict,
+    ConflictError,
+    Finite,
+    Lengths,
+    NonNegative,
+    Positive,
+    Section,
+    Vector,
+    setting,
+)
 
 
 class Skull(Section):
@@ -22,11 +32,35 @@ class Skull(Section):
     )
 
 
+class Head(Section):
+    """The soft tissue about the built-in skull at the same place, down to the chin; airways too."""
+
+    kind: Literal["head"]
+    scale: Positive = setting(1.0, "1 is adult size.")
+    mesh_resolution_mm: Positive = setting(
+        2.0, "Cell of the lattice on which the surface mesh is extracted."
+    )
+
+
+class Brain(Section):
+    """What fills the braincase of the built-in skull at the same place; the skull comes later."""
+
+    kind: Literal["brain"]
+    scale: Positive = setting(1.0, "1 is adult size.")
+    mesh_resolution_mm: Positive = setting(
+        2.0, "Cell of the lattice on which the surface mesh is extracted."
+    )
+
+
+ROUND_MESH = "Longest edge of the surface mesh's triangles; null: 81,920 triangles."
+
+
 class Sphere(Section):
     """A sphere about the part's origin."""
 
     kind: Literal["sphere"]
     radius_mm: Positive = Field(description="Radius.")
+    mesh_resolution_mm: Positive | None = setting(None, ROUND_MESH)
 
 
 class Ellipsoid(Section):
@@ -34,6 +68,7 @@ class Ellipsoid(Section):
 
     kind: Literal["ellipsoid"]
     semi_axes_mm: Lengths = Field(description="Semi-axes along x, y, z.")
+    mesh_resolution_mm: Positive | None = setting(None, ROUND_MESH)
 
 
 class Cylinder(Section):
@@ -76,7 +111,8 @@ class CtVolume(Section):
 
 
 Shape = Annotated[
-    Skull | Sphere | Ellipsoid | Cylinder | Box | MeshFile | CtVolume, Field(discriminator="kind")
+    Skull | Head | Brain | Sphere | Ellipsoid | Cylinder | Box | MeshFile | CtVolume,
+    Field(discriminator="kind"),
 ]
 
 
@@ -106,8 +142,19 @@ class Specimen(Section):
     """What is imaged, and where it stands."""
 
     parts: tuple[Part, ...] = Field(min_length=1, description="Bodies, each of one material.")
+    reference: str = setting(
+        "", "Name of the part whose attenuation figures are relative to; the largest where empty."
+    )
     position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the world.")
     rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
+
+    @model_validator(mode="after")
+    def _reference_is_a_part(self) -> Specimen:
+        names = [part.label for part in self.parts]
+        if self.reference and self.reference not in names:
+            message = f"reference: no part is called {self.reference!r}; there are {names}"
+            raise ConflictError(Conflict(message, ("reference",)))
+        return self
 
     @property
     def world_from_specimen(self) -> Pose:

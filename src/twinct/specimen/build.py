@@ -15,7 +15,7 @@ from twinct.errors import SpecimenError
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.specimen.materials import Material, material
 from twinct.specimen.shapes import shape_surface
-from twinct.specimen.surface import subtract, surface
+from twinct.specimen.surface import solids_once, subtract, surface
 from twinct.specimen.voxels import volume_fractions
 
 HULL_DIRECTIONS = 4000
@@ -48,6 +48,7 @@ class BuiltSpecimen:
 
     parts: tuple[BuiltPart, ...]
     world_from_specimen: Pose
+    reference: str = ""
 
     @property
     def bounds(self) -> Floats:
@@ -56,12 +57,18 @@ class BuiltSpecimen:
         return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
     @property
-    def reference_part(self) -> BuiltPart:
-        """The part with the largest volume: figures are relative to its attenuation."""
+    def largest_part(self) -> BuiltPart:
+        """The part with the largest volume."""
         return max(self.parts, key=lambda part: part.volume_mm3)
 
+    @property
+    def reference_part(self) -> BuiltPart:
+        """The part that figures are relative to: the named one, or the largest."""
+        named = (part for part in self.parts if part.name == self.reference)
+        return next(named, self.largest_part) if self.reference else self.largest_part
+
     def reference_mu(self, energy_kev: float) -> float:
-        """Attenuation of the part with the largest volume (mu of bone for a skull), 1/mm."""
+        """Attenuation of the reference part (mu of bone for a skull), 1/mm."""
         return self.reference_part.material.mu_per_mm(energy_kev)
 
     @cached_property
@@ -128,7 +135,7 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
             built.append(BuiltPart(part.label, substance, placed))
     if problems:
         raise SpecimenError(problems)
-    return BuiltSpecimen(_disjoint(built), section.world_from_specimen)
+    return BuiltSpecimen(_disjoint(built), section.world_from_specimen, section.reference)
 
 
 def _sphere_directions(count: int) -> Floats:
@@ -143,8 +150,9 @@ def _sphere_directions(count: int) -> Floats:
 def _disjoint(parts: list[BuiltPart]) -> tuple[BuiltPart, ...]:
     disjoint: list[BuiltPart] = []
     problems: list[str] = []
+    solid = solids_once()
     for i, part in enumerate(parts):
-        mesh = subtract(part.mesh, [later.mesh for later in parts[i + 1 :]], part.name)
+        mesh = subtract(part.mesh, [later.mesh for later in parts[i + 1 :]], part.name, solid)
         disjoint.append(replace(part, mesh=mesh))
         if not len(mesh.faces):
             problems.append(

@@ -129,6 +129,10 @@ def _composed(composition: Composition) -> Material:
     if composition.mass_fractions is not None:
         name = " ".join(f"{s} {share:g}" for s, share in composition.mass_fractions.items())
         return Material(name, composition.density_g_cm3, composition.mass_fractions)
+    if composition.of is not None:
+        known = material(composition.of, "of")
+        name = f"{known.name} of {composition.density_g_cm3:g} g/cm3"
+        return Material(name, composition.density_g_cm3, known.mass_fractions)
     formula = composition.formula or ""
     try:
         data = xraylib.CompoundParser(formula)
@@ -185,6 +189,16 @@ _TABLE: dict[str, tuple[float, dict[str, float]]] = {
         1.06,
         {"H": 0.102, "C": 0.143, "N": 0.034, "O": 0.708, "Na": 0.002, "P": 0.003}
         | {"S": 0.003, "Cl": 0.002, "K": 0.003},
+    ),
+    "brain": (
+        1.04,
+        {"H": 0.107, "C": 0.145, "N": 0.022, "O": 0.712, "Na": 0.002, "P": 0.004}
+        | {"S": 0.002, "Cl": 0.003, "K": 0.003},
+    ),
+    "eye_lens": (
+        1.07,
+        {"H": 0.096, "C": 0.195, "N": 0.057, "O": 0.646, "Na": 0.001, "P": 0.001}
+        | {"S": 0.003, "Cl": 0.001},
     ),
     "air": (0.00120479, {"C": 0.000124, "N": 0.755268, "O": 0.231781, "Ar": 0.012827}),
     "enamel": (

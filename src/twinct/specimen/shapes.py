@@ -10,6 +10,7 @@ import trimesh
 from twinct import scenario
 from twinct.files.meshes import read_mesh
 from twinct.scenario import Shape
+from twinct.specimen.head import brain_surface, head_surface
 from twinct.specimen.shells import joined_shells
 from twinct.specimen.skull import skull_surface
 from twinct.specimen.surface import surface
@@ -17,6 +18,9 @@ from twinct.specimen.volumes import ct_surface
 
 SPHERE_SUBDIVISIONS = 6
 """81,920 triangles; their volume misses the sphere's by 0.02 %."""
+
+ICOSAHEDRON_EDGE = 1.2
+"""Of the unit sphere's, 1.05, and what a triangle is stretched by where it lands on the sphere."""
 
 CYLINDER_SECTIONS = 256
 """A regular polygon of this many corners; its area misses the circle's by 0.01 %."""
@@ -32,10 +36,16 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
     match shape:
         case scenario.Skull():
             return skull_surface(shape.scale, shape.mesh_resolution_mm)
+        case scenario.Head():
+            return head_surface(shape.scale, shape.mesh_resolution_mm)
+        case scenario.Brain():
+            return brain_surface(shape.scale, shape.mesh_resolution_mm)
         case scenario.Sphere():
-            return _sphere((shape.radius_mm, shape.radius_mm, shape.radius_mm))
+            return _ball(
+                (shape.radius_mm, shape.radius_mm, shape.radius_mm), shape.mesh_resolution_mm
+            )
         case scenario.Ellipsoid():
-            return _sphere(shape.semi_axes_mm)
+            return _ball(shape.semi_axes_mm, shape.mesh_resolution_mm)
         case scenario.Cylinder():
             rod = trimesh.creation.cylinder(1.0, shape.height_mm, CYLINDER_SECTIONS)
             fit = shape.radius_mm * math.sqrt(math.pi * shape.height_mm / rod.volume)
@@ -54,8 +64,12 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
     raise AssertionError(f"no surface for {shape!r}")
 
 
-def _sphere(semi_axes: tuple[float, float, float]) -> trimesh.Trimesh:
+def _ball(semi_axes: tuple[float, float, float], edge_mm: float | None) -> trimesh.Trimesh:
     # Corners a little outside of the sphere: the polyhedron then has the sphere's own volume.
-    ball = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
+    subdivisions = SPHERE_SUBDIVISIONS
+    if edge_mm is not None:  # each halves the edges
+        halvings = math.log2(ICOSAHEDRON_EDGE * max(semi_axes) / edge_mm)
+        subdivisions = min(max(math.ceil(halvings), 2), SPHERE_SUBDIVISIONS)
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions)
     fit = (4 / 3 * math.pi / ball.volume) ** (1 / 3)
     return surface(ball.vertices * np.array(semi_axes) * fit, ball.faces)

@@ -1,12 +1,7 @@
 """The built-in adult skull, from implicit surfaces.
 
-A signed distance field (mm, negative inside) is put together on a lattice from ellipsoids, tapered
-rods and swept plates, by smooth unions and subtractions
-
-    smin(a, b; k) = min(a, b) - h^2 k / 4,    h = max(k - |a - b|, 0) / k
-
-(Quilez's polynomial blend), and its zero level becomes a closed mesh. Only the half x >= 0 is
-computed; the other one is its mirror image, so the skull is symmetric to the last bit of the field.
+The zero level of a signed distance field becomes a closed mesh. The field of the half x >= 0 is
+mirrored, so the skull is symmetric to the last bit of it.
 
 Design frame: x to the skull's left or right (symmetric), y anterior, z superior, mm, origin in the
 middle of the vault. The finished surface is moved so that the middle of its bounds is the origin.
@@ -16,21 +11,26 @@ about 130, orbits 39 x 34, nasal aperture 25 wide, foramen magnum 30 x 35 mm.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats
+from twinct.specimen.implicit import (
+    Body,
+    Canvas,
+    Field,
+    Point,
+    block,
+    chain,
+    ellipsoid,
+    rod,
+    wall,
+)
 from twinct.specimen.surface import isosurface, surface
-
-Field = NDArray[Any]
-Point = tuple[float, float, float]
 
 LOWEST: Point = (0.0, -98.0, -146.0)
 HIGHEST: Point = (80.0, 106.0, 76.0)
@@ -42,15 +42,8 @@ WALL_MM = 6.3
 
 @lru_cache(maxsize=2)
 def _cached(scale: float, resolution_mm: float) -> trimesh.Trimesh:
-    step = resolution_mm / scale
-    head = _Canvas(step)
-    for add in (_braincase, _base, _face, _cheeks, _openings, _jaw, _teeth):
-        add(head)
-    affine = np.diag([step, step, step, 1.0])
-    affine[:3, 3] = head.origin
-    affine[0, 3] = -step * (head.field.shape[0] - 1)
-    mirrored = np.concatenate([head.field[:0:-1], head.field])
-    mesh = _without_crumbs(isosurface(-mirrored, 0.0, affine))
+    head = skull_canvas(resolution_mm / scale)
+    mesh = _without_crumbs(isosurface(-head.mirrored, 0.0, head.affine))
     vertices = (mesh.vertices - mesh.bounds.mean(axis=0)) * scale
     return surface(vertices, mesh.faces)
 
@@ -65,182 +58,13 @@ def skull_surface(scale: float = 1.0, resolution_mm: float = 1.0) -> trimesh.Tri
     return _cached(float(scale), float(resolution_mm)).copy()
 
 
-class _Canvas:
-    """Half a lattice (x >= 0) onto which bodies are added and from which they are cut.
-
-    A body is a function of coordinates x, y, z (broadcastable) that returns signed distance. It is
-    evaluated within its box only; further away it changes nothing.
-    """
-
-    def __init__(self, step: float) -> None:
-        self.origin, extent = np.array(LOWEST), np.subtract(HIGHEST, LOWEST)
-        counts = np.ceil(extent / step).astype(int) + 1
-        self.axes = [
-            np.asarray(low + step * np.arange(n), dtype=np.float32)
-            for low, n in zip(LOWEST, counts, strict=True)
-        ]
-        self.field: Field = np.full(counts, 50.0, dtype=np.float32)
-
-    def _around(self, body: _Body, blend: float) -> tuple[tuple[slice, ...], Field]:
-        """The part of the lattice that a body may change, and its distance there."""
-        low, high = body.low - (blend + 3.0), body.high + (blend + 3.0)
-        cut = tuple(
-            slice(int(np.searchsorted(axis, lo)), int(np.searchsorted(axis, hi, side="right")))
-            for axis, lo, hi in zip(self.axes, low, high, strict=True)
-        )
-        return cut, body(*np.ix_(*(axis[s] for axis, s in zip(self.axes, cut, strict=True))))
-
-    def add(self, body: _Body, blend: float = 0.0) -> None:
-        """Smooth union; ``blend`` is the width of the fillet, mm."""
-        cut, distance = self._around(body, blend)
-        self.field[cut] = smin(self.field[cut], distance, blend)
-
-    def cut(self, body: _Body, blend: float = 0.0) -> None:
-        """Smooth subtraction."""
-        cut, distance = self._around(body, blend)
-        self.field[cut] = -smin(-self.field[cut], distance, blend)
-
-
-class _Body:
-    """A signed distance function with the box that holds its inside."""
-
-    def __init__(
-        self, distance: Callable[[Field, Field, Field], Field], low: ArrayLike, high: ArrayLike
-    ) -> None:
-        self.distance = distance
-        self.low = np.asarray(low, dtype=float)
-        self.high = np.asarray(high, dtype=float)
-
-    def __call__(self, x: Field, y: Field, z: Field) -> Field:
-        return self.distance(x, y, z)
-
-    def within(self, other: _Body, blend: float = 0.0) -> _Body:
-        """What is inside both."""
-        return _Body(
-            lambda x, y, z: -smin(-self(x, y, z), -other(x, y, z), blend),
-            np.maximum(self.low, other.low),
-            np.minimum(self.high, other.high),
-        )
-
-    def without(self, other: _Body, blend: float = 0.0) -> _Body:
-        """What is inside this one only."""
-        return _Body(
-            lambda x, y, z: -smin(-self(x, y, z), other(x, y, z), blend), self.low, self.high
-        )
-
-    def joined(self, other: _Body, blend: float = 0.0) -> _Body:
-        """What is inside either, with a fillet."""
-        return _Body(
-            lambda x, y, z: smin(self(x, y, z), other(x, y, z), blend),
-            np.minimum(self.low, other.low) - blend / 4,
-            np.maximum(self.high, other.high) + blend / 4,
-        )
-
-
-def smin(a: Field, b: Field, blend: float) -> Field:
-    """Polynomial smooth minimum: rounded where both are within ``blend`` of each other."""
-    if blend <= 0:
-        return np.minimum(a, b)
-    h = np.maximum(blend - np.abs(a - b), 0) / blend
-    return np.minimum(a, b) - h * h * (blend / 4)
-
-
-def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> _Body:
-    """Ellipsoid, turned about x, y, z; distance to first order, k (k - 1) / |grad|."""
-    turn = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().astype(np.float32)
-    reach = np.sqrt((turn**2) @ np.square(radii))
-
-    def distance(x: Field, y: Field, z: Field) -> Field:
-        p = [x - centre[0], y - centre[1], z - centre[2]]
-        local = [sum(turn[i, axis] * p[i] for i in range(3)) for axis in range(3)]
-        k0 = np.sqrt(sum((q / r) ** 2 for q, r in zip(local, radii, strict=True)))
-        k1 = np.sqrt(sum((q / (r * r)) ** 2 for q, r in zip(local, radii, strict=True)))
-        return k0 * (k0 - 1.0) / np.maximum(k1, 1e-6)
-
-    return _Body(distance, np.subtract(centre, reach), np.add(centre, reach))
-
-
-def rod(
-    a: Point, b: Point, radius_a: float, radius_b: float | None = None, flatten: Point = (1, 1, 1)
-) -> _Body:
-    """A tapered rod with round ends; ``flatten`` > 1 makes it thinner along that axis."""
-    radius_b = radius_a if radius_b is None else radius_b
-    stretch = np.asarray(flatten, dtype=np.float32)
-    a_, b_ = np.asarray(a) * stretch, np.asarray(b) * stretch
-    along = b_ - a_
-    length2 = float(along @ along)
-    big = max(radius_a, radius_b)
-    shrink = float(stretch.max())
-
-    def distance(x: Field, y: Field, z: Field) -> Field:
-        p = [c * s - o for c, s, o in zip((x, y, z), stretch, a_, strict=True)]
-        t = np.clip(sum(q * d for q, d in zip(p, along, strict=True)) / length2, 0, 1)
-        gap = np.sqrt(sum((q - t * d) ** 2 for q, d in zip(p, along, strict=True)))
-        return (gap - (radius_a + t * (radius_b - radius_a))) / shrink
-
-    ends = np.array([a, b])
-    return _Body(distance, ends.min(axis=0) - big / stretch, ends.max(axis=0) + big / stretch)
-
-
-def chain(points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 1, 1)) -> _Body:
-    """Tapered rods from point to point."""
-    body = rod(points[0], points[1], radii[0], radii[1], flatten)
-    for i in range(1, len(points) - 1):
-        body = body.joined(rod(points[i], points[i + 1], radii[i], radii[i + 1], flatten))
-    return body
-
-
-def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float = 1.0) -> _Body:
-    """A box with rounded edges, turned about z."""
-    c, s = np.cos(np.radians(turn_z_deg)), np.sin(np.radians(turn_z_deg))
-    core = [max(h - rounding, 0.0) for h in half]
-    reach = np.array([abs(c) * half[0] + abs(s) * half[1], abs(s) * half[0] + abs(c) * half[1]])
-    reach = np.append(reach, half[2])
-
-    def distance(x: Field, y: Field, z: Field) -> Field:
-        px, py = x - centre[0], y - centre[1]
-        local = c * px + s * py, c * py - s * px, z - centre[2]
-        q = [np.abs(along) - half_core for along, half_core in zip(local, core, strict=True)]
-        outside = np.sqrt(sum(np.maximum(v, 0) ** 2 for v in q))
-        inside = np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0)
-        return outside + inside - rounding
-
-    return _Body(distance, np.subtract(centre, reach), np.add(centre, reach))
-
-
-def wall(
-    path: Sequence[tuple[float, float]],
-    middle_z: ArrayLike,
-    half_height: ArrayLike,
-    half_width: ArrayLike,
-    rounding: float = 3.0,
-) -> _Body:
-    """An upright plate along a path in the (x, y) plane, height and width given at its corners."""
-    corners = np.asarray(path, dtype=np.float32)
-    table = np.array([middle_z, half_height, half_width], dtype=np.float32)
-
-    def distance(x: Field, y: Field, z: Field) -> Field:
-        shape = np.broadcast_shapes(x.shape, y.shape)
-        best = np.full(shape, np.inf, dtype=np.float32)
-        local = np.zeros((3, *shape), dtype=np.float32)
-        for i in range(len(corners) - 1):
-            (ax, ay), (dx, dy) = corners[i], corners[i + 1] - corners[i]
-            t = np.clip(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy), 0, 1)
-            gap = np.hypot(x - ax - t * dx, y - ay - t * dy)
-            nearer = gap < best
-            best = np.where(nearer, gap, best)
-            for row in range(3):
-                here = table[row, i] + t * (table[row, i + 1] - table[row, i])
-                local[row] = np.where(nearer, here, local[row])
-        across = best - local[2] + rounding
-        up = np.abs(z - local[0]) - local[1] + rounding
-        outside = np.sqrt(np.maximum(across, 0) ** 2 + np.maximum(up, 0) ** 2)
-        return outside + np.minimum(np.maximum(across, up), 0) - rounding
-
-    reach = float(np.max(half_width))
-    low = [*(corners.min(axis=0) - reach), float(np.min(table[0] - table[1]))]
-    high = [*(corners.max(axis=0) + reach), float(np.max(table[0] + table[1]))]
-    return _Body(distance, low, high)
+def skull_canvas(step: float, margin_mm: float = 0.0) -> Canvas:
+    """The skull of adult size on half a lattice of so many mm, in the design frame."""
+    low, high = np.subtract(LOWEST, (0, margin_mm, margin_mm)), np.add(HIGHEST, margin_mm)
+    head = Canvas(step, low, high)
+    for add in (_braincase, _base, _face, _cheeks, _openings, _jaw, _teeth):
+        add(head)
+    return head
 
 
 UPPER_ARCH = (29.5, 50.0)
@@ -256,7 +80,8 @@ LOWER_CROWN_Z = (-99.0, -108.5)
 """Neck and edge of the upper, edge and neck of the lower crowns, mm: the teeth do not touch."""
 
 
-def _braincase(head: _Canvas) -> None:
+def vault() -> Body:
+    """The outer surface of the braincase, its floor among it; the inner one is WALL_MM inside."""
     back = ellipsoid((0, -14, 2), (71.5, 76, 65))
     front = ellipsoid((0, 24, 4), (58, 63, 57))
     egg = back.joined(front, 26)
@@ -269,8 +94,12 @@ def _braincase(head: _Canvas) -> None:
         return 1.0 / (1 + 9 * np.cosh(np.clip((y - 4) / 9, -9, 9)) ** -4 * 0.4)
 
     box_low, box_high = egg.low - 6, egg.high + 6
-    above = _Body(lambda x, y, z: (floor(y) - z) * slope(y) + 0 * x, box_low, box_high)
-    outer = egg.within(above, 14)
+    above = Body(lambda x, y, z: (floor(y) - z) * slope(y) + 0 * x, box_low, box_high)
+    return egg.within(above, 14)
+
+
+def _braincase(head: Canvas) -> None:
+    outer = vault()
 
     def sutures(x: Field, y: Field, z: Field) -> Field:
         zig = 1.2 * np.sin(x * 1.1) + 0.8 * np.sin(x * 0.47 + 1)
@@ -287,7 +116,7 @@ def _braincase(head: _Canvas) -> None:
         d = outer(x, y, z)
         return np.maximum(d + 0.9 * sutures(x, y, z), -(d + WALL_MM))
 
-    head.add(_Body(shell, outer.low - 3, outer.high + 3))
+    head.add(Body(shell, outer.low - 3, outer.high + 3))
     # Brow ridges and glabella, temporal lines, occipital protuberance with its nuchal line.
     brow = [(0, 84, -17), (8, 85, -14.5), (16, 85, -12), (26, 82.5, -10)]
     brow += [(36, 77, -10), (48, 66, -15)]
@@ -299,7 +128,7 @@ def _braincase(head: _Canvas) -> None:
     head.add(chain(nuchal, [1.5, 1.5, 1.5, 1.5, 2.0]), 7)
 
 
-def _base(head: _Canvas) -> None:
+def _base(head: Canvas) -> None:
     # Petrous ridges, clivus and sphenoid body, mastoids, condyles, styloid processes.
     head.add(rod((20, 6, -45), (54, -16, -44), 7, 10), 8)
     head.add(rod((0, -2, -57), (0, 26, -41), 9, 11, (0.8, 1, 1)), 8)
@@ -311,7 +140,7 @@ def _base(head: _Canvas) -> None:
     head.add(rod((22, 30, -38), (44, 44, -30), 7, 5), 7)
 
 
-def _orbit(grow: float = 0.0) -> _Body:
+def orbit(grow: float = 0.0) -> Body:
     """The cone of one orbit: rim ahead and outwards, apex back and inwards."""
     rim, apex = np.array([33.5, 77.0, -31.0]), np.array([17.0, 38.0, -28.0])
     ahead = rim + (rim - apex) * 0.6
@@ -320,11 +149,16 @@ def _orbit(grow: float = 0.0) -> _Body:
     return cone if grow else cone.joined(mouth, 3)
 
 
-def _face(head: _Canvas) -> None:
-    in_front = _Body(
+def ear_canal(grow: float = 0.0) -> Body:
+    """The way from outside into the petrous ridge."""
+    return rod((62, -9, -50), (40, -5, -48), 3.6 + grow, 2.8 + grow)
+
+
+def _face(head: Canvas) -> None:
+    in_front = Body(
         lambda x, y, z: y - (86.0 - 0.012 * x * x) + 0 * z, (-90, -90, -150), (90, 90, 90)
     )
-    head.add(_orbit(3.2).within(in_front, 4), 5)
+    head.add(orbit(3.2).within(in_front, 4), 5)
     # Maxilla, its frontal process and the nasal bones, ethmoid block between the orbits.
     head.add(ellipsoid((19, 62, -64), (20, 22, 20)), 8)
     head.add(rod((0, 62, -30), (0, 60, -60), 13, 16, (1, 0.75, 1)), 5)
@@ -338,7 +172,7 @@ def _face(head: _Canvas) -> None:
     head.add(ellipsoid((0, 87, -71), (5, 5, 5)), 5)
 
 
-def _cheeks(head: _Canvas) -> None:
+def _cheeks(head: Canvas) -> None:
     head.add(ellipsoid((45, 64, -56), (13, 11, 11), (0, 0, -35)), 7)
     head.add(rod((44, 66, -58), (28, 66, -70), 8, 7), 7)
     head.add(chain([(49, 66, -14), (52, 63, -28), (51, 63, -42), (48, 64, -54)], [5, 4.3, 5, 8]), 6)
@@ -347,13 +181,13 @@ def _cheeks(head: _Canvas) -> None:
     head.add(chain(arch, [7.5, 6.2, 5.4, 5.0, 5.4, 7], (1.7, 1.2, 1)), 6)
 
 
-def _openings(head: _Canvas) -> None:
-    head.cut(_orbit(), 2)
+def _openings(head: Canvas) -> None:
+    head.cut(orbit(), 2)
     # Optic canal and superior fissure lead from the apex into the skull.
     head.cut(rod((17, 40, -28), (11, 22, -27), 2.4), 2)
     # Nasal cavity: a pear in front, room behind it, choanae at the back.
     pear = chain([(0, 100, -43), (2.8, 100, -55), (6.5, 100, -64.5)], [4.0, 5.8, 6.6])
-    front = _Body(
+    front = Body(
         lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y, (-14, 66, -75), (14, 110, -38)
     )
     slab = block((0, 90, -55), (20, 26, 30), 0, 1)
@@ -370,13 +204,13 @@ def _openings(head: _Canvas) -> None:
     head.cut(ellipsoid((0, 56, -89), (23.5, 27, 13)), 4)
     # Infra-orbital and supra-orbital foramina, ear canal, jugular and carotid foramina.
     head.cut(rod((25, 92, -56), (25, 74, -53), 1.8), 1)
-    head.cut(rod((62, -9, -50), (40, -5, -48), 3.6, 2.8), 2)
+    head.cut(ear_canal(), 2)
     head.cut(rod((27, -10, -68), (25, -8, -50), 4), 2)
     # Foramen magnum, with the way up into the braincase.
     head.cut(ellipsoid((0, -24, -60), (15, 17.5, 40)).within(block((0, -24, -60), (30, 30, 22))), 3)
 
 
-def _jaw(head: _Canvas) -> None:
+def _jaw(head: Canvas) -> None:
     a, b = LOWER_ARCH
     angles = np.radians(np.linspace(0, 95, 20))
     path = [(a * np.sin(t), ARCH_Y + b * np.cos(t)) for t in angles]
@@ -414,7 +248,7 @@ def _curve(points: Sequence[tuple[float, float]], at: Floats) -> list[tuple[floa
     return [(float(x), float(y)) for x, y in spline(at)]
 
 
-def _teeth(head: _Canvas) -> None:
+def _teeth(head: Canvas) -> None:
     for arch, widths, (z0, z1), depths in (
         (UPPER_ARCH, UPPER_TEETH, UPPER_CROWN_Z, (6.5, 6, 7.5, 8.5, 8.5, 10.5, 10.5)),
         (LOWER_ARCH, LOWER_TEETH, LOWER_CROWN_Z, (5.5, 5.8, 7, 7.5, 8, 10, 10)),

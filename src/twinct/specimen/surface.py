@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import manifold3d
 import numpy as np
@@ -105,9 +105,14 @@ def refined(mesh: trimesh.Trimesh, longest_edge_mm: float) -> trimesh.Trimesh:
 
 
 def subtract(
-    mesh: trimesh.Trimesh, others: Sequence[trimesh.Trimesh], name: str
+    mesh: trimesh.Trimesh,
+    others: Sequence[trimesh.Trimesh],
+    name: str,
+    solid: Callable[[trimesh.Trimesh], manifold3d.Manifold] = to_manifold,
 ) -> trimesh.Trimesh:
     """What of a closed mesh lies outside all the others; it may be empty.
+
+    ``solid`` gives the solid of a mesh; see ``solids_once``.
 
     Raises:
         SpecimenError: the mesh, or one of the others, is no solid (it intersects itself badly).
@@ -115,14 +120,25 @@ def subtract(
     touching = [other for other in others if _boxes_meet(mesh, other)]
     if not touching:
         return mesh
-    solid = to_manifold(mesh)
-    tools = [to_manifold(other) for other in touching]
-    if solid.is_empty() or any(tool.is_empty() for tool in tools):
+    whole, tools = solid(mesh), [solid(other) for other in touching]
+    if whole.is_empty() or any(tool.is_empty() for tool in tools):
         raise SpecimenError(
             f"part {name!r} overlaps another part, but one of the two is not a solid that can "
             "be cut: its surface is not an orientable manifold"
         )
-    return from_manifold(solid - manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add))
+    return from_manifold(whole - manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add))
+
+
+def solids_once() -> Callable[[trimesh.Trimesh], manifold3d.Manifold]:
+    """``to_manifold`` that makes the solid of each mesh once, as long as the meshes are there."""
+    made: dict[int, manifold3d.Manifold] = {}
+
+    def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
+        if id(mesh) not in made:
+            made[id(mesh)] = to_manifold(mesh)
+        return made[id(mesh)]
+
+    return solid
 
 
 def _boxes_meet(a: trimesh.Trimesh, b: trimesh.Trimesh) -> bool:

@@ -1,0 +1,92 @@
+"""Soft parts about the built-in skull: the head with its airways, and the brain.
+
+Both are made in the skull's design frame and moved as the skull is, so that parts of the three
+kinds at one place fit together. List the skull last: where parts overlap the later one wins.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import trimesh
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+from twinct.specimen.implicit import Body, Canvas, block, ellipsoid, rod
+from twinct.specimen.skull import WALL_MM, ear_canal, orbit, skull_canvas, vault
+from twinct.specimen.surface import isosurface, surface
+
+MIDDLE = np.array([0.0, 1.7, -35.5])
+"""Where the middle of the skull's bounds lies in its design frame, mm."""
+
+SKIN_MM = 5.0
+"""From the bone that sticks out most to the skin."""
+
+BRIDGE_MM = 40.0
+"""A ball of this radius, rolled over the bones, does not get into orbits and under the cheeks: the
+skin runs where it rolls, and SKIN_MM further out (a morphological closing)."""
+
+
+def head_surface(scale: float = 1.0, resolution_mm: float = 2.0) -> trimesh.Trimesh:
+    """The closed surface of a head down to the chin: skin, nasal cavity, sinuses and throat.
+
+    Args:
+        scale: 1 is adult size, as of the skull.
+        resolution_mm: cell of the lattice that it is extracted on, mm of the scaled head.
+    """
+    return _head(float(scale), float(resolution_mm)).copy()
+
+
+def brain_surface(scale: float = 1.0, resolution_mm: float = 2.0) -> trimesh.Trimesh:
+    """The closed surface of what fills the braincase, to the middle of its wall.
+
+    Args:
+        scale: 1 is adult size, as of the skull.
+        resolution_mm: cell of the lattice that it is extracted on, mm of the scaled brain.
+    """
+    return _brain(float(scale), float(resolution_mm)).copy()
+
+
+@lru_cache(maxsize=2)
+def _head(scale: float, resolution_mm: float) -> trimesh.Trimesh:
+    step = resolution_mm / scale
+    head = skull_canvas(step, margin_mm=BRIDGE_MM + 2 * SKIN_MM)
+    head.add(vault())
+    head.add(rod((0, 84, -34), (0, 97, -60), 4, 6))  # the nose
+    neck = rod((0, -26, -60), (0, -22, -160), 52, flatten=(1, 1.15, 1))
+    head.add(neck.within(block((0, -24, -98), (60, 60, 40))))
+    # Distances are from the middles of voxels: those that bone reaches into count as bone.
+    away = distance_transform_edt(head.mirrored >= step / 2, sampling=step)
+    depth = distance_transform_edt(away < BRIDGE_MM, sampling=step)
+    outside = gaussian_filter(BRIDGE_MM - SKIN_MM - depth, 1.0)
+    head.field = np.asarray(outside[len(head.field) - 1 :], np.float32)
+    for body in _airways():
+        head.cut(body, 2)
+    return _placed(head, scale)
+
+
+@lru_cache(maxsize=2)
+def _brain(scale: float, resolution_mm: float) -> trimesh.Trimesh:
+    outer = vault()
+    brain = Canvas(resolution_mm / scale, outer.low * (0, 1, 1), outer.high)
+    brain.add(Body(lambda x, y, z: outer(x, y, z) + WALL_MM / 2, outer.low, outer.high))
+    brain.cut(orbit(1.6))
+    brain.cut(ear_canal(1.5))
+    return _placed(brain, scale)
+
+
+def _airways() -> tuple[Body, ...]:
+    """Where there is air; about 1.5 mm of mucosa are left on the bone."""
+    return (
+        ellipsoid((6, 52, -52), (6.5, 21.5, 15.5)),  # nasal cavity, its way out and back
+        rod((5, 66, -63), (5, 112, -66), 4, 3.5),
+        rod((6.5, 62, -60), (4, 16, -62), 4.5, 6),
+        ellipsoid((27, 63, -63), (8, 11.5, 8.5)),  # maxillary sinus
+        rod((0, 15, -62), (0, 14, -160), 8, 9, flatten=(0.8, 1, 1)),  # throat
+        ear_canal(-1.0),
+    )
+
+
+def _placed(canvas: Canvas, scale: float) -> trimesh.Trimesh:
+    mesh = isosurface(-canvas.mirrored, 0.0, canvas.affine)
+    return surface((mesh.vertices - MIDDLE) * scale, mesh.faces)
