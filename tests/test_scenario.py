@@ -215,6 +215,7 @@ def test_an_algorithm_in_words_is_its_keys_and_the_corrections() -> None:
     assert words("algorithm=fdk", "beam_hardening={kind: one_material}") == (
         "fdk, window ramp, beam hardening of one material"
     )
+    assert words("algorithm=fdk", "metal={method: nmar}").endswith(", metal replaced (nmar)")
 
 
 def test_a_key_of_another_algorithm_is_refused_where_its_own_was_chosen(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ PLANES = (("z", 8.0), ("z", -6.5), ("z", -76.8), ("x", -32.2), ("y", 68.3))
 
 
 def main() -> None:
+    """Build, sample, draw."""
     specimen = build_specimen(load_scenario(ROOT / "scenarios" / "head_screws.yaml").specimen)
     brain, bone = (material(name).mu_per_mm(KEV) for name in ("brain", "bone"))
     figure = Figure(figsize=(14, 3.9), facecolor="white", layout="constrained")

@@ -67,6 +67,8 @@ def changed(one: dict[str, str], other: dict[str, str]) -> set[str]:
         ("reconstruction.geometry=executed", {"volume"}),
         ("reconstruction.beam_hardening=null", set()),
         ("evaluation={regions: [{name: a, shape: {kind: sphere, radius_mm: 5}}]}", set()),
+        ("reconstruction.metal=null", set()),
+        ("reconstruction.metal={method: nmar}", {"volume"}),
     ],
 )
 def test_a_key_makes_anew_what_depends_on_it(override: str, stages: set[str]) -> None:

@@ -6,6 +6,7 @@ from twinct.recon.fast import fast
 from twinct.recon.fdk import fdk
 from twinct.recon.fista_tv import fista_tv
 from twinct.recon.memory import available_bytes, peak_bytes, refuse_if_short
+from twinct.recon.metal import WithoutMetal, without_metal
 from twinct.recon.orbit import Circle, fit_circle
 from twinct.recon.order import random_order, spread_order, weighted_distance
 from twinct.recon.os_sart import os_sart
@@ -24,6 +25,7 @@ __all__ = [
     "Problem",
     "Projector",
     "Step",
+    "WithoutMetal",
     "available_bytes",
     "cgls",
     "fast",
@@ -39,5 +41,6 @@ __all__ = [
     "sirt",
     "spread_order",
     "weighted_distance",
+    "without_metal",
     "without_surroundings",
 ]

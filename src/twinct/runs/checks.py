@@ -9,6 +9,7 @@ from twinct.evaluate import sight
 from twinct.extras import require
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
+from twinct.runs.metal import check_metal
 from twinct.runs.named import Places
 from twinct.scan import OWN, Workshop, named_geometries
 from twinct.scenario import Scenario, stage_digests
@@ -99,6 +100,7 @@ def check_physics(workshop: Workshop) -> None:
     for check in (
         lambda: check_parts(scenario.source, scenario.detector, workshop.commanded, scenario.seed),
         lambda: check_hardening(scenario),
+        lambda: check_metal(scenario),
     ):
         try:
             check()

@@ -24,10 +24,12 @@ from twinct.recon.algorithm import Problem
 from twinct.recon.algorithms import algorithms
 from twinct.recon.engine import asked_for
 from twinct.recon.memory import advice, peak_bytes, refuse_if_short
+from twinct.recon.metal import metal_bytes
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.steps import Step
 from twinct.recon.surroundings import surroundings_bytes, without_surroundings
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
+from twinct.runs.metal import metal_replaced
 from twinct.scan import Scan
 from twinct.scenario import SECTIONS, Scenario, parse_scenario, stage_digests
 from twinct.volume import Volume
@@ -124,7 +126,7 @@ def _reconstruct(
         for number, residual in enumerate(residuals, start=1):
             watch(number, residual)
     iterations: int = getattr(section, "iterations", 1)
-    if x0 is not None and done >= iterations:
+    if x0 is not None and done >= iterations and section.metal is None:
         return Volume(x0, grid)
     A = Projector(poses, grid)
     integrals = hardening_corrected(scenario, line_integrals(scan.transmission), A, pixels)
@@ -133,6 +135,13 @@ def _reconstruct(
             integrals = without_surroundings(
                 A, integrals, **dict(around), mask=pixels, callback=lambda _: tick()
             )
+    metal = None
+    if implants := section.metal:
+        with audience.stage("metal", implants.first_iterations * len(A)) as tick:
+            metal = metal_replaced(scenario, implants, integrals, A, pixels, lambda _: tick())
+        integrals = metal.line_integrals
+        if x0 is not None and done >= iterations:
+            return metal.put_back(Volume(x0, grid))
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
     updates = algorithm.updates(section, len(scan))
@@ -156,7 +165,8 @@ def _reconstruct(
             rng=view_rng(scenario.seed, "order of views", 0),
             callback=_Follower(tick, kept, told, done, residuals),
         )
-        return algorithm.solve(problem, section)
+        volume = algorithm.solve(problem, section)
+    return metal.put_back(volume) if metal else volume
 
 
 def _good_pixels(scan: Scan, mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
@@ -184,6 +194,8 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     if around := section.surroundings:
         own = surroundings_bytes(views, grid, margin_mm=around.margin_mm, voxel_mm=around.voxel_mm)
         stages["surroundings"] = held + own
+    if section.metal is not None:
+        stages["metal"] = held + metal_bytes(voxels, pixels)
     stages[algorithm.name] = held + peak_bytes(algorithm, voxels, pixels)
     return stages
 

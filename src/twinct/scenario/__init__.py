@@ -43,6 +43,7 @@ from twinct.scenario.loading import (
     scenario_schema,
     write_scenario,
 )
+from twinct.scenario.metal import Nmar
 from twinct.scenario.motion import InverseKinematics, Motion
 from twinct.scenario.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
 from twinct.scenario.scenario import AnyTrajectory, Scenario
@@ -108,6 +109,7 @@ __all__ = [
     "InverseKinematics",
     "MeshFile",
     "Motion",
+    "Nmar",
     "Noise",
     "OneMaterialHardening",
     "Part",

@@ -12,6 +12,7 @@ from twinct.geometry import Pose, VolumeGrid
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.algorithms import algorithms
 from twinct.scenario.beam_hardening import BeamHardening
+from twinct.scenario.metal import Nmar
 from twinct.settings import Lengths, Positive, Section, Vector, facts, setting
 
 log = logging.getLogger(__name__)
@@ -74,6 +75,7 @@ class Reconstruction(Section):
     beam_hardening: BeamHardening | None = setting(
         None, "Correction of line integrals before reconstruction."
     )
+    metal: Nmar | None = setting(None, "Replace what rays through metal say; the last correction.")
     geometry: GeometryName | tuple[GeometryName, ...] = setting(
         "believed",
         "Geometry to reconstruct from: commanded, executed, believed, or the name of one derived "
@@ -103,6 +105,8 @@ class Reconstruction(Section):
             words.append(f"beam hardening of {self.beam_hardening.kind.replace('_', ' ')}")
         if self.surroundings:
             words.append(f"surroundings of {self.surroundings.margin_mm:g} mm taken out")
+        if self.metal:
+            words.append(f"metal replaced ({self.metal.method})")
         return ", ".join(filter(None, words))
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,0 +1,67 @@
+"""Metal of a scan: from its scenario to line integrals without it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import InputError
+from twinct.recon.metal import WithoutMetal, without_metal
+from twinct.recon.projector import Projector
+from twinct.recon.steps import Callback
+from twinct.scenario import Nmar, Scenario
+
+_KEY = "reconstruction.metal"
+
+
+def metal_replaced(
+    scenario: Scenario,
+    section: Nmar,
+    integrals: NDArray[np.float32],
+    A: Projector,
+    mask: NDArray[np.bool_] | None,
+    callback: Callback,
+) -> WithoutMetal:
+    """Line integrals (views, rows, columns) without metal, and the metal."""
+    return without_metal(
+        A,
+        integrals,
+        **_attenuations(scenario, section),
+        threshold=section.threshold_per_mm,
+        first_iterations=section.first_iterations,
+        mask=mask,
+        callback=callback,
+    )
+
+
+def check_metal(scenario: Scenario) -> None:
+    """Look at what the reduction needs, before any work.
+
+    Raises:
+        InputError: unknown materials, each with its key, or such as do not attenuate more and more.
+    """
+    section = scenario.reconstruction.metal
+    if section is None:
+        return
+    mus = _attenuations(scenario, section)
+    if not mus["tissue"] < mus["bone"] < mus["metal"]:
+        told = ", ".join(f"{name} {mu:.3g}" for name, mu in mus.items())
+        raise InputError(f"{_KEY}: attenuation must rise from tissue to metal, it is {told} per mm")
+
+
+def _attenuations(scenario: Scenario, section: Nmar) -> dict[str, float]:
+    """Of tissue, bone and metal at the mean energy that the detector sees, 1/mm."""
+    from twinct.specimen.materials import material
+    from twinct.xray.build import effective_energy_kev
+
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    found: dict[str, float] = {}
+    problems: list[str] = []
+    for name in ("tissue", "bone", "metal"):
+        try:
+            found[name] = material(getattr(section, name), f"{_KEY}.{name}").mu_per_mm(energy)
+        except InputError as error:
+            problems += error.problems
+    if problems:
+        raise InputError(problems)
+    return found

@@ -1,0 +1,110 @@
+"""Metal as a scenario has it reduced: put back, gone on with, refused; without metal nothing."""
+
+import numpy as np
+import pytest
+
+from twinct.errors import InputError
+from twinct.recon import Projector, sart, without_metal
+from twinct.runs import line_integrals, reconstruct
+from twinct.runs.metal import check_metal
+from twinct.runs.volumes import memory_needed
+from twinct.scan import Scan
+from twinct.scenario import parse_scenario
+from twinct.specimen import material
+from twinct.trajectory import commanded_views
+from twinct.views import PosePairs
+
+TISSUE, METAL = 0.02, 0.2
+NMAR = {"method": "nmar", "metal": "titanium", "first_iterations": 2}
+
+
+def settings(**reconstruction):
+    grid = {"voxels": 24, "voxel_mm": 4.0}
+    return parse_scenario(
+        {
+            "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8.0},
+            "trajectory": {"kind": "circle", "views": 16},
+            "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 35}}]},
+            "uncertainty": {"source": {"sigma_mm": 0}, "detector": {"sigma_mm": 0}},
+            "reconstruction": {"grid": grid, "iterations": 3} | reconstruction,
+        }
+    )
+
+
+@pytest.fixture
+def scan():
+    """A ball of tissue with a ball of metal in its middle, or without, in numbers."""
+
+    def make(metal_mm=9.0, **reconstruction):
+        scenario = settings(**reconstruction)
+        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+        images = np.zeros((len(geometry), *geometry.panel.shape), np.float32)
+        for view, image in enumerate(images):
+            ray = geometry.pixel_centres(view) - geometry.source[view]
+            ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+            far = geometry.source[view] @ geometry.source[view] - (ray @ geometry.source[view]) ** 2
+            for radius, mu in ((35.0, TISSUE), (metal_mm, METAL)):
+                image += mu * 2 * np.sqrt(np.maximum(radius**2 - far, 0))
+        poses, views = PosePairs.from_geometry(geometry), len(geometry)
+        return Scan(
+            scenario=scenario,
+            transmission=np.exp(-images),
+            commanded=poses,
+            executed=poses,
+            executed_object=(),
+            joint_names=(),
+            joints=np.zeros((views, 0)),
+            simulated_s=np.arange(views, dtype=float),
+            clearance_mm=np.full(views, 50.0),
+        )
+
+    return make
+
+
+def test_line_integrals_are_replaced_and_metal_is_put_back(scan):
+    given = scan(metal=NMAR)
+    panel, section = given.scenario.detector.panel, given.scenario.reconstruction
+    A = Projector(given.believed.geometry(panel), section.grid.volume_grid)
+    names = {"tissue": "soft_tissue", "bone": "bone", "metal": "titanium"}
+    mus = {name: material(of).mu_per_mm(80.0) for name, of in names.items()}
+    rest = without_metal(A, line_integrals(given.transmission), **mus, first_iterations=2)
+    assert 8 < rest.voxels.size < 150
+    volume = sart(A, rest.line_integrals, iterations=3, relaxation=0.3)
+    assert np.array_equal(reconstruct(given).array, rest.put_back(volume).array)
+
+
+def test_without_metal_no_bit_changes(scan):
+    assert np.array_equal(
+        reconstruct(scan(metal_mm=0, metal=NMAR)).array, reconstruct(scan(metal_mm=0)).array
+    )
+
+
+def test_a_reconstruction_goes_on_and_is_found_finished(scan, tmp_path):
+    whole = reconstruct(scan(metal=NMAR)).array
+    reconstruct(scan(metal=NMAR), checkpoints=tmp_path)
+    heard = []
+    again = reconstruct(
+        scan(metal=NMAR), checkpoints=tmp_path, watch=lambda number, _: heard.append(number)
+    )
+    assert heard == [1, 2, 3]  # from the checkpoint
+    assert np.array_equal(again.array, whole)
+
+
+def test_its_memory_is_told(scan):
+    given = scan()
+    views = given.commanded.geometry(given.scenario.detector.panel)
+    plain, reduced = (memory_needed(settings(**keys), views) for keys in ({}, {"metal": NMAR}))
+    assert set(reduced) - set(plain) == {"metal"}
+    assert reduced["metal"] > plain["sart"] + 4 * 24**3
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"metal": "titanum"}, "reconstruction.metal.metal: unknown material 'titanum'"),
+        ({"bone": "water"}, r"reconstruction.metal: attenuation must rise .* bone 0.0184"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_any_work(keys, words):
+    with pytest.raises(InputError, match=words):
+        check_metal(settings(metal=NMAR | keys))
