@@ -183,6 +183,7 @@ def estimates(kind, folder, number):
         said = dry_run(study, jobs=1).estimate
         seconds = seconds_of(lambda study: run_study(study, folder / study["keep"], jobs=1), study)
         size = bytes_below([folder / keep])
+        assert said.seconds is not None, "one trial of the kind was run"
         print(
             f"{keep}: {size / 1e6:.1f} MB, {said.disk_bytes / size:.3f} x estimated; "
             f"{seconds:.0f} s, {said.seconds / seconds:.2f} x estimated"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
-from skimage.filters import threshold_otsu
+from skimage import filters as skimage_filters
 
 from twinct.geometry import VolumeGrid
 from twinct.recon.engine import Kernels, Singles
+
+filters: Any = skimage_filters  # it comes without types
 
 STEPS = 15
 """Of the dual iteration: they bring the objective within 2 % of the way to its minimum."""
@@ -69,5 +72,5 @@ def noise(x: Singles) -> float:
     mean = ndimage.uniform_filter(middle, 3)
     variance = ndimage.uniform_filter(np.square(middle), 3)
     variance -= np.square(mean)
-    found = variance[mean > threshold_otsu(mean)] if np.ptp(mean) > 0 else variance[:0]
+    found = variance[mean > filters.threshold_otsu(mean)] if np.ptp(mean) > 0 else variance[:0]
     return math.sqrt(max(float(np.percentile(found, 25)), 0.0)) if found.size else 0.0
