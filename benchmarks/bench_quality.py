@@ -1,0 +1,189 @@
+"""What algorithms reach in what time, on one scan: error near bone over seconds.
+
+python benchmarks/bench_quality.py out/paper --factor 2 --out quality
+python benchmarks/bench_quality.py out/paper --out quality --only sart fast
+
+The scan is a run's folder. ``--factor 2`` takes voxels and pixels twice as large, ``--every 4``
+each fourth view. Each way of reconstructing is judged after each of its passes, in the region that
+every view sees and against the run's truth; seconds are those of the algorithm alone. What is
+there already in OUT is not done again: a benchmark that was interrupted goes on. ``rtk`` is RTK's
+own SART, of ``--rtk`` passes.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from twinct.evaluate import edge_width, image_figures, region_of_interest
+from twinct.recon import Projector, fast, rtk_sart, sart, without_surroundings
+from twinct.recon.resolution import binned
+from twinct.recon.surroundings import coarse_grid
+from twinct.runs.again import load_scan
+from twinct.runs.volumes import line_integrals
+from twinct.volume import Volume
+
+AROUND = {"margin_mm": 30.0, "voxel_mm": 5.0}
+"""Of the surroundings; the skulls reach 25 mm beyond the paper's grid."""
+
+
+class Case:
+    """The scan of a run, in larger pixels and voxels, and what its volumes are judged against."""
+
+    def __init__(self, folder, geometry, factor, every):
+        scan = load_scan(folder)
+        panel, grid = scan.scenario.detector.panel, scan.scenario.reconstruction.grid.volume_grid
+        views = slice(0, None, every)
+        transmission, _ = binned(scan.transmission[views], None, (factor, factor))
+        truth = Volume.read(Path(folder) / "truth.nii").array
+        self.p = line_integrals(transmission)
+        self.grid = coarse_grid(grid, 0.0, factor * grid.voxel)
+        self.truth = fewer_voxels(truth, factor)
+        self.region = region_of_interest(scan.executed.geometry(panel)[views], self.grid)
+        self.mu = float(truth.max())
+        believed = scan.poses(geometry).geometry(panel)[views]
+        self.A = Projector(believed.binned(factor, factor), self.grid)
+
+    def judged(self, volume, seconds, passes):
+        """A point of the picture."""
+        found = image_figures(volume, self.truth, self.region, self.mu, self.grid)
+        width = edge_width(volume, self.truth, self.region, self.mu, self.grid)
+        return {
+            "passes": passes,
+            "seconds": seconds,
+            "rmse_rel": found.rmse_rel,
+            "rmse_bone_rel": found.rmse_bone_rel,
+            "edge_width_mm": width,
+        }
+
+
+def fewer_voxels(volume, factor):
+    """Means of blocks of voxels, plane by plane."""
+    z, y, x = (n // factor for n in volume.shape)
+    blocks = (volume[i * factor : (i + 1) * factor] for i in range(z))
+    return np.stack([b.reshape(factor, y, factor, x, factor).mean((0, 2, 4)) for b in blocks])
+
+
+def passes_of(case, solve, number, seconds=0.0):
+    """Judge the volume after each pass of an algorithm that calls back; the clock stands still."""
+    points, clock = [], [time.perf_counter() - seconds]
+
+    def watch(step):
+        if step.update + 1 == step.updates:
+            spent = time.perf_counter() - clock[0]
+            points.append(case.judged(step.volume, spent, step.iteration + 1))
+            print(f"  {points[-1]['seconds']:.1f} s: {points[-1]['rmse_bone_rel']:.4f}", flush=True)
+            clock[0] = time.perf_counter() - spent
+
+    solve(iterations=number, callback=watch)
+    return points
+
+
+def plain_sart(case, options):
+    """The paper's."""
+    return passes_of(
+        case, lambda **more: sart(case.A, case.p, relaxation=0.3, **more), options.iterations
+    )
+
+
+def better_sart(case, options):
+    """With the surroundings taken out, and no negative voxel."""
+    start = time.perf_counter()
+    rest = without_surroundings(case.A, case.p, **AROUND)
+
+    def solve(**more):
+        sart(case.A, rest, relaxation=0.3, nonnegative=True, **more)
+
+    return passes_of(case, solve, options.iterations, time.perf_counter() - start)
+
+
+def whole(case, solve, passes):
+    """One point, of an algorithm that is one call."""
+    start = time.perf_counter()
+    volume = solve().array
+    return [case.judged(volume, time.perf_counter() - start, passes)]
+
+
+def preset(passes):
+    """``fast``, with so many passes at full resolution."""
+    return lambda case, options: whole(case, lambda: fast(case.A, case.p, passes=passes), passes)
+
+
+def rtks(case, options):
+    """RTK's SART, one pass a call."""
+    points, volume, seconds = [], None, 0.0
+    for number in range(1, options.rtk + 1):
+        start = time.perf_counter()
+        volume = rtk_sart(
+            case.p, case.A.geometry, case.grid, iterations=1, relaxation=0.3, x0=volume
+        ).array
+        seconds += time.perf_counter() - start
+        points.append(case.judged(volume, seconds, number))
+    return points
+
+
+WAYS = {
+    "sart": (plain_sart, "sart, relaxation 0.3 (the paper's)"),
+    "sart, surroundings": (better_sart, "the same, surroundings taken out, non-negative"),
+    "fast": (preset(1), "fast"),
+    "fast 2": (preset(2), "fast, two passes"),
+    "rtk": (rtks, "RTK's SART"),
+}
+
+
+def draw(found, path, title):
+    """Error near bone over seconds."""
+    figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    for name, points in found.items():
+        seconds = [point["seconds"] for point in points]
+        errors = [100 * point["rmse_bone_rel"] for point in points]
+        axes.plot(seconds, errors, "o-", label=WAYS[name][1])
+    axes.set(xscale="log", xlabel="seconds", ylabel="RMSE within 3 mm of bone, % of mu(bone)")
+    axes.set_ylim(bottom=0)
+    axes.set_title(title)
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=120)
+
+
+def main():
+    """Reconstruct in each way that is asked for and not there yet."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("folder")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--geometry", default="believed")
+    parser.add_argument("--factor", type=int, default=1)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--iterations", type=int, default=10)
+    parser.add_argument("--rtk", type=int, default=1)
+    parser.add_argument("--only", nargs="+", choices=WAYS, default=list(WAYS))
+    options = parser.parse_args()
+    case = Case(options.folder, options.geometry, options.factor, options.every)
+    name = f"{options.geometry}-{case.grid.shape[0]}-{len(case.A)}"
+    options.out.mkdir(parents=True, exist_ok=True)
+    kept = options.out / f"{name}.json"
+    found = json.loads(kept.read_text()) if kept.exists() else {}
+    for way in options.only:
+        if way not in found:
+            print(way, flush=True)
+            found[way] = WAYS[way][0](case, options)
+            kept.write_text(json.dumps(found, indent=1))
+    for way, points in found.items():
+        best = min(points, key=lambda point: point["rmse_bone_rel"])
+        print(
+            f"{WAYS[way][1]}: {100 * best['rmse_bone_rel']:.2f} % near bone after "
+            f"{best['passes']} passes, {best['seconds']:.0f} s; "
+            f"edges {best['edge_width_mm']:.2f} mm; all passes {points[-1]['seconds']:.0f} s"
+        )
+    views, rows, columns = case.A.range_shape
+    size = f"{case.grid.shape[0]}³ voxels, {views} views of {columns} x {rows}"
+    draw(found, options.out / f"{name}.png", f"{size}, {options.geometry} poses")
+
+
+if __name__ == "__main__":
+    main()
