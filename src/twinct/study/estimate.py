@@ -81,8 +81,8 @@ def page_kind(study: Study) -> str:
 
 
 def page_parts(combinations: int) -> int:
-    """Into how many parts of about one size a page goes: trends, and each of the best trials."""
-    return 1 + min(combinations, MOST_SHOWN)
+    """Into how many parts of about one size a page goes: its best trials; trends take little."""
+    return max(min(combinations, MOST_SHOWN), 1)
 
 
 def bytes_below(paths: Iterable[Path]) -> int:
