@@ -7,6 +7,7 @@ from twinct.errors import InputError
 from twinct.evaluate import region_of_interest
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, cgls, sart, without_surroundings
+from twinct.recon.resolution import interpolated
 from twinct.recon.surroundings import coarse_grid
 
 pytestmark = pytest.mark.usefixtures("engine")
@@ -89,3 +90,30 @@ def test_wrong_arguments_are_named(truncated):
     assert len(caught.value.problems) == 3
     with pytest.raises(InputError, match="margin_mm 190, the grid reaches .* behind the source"):
         without_surroundings(A, p, margin_mm=190, voxel_mm=10)
+
+
+def test_margins_may_differ_from_side_to_side():
+    place = Pose.from_euler((5, -3, 2), (10, 20, 30))
+    grid = VolumeGrid((50, 40, 30), (1.0, 1.1, 0.9), place)
+    below, above = np.array([4.0, 0.0, 9.0]), np.array([0.0, 13.0, 2.0])
+    coarse = coarse_grid(grid, (below, above), 4.0)
+    middle = grid.world_from_grid.inverse().apply(coarse.world_from_grid.position)
+    for side, least in ((-1, below), (1, above)):
+        spare = coarse.size_mm / 2 + side * middle - grid.size_mm / 2
+        assert (spare >= least - 1e-9).all() and (spare < least + coarse.voxel).all()
+        np.testing.assert_allclose(spare / coarse.voxel, np.round(spare / coarse.voxel), atol=1e-9)
+
+
+def test_a_volume_stays_where_it_is_between_grids():
+    place = Pose.from_euler((5, -3, 2), (10, 20, 30))
+    fine = VolumeGrid((12, 14, 16), 1.0, place)
+    coarse = coarse_grid(fine, ((4.0, 0.0, 9.0), (0.0, 13.0, 2.0)), 4.0)
+
+    def ramp(grid):
+        k, j, i = np.indices(grid.shape).reshape(3, -1)
+        points = (grid.affine @ np.stack([i, j, k, np.ones_like(i)]))[:3].T
+        return (points @ [1.0, -2.0, 0.5]).reshape(grid.shape).astype(np.float32)
+
+    found = interpolated(ramp(coarse), coarse, fine)
+    inner = tuple(slice(2, -2) for _ in range(3))  # at the borders the outermost voxels go on
+    np.testing.assert_allclose(found[inner], ramp(fine)[inner], atol=1e-4)

@@ -61,6 +61,15 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
 
 
 @pytest.mark.tutorial
+def test_a_zoom_is_free_of_what_lies_around_it(folder: Path) -> None:
+    zoom = "reconstruction.zoom={centre_mm: [0, 0, 20], size_mm: 60, voxel_mm: 4}"
+    near = reconstruct_again(folder, ["reconstruction.iterations=5", zoom], name="near")
+    np.testing.assert_allclose(near.volume.grid.voxel, 4)
+    alone = "reconstruction.grid={centre_mm: [0, 0, 20], voxels: 15, voxel_mm: 4}"
+    bare = reconstruct_again(folder, ["reconstruction.iterations=5", alone], name="bare")
+    assert near.figures.rmse_rel < 0.5 * bare.figures.rmse_rel
+
+
 def test_a_run_goes_on_with_a_geometry_that_was_derived_from_its_scan(
     folder: Path, finished: Run
 ) -> None:

@@ -68,6 +68,8 @@ def changed(one: dict[str, str], other: dict[str, str]) -> set[str]:
         ("reconstruction.beam_hardening=null", set()),
         ("evaluation={regions: [{name: a, shape: {kind: sphere, radius_mm: 5}}]}", set()),
         ("reconstruction.metal=null", set()),
+        ("reconstruction.zoom=null", set()),
+        ("reconstruction.zoom={size_mm: 9, voxel_mm: 1}", {"volume"}),
         ("reconstruction.metal={method: nmar}", {"volume"}),
     ],
 )

@@ -341,7 +341,7 @@ def specimen(
     with named_places(scenario, set_):
         energy = effective_energy_kev(loaded.source, loaded.detector)
         built = Workshop(loaded).specimen
-    grid = loaded.reconstruction.grid.volume_grid
+    grid = loaded.reconstruction.volume_grid
     table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)

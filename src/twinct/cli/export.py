@@ -60,7 +60,7 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
 
         origin = {"scan": scenario.name, "scan digest": store.digests["images"], "geometry": which}
         origin["views"] = f"{views} of {store.views}"
-        grid = scenario.reconstruction.grid.volume_grid
+        grid = scenario.reconstruction.volume_grid
         write_bundle(out, toolkit, Bundle(geometry, grid, images(), values, origin))
     say(f"wrote {out}; its README.txt says more")
 

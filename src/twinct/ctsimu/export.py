@@ -182,7 +182,7 @@ def _drift(values: Floats, unit: str, known: bool) -> Json | None:
 
 
 def _trajectory(scan: Scan, known: PosePairs, name: str) -> Json:
-    grid = scan.scenario.reconstruction.grid.volume_grid
+    grid = scan.scenario.reconstruction.volume_grid
     geometry = known.geometry(scan.scenario.detector.panel)
     local = grid.world_from_grid.inverse() @ geometry
     files = [f"{name}_{view:04d}.tif" for view in range(len(scan))]

@@ -52,13 +52,17 @@ def _blocks(
 
 
 def interpolated(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:
-    """A volume at the voxels of another grid about the same middle, (z, y, x), trilinear.
+    """A volume at the voxels of another grid with the same axes, (z, y, x), trilinear.
 
     Beside the volume its outermost voxels go on.
     """
+    away = at.world_from_grid.position - of.world_from_grid.position
+    shift = of.world_from_grid.rotation.T @ away
     z, y, x = (
-        own / edge + (n - 1) / 2
-        for own, edge, n in zip(at.axes()[::-1], of.voxel[::-1], of.shape, strict=True)
+        (own + middle) / edge + (n - 1) / 2
+        for own, middle, edge, n in zip(
+            at.axes()[::-1], shift[::-1], of.voxel[::-1], of.shape, strict=True
+        )
     )
     fine = np.empty(at.shape, np.float32)
     places = cast(list[Floats], np.meshgrid(y, x, indexing="ij"))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.errors import InputError
-from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
@@ -22,7 +22,7 @@ def without_surroundings(
     A: Projector,
     line_integrals: ArrayLike,
     *,
-    margin_mm: float,
+    margin_mm: float | ArrayLike,
     voxel_mm: float,
     iterations: int = 5,
     relaxation: float = 0.3,
@@ -53,7 +53,8 @@ def without_surroundings(
     Args:
         A: the projector, with the believed geometry and the grid that will be reconstructed.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        margin_mm: by how much the coarse grid is larger, on each side.
+        margin_mm: by how much the coarse grid is larger, on each side; or for each axis; or
+            ((x, y, z), (x, y, z)) on the lower and on the upper sides.
         voxel_mm: coarse voxel edge; changed a little so that a whole number of them spans the grid.
         iterations: of the coarse ``sart``.
         relaxation: of the coarse ``sart``.
@@ -70,14 +71,16 @@ def without_surroundings(
     geometry, grid = A.geometry, A.grid
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
-    for name, value in (("margin_mm", margin_mm), ("voxel_mm", voxel_mm)):
-        if not (value > 0 and math.isfinite(value)):
-            checks.problems.append(f"{name} is {value!r}: a finite number above 0 needed")
+    margins = np.asarray(margin_mm, dtype=np.float64)
+    if not (np.isfinite(margins).all() and (margins >= 0).all() and margins.any()):
+        checks.problems.append(f"margin_mm is {margin_mm!r}: a finite number above 0 needed")
+    if not (voxel_mm > 0 and math.isfinite(voxel_mm)):
+        checks.problems.append(f"voxel_mm is {voxel_mm!r}: a finite number above 0 needed")
     checks.done()
-    coarse = coarse_grid(grid, margin_mm, voxel_mm)
+    coarse = coarse_grid(grid, margins, voxel_mm)
     factors = _binning(geometry, coarse)
     refuse_if_short(
-        surroundings_bytes(geometry, grid, margin_mm=margin_mm, voxel_mm=voxel_mm),
+        surroundings_bytes(geometry, grid, margin_mm=margins, voxel_mm=voxel_mm),
         f"taking out the surroundings on {coarse.shape} voxels",
         advice(),
     )
@@ -85,7 +88,7 @@ def without_surroundings(
         outer = A.on(coarse)
     except InputError as error:
         raise InputError(
-            f"with margin_mm {margin_mm:g}, {problem}" for problem in error.problems
+            f"with margin_mm {margins.max():g}, {problem}" for problem in error.problems
         ) from None
     coarser, coarser_mask = binned(p, pixels, factors)
     volume = sart(
@@ -108,7 +111,7 @@ def without_surroundings(
 
 
 def surroundings_bytes(
-    geometry: ScanGeometry, grid: VolumeGrid, *, margin_mm: float, voxel_mm: float
+    geometry: ScanGeometry, grid: VolumeGrid, *, margin_mm: float | ArrayLike, voxel_mm: float
 ) -> int:
     """Bytes that ``without_surroundings`` takes beside the line integrals that it is given."""
     coarse = coarse_grid(grid, margin_mm, voxel_mm)
@@ -119,13 +122,17 @@ def surroundings_bytes(
 
 
 def coarse_grid(
-    grid: VolumeGrid, margin_mm: float | Floats, voxel_mm: float | Floats
+    grid: VolumeGrid, margin_mm: float | ArrayLike, voxel_mm: float | Floats
 ) -> VolumeGrid:
-    """A grid larger by a margin on every side, whose planes include the borders of the grid."""
+    """A grid larger by a margin, as in ``without_surroundings``, with planes on all its borders."""
     across = np.maximum(np.round(grid.size_mm / voxel_mm), 1).astype(int)
     edges = grid.size_mm / across
-    margin = np.ceil(margin_mm / edges - 1e-9).astype(int)
-    return VolumeGrid((across + 2 * margin)[::-1].tolist(), edges, grid.world_from_grid)
+    margins = np.broadcast_to(np.asarray(margin_mm, dtype=np.float64), (2, 3))
+    below, above = np.ceil(margins / edges - 1e-9).astype(int)
+    place = grid.world_from_grid
+    if (below != above).any():
+        place = place @ Pose.from_matrix((above - below) * edges / 2, np.eye(3))
+    return VolumeGrid((across + below + above)[::-1].tolist(), edges, place)
 
 
 def _binning(geometry: ScanGeometry, coarse: VolumeGrid) -> tuple[int, int]:

@@ -81,7 +81,7 @@ class Comparison:
                     f"{first.mu_reference:.4g} per mm of {one.reference} and {first.reference}: "
                     "shares of them compare, attenuations do not."
                 )
-            grids = (each.scenario.reconstruction.grid.volume_grid for each in (one, first))
+            grids = (each.scenario.reconstruction.volume_grid for each in (one, first))
             if len({repr(grid) for grid in grids}) > 1:
                 found.append(f"{both} have different grids: each is judged in its own voxels.")
             versions = [str(each.metrics.get("twinct_version")) for each in (one, first)]

@@ -215,7 +215,7 @@ def _machine(cell: AnyCell) -> dict[str, str]:
 def _setting(report: ReportData) -> dict[str, str]:
     """The experiment in a few lines."""
     scenario = report.scenario
-    grid = scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.volume_grid
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
     return {
         "Specimen": ", ".join(

@@ -142,7 +142,7 @@ def _made(
         observers=audience,
     )
     seconds = time.perf_counter() - start
-    grid = scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.volume_grid
     name, digest, of_geometry = called
     found = Reconstruction(
         name=name,

@@ -25,7 +25,7 @@ def check_sight(workshop: Workshop) -> list[str]:
         InputError: see ``check_places``.
     """
     place = workshop.specimen.world_from_specimen
-    grid = workshop.scenario.reconstruction.grid.volume_grid
+    grid = workshop.scenario.reconstruction.volume_grid
     seen = sight(workshop.commanded, place.apply(workshop.hull.vertices), grid)
     x, y, z = place.position
     where = f"the specimen at ({x:g}, {y:g}, {z:g}) mm (specimen.position_mm)"
@@ -70,14 +70,14 @@ def check_places(workshop: Workshop) -> None:
     scenario = workshop.scenario
     if scenario.evaluation is None:
         return
-    specimen, grid = workshop.specimen, scenario.reconstruction.grid.volume_grid
+    specimen, grid = workshop.specimen, scenario.reconstruction.volume_grid
     if problems := Places(scenario, specimen, specimen.world_from_specimen, grid).check():
         raise InputError(problems)
 
 
 def _size(workshop: Workshop) -> SpecimenSize:
     scenario = workshop.scenario
-    grid = scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.volume_grid
     return specimen_size(scenario.specimen, workshop.specimen, workshop.commanded, grid)
 
 
@@ -119,7 +119,7 @@ def findings(workshop: Workshop) -> dict[str, str]:
         TrajectoryError: views that cannot be reached, or would collide.
     """
     scenario, plan = workshop.scenario, workshop.plan
-    grid = scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.volume_grid
     physics = physics_in_words(scenario, *workshop.commanded_poses[0])
     if plan is None:
         clearance = {"motion": "a gantry, exactly where it is told"}

@@ -124,7 +124,7 @@ def _compared(
 
     scenario, run, kept = entry.scenario, entry.run, entry.kept
     energy = effective_energy_kev(scenario.source, scenario.detector)
-    scan, grid = run.scan, scenario.reconstruction.grid.volume_grid
+    scan, grid = run.scan, scenario.reconstruction.volume_grid
     stands = scan.executed_object[len(scan) // 2]
     if not planes:
 

@@ -60,7 +60,7 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
         and ``report``.
     """
     views = Workshop(scenario).asked  # what the plan may choose takes no bytes
-    grid, panel = scenario.reconstruction.grid.volume_grid, scenario.detector.panel
+    grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"
     specimen = PROCESS_BYTES + _specimen_bytes(scenario)

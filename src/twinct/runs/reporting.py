@@ -67,7 +67,7 @@ class Truth:
 
     def write(self, path: Path, scan: Scan) -> None:
         """Write the volume as NIfTI, on the grid of the scan's reconstruction."""
-        grid = scan.scenario.reconstruction.grid.volume_grid
+        grid = scan.scenario.reconstruction.volume_grid
         Volume(self.volume, grid).write(path, "twinct truth, 1/mm")
 
 
@@ -76,7 +76,7 @@ def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -
     from twinct.xray.build import effective_energy_kev
 
     scenario = scan.scenario
-    grid = scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.volume_grid
     energy = effective_energy_kev(scenario.source, scenario.detector)
     # The specimen stands still: any view's pose would do, but for rounding.
     stands = scan.executed_object[len(scan) // 2]
@@ -96,7 +96,7 @@ def judge(
     Its parts are those of the specimen, which is built where it is needed and not given.
     """
     scenario, array = scan.scenario, volume.array
-    grid, mu = scenario.reconstruction.grid.volume_grid, truth.mu_reference
+    grid, mu = scenario.reconstruction.volume_grid, truth.mu_reference
     figures = image_figures(array, truth.volume, truth.region, mu, grid)
     depth = region_depth(scan.executed.geometry(scenario.detector.panel), grid)
     further: dict[str, Any] = {
@@ -217,7 +217,7 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
 def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData:
     """All that a report shows but most figures."""
     scenario, plan, truth = workshop.scenario, workshop.plan, results.truth
-    grid = scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.volume_grid
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
     return ReportData(
         scenario=scenario,

@@ -117,7 +117,7 @@ def _reconstruct(
     if algorithm.masks:
         pixels = _good_pixels(scan, pixels)
     poses = scan.poses(which).geometry(scenario.detector.panel)
-    grid = section.grid.volume_grid
+    grid = section.volume_grid
     kept = _Checkpoints(None, "")
     if checkpoints is not None and algorithm.resumes:
         kept = _Checkpoints(checkpoints, f"{which}-{_digest(scan, poses, pixels)[:16]}")
@@ -130,10 +130,10 @@ def _reconstruct(
         return Volume(x0, grid)
     A = Projector(poses, grid)
     integrals = hardening_corrected(scenario, line_integrals(scan.transmission), A, pixels)
-    if around := section.surroundings:
+    if around := section.around:
         with audience.stage("surroundings", around.iterations * len(A)) as tick:
             integrals = without_surroundings(
-                A, integrals, **dict(around), mask=pixels, callback=lambda _: tick()
+                A, integrals, **around._asdict(), mask=pixels, callback=lambda _: tick()
             )
     metal = None
     if implants := section.metal:
@@ -184,14 +184,14 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     """Bytes of each stage of a reconstruction at its peak, with what a run holds beside it."""
     section = scenario.reconstruction
     algorithm = algorithms()[section.algorithm]
-    grid = section.grid.volume_grid
+    grid = section.volume_grid
     voxels, pixels = math.prod(grid.shape), len(views) * math.prod(views.panel.shape)
     # Transmission and line integrals; the truth and its region, and the first of several volumes.
     held = 8 * pixels + 5 * voxels + (4 * voxels if len(section.geometries) > 1 else 0)
     stages: dict[str, int] = {}
     if section.beam_hardening is not None:
         stages["beam hardening"] = held + hardening_bytes(section.beam_hardening, voxels, pixels)
-    if around := section.surroundings:
+    if around := section.around:
         own = surroundings_bytes(views, grid, margin_mm=around.margin_mm, voxel_mm=around.voxel_mm)
         stages["surroundings"] = held + own
     if section.metal is not None:
@@ -209,7 +209,7 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     """
     asked_for()
     algorithm = algorithms()[scenario.reconstruction.algorithm]
-    grid = scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.volume_grid
     check_grid(commanded, grid)
     algorithm.check(commanded)
     stages = memory_needed(scenario, commanded)

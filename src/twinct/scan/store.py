@@ -62,7 +62,7 @@ def check_space(folder: Path, scenario: Scenario, views: int) -> None:
     Raises:
         StorageError: with the bytes needed and the bytes free.
     """
-    grid = scenario.reconstruction.grid.volume_grid
+    grid = scenario.reconstruction.volume_grid
     kept = 1 + len(scenario.detector.keep)
     images = kept * views * scenario.detector.rows * scenario.detector.columns * 4
     volumes = 3 * int(np.prod(grid.shape)) * 4

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Union, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Union, cast
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
-from twinct.geometry import Pose, VolumeGrid
+from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.algorithms import algorithms
 from twinct.scenario.beam_hardening import BeamHardening
@@ -65,6 +66,30 @@ class Surroundings(Section):
     relaxation: float = setting(0.3, "Of the coarse SART.", gt=0, lt=2)
 
 
+class Zoom(Section):
+    """A region with finer voxels, reconstructed in place of the grid; its axes are the grid's."""
+
+    centre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the region in the world.")
+    size_mm: Positive | Lengths = Field(description="Edges of the region; three for (x, y, z).")
+    voxel_mm: Positive = Field(description="Voxel edge; changed a little to fit the region.")
+    iterations: int = setting(
+        5,
+        "Of a SART on the whole grid: what of it lies around the region is taken out.",
+        ge=1,
+        le=10_000,
+    )
+    relaxation: float = setting(0.3, "Of that SART.", gt=0, lt=2)
+
+
+class Around(NamedTuple):
+    """What is taken out before a volume is made: arguments of ``without_surroundings``."""
+
+    margin_mm: float | tuple[tuple[float, ...], ...]
+    voxel_mm: float
+    iterations: int
+    relaxation: float
+
+
 class Reconstruction(Section):
     """From projections to a volume: the keys that all algorithms share; each adds its own."""
 
@@ -84,12 +109,52 @@ class Reconstruction(Section):
         source="the paper",
     )
     grid: Grid = setting(Grid(), "The voxels.")
+    zoom: Zoom | None = setting(
+        None, "Reconstruct a part of the grid alone, in finer voxels; the rest of it is taken out."
+    )
 
     @model_validator(mode="after")
     def _distinct_geometries(self) -> Reconstruction:
         if not self.geometries or len(set(self.geometries)) != len(self.geometries):
             raise ValueError("geometry must name at least one geometry, each once")
         return self
+
+    @model_validator(mode="after")
+    def _zoom_in_grid(self) -> Reconstruction:
+        if self.zoom is not None and (beyond := -np.min(self._sides())) > 1e-6:
+            raise ValueError(f"zoom reaches {beyond:.1f} mm beyond the grid: a part of it needed")
+        return self
+
+    @property
+    def volume_grid(self) -> VolumeGrid:
+        """The voxels of the volume that is made: the grid's, or the zoom's."""
+        whole = self.grid.volume_grid
+        if self.zoom is None:
+            return whole
+        size = np.broadcast_to(np.asarray(self.zoom.size_mm, dtype=np.float64), (3,))
+        across = np.maximum(np.round(size / self.zoom.voxel_mm), 2).astype(int)
+        place = Pose.from_euler(self.zoom.centre_mm, self.grid.rotation_deg)
+        return VolumeGrid(across[::-1].tolist(), size / across, place)
+
+    @property
+    def around(self) -> Around | None:
+        """What is taken out first; with both, surroundings begin where the whole grid ends."""
+        zoom, wide = self.zoom, self.surroundings
+        if zoom is None:
+            return None if wide is None else Around(**dict(wide))
+        margins = np.maximum(self._sides(), 0) + (wide.margin_mm if wide else 0.0)
+        if not margins.any():
+            return None
+        edge = float(self.grid.volume_grid.voxel.min())
+        sides = tuple(tuple(side.tolist()) for side in margins)
+        return Around(sides, edge, zoom.iterations, zoom.relaxation)
+
+    def _sides(self) -> Floats:
+        """How far the whole grid reaches beyond the zoom, (2, 3): below and above, mm."""
+        whole, part = self.grid.volume_grid, self.volume_grid
+        middle = whole.world_from_grid.inverse().apply(part.world_from_grid.position)
+        spare = (whole.size_mm - part.size_mm) / 2
+        return np.stack([spare + middle, spare - middle])
 
     @property
     def geometries(self) -> tuple[GeometryName, ...]:
@@ -105,6 +170,9 @@ class Reconstruction(Section):
             words.append(f"beam hardening of {self.beam_hardening.kind.replace('_', ' ')}")
         if self.surroundings:
             words.append(f"surroundings of {self.surroundings.margin_mm:g} mm taken out")
+        if self.zoom:
+            voxel = self.volume_grid.voxel.min()
+            words.append(f"zoom with voxels of {voxel:.3g} mm")
         if self.metal:
             words.append(f"metal replaced ({self.metal.method})")
         return ", ".join(filter(None, words))

@@ -234,7 +234,7 @@ def _figures(
         with seconds.stage("judge"):
             images[which] = judge(scan, volume, truth, specimen)
         if not sections:
-            grid = scenario.reconstruction.grid.volume_grid
+            grid = scenario.reconstruction.volume_grid
             shown = cross_sections(volume.array, truth.volume, truth.region, grid)
             sections = packed_sections(shown, truth.mu_reference)
             if errand.keep == "volume":
@@ -270,7 +270,7 @@ def _whole_run(
         workshop=Workshop(scenario, plan, specimen),
     )
     seconds.stages |= finished.figures["seconds"]
-    grid, truth = scenario.reconstruction.grid.volume_grid, Volume.read(finished.paths.truth).array
+    grid, truth = scenario.reconstruction.volume_grid, Volume.read(finished.paths.truth).array
     region = region_of_interest(finished.scan.executed.geometry(scenario.detector.panel), grid)
     shown = cross_sections(finished.volume.array, truth, region, grid)
     found = {
