@@ -116,8 +116,8 @@ def test_every_wrong_argument_is_named(name, scan):
     if name not in ("fdk", "fast"):
         extra = {"iterations": 0, "x0": np.zeros((2, 2, 2))}
         names += ["iterations is 0: a whole number of at least 1", "x0 has shape (2, 2, 2)"]
-    if name in (*RESUMABLE, "fast"):
-        extra["relaxation"] = 2.0
+    if name in RESUMABLE or name == "fast":
+        extra["first_relaxation" if name == "fast" else "relaxation"] = 2.0
         names.append("relaxation is 2.0: above 0 and below 2")
     if name in ("os_sart", "fista_tv"):
         extra["subsets"] = 25

@@ -35,7 +35,7 @@ def bodies(circle, ellipsoid_integrals):
 def test_one_level_without_more_is_sart(bodies):
     A, p, _ = bodies
     A, p = A[::2], p[::2]  # fewer views than voxels along an axis: the relaxation stays
-    own = fast(A, p, passes=2, levels=1, relaxation=0.5, regularisation=0)
+    own = fast(A, p, passes=2, levels=1, first_relaxation=0.5, regularisation=0)
     other = sart(A, p, iterations=2, relaxation=0.5, nonnegative=True)
     np.testing.assert_array_equal(own, other)
 

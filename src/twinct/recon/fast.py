@@ -42,7 +42,7 @@ class Fast(AlgorithmSettings):
     levels: int = Field(
         default=3, ge=1, le=6, description="Resolutions, each with voxels and pixels twice as fine."
     )
-    relaxation: float = Field(
+    first_relaxation: float = Field(
         default=1.5,
         gt=0,
         lt=2,
@@ -70,7 +70,7 @@ def fast(
     passes: int = 1,
     coarse_passes: int = 4,
     levels: int = 3,
-    relaxation: float = 1.5,
+    first_relaxation: float = 1.5,
     regularisation: float | None = None,
     margin: float = 0.2,
     nonnegative: bool = True,
@@ -99,7 +99,7 @@ def fast(
         passes: at full resolution, at least 1.
         coarse_passes: at each coarser level, at least 1.
         levels: at least 1; fewer where the coarsest would have less than 8 voxels or pixels.
-        relaxation: first one of a level, between 0 and 2, both excluded.
+        first_relaxation: of the first update of a level, between 0 and 2, both excluded.
         regularisation: strength of the total variation in voxel edges times the unit of the result;
             0 for none; from the noise if not given.
         margin: share of the grid's size along each axis by which the coarsest grid is larger, on
@@ -117,7 +117,7 @@ def fast(
     passes = checks.count("passes", passes)
     coarse_passes = checks.count("coarse_passes", coarse_passes)
     levels = checks.count("levels", levels)
-    relaxation = checks.relaxation(relaxation)
+    relaxation = checks.relaxation(first_relaxation)
     margin = checks.not_negative("margin", margin)
     if regularisation is not None:
         regularisation = checks.not_negative("regularisation", regularisation)
