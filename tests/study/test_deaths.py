@@ -57,6 +57,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("study") / "study.yaml"
     again = {"number": 2, "key": "uncertainty.seed"}
     told = {"scenario": SCENARIO, "axes": [reconstruct, shared], "repetitions": again}
+    told["set"] = {"reconstruction.iterations": 50}  # a trial lasts, so that it can be disturbed
     path.write_text(yaml.safe_dump(told))
     return path
 
