@@ -26,7 +26,7 @@ from twinct.runs.again import load_scan
 from twinct.runs.volumes import line_integrals
 from twinct.volume import Volume
 
-AROUND = {"margin_mm": 30.0, "voxel_mm": 5.0}
+MARGIN_MM, COARSE_MM = 30.0, 5.0
 """Of the surroundings; the skulls reach 25 mm beyond the paper's grid."""
 
 
@@ -92,7 +92,7 @@ def plain_sart(case, options):
 def better_sart(case, options):
     """With the surroundings taken out, and no negative voxel."""
     start = time.perf_counter()
-    rest = without_surroundings(case.A, case.p, **AROUND)
+    rest = without_surroundings(case.A, case.p, margin_mm=MARGIN_MM, voxel_mm=COARSE_MM)
 
     def solve(**more):
         sart(case.A, rest, relaxation=0.3, nonnegative=True, **more)
