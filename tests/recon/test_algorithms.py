@@ -126,8 +126,8 @@ def test_every_wrong_argument_is_named(name, scan):
         extra |= {"regularisation": -1.0, "weights": -np.ones_like(p)}
         names += ["regularisation is -1.0", "weights must be 0 or more"]
     if name == "fast":
-        extra |= {"passes": 0, "levels": 0, "margin": -1.0, "regularisation": np.nan}
-        names += ["passes is 0", "levels is 0", "margin is -1.0", "regularisation is nan"]
+        extra |= {"passes": 0, "levels": 0, "margin": -1.0, "denoising": np.nan}
+        names += ["passes is 0", "levels is 0", "margin is -1.0", "denoising is nan"]
     if name == "fdk":
         extra["window"] = "blackman"
         names.append("window is 'blackman'")

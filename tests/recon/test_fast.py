@@ -8,8 +8,10 @@ from twinct.errors import InputError
 from twinct.evaluate import region_of_interest
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart
+from twinct.recon.algorithms import BUILT_IN
 from twinct.recon.denoise import lower_variation, noise
 from twinct.recon.engine import kernels
+from twinct.recon.fast import Fast
 
 
 @pytest.fixture
@@ -35,9 +37,16 @@ def bodies(circle, ellipsoid_integrals):
 def test_one_level_without_more_is_sart(bodies):
     A, p, _ = bodies
     A, p = A[::2], p[::2]  # fewer views than voxels along an axis: the relaxation stays
-    own = fast(A, p, passes=2, levels=1, first_relaxation=0.5, regularisation=0)
+    own = fast(A, p, passes=2, levels=1, first_relaxation=0.5, denoising=0)
     other = sart(A, p, iterations=2, relaxation=0.5, nonnegative=True)
     np.testing.assert_array_equal(own, other)
+
+
+def test_no_key_of_another_algorithm_is_taken_over():
+    """A scenario that a run wrote has all keys of its algorithm: their defaults are not these."""
+    for other in {*BUILT_IN} - {"fast"}:
+        shared = {*BUILT_IN[other].settings.model_fields} & {*Fast.model_fields}
+        assert shared == {"algorithm"}
 
 
 def test_one_pass_beats_sart_at_its_best_iteration(bodies):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from twinct.errors import InputError
-from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.engine import Singles
@@ -19,7 +18,6 @@ from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.resolution import binned, interpolated
-from twinct.recon.settings import Nonnegative
 from twinct.recon.steps import Callback, Listener, sum_of_squares
 from twinct.recon.surroundings import coarse_grid
 from twinct.settings import NonNegative
@@ -48,7 +46,7 @@ class Fast(AlgorithmSettings):
         lt=2,
         description="Of the first update of a level; it falls where views are many for the voxels.",
     )
-    regularisation: NonNegative | None = Field(
+    denoising: NonNegative | None = Field(
         default=None,
         description="Strength of the total variation in the end, in voxel edges times the unit of "
         "the volume; by default found from the volume's noise; 0 is none.",
@@ -60,7 +58,7 @@ class Fast(AlgorithmSettings):
         description="By how much the coarsest grid is larger on each side, share of the grid's "
         "size: what lies there is taken out of the finer levels.",
     )
-    nonnegative: Nonnegative = True
+    allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
 
 
 def fast(
@@ -71,7 +69,7 @@ def fast(
     coarse_passes: int = 4,
     levels: int = 3,
     first_relaxation: float = 1.5,
-    regularisation: float | None = None,
+    denoising: float | None = None,
     margin: float = 0.2,
     nonnegative: bool = True,
     mask: ArrayLike | None = None,
@@ -100,7 +98,7 @@ def fast(
         coarse_passes: at each coarser level, at least 1.
         levels: at least 1; fewer where the coarsest would have less than 8 voxels or pixels.
         first_relaxation: of the first update of a level, between 0 and 2, both excluded.
-        regularisation: strength of the total variation in voxel edges times the unit of the result;
+        denoising: strength of the total variation in voxel edges times the unit of the result;
             0 for none; from the noise if not given.
         margin: share of the grid's size along each axis by which the coarsest grid is larger, on
             each side.
@@ -119,8 +117,8 @@ def fast(
     levels = checks.count("levels", levels)
     relaxation = checks.relaxation(first_relaxation)
     margin = checks.not_negative("margin", margin)
-    if regularisation is not None:
-        regularisation = checks.not_negative("regularisation", regularisation)
+    if denoising is not None:
+        denoising = checks.not_negative("denoising", denoising)
     checks.done()
     require_memory(FAST, A)
     floor = 0.0 if nonnegative else LOWEST
@@ -141,7 +139,7 @@ def fast(
             done += 1
         if outside is None and factor > 1:
             outside = _outside(A, level, x, factor)
-    strength = SHARE * noise(x) if regularisation is None else regularisation
+    strength = SHARE * noise(x) if denoising is None else denoising
     lower_variation(x, grid, A.kernels, strength * float(grid.voxel.mean()), floor)
     return Volume(x, A.grid)
 
@@ -230,9 +228,13 @@ def _outside(A: Projector, level: _Level, x: Singles, factor: int) -> _Outside:
     return _Outside(images, factor)
 
 
+def _solve(problem: Problem, settings: Fast) -> Volume:
+    return solve_by(fast, problem, settings, nonnegative=not settings.allow_negative)
+
+
 FAST = Algorithm(
     Fast,
-    partial(solve_by, fast),
+    _solve,
     volumes=3,
     projections=0.5,
     updates=lambda own, views: views * (own.passes + own.coarse_passes * (own.levels - 1)),
