@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
     import trimesh
 
     from twinct.cell import CellModel
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # As in a shell's background job: what a test starts would not hear of Ctrl-C either.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 STARTS = {"subprocess.Popen": 0, "os.posix_spawn": 0, "os.system": 0}
 """Audit events of a process that starts, and the argument that names it."""
