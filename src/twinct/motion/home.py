@@ -12,7 +12,7 @@ from twinct.motion.kinematics import Kinematics
 from twinct.views import Target
 
 WITHDRAWN_MM = (40.0, 20.0, 10.0, 5.0)
-"""How far home may lie off the first view, outwards along the beam."""
+"""How far home may lie off the first view: outwards along the beam, if that can be."""
 
 FLIP_RAD = 0.35
 """A joint step this large, for one small step of the tools, is a flip and no motion."""
@@ -25,7 +25,7 @@ def home_off(
     clear: Callable[[Floats], bool],
     asked_mm: float,
 ) -> Floats:
-    """Both tools drawn back along the beam, as far as reach and clearance allow.
+    """Both tools drawn back along the beam, as far as reach and clearance allow; else across it.
 
     Args:
         first: poses of the first view.
@@ -38,17 +38,20 @@ def home_off(
         TrajectoryError: there is no such place.
     """
     source, detector = first.source, first.detector
-    outwards = source.position - detector.position
-    outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
-    for distance in WITHDRAWN_MM:
-        for sign in (1.0, -1.0):  # outwards; else inwards, for an arm at the end of its reach
-            step = sign * distance * outwards
-            drawn = Pose(source.position + step, source.quat)
-            target = Target.from_poses(drawn, Pose(detector.position - step, detector.quat))
-            result, largest = kinematics.follow(joints, target)
-            if result.solved.all() and largest.max() <= FLIP_RAD and clear(result.joints):
-                return result.joints
+    beam = source.position - detector.position
+    beam = beam / max(float(np.linalg.norm(beam)), 1e-9)
+    u, v = detector.rotation[:, :2].T
+    # Inwards is for an arm at the end of its reach.
+    for ways in ((beam, -beam), (u, -u, v, -v)):
+        for distance in WITHDRAWN_MM:
+            for way in ways:
+                step = distance * way
+                drawn = Pose(source.position + step, source.quat)
+                target = Target.from_poses(drawn, Pose(detector.position - step, detector.quat))
+                result, largest = kinematics.follow(joints, target)
+                if result.solved.all() and largest.max() <= FLIP_RAD and clear(result.joints):
+                    return result.joints
     raise TrajectoryError(
-        f"view 0: no place to start from: neither {WITHDRAWN_MM[-1]:g} mm outwards nor inwards can "
-        f"be reached with a clearance of {asked_mm:g} mm"
+        f"view 0: no place to start from: none of those {WITHDRAWN_MM[-1]:g} mm along and across the "
+        f"beam can be reached with a clearance of {asked_mm:g} mm"
     )

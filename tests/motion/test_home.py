@@ -1,0 +1,39 @@
+"""Where the arms start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinct.cell import CellModel
+from twinct.errors import TrajectoryError
+from twinct.geometry import Floats
+from twinct.motion.home import home_off
+from twinct.motion.kinematics import Kinematics
+from twinct.motion.way import find_way
+from twinct.scenario import Motion
+from twinct.views import Target
+
+MOTION = Motion(trigger="settled")
+
+
+def test_where_the_beam_is_barred_home_lies_across_it(
+    cell: CellModel, paper_targets: list[Target]
+) -> None:
+    first = paper_targets[200]
+    joints = find_way(cell, MOTION, [first]).joints[-1]
+    kinematics = Kinematics(cell, MOTION.ik)
+    beam = first.source.position - first.detector.position
+    beam /= np.linalg.norm(beam)
+
+    def across(home: Floats) -> bool:
+        return bool(abs((kinematics.poses(home)[0].position - first.source.position) @ beam) < 1)
+
+    usual = home_off(first, joints, kinematics, lambda _: True, 10.5)
+    assert not across(usual)
+    found = kinematics.poses(home_off(first, joints, kinematics, across, 10.5))
+    for here, there in zip(found, (first.source, first.detector), strict=True):
+        assert here.distance_mm(there) == pytest.approx(40, abs=0.2)
+        assert here.angle_deg(there) < 0.1
+    with pytest.raises(TrajectoryError, match="along and across the beam"):
+        home_off(first, joints, kinematics, lambda _: False, 10.5)
