@@ -47,6 +47,10 @@ class NoWayError(TrajectoryError):
     """No way from one view to the next was found, though both can be had."""
 
 
+class CalibrationError(InputError):
+    """A view, or a scan, that does not tell where source and panel were."""
+
+
 class ScanExistsError(InputError):
     """The output folder already holds a scan, or one of another scenario."""
 

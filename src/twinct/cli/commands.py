@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -548,6 +549,42 @@ def geometry(
         words = ", ".join(f"{k} {v}" for k, v in made_by.items() if not isinstance(v, dict))
         table.add_row(name, *means, words)
     Console().print(table)
+
+
+@app.command
+def calibrate(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    with_: Annotated[Literal["beads", "self"], tyro.conf.arg(name="with")] = "beads",
+    as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
+    to: Annotated[Sequence[Path], tyro.conf.arg(metavar="DIR")] = (),
+    sigma_mm: float = 0.5,
+    sigma_deg: float = 0.2,
+    correlation_views: float = 0.0,
+) -> None:
+    """Find where source and detector really were, and add that to a scan as a geometry.
+
+    ``twinct reconstruct DIR --geometry NAME`` reconstructs from it.
+
+    Args:
+        folder: What ``twinct run --out`` wrote; for beads of a specimen with a ball_helix.
+        with_: beads: the balls of the specimen, whose places are known; self: the projections
+            alone, each view moved until they agree.
+        as_: Name of the new geometry; that of the method unless given.
+        to: Folders of scans of the same views that get the geometry, too (beads).
+        sigma_mm: What source and panel are off along each axis, as far as is known (self).
+        sigma_deg: The same of the panel's rotation about each axis (self).
+        correlation_views: Over how many views errors are alike; 0: each view's own (self).
+    """
+    from twinct.cli.calibrate import beads_command, self_command
+    from twinct.errors import InputError
+
+    if with_ == "beads":
+        beads_command(folder, as_, to)
+    else:
+        if to:
+            raise InputError(f"--to {to[0]}: what a scan finds of itself is of no other one")
+        self_command(folder, as_, sigma_mm, sigma_deg, correlation_views)
 
 
 def _say_result(run: Run) -> None:

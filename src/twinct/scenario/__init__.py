@@ -59,6 +59,7 @@ from twinct.scenario.source import (
     TubeSpectrum,
 )
 from twinct.scenario.specimen import (
+    BallHelix,
     Box,
     Brain,
     CtVolume,
@@ -79,6 +80,7 @@ __all__ = [
     "AnyTrajectory",
     "Arm",
     "BadPixels",
+    "BallHelix",
     "BeamHardening",
     "Box",
     "Brain",

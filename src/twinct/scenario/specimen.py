@@ -86,6 +86,23 @@ class Box(Section):
     size_mm: Lengths = Field(description="Edges along x, y, z.")
 
 
+class BallHelix(Section):
+    """Balls on a helix about the part's z axis, for calibration."""
+
+    kind: Literal["ball_helix"]
+    balls: int = setting(64, "How many.", ge=8, le=1000)
+    ball_radius_mm: Positive = setting(1.5, "Radius of each.")
+    radius_mm: Positive = setting(70.0, "Of the helix.")
+    height_mm: Positive = setting(140.0, "From the first ball's centre to the last one's.")
+    turns: Positive = setting(4.3, "Of the helix; a whole number would put balls on one another.")
+    tolerance_mm: NonNegative = setting(
+        0.0,
+        "Standard deviation of each centre along each axis; a calibration knows nominal places.",
+    )
+    tolerance_seed: int = setting(0, "Another seed is another phantom.", ge=0, lt=2**63)
+    mesh_resolution_mm: Positive = setting(0.2, "Longest edge of a ball's triangles.")
+
+
 class MeshFile(Section):
     """A watertight triangle mesh: STL, PLY, OBJ or what else trimesh reads."""
 
@@ -111,7 +128,7 @@ class CtVolume(Section):
 
 
 Shape = Annotated[
-    Skull | Head | Brain | Sphere | Ellipsoid | Cylinder | Box | MeshFile | CtVolume,
+    Skull | Head | Brain | Sphere | Ellipsoid | Cylinder | Box | BallHelix | MeshFile | CtVolume,
     Field(discriminator="kind"),
 ]
 

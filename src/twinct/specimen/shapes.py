@@ -10,6 +10,7 @@ import trimesh
 from twinct import scenario
 from twinct.files.meshes import read_mesh
 from twinct.scenario import Shape
+from twinct.specimen.balls import true_centres
 from twinct.specimen.head import brain_surface, head_surface
 from twinct.specimen.shells import joined_shells
 from twinct.specimen.skull import skull_surface
@@ -52,6 +53,13 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
             return surface(rod.vertices * (fit, fit, 1.0), rod.faces)
         case scenario.Box():
             return trimesh.creation.box(shape.size_mm)
+        case scenario.BallHelix():
+            radius = shape.ball_radius_mm
+            ball = _ball((radius, radius, radius), shape.mesh_resolution_mm)
+            centres = true_centres(shape)
+            corners = (centres[:, None] + ball.vertices).reshape(-1, 3)
+            first = np.arange(len(centres))[:, None, None] * len(ball.vertices)
+            return surface(corners, (first + ball.faces).reshape(-1, 3))
         case scenario.MeshFile():
             where = f"part {name!r}: mesh file {shape.path}"
             mesh = read_mesh(shape.path, where)

@@ -1,0 +1,76 @@
+"""Which spot of an image is which ball, with the geometry known to some millimetres."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from twinct.errors import CalibrationError
+from twinct.geometry import Floats
+
+LEAST_SHARE = 0.5
+"""Of the balls in sight that must find their spot."""
+
+NEAR = 1.5
+"""Radii of a shadow within which a spot is a ball's, once the image's shift is known."""
+
+
+def assigned(
+    predicted: Floats, spots: Floats, radius_px: float, reach_px: float
+) -> NDArray[np.intp]:
+    """The spot of each ball, -1 for none.
+
+    All shadows move by about the same when source or panel move: the commonest of all differences
+    between spots and predictions is that shift. It takes a phantom that does not look like itself
+    shifted or mirrored, which the code in its gaps is for.
+
+    Args:
+        predicted: projected centres, (balls, 2), NaN for those out of sight.
+        spots: what is in the image, (spots, 2).
+        radius_px: of a shadow.
+        reach_px: the largest shift that is looked for.
+
+    Returns:
+        (balls,).
+
+    Raises:
+        CalibrationError: less than half of the balls have a spot; mirrored, they would.
+    """
+    found = _shifted(predicted, spots, radius_px, reach_px)
+    sight = int(np.isfinite(predicted).all(axis=1).sum())
+    if (found >= 0).sum() < LEAST_SHARE * sight:
+        problem = f"{(found >= 0).sum()} of {sight} balls have a shadow where they should"
+        if len(spots):
+            for axis, what in enumerate(("columns", "rows")):
+                turned = spots.copy()
+                turned[:, axis] = spots[:, axis].min() + spots[:, axis].max() - spots[:, axis]
+                again = _shifted(predicted, turned, radius_px, np.inf)
+                if (again >= 0).sum() >= LEAST_SHARE * sight:
+                    problem += f"; with its {what} mirrored the image would fit"
+        raise CalibrationError(problem)
+    return found
+
+
+def _shifted(
+    predicted: Floats, spots: Floats, radius_px: float, reach_px: float
+) -> NDArray[np.intp]:
+    found = np.full(len(predicted), -1)
+    seen = np.flatnonzero(np.isfinite(predicted).all(axis=1))
+    if not len(seen) or not len(spots):
+        return found
+    differences = (spots[:, None] - predicted[seen]).reshape(-1, 2)
+    differences = differences[np.abs(differences).max(axis=1) <= reach_px]
+    if not len(differences):
+        return found
+    votes = cKDTree(differences)
+    counts = votes.query_ball_point(differences, NEAR * radius_px, return_length=True)
+    centre = differences[int(np.argmax(counts))]
+    shift = differences[votes.query_ball_point(centre, NEAR * radius_px)].mean(axis=0)
+    # Each other's nearest, so that no spot is taken twice.
+    moved = predicted[seen] + shift
+    far, there = cKDTree(spots).query(moved)
+    _, back = cKDTree(moved).query(spots)
+    mutual = (back[there] == np.arange(len(seen))) & (far <= NEAR * radius_px)
+    found[seen[mutual]] = there[mutual]
+    return found

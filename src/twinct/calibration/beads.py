@@ -1,0 +1,138 @@
+"""Geometry of a scan from the shadows of a phantom of balls, view by view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.calibration.assignment import assigned
+from twinct.calibration.phantom import BallPhantom
+from twinct.calibration.resection import Resection, resected
+from twinct.calibration.shadows import (
+    Shadows,
+    measured,
+    overlapping,
+    shadow_radius_px,
+    spots,
+)
+from twinct.errors import CalibrationError
+from twinct.geometry import Floats, ScanGeometry
+from twinct.progress import SILENT, Progress
+
+REACH_MM = 15.0
+"""Shadows are looked for this far from where they are believed to be, on the panel."""
+
+SPOT_PX = 1.0
+"""Standard deviation of a spot's place."""
+
+ROUNDS = 2
+"""Shadows are fitted again with the geometry found from them, which gives them their shape."""
+
+
+@dataclass(frozen=True, eq=False)
+class BallCalibration:
+    """What a scan of a phantom says of its geometry.
+
+    Attributes:
+        geometry: of all views; those that could not be told stay as they were believed.
+        views: what is known of each; None where it could not be told.
+        problems: of those, by view.
+    """
+
+    geometry: ScanGeometry
+    views: tuple[Resection | None, ...]
+    problems: dict[int, str]
+
+    @property
+    def rms_px(self) -> Floats:
+        """Reprojection error of each view, (views,), px; NaN where it could not be told."""
+        return np.array([view.rms_px if view else np.nan for view in self.views])
+
+
+def calibrated_view(
+    transmission: NDArray[np.float32],
+    believed: ScanGeometry,
+    phantom: BallPhantom,
+    *,
+    blur_px: float = 0.0,
+    balls: NDArray[np.bool_] | None = None,
+) -> Resection:
+    """Where source and panel were in one view.
+
+    Args:
+        transmission: its image, (rows, columns).
+        believed: about where, to some millimetres and a degree or two; one view.
+        phantom: the balls, in the same frame.
+        blur_px: sigma of the detector's blur.
+        balls: which may be used, (balls,); all unless given.
+
+    Raises:
+        CalibrationError: too few balls are seen, the image does not fit, or does not tell enough.
+    """
+    radius_px = shadow_radius_px(believed, phantom)
+    predicted = believed.project(phantom.centres)[0]
+    panel = believed.panel
+    inside = ((predicted >= 0) & (predicted <= (panel.columns - 1, panel.rows - 1))).all(axis=1)
+    predicted[~inside] = np.nan
+    typical = float(np.median(radius_px))
+    found = spots(transmission, typical)
+    mine = assigned(predicted, found, typical, REACH_MM / panel.pitch_u)
+    known = np.flatnonzero(mine >= 0)
+    spread = np.broadcast_to(SPOT_PX**2 * np.eye(2), (len(known), 2, 2))
+    view = resected(phantom, Shadows(known, found[mine[known]], spread), believed).geometry
+    result = None
+    for _ in range(ROUNDS):
+        predicted = view.project(phantom.centres)[0]
+        alone = np.isfinite(predicted).all(axis=1) & ~overlapping(predicted, radius_px)
+        wanted = np.flatnonzero(alone if balls is None else alone & balls)
+        shadows = measured(transmission, view, phantom, wanted, predicted[wanted], blur_px)
+        result = resected(phantom, shadows, view)
+        view = result.geometry
+    assert result is not None
+    return result
+
+
+def calibrated(
+    transmission: Sequence[NDArray[np.float32]] | NDArray[np.float32],
+    believed: ScanGeometry,
+    phantom: BallPhantom,
+    *,
+    blur_px: float = 0.0,
+    progress: Progress = SILENT,
+) -> BallCalibration:
+    """The same for all views of a scan; a view that fails is named, the others go on.
+
+    Args:
+        transmission: (views, rows, columns).
+        believed: of all views.
+        phantom: the balls, in the world.
+        blur_px: sigma of the detector's blur.
+        progress: hears of each view.
+
+    Raises:
+        CalibrationError: no view can be told.
+    """
+    views: list[Resection | None] = []
+    problems: dict[int, str] = {}
+    found: list[ScanGeometry] = []
+    with progress.stage("calibration", len(believed)) as step:
+        for index, (image, view) in enumerate(zip(transmission, believed, strict=True)):
+            result = None
+            try:
+                result = calibrated_view(image, view, phantom, blur_px=blur_px)
+            except CalibrationError as error:
+                problems[index] = str(error)
+            views.append(result)
+            found.append(result.geometry if result else view)
+            step()
+    if len(problems) == len(believed):
+        raise CalibrationError(f"none of {len(believed)} views can be told; view 0: {problems[0]}")
+    vectors = (
+        np.concatenate([getattr(one, name) for one in found])
+        for name in ("source", "detector", "u", "v")
+    )
+    whole = ScanGeometry(*vectors, believed.panel)
+    return BallCalibration(whole, tuple(views), problems)

@@ -1,0 +1,202 @@
+"""Geometry from the projections of the specimen alone: each view is moved until it agrees with all.
+
+In alternation a volume is reconstructed from what is known of the geometry, and each view's source
+and panel are moved so that the volume's line integrals become those that were measured
+(registration of projections to a volume, as in Ouadah et al., Phys. Med. Biol. 61 (2016) 2613, the
+volume being the scan's own). A rigid motion of everything and its scale change no projection: these
+seven cannot be seen, and the prior, errors about zero, keeps them where they were believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.calibration.resection import moved
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.progress import SILENT, Progress
+from twinct.recon import Projector, sart
+from twinct.recon.resolution import binned
+
+STEP = np.array([0.3] * 6 + [0.004] * 3)
+"""Of the differences that stand for derivatives, mm and rad: about a third of a pixel."""
+
+ROBUST = 1.5
+"""Residuals above so many standard deviations pull with that of one there (Huber)."""
+
+ALIKE_PX = 12.0
+"""Residuals of neighbouring pixels are alike: so many count as one."""
+
+SMALLEST = 16
+"""Pixels and voxels along each axis that a round needs."""
+
+NUGGET = 0.02
+"""Share of a smooth error's variance that is not smooth: the covariance stays regular."""
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """What is known of the errors beforehand.
+
+    Attributes:
+        sigma_mm: of source and panel along each axis.
+        sigma_deg: of the panel about each axis.
+        correlation_views: over how many views errors stay alike (a Gaussian process); 0: each view
+            has its own.
+    """
+
+    sigma_mm: float = 0.5
+    sigma_deg: float = 0.2
+    correlation_views: float = 0.0
+
+    def precision(self, views: int) -> Floats:
+        """Inverse covariance of all errors, (views * 9, views * 9)."""
+        own = np.array([self.sigma_mm] * 6 + [np.radians(self.sigma_deg)] * 3)
+        over = np.eye(views)
+        if self.correlation_views > 0:
+            apart = np.subtract.outer(np.arange(views), np.arange(views)) / self.correlation_views
+            over = (1 - NUGGET) * np.exp(-(apart**2) / 2) + NUGGET * over
+        return np.kron(np.linalg.inv(over), np.diag(1 / own**2))
+
+
+@dataclass(frozen=True)
+class Round:
+    """One reconstruction and the step after it.
+
+    Attributes:
+        factor: pixels and voxels are so many times as large.
+        passes: of SART.
+    """
+
+    factor: int
+    passes: int = 3
+
+
+ROUNDS = (*[Round(4)] * 4, *[Round(2)] * 4)
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCalibration:
+    """What a scan says of its own geometry.
+
+    Attributes:
+        geometry: of all views.
+        change: against what was believed, (views, 9), as ``resection.PARAMETERS``.
+        residuals: spread of measured minus projected line integrals, before each round's step.
+    """
+
+    geometry: ScanGeometry
+    change: Floats
+    residuals: tuple[float, ...]
+
+
+def all_moved(believed: ScanGeometry, change: Floats) -> ScanGeometry:
+    """Each view moved by its own nine numbers, (views, 9)."""
+    return joined([moved(view, one) for view, one in zip(believed, change, strict=True)])
+
+
+def joined(views: Sequence[ScanGeometry]) -> ScanGeometry:
+    """The views of several geometries, one after the other."""
+    vectors = (
+        np.concatenate([getattr(one, name) for one in views])
+        for name in ("source", "detector", "u", "v")
+    )
+    return ScanGeometry(*vectors, views[0].panel)
+
+
+def self_calibrated(
+    line_integrals: NDArray[np.float32],
+    believed: ScanGeometry,
+    grid: VolumeGrid,
+    prior: PosePrior,
+    *,
+    rounds: Sequence[Round] = ROUNDS,
+    relaxation: float = 0.3,
+    mask: NDArray[np.bool_] | None = None,
+    progress: Progress = SILENT,
+) -> SelfCalibration:
+    """Move each view until projections and reconstruction agree.
+
+    Args:
+        line_integrals: (views, rows, columns).
+        believed: about where source and panel were.
+        grid: that holds the specimen, at full resolution.
+        prior: what is known of the errors.
+        rounds: from coarse to fine; those that leave hardly any pixels or voxels are left out.
+        relaxation: of SART.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
+        progress: hears of each round.
+    """
+    change = np.zeros((len(believed), 9))
+    precision = prior.precision(len(believed))
+    residuals: list[float] = []
+    rounds = [
+        one
+        for one in rounds
+        if min(*grid.shape, *line_integrals.shape[1:]) // one.factor >= SMALLEST
+    ]
+    with progress.stage("self-calibration", len(rounds)) as step:
+        for one in rounds:
+            p, counts = binned(line_integrals, mask, (one.factor, one.factor))
+            coarse = VolumeGrid(
+                tuple(n // one.factor for n in grid.shape),
+                tuple(grid.voxel * one.factor),
+                grid.world_from_grid,
+            )
+            geometry = all_moved(believed, change)
+            A = Projector(geometry.binned(one.factor, one.factor), coarse)
+            x = sart(
+                A, p, iterations=one.passes, relaxation=relaxation, nonnegative=True, mask=counts
+            ).array
+            normal, right, spread = _normal_equations(
+                x, p, counts, believed, change, coarse, one.factor
+            )
+            residuals.append(spread)
+            hessian = precision.copy()
+            for view in range(len(believed)):
+                own = slice(9 * view, 9 * view + 9)
+                hessian[own, own] += normal[view]
+            pull = right.ravel() - precision @ change.ravel()
+            change = change + np.linalg.solve(hessian, pull).reshape(change.shape)
+            step()
+    return SelfCalibration(all_moved(believed, change), change, tuple(residuals))
+
+
+def _normal_equations(
+    x: NDArray[np.float32],
+    p: NDArray[np.float32],
+    counts: NDArray[np.bool_] | None,
+    believed: ScanGeometry,
+    change: Floats,
+    grid: VolumeGrid,
+    factor: int,
+) -> tuple[Floats, Floats, float]:
+    """Of all views, (views, 9, 9) and (views, 9), and the residuals' spread."""
+    rests: list[Floats] = []
+    slopes: list[Floats] = []
+    for index, view in enumerate(believed):
+        about = [change[index]]
+        for axis in range(9):
+            for sign in (1, -1):
+                about.append(change[index] + sign * STEP * (np.arange(9) == axis))
+        A = Projector(joined([moved(view, one) for one in about]).binned(factor, factor), grid)
+        images = A(x)
+        seen = (A[0].chords()[0] > 0).ravel()
+        if counts is not None:
+            seen &= (counts if counts.ndim == 2 else counts[index]).ravel()
+        flat = images.reshape(len(images), -1)[:, seen].astype(np.float64)
+        rests.append(p[index].ravel()[seen] - flat[0])
+        slopes.append((flat[1::2] - flat[2::2]).T / (2 * STEP))
+    pooled = np.concatenate(rests)
+    spread = 1.4826 * float(np.median(np.abs(pooled)))
+    spread = max(spread, 1e-9)
+    normal, right = np.empty((len(rests), 9, 9)), np.empty((len(rests), 9))
+    for index, (rest, slope) in enumerate(zip(rests, slopes, strict=True)):
+        weight = 1 / np.maximum(np.abs(rest) / (ROBUST * spread), 1.0)
+        weight /= ALIKE_PX * spread**2
+        normal[index] = (slope * weight[:, None]).T @ slope
+        right[index] = slope.T @ (weight * rest)
+    return normal, right, spread

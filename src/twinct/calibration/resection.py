@@ -1,0 +1,167 @@
+"""Source and panel of one view from balls at known places and their shadows.
+
+Nine numbers: where the source is, where the panel is and how it is turned. A point source has no
+visible rotation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from twinct.calibration.phantom import BallPhantom
+from twinct.calibration.shadows import Shadows
+from twinct.errors import CalibrationError
+from twinct.geometry import Floats, ScanGeometry
+
+PARAMETERS = (
+    *("source u", "source v", "source n", "panel u", "panel v", "panel n"),
+    *("turn about u", "turn about v", "turn about n"),
+)
+"""In the panel's axes at the start: mm and rad."""
+
+LEAST_BALLS = 8
+"""Nine parameters take five shadows; fewer than these leave hardly anything to judge them by."""
+
+OUTLIER = 4.0
+"""Residuals above so many times the common spread are no ball's: the shadow is left out."""
+
+LEAST_SPREAD_PX = 0.003
+"""A shadow is not known better than this, whatever its noise says: gVXR's own limit."""
+
+WORST_CONDITION = 1e7
+"""Of the scaled Jacobian; 1 mm and 10 mrad count the same."""
+
+_SCALE = np.array([1.0] * 6 + [0.01] * 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Resection:
+    """What one view's shadows say.
+
+    Attributes:
+        geometry: of this one view.
+        covariance: of ``PARAMETERS``, (9, 9), mm and rad.
+        shadows: all that were given.
+        residuals: measured minus predicted, (n, 2), px.
+        outliers: which of them are not believed, (n,).
+    """
+
+    geometry: ScanGeometry
+    covariance: Floats
+    shadows: Shadows
+    residuals: Floats
+    outliers: NDArray[np.bool_]
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of the shadows that are believed."""
+        return float(np.sqrt((self.residuals[~self.outliers] ** 2).sum(axis=1).mean()))
+
+
+def moved(view: ScanGeometry, change: Floats) -> ScanGeometry:
+    """A view with its source and panel moved, ``change`` as in ``PARAMETERS``, (9,)."""
+    axes = np.stack([view.u[0], view.v[0], view.normal[0]], axis=1)
+    turn = Rotation.from_rotvec(axes @ change[6:]).as_matrix()
+    return ScanGeometry(
+        view.source + axes @ change[:3],
+        view.detector + axes @ change[3:6],
+        view.u @ turn.T,
+        view.v @ turn.T,
+        view.panel,
+    )
+
+
+def resected(phantom: BallPhantom, shadows: Shadows, start: ScanGeometry) -> Resection:
+    """Least squares over the nine parameters, each shadow weighted by what is known of it.
+
+    Args:
+        phantom: the balls.
+        shadows: their projections.
+        start: about where source and panel are; one view.
+
+    Raises:
+        CalibrationError: there are too few shadows, or they do not tell all nine numbers.
+    """
+    _enough(len(shadows))
+    spreads = _spreads(phantom, shadows, start)
+    good = np.ones(len(shadows), bool)
+    points = phantom.centres[shadows.balls]
+    change = np.zeros(9)
+    for _ in range(5):
+        change = _least_squares(points[good], shadows[good], spreads[good], start, change)
+        residuals = shadows.pixels - moved(start, change).project(points)[0]
+        lengths = np.linalg.norm(np.einsum("nij,nj->ni", spreads, residuals), axis=1)
+        # The median length of two normal residuals is 1.18 sigma.
+        common = max(float(np.median(lengths[good])) / 1.18, 1.0)
+        better = lengths <= OUTLIER * common
+        _enough(int(better.sum()))
+        if (better == good).all():
+            break
+        good = better
+    covariance = _covariance(points[good], spreads[good], start, change)
+    # What was taken for the noise may be too small for what is left.
+    left = np.einsum("nij,nj->ni", spreads[good], residuals[good])
+    covariance *= max(float((left**2).sum()) / max(2 * int(good.sum()) - 9, 1), 1.0)
+    return Resection(moved(start, change), covariance, shadows, residuals, ~good)
+
+
+def _enough(shadows: int) -> None:
+    if shadows < LEAST_BALLS:
+        raise CalibrationError(f"{shadows} balls are seen, {LEAST_BALLS} are needed")
+
+
+def _spreads(phantom: BallPhantom, shadows: Shadows, view: ScanGeometry) -> Floats:
+    """Inverse square roots of the covariance of each shadow, (n, 2, 2), 1/px."""
+    points = phantom.centres[shadows.balls]
+    steps = [
+        (view.project(points + step)[0] - view.project(points - step)[0]) / (2 * 1e-3)
+        for step in 1e-3 * np.eye(3)
+    ]
+    by_place = np.stack(steps, axis=2)
+    covariance = shadows.covariance + phantom.tolerance_mm**2 * by_place @ by_place.transpose(
+        0, 2, 1
+    )
+    covariance = covariance + LEAST_SPREAD_PX**2 * np.eye(2)
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors / np.sqrt(values)[:, None]) @ vectors.transpose(0, 2, 1)
+
+
+def _least_squares(
+    points: Floats, shadows: Shadows, spreads: Floats, start: ScanGeometry, first: Floats
+) -> Floats:
+    def left(change: Floats) -> Floats:
+        off = moved(start, change * _SCALE).project(points)[0] - shadows.pixels
+        return np.einsum("nij,nj->ni", spreads, off).ravel()
+
+    # What is far off shall not pull until the rest has settled.
+    found = least_squares(left, first / _SCALE, loss="soft_l1", f_scale=OUTLIER, x_scale=1.0)
+    return found.x * _SCALE
+
+
+def _covariance(points: Floats, spreads: Floats, start: ScanGeometry, change: Floats) -> Floats:
+    """Inverse of the normal matrix.
+
+    Raises:
+        CalibrationError: it is singular.
+    """
+
+    def projected(x: Floats) -> Floats:
+        pixels = moved(start, x * _SCALE).project(points)[0]
+        return np.einsum("nij,nj->ni", spreads, pixels).ravel()
+
+    at = change / _SCALE
+    steps = 1e-4 * np.eye(9)
+    jacobian = np.stack(
+        [(projected(at + step) - projected(at - step)) / 2e-4 for step in steps], axis=1
+    )
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    if values[-1] * WORST_CONDITION < values[0]:
+        raise CalibrationError(
+            "the balls seen do not tell where source and panel are: they lie in one plane"
+        )
+    return np.linalg.inv(jacobian.T @ jacobian) * np.outer(_SCALE, _SCALE)

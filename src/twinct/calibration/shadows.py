@@ -1,0 +1,274 @@
+"""Where the shadows of balls lie in one projection, to a hundredth of a pixel.
+
+What is looked for is the projection of a ball's centre. That is not the middle of its shadow, an
+ellipse, which lies further out (Clackdoyle and Mennessier, Phys. Med. Biol. 56 (2011) 7371). So the
+ball itself is moved, parallel to the panel, until its analytic shadow fits the image; there is no
+ellipse whose middle would want a correction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from twinct.calibration.phantom import BallPhantom
+from twinct.geometry import Floats, ScanGeometry
+
+SAMPLES = 4
+"""Rays a pixel and axis of the analytic shadow."""
+
+RIM_PX = 3.0
+"""What of the image about a shadow is looked at: there its background is found."""
+
+LEAST_TRANSMISSION = 1e-4
+"""Darker pixels count as this dark: their noise is no smaller than a photon's."""
+
+RIM = 0.1
+"""Of the radius: half chords shorter than this count as so long where slopes are taken."""
+
+STEPS = 12
+STILL_PX = 1e-4
+"""Gauss-Newton ends after so many steps, or when a shadow moves by less."""
+
+NEAR_PX = 0.3
+"""A shadow this near to the middle of its window is measured well."""
+
+LEAST_RESPONSE = 0.35
+"""Of the strongest of the image's spots: weaker ones are no balls."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shadows:
+    """Projections of balls' centres.
+
+    Attributes:
+        balls: which, (n,).
+        pixels: (column, row) of the projected centre, (n, 2).
+        covariance: of each, from the noise of its pixels, (n, 2, 2), px^2.
+    """
+
+    balls: NDArray[np.intp]
+    pixels: Floats
+    covariance: Floats
+
+    def __len__(self) -> int:
+        """Number of shadows."""
+        return len(self.balls)
+
+    def __getitem__(self, some: NDArray[np.bool_]) -> Shadows:
+        """Some of them."""
+        return Shadows(self.balls[some], self.pixels[some], self.covariance[some])
+
+
+def spots(transmission: NDArray[np.float32], radius_px: float) -> Floats:
+    """Blobs of a ball's size, to about a pixel, whatever lies behind them.
+
+    Args:
+        transmission: one image, (rows, columns).
+        radius_px: of a ball's shadow.
+
+    Returns:
+        (column, row) of each, (n, 2).
+    """
+    dark = -np.log(np.maximum(transmission, LEAST_TRANSMISSION))
+    # The Laplacian of a Gaussian answers most to a disc of sqrt(2) sigma (Lindeberg 1998).
+    response = -ndimage.gaussian_laplace(dark.astype(np.float64), radius_px / np.sqrt(2))
+    highest = ndimage.maximum_filter(response, size=2 * int(np.ceil(radius_px)) + 1)
+    peaks = (response == highest) & (response > LEAST_RESPONSE * response.max())
+    return np.argwhere(peaks)[:, ::-1].astype(np.float64)
+
+
+def shadow_radius_px(view: ScanGeometry, phantom: BallPhantom) -> Floats:
+    """About the radius of each ball's shadow, (balls,), px."""
+    depth = (view.source - phantom.centres) @ view.normal[0]
+    return phantom.radius_mm * view.sdd[0] / depth / view.panel.pitch_u
+
+
+def overlapping(pixels: Floats, radius_px: Floats) -> NDArray[np.bool_]:
+    """Whether another shadow touches a shadow or its rim, (n,).
+
+    Args:
+        pixels: projected centres, (n, 2); NaN where there is none.
+        radius_px: of the shadows, (n,).
+    """
+    seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    touched = np.zeros(len(pixels), bool)
+    reach = 2 * radius_px.max() + RIM_PX
+    pairs = cKDTree(pixels[seen]).query_pairs(reach, output_type="ndarray")
+    touched[seen[pairs.ravel()]] = True
+    return touched
+
+
+def measured(
+    transmission: NDArray[np.float32],
+    view: ScanGeometry,
+    phantom: BallPhantom,
+    balls: NDArray[np.intp],
+    pixels: Floats,
+    blur_px: float = 0.0,
+) -> Shadows:
+    """Fit the analytic shadow of each ball to the image about it.
+
+    Args:
+        transmission: one image, (rows, columns).
+        view: about where source and panel are: it gives the shadow's shape, not its place.
+        phantom: the balls.
+        balls: which, (n,).
+        pixels: about where, to a pixel or two, (n, 2).
+        blur_px: sigma of the detector's blur.
+
+    Returns:
+        those that were found; a shadow that runs out of the image or does not settle is left out.
+    """
+    found = [
+        (ball, fit)
+        for ball, start in zip(balls, pixels, strict=True)
+        if (fit := _fitted(transmission, view, phantom, int(ball), start, blur_px)) is not None
+    ]
+    return Shadows(
+        np.array([ball for ball, _ in found], np.intp),
+        np.array([pixel for _, (pixel, _) in found]).reshape(-1, 2),
+        np.array([spread for _, (_, spread) in found]).reshape(-1, 2, 2),
+    )
+
+
+def _fitted(
+    transmission: NDArray[np.float32],
+    view: ScanGeometry,
+    phantom: BallPhantom,
+    ball: int,
+    start: Floats,
+    blur_px: float,
+) -> tuple[Floats, Floats] | None:
+    """One shadow's pixel and its covariance; None where it cannot be told."""
+    shape = _Shape(view, phantom.centres[ball], phantom.radius_mm, blur_px)
+    reach = shape.reach_px + RIM_PX
+    fit = None
+    # A window that follows the shadow would jump between its last steps.
+    for _ in range(2):
+        low = np.floor(start - reach).astype(int)
+        high = np.ceil(start + reach).astype(int) + 1
+        rows, columns = transmission.shape
+        if (low < 0).any() or high[0] > columns or high[1] > rows:
+            return None
+        window = transmission[low[1] : high[1], low[0] : high[0]]
+        fit = _settled(shape, window, low, start, reach)
+        if fit is None:
+            return None
+        near = np.abs(fit[0] - start).max() < NEAR_PX
+        start = fit[0]
+        if near:
+            break
+    return fit
+
+
+def _settled(
+    shape: _Shape, window: NDArray[np.float32], low: NDArray[np.intp], start: Floats, reach: float
+) -> tuple[Floats, Floats] | None:
+    """Gauss-Newton over place, attenuation and a background that is a plane in its logarithm."""
+    image = np.maximum(window, LEAST_TRANSMISSION).astype(np.float64)
+    rows, columns = image.shape
+    across, up = np.meshgrid(np.arange(columns) + low[0], np.arange(rows) + low[1])
+    inside = np.hypot(across - start[0], up - start[1]) <= reach
+    plane = np.stack([np.ones(image.shape), across - start[0], up - start[1]])[:, inside]
+    place, mu = start.copy(), shape.first_mu(image)
+    back = np.array([-np.log(np.quantile(image, 0.9)), 0.0, 0.0])
+    weight = 1 / np.sqrt(image[inside])
+    for step in range(STEPS):
+        chord_image, slopes, slope_mu = shape.transmission(place, mu, low, image.shape)
+        behind = np.exp(-back @ plane)
+        model = chord_image[inside] * behind
+        jacobian = np.stack(
+            [*(s[inside] * behind for s in slopes), slope_mu[inside] * behind, *(-model * plane)]
+        )
+        left = (image[inside] - model) * weight
+        scaled = (jacobian * weight).T
+        square = scaled.T @ scaled
+        try:
+            change = np.linalg.solve(square, scaled.T @ left)
+        except np.linalg.LinAlgError:
+            return None
+        moved = change[:2] * min(1.0, 1.0 / max(np.abs(change[:2]).max(), 1e-12))
+        place, mu, back = place + moved, max(mu + change[2], 1e-3), back + change[3:]
+        if np.hypot(*(place - start)) > reach:
+            return None
+        if np.abs(moved).max() < STILL_PX and step:
+            freedom = max(inside.sum() - 6, 1)
+            spread = np.linalg.inv(square)[:2, :2] * (left @ left) / freedom
+            return place, spread
+    return None
+
+
+class _Shape:
+    """A ball's shadow wherever it is moved to, parallel to the panel."""
+
+    def __init__(
+        self, view: ScanGeometry, centre: Floats, radius_mm: float, blur_px: float
+    ) -> None:
+        self._blur_px = blur_px
+        panel = view.panel
+        self._pitch = np.array([panel.pitch_u, panel.pitch_v])
+        self._middle = np.array(panel.middle)
+        self._sdd = float(view.sdd[0])
+        # In the panel's axes, about the source: depth along the normal, foot of the perpendicular.
+        self._foot = view.piercing_points[0]
+        self._depth = float(view.depth(centre)[0])
+        self._radius = radius_mm
+        widest = radius_mm * self._sdd / (self._depth - radius_mm) / self._pitch.min()
+        obliqueness = self._obliqueness(view.project(centre)[0, 0])
+        self.reach_px = float(widest * obliqueness + 3 * blur_px)
+
+    def _obliqueness(self, pixel: Floats) -> float:
+        """How much longer than wide a shadow is there: one over the cosine of the beam's angle."""
+        off = (pixel - self._foot) * self._pitch
+        return float(np.sqrt(1 + off @ off / self._sdd**2))
+
+    def first_mu(self, image: Floats) -> float:
+        """Attenuation, 1/mm, from the darkest pixel and the lightest."""
+        return float(np.log(np.quantile(image, 0.9) / image.min()) / (2 * self._radius)) + 1e-3
+
+    def transmission(
+        self, pixel: Floats, mu: float, low: NDArray[np.intp], shape: tuple[int, ...]
+    ) -> tuple[Floats, list[Floats], Floats]:
+        """Transmission with the centre projected to a pixel; its slopes by pixel and by mu.
+
+        Returns:
+            (rows, columns); two of them, 1/px; (rows, columns), mm.
+        """
+        rows, columns = shape
+        margin = int(np.ceil(3 * self._blur_px)) if self._blur_px else 0
+        fine = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+        c = (np.arange(-margin, columns + margin)[:, None] + fine).ravel() + low[0]
+        r = (np.arange(-margin, rows + margin)[:, None] + fine).ravel() + low[1]
+        x = ((c - self._foot[0]) * self._pitch[0])[None, :]
+        y = ((r - self._foot[1]) * self._pitch[1])[:, None]
+        centre = (pixel - self._foot) * self._pitch * self._depth / self._sdd
+        # Of the ray (x, y, sdd) from the source: the half chord through the sphere, squared.
+        square = x * x + y * y + self._sdd**2
+        along = centre[0] * x + centre[1] * y + self._depth * self._sdd
+        beside = centre @ centre + self._depth**2 - self._radius**2
+        half2 = along * along / square - beside
+        half = np.sqrt(np.maximum(half2, 0.0))
+        light = np.exp(-2 * mu * half)
+        # Slopes of the half chord grow without bound at the rim; those of pixels' means do not.
+        common = np.where(half2 > 0, -mu * light / np.maximum(half, RIM * self._radius), 0.0)
+        per_mm = [
+            common * (2 * along * axis / square - 2 * value)
+            for axis, value in ((x, centre[0]), (y, centre[1]))
+        ]
+        per_px = [s * p * self._depth / self._sdd for s, p in zip(per_mm, self._pitch, strict=True)]
+        images = [self._seen(a, margin) for a in (light, *per_px, -2 * half * light)]
+        return images[0], images[1:3], images[3]
+
+    def _seen(self, fine: Floats, margin: int) -> Floats:
+        """Means of pixels, blurred."""
+        rows, columns = fine.shape[0] // SAMPLES, fine.shape[1] // SAMPLES
+        coarse = fine.reshape(rows, SAMPLES, columns, SAMPLES).mean(axis=(1, 3))
+        if not margin:
+            return coarse
+        coarse = ndimage.gaussian_filter(coarse, self._blur_px, mode="nearest", truncate=3.0)
+        return coarse[margin:-margin, margin:-margin]

@@ -1,0 +1,175 @@
+"""A scan calibrated: what its geometry was found to be, beside the one that was believed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from twinct.calibration import (
+    BallCalibration,
+    BallPhantom,
+    PosePrior,
+    SelfCalibration,
+    calibrated,
+    self_calibrated,
+)
+from twinct.errors import CalibrationError, InputError, ScanExistsError
+from twinct.files.lock import sole_owner
+from twinct.observers import Observers, audience_of
+from twinct.runs.again import load_scan
+from twinct.runs.folder import Folder
+from twinct.runs.volumes import line_integrals
+from twinct.scan import OWN, NamedGeometry, Scan, checked_name
+from twinct.scan.named import poses_digest
+from twinct.scenario import BallHelix, GaussianSpread, Scenario
+from twinct.specimen.balls import nominal_centres
+from twinct.views import PosePairs
+
+SAME_MM = 1e-6
+"""Views asked for within this are the same."""
+
+
+def phantom_of(scenario: Scenario) -> BallPhantom:
+    """The balls of a scenario's specimen as its maker describes them, in the world.
+
+    Raises:
+        CalibrationError: there are none.
+    """
+    specimen = scenario.specimen
+    for part in specimen.parts:
+        if isinstance(part.shape, BallHelix):
+            shape = part.shape
+            own = BallPhantom(nominal_centres(shape), shape.ball_radius_mm, shape.tolerance_mm)
+            return specimen.world_from_specimen @ part.specimen_from_part @ own
+    kinds = ", ".join(part.shape.kind for part in specimen.parts)
+    raise CalibrationError(f"specimen.parts: none is a ball_helix, there are {kinds}")
+
+
+def calibrate_beads(
+    path: str | Path,
+    *,
+    name: str = "beads",
+    others: Iterable[str | Path] = (),
+    observers: Observers = (),
+) -> BallCalibration:
+    """Find the geometry of a phantom's scan, and keep it beside the believed one.
+
+    Args:
+        path: folder of a run whose specimen is a phantom.
+        name: of the geometry.
+        others: folders of runs that asked for the same views; they get it, too.
+        observers: hear of each view.
+
+    Raises:
+        CalibrationError: it is no phantom's scan, or no view can be told.
+        InputError: a name that is taken, no scan, a scan of other views; nothing is written.
+    """
+    folders = [Folder(Path(folder)) for folder in (path, *others)]
+    if checked_name(name) in OWN:
+        raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
+    with ExitStack() as stack:
+        audience = stack.enter_context(audience_of(observers))
+        for folder in folders:
+            stack.enter_context(sole_owner(folder.lock))
+        scans = [load_scan(folder.path) for folder in folders]
+        for folder, scan in zip(folders[1:], scans[1:], strict=True):
+            _same_views(folder.path, scan, scans[0])
+        scan = scans[0]
+        panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
+        found = calibrated(
+            scan.transmission,
+            scan.believed.geometry(panel),
+            phantom_of(scan.scenario),
+            blur_px=spread.sigma_mm / panel.pitch_u if isinstance(spread, GaussianSpread) else 0.0,
+            progress=audience,
+        )
+        made_by = {
+            "model": "beads",
+            "scan": scan.scenario.name,
+            "told": len(scan) - len(found.problems),
+            "rms_px": round(float(np.nanmedian(found.rms_px)), 4),
+        }
+        geometry = NamedGeometry(name, PosePairs.from_geometry(found.geometry), made_by)
+        _write(geometry, list(zip(folders, scans, strict=True)))
+    return found
+
+
+def calibrate_self(
+    path: str | Path,
+    prior: PosePrior | None = None,
+    *,
+    name: str = "self",
+    observers: Observers = (),
+) -> SelfCalibration:
+    """Find the geometry of a scan from its own projections, and keep it beside the believed one.
+
+    Args:
+        path: folder of a run; the grid of its scenario should hold the whole specimen.
+        prior: what is known of the errors; 0.5 mm and 0.2 deg, each view's own, unless given.
+        name: of the geometry.
+        observers: hear of each round.
+
+    Raises:
+        InputError: a name that is taken, no scan; nothing is written.
+    """
+    folder, prior = Folder(Path(path)), prior or PosePrior()
+    if checked_name(name) in OWN:
+        raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
+    with audience_of(observers) as audience, sole_owner(folder.lock):
+        scan = load_scan(folder.path)
+        found = self_calibrated(
+            line_integrals(scan.transmission),
+            scan.believed.geometry(scan.scenario.detector.panel),
+            scan.scenario.reconstruction.volume_grid,
+            prior,
+            mask=None if scan.bad_pixels is None else ~scan.bad_pixels,
+            progress=audience,
+        )
+        geometry = NamedGeometry(
+            name,
+            PosePairs.from_geometry(found.geometry),
+            {
+                "model": "self",
+                "executed": poses_digest(scan.executed),
+                "believed": scan.reported.digest,
+                **asdict(prior),
+            },
+        )
+        _write(geometry, [(folder, scan)])
+    return found
+
+
+def _write(geometry: NamedGeometry, where: list[tuple[Folder, Scan]]) -> None:
+    """Keep a geometry beside scans.
+
+    Raises:
+        ScanExistsError: another one has its name there; nothing is written.
+    """
+    name = geometry.name
+    for folder, scan in where:
+        if name in scan.derived and scan.derived[name].digest != geometry.digest:
+            raise ScanExistsError(f"{folder.geometries / name}.json is another geometry: --as")
+    for folder, _ in where:
+        geometry.write(folder.geometries)
+
+
+def _same_views(path: Path, scan: Scan, phantom: Scan) -> None:
+    """Refuse a scan that went elsewhere.
+
+    Raises:
+        InputError: it did.
+    """
+    if len(scan) != len(phantom):
+        raise InputError(f"{path} has {len(scan)} views, the phantom's scan {len(phantom)}")
+    for view in range(len(scan)):
+        pairs = zip(scan.commanded[view], phantom.commanded[view], strict=True)
+        far_mm = max(one.distance_mm(other) for one, other in pairs)
+        if far_mm > SAME_MM:
+            raise InputError(
+                f"{path}: view {view} was asked for {far_mm:.3g} mm beside the phantom's scan: "
+                "calibration is of the same views"
+            )

@@ -1,0 +1,39 @@
+"""Balls on a helix, with gaps that follow a code: nowhere does it look like itself."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import max_len_seq
+
+from twinct.draws import view_rng
+from twinct.geometry import Floats
+from twinct.scenario import BallHelix
+
+WIDE_GAP = 1.5
+"""Of the narrow one."""
+
+
+def nominal_centres(shape: BallHelix) -> Floats:
+    """Where the balls of a helix about z shall be, in the part's frame, (balls, 3), mm.
+
+    Gaps are narrow or wide as a sequence of maximum length says: no run of six gaps comes twice,
+    forwards or mirrored about the helix' middle.
+    """
+    bits = max_len_seq(max(int(np.ceil(np.log2(shape.balls))), 2))[0]
+    gaps = np.where(bits[: shape.balls - 1], WIDE_GAP, 1.0)
+    share = np.concatenate([[0.0], np.cumsum(gaps)]) / gaps.sum()
+    angle = 2 * np.pi * shape.turns * share
+    return np.stack(
+        [
+            shape.radius_mm * np.cos(angle),
+            shape.radius_mm * np.sin(angle),
+            shape.height_mm * (share - 0.5),
+        ],
+        axis=1,
+    )
+
+
+def true_centres(shape: BallHelix) -> Floats:
+    """Where they are: off by the tolerance, (balls, 3), mm."""
+    off = view_rng(shape.tolerance_seed, "ball", 0).normal(size=(shape.balls, 3))
+    return nominal_centres(shape) + shape.tolerance_mm * off

@@ -1,0 +1,74 @@
+"""Calibrations of scans in folders: what they add, what they refuse."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct import run
+from twinct.calibration import PosePrior
+from twinct.errors import CalibrationError, InputError
+from twinct.runs import load_scan, reconstruct_again
+from twinct.runs.calibrating import calibrate_beads, calibrate_self
+from twinct.scenario import load_scenario
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+KEYS = [
+    "cell={kind: gantry}",
+    "motion.scheme=reactive",
+    "trajectory.views=2",
+    "detector={columns: 320, rows: 240, pixel_pitch_mm: 1.0, pixel_samples: 4}",
+    "reconstruction.grid={voxels: 20, voxel_mm: 8}",
+    "uncertainty={source: {sigma_mm: 0.5, cutoff_mm: 1}, detector: {sigma_mm: 0.5, cutoff_mm: 1}}",
+]
+BALLS = "specimen.parts.0.shape={kind: ball_helix, balls: 20, radius_mm: 50, height_mm: 90, mesh_resolution_mm: 0.5}"
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory):
+    """A phantom's scan of two views."""
+    scenario = load_scenario(SCENARIOS / "balls.yaml", [*KEYS, BALLS])
+    return run(scenario, tmp_path_factory.mktemp("balls") / "out", link="local").paths.path
+
+
+def off_px(scan, name):
+    panel = scan.scenario.detector.panel
+    points = np.array([[0.0, 0, 0], [40, 0, 30]])
+    found = scan.poses(name).geometry(panel).project(points)
+    return np.abs(found - scan.executed.geometry(panel).project(points)).max()
+
+
+def test_a_phantoms_scan_gets_its_geometry_and_so_does_another_of_its_views(balls, tmp_path):
+    other = tmp_path / "other"
+    shutil.copytree(balls, other)
+    found = calibrate_beads(balls, others=[other])
+    assert not found.problems
+    for folder in (balls, other):
+        scan = load_scan(folder)
+        assert off_px(scan, "beads") < 0.01 < 0.3 < off_px(scan, "believed")
+        assert scan.derived["beads"].made_by["model"] == "beads"
+    assert reconstruct_again(other, geometry="beads").geometry == "beads"
+
+
+def test_what_cannot_be_calibrated_is_refused_before_anything_is_written(balls, finished):
+    with pytest.raises(CalibrationError, match=r"none is a ball_helix, there are sphere"):
+        calibrate_beads(finished.paths.path, name="other")
+    with pytest.raises(InputError, match=r"has 10 views, the phantom's scan 2"):
+        calibrate_beads(balls, others=[finished.paths.path], name="other")
+    with pytest.raises(InputError, match="every scan has"):
+        calibrate_self(balls, name="executed")
+    assert "other" not in load_scan(balls).derived
+
+
+def test_a_scan_may_calibrate_itself(finished, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(finished.paths.path, folder)
+    found = calibrate_self(folder, PosePrior(0.3, 0.1))
+    scan = load_scan(folder)
+    assert scan.derived["self"].made_by["sigma_mm"] == 0.3
+    assert np.array_equal(
+        scan.poses("self").geometry(found.geometry.panel).source, found.geometry.source
+    )
