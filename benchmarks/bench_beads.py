@@ -18,6 +18,7 @@ from twinct.calibration import PARAMETERS, calibrated_view, moved
 from twinct.runs import simulate
 from twinct.runs.calibrating import phantom_of
 from twinct.scenario import load_scenario
+from twinct.trajectory import OrbitSettings
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "balls.yaml"
 SIGMA_MM, SIGMA_DEG = 1.0, 0.5
@@ -37,11 +38,10 @@ def scan_of(views, phantom, *, tolerance_mm=0.0, noisy=False, blurred=False):
         f"specimen.parts.0.shape.tolerance_seed={phantom}",
     ]
     base = load_scenario(SCENARIO, told)
-    panel = base.detector.panel
+    panel, trajectory = base.detector.panel, base.trajectory
+    assert isinstance(trajectory, OrbitSettings)
     if noisy:
-        at_a_metre = (
-            PHOTONS / (panel.pitch_u * panel.pitch_v) * (base.trajectory.sdd_mm / 1000) ** 2
-        )
+        at_a_metre = PHOTONS / (panel.pitch_u * panel.pitch_v) * (trajectory.sdd_mm / 1000) ** 2
         told.append(f"source.photons_per_mm2_mas={at_a_metre / base.source.mas}")
         told.append("detector.noise={kind: quantum}")
     if blurred:

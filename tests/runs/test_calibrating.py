@@ -24,7 +24,10 @@ KEYS = [
     "reconstruction.grid={voxels: 20, voxel_mm: 8}",
     "uncertainty={source: {sigma_mm: 0.5, cutoff_mm: 1}, detector: {sigma_mm: 0.5, cutoff_mm: 1}}",
 ]
-BALLS = "specimen.parts.0.shape={kind: ball_helix, balls: 20, radius_mm: 50, height_mm: 90, mesh_resolution_mm: 0.5}"
+BALLS = (
+    "specimen.parts.0.shape={kind: ball_helix, balls: 20, radius_mm: 50, height_mm: 90, "
+    "mesh_resolution_mm: 0.5}"
+)
 
 
 @pytest.fixture(scope="module")

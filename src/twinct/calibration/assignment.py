@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -64,13 +66,14 @@ def _shifted(
     if not len(differences):
         return found
     votes = cKDTree(differences)
-    counts = votes.query_ball_point(differences, NEAR * radius_px, return_length=True)
+    counts: Any = votes.query_ball_point(differences, NEAR * radius_px, return_length=True)
     centre = differences[int(np.argmax(counts))]
-    shift = differences[votes.query_ball_point(centre, NEAR * radius_px)].mean(axis=0)
+    near: Any = votes.query_ball_point(centre, NEAR * radius_px)
+    shift = differences[near].mean(axis=0)
     # Each other's nearest, so that no spot is taken twice.
     moved = predicted[seen] + shift
-    far, there = cKDTree(spots).query(moved)
-    _, back = cKDTree(moved).query(spots)
+    far, there = (np.asarray(one) for one in cKDTree(spots).query(moved))
+    back = np.asarray(cKDTree(moved).query(spots)[1])
     mutual = (back[there] == np.arange(len(seen))) & (far <= NEAR * radius_px)
     found[seen[mutual]] = there[mutual]
     return found

@@ -130,9 +130,4 @@ def calibrated(
             step()
     if len(problems) == len(believed):
         raise CalibrationError(f"none of {len(believed)} views can be told; view 0: {problems[0]}")
-    vectors = (
-        np.concatenate([getattr(one, name) for one in found])
-        for name in ("source", "detector", "u", "v")
-    )
-    whole = ScanGeometry(*vectors, believed.panel)
-    return BallCalibration(whole, tuple(views), problems)
+    return BallCalibration(ScanGeometry.joined(found), tuple(views), problems)

@@ -59,7 +59,7 @@ class PosePrior:
         if self.correlation_views > 0:
             apart = np.subtract.outer(np.arange(views), np.arange(views)) / self.correlation_views
             over = (1 - NUGGET) * np.exp(-(apart**2) / 2) + NUGGET * over
-        return np.kron(np.linalg.inv(over), np.diag(1 / own**2))
+        return np.asarray(np.kron(np.linalg.inv(over), np.diag(1 / own**2)), np.float64)
 
 
 @dataclass(frozen=True)
@@ -95,16 +95,8 @@ class SelfCalibration:
 
 def all_moved(believed: ScanGeometry, change: Floats) -> ScanGeometry:
     """Each view moved by its own nine numbers, (views, 9)."""
-    return joined([moved(view, one) for view, one in zip(believed, change, strict=True)])
-
-
-def joined(views: Sequence[ScanGeometry]) -> ScanGeometry:
-    """The views of several geometries, one after the other."""
-    vectors = (
-        np.concatenate([getattr(one, name) for one in views])
-        for name in ("source", "detector", "u", "v")
-    )
-    return ScanGeometry(*vectors, views[0].panel)
+    parts = [moved(view, one) for view, one in zip(believed, change, strict=True)]
+    return ScanGeometry.joined(parts)
 
 
 def self_calibrated(
@@ -182,7 +174,8 @@ def _normal_equations(
         for axis in range(9):
             for sign in (1, -1):
                 about.append(change[index] + sign * STEP * (np.arange(9) == axis))
-        A = Projector(joined([moved(view, one) for one in about]).binned(factor, factor), grid)
+        tried = ScanGeometry.joined([moved(view, one) for one in about])
+        A = Projector(tried.binned(factor, factor), grid)
         images = A(x)
         seen = (A[0].chords()[0] > 0).ravel()
         if counts is not None:

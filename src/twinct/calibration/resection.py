@@ -91,7 +91,7 @@ def resected(phantom: BallPhantom, shadows: Shadows, start: ScanGeometry) -> Res
     spreads = _spreads(phantom, shadows, start)
     good = np.ones(len(shadows), bool)
     points = phantom.centres[shadows.balls]
-    change = np.zeros(9)
+    change, residuals = np.zeros(9), np.zeros((len(shadows), 2))
     for _ in range(5):
         change = _least_squares(points[good], shadows[good], spreads[good], start, change)
         residuals = shadows.pixels - moved(start, change).project(points)[0]
@@ -164,4 +164,5 @@ def _covariance(points: Floats, spreads: Floats, start: ScanGeometry, change: Fl
         raise CalibrationError(
             "the balls seen do not tell where source and panel are: they lie in one plane"
         )
-    return np.linalg.inv(jacobian.T @ jacobian) * np.outer(_SCALE, _SCALE)
+    inverse = np.linalg.inv(jacobian.T @ jacobian)
+    return np.asarray(inverse * np.outer(_SCALE, _SCALE), np.float64)

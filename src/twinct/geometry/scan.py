@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -60,6 +60,14 @@ class ScanGeometry:
         centres = np.array([pose.position for pose in detectors])
         spots = np.array([pose.position for pose in sources])
         return cls(spots, centres, rotations[:, :, 0], rotations[:, :, 1], panel)
+
+    @classmethod
+    def joined(cls, parts: Sequence[ScanGeometry]) -> ScanGeometry:
+        """The views of several geometries with one panel, one after the other."""
+        source, detector, u, v = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in _VECTORS
+        )
+        return cls(source, detector, u, v, parts[0].panel)
 
     @property
     def normal(self) -> Floats:
