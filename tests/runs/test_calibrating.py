@@ -63,6 +63,9 @@ def test_what_cannot_be_calibrated_is_refused_before_anything_is_written(balls, 
         calibrate_beads(balls, others=[finished.paths.path], name="other")
     with pytest.raises(InputError, match="every scan has"):
         calibrate_self(balls, name="executed")
+    for calibrate in (calibrate_beads, calibrate_self):
+        with pytest.raises(InputError, match="no folder of a run"):
+            calibrate(balls / "nowhere")
     assert "other" not in load_scan(balls).derived
 
 

@@ -71,14 +71,14 @@ def calibrate_beads(
     folders = [Folder(Path(folder)) for folder in (path, *others)]
     if checked_name(name) in OWN:
         raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
+    scans = [load_scan(folder.path) for folder in folders]
+    scan = scans[0]
+    for folder, other in zip(folders[1:], scans[1:], strict=True):
+        _same_views(folder.path, other, scan)
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         for folder in folders:
             stack.enter_context(sole_owner(folder.lock))
-        scans = [load_scan(folder.path) for folder in folders]
-        for folder, scan in zip(folders[1:], scans[1:], strict=True):
-            _same_views(folder.path, scan, scans[0])
-        scan = scans[0]
         panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
         found = calibrated(
             scan.transmission,
@@ -119,8 +119,8 @@ def calibrate_self(
     folder, prior = Folder(Path(path)), prior or PosePrior()
     if checked_name(name) in OWN:
         raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
+    scan = load_scan(folder.path)
     with audience_of(observers) as audience, sole_owner(folder.lock):
-        scan = load_scan(folder.path)
         found = self_calibrated(
             line_integrals(scan.transmission),
             scan.believed.geometry(scan.scenario.detector.panel),
