@@ -4,6 +4,7 @@ MuJoCo is imported when a cell is built, not when this package is.
 """
 
 from twinct.cell._mujoco import mujoco_module
+from twinct.cell.chains import chains_of, nominal_chains
 from twinct.cell.clearance import Clearance, Gap
 from twinct.cell.frames import LinkFrames
 from twinct.cell.render import Marks, check_drawing, check_picture_size, render_cell
@@ -21,8 +22,10 @@ __all__ = [
     "build_cell",
     "build_gantry",
     "cell_urdf",
+    "chains_of",
     "check_drawing",
     "check_picture_size",
     "mujoco_module",
+    "nominal_chains",
     "render_cell",
 ]

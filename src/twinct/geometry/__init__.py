@@ -11,6 +11,7 @@ and its x the nearest to u. Only ``to_*`` and ``from_*`` may reorder axes or cha
 """
 
 from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, lock
+from twinct.geometry.chain import Chain, Misfit, exp_matrices
 from twinct.geometry.grid import VolumeGrid
 from twinct.geometry.panel import Panel
 from twinct.geometry.pose import MM_PER_M, Pose
@@ -19,10 +20,13 @@ from twinct.geometry.scan import ScanGeometry
 __all__ = [
     "MM_PER_M",
     "UNIT_TOLERANCE",
+    "Chain",
     "Floats",
+    "Misfit",
     "Panel",
     "Pose",
     "ScanGeometry",
     "VolumeGrid",
+    "exp_matrices",
     "lock",
 ]

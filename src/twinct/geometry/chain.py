@@ -1,0 +1,144 @@
+"""A serial arm: forward kinematics of many configurations, and of many arms much like it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from twinct.geometry.arrays import Floats, lock
+
+GRAVITY_M_S2 = np.array([0.0, 0.0, -9.81])
+N_M_PER_N_MM = 1e-3
+
+
+def exp_matrices(twists: Floats) -> Floats:
+    """``Pose.exp`` of many twists (v, w), (..., 6), mm and rad, as matrices (..., 4, 4)."""
+    flat = np.roll(twists.reshape(-1, 6), 3, axis=1)
+    return RigidTransform.from_exp_coords(flat).as_matrix().reshape(*twists.shape[:-1], 4, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """How arms differ from the one that a chain describes, first axes as those of the joints.
+
+    Each twist (v, w), mm and rad, moves all that comes after its frame, in the frame's own axes.
+    That of a joint comes before its turn; its last number is what is added to the joint's angle.
+
+    Attributes:
+        base: of the frame of the base, (..., 6).
+        links: of each joint's frame, (..., joints, 6).
+        tool: of the frame of the tool, (..., 6).
+    """
+
+    base: Floats
+    links: Floats
+    tool: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A serial arm of hinges, all frames in the world with the joints at zero.
+
+    Attributes:
+        base: ``world_from_base``, (4, 4), mm.
+        joints: ``world_from_joint``, the z axis along the hinge, (joints, 4, 4), mm.
+        tool: ``world_from_tool``, (4, 4), mm.
+        masses: of all that follows one joint up to the next, the tool included, kg, (joints,).
+        centres: of these masses in the world, (joints, 3), mm.
+        torque_limits: published ones, N m, (joints,).
+    """
+
+    base: Floats
+    joints: Floats
+    tool: Floats
+    masses: Floats
+    centres: Floats
+    torque_limits: Floats
+    _steps: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Lock the arrays; each step leads from one joint's frame to the next, and to the tool."""
+        before = np.concatenate([np.eye(4)[None], self.joints])
+        after = np.concatenate([self.joints, self.tool[None]])
+        object.__setattr__(self, "_steps", np.linalg.solve(before, after))
+        lock(self, "base", "joints", "tool", "masses", "centres", "torque_limits", "_steps")
+
+    def __len__(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    def tools(self, joints: Floats, misfit: Misfit | None = None) -> Floats:
+        """``world_from_tool``.
+
+        Args:
+            joints: rad, (..., joints).
+            misfit: of the arms that are meant; None: of this one.
+
+        Returns:
+            (..., 4, 4), mm.
+        """
+        return self._walk(joints, misfit)[-1]
+
+    def frames(self, joints: Floats) -> Floats:
+        """``world_from_joint`` of each joint after its turn, and ``world_from_tool`` at the end.
+
+        Args:
+            joints: rad, (..., joints).
+
+        Returns:
+            (..., joints + 1, 4, 4), mm.
+        """
+        return np.stack(self._walk(joints, None, keep=True), axis=-3)
+
+    def _walk(self, joints: Floats, misfit: Misfit | None, keep: bool = False) -> list[Floats]:
+        here: Floats = np.eye(4)
+        found: list[Floats] = []
+        links = None
+        if misfit is not None:
+            here = self.base @ exp_matrices(misfit.base) @ np.linalg.inv(self.base)
+            links = exp_matrices(misfit.links)
+        for joint in range(len(self)):
+            here = here @ self._steps[joint]
+            if links is not None:
+                here = here @ links[..., joint, :, :]
+            here = _turned(here, joints[..., joint])
+            found += [here] if keep else []
+        here = here @ self._steps[-1]
+        if misfit is not None:
+            here = here @ exp_matrices(misfit.tool)
+        return [*found, here]
+
+    def gravity_torques(self, joints: Floats) -> Floats:
+        """What gravity turns each joint with, about its axis, N m.
+
+        Args:
+            joints: rad, (..., joints).
+
+        Returns:
+            (..., joints).
+        """
+        frames = self.frames(joints)[..., :-1, :, :]
+        places = np.linalg.solve(self.joints, _homogeneous(self.centres)[..., None])
+        centres = (frames @ places)[..., :3, 0]
+        moments = np.flip(np.cumsum(np.flip(self.masses[:, None] * centres, -2), -2), -2)
+        carried = np.flip(np.cumsum(np.flip(self.masses)))[:, None]
+        levers = moments - carried * frames[..., :3, 3]
+        axes = frames[..., :3, 2]
+        return N_M_PER_N_MM * np.cross(axes, levers) @ GRAVITY_M_S2
+
+
+def _turned(frames: Floats, angles: Floats) -> Floats:
+    """Frames turned about their own z axes; those of the two broadcast."""
+    shape = np.broadcast_shapes(frames.shape[:-2], angles.shape)
+    found = np.empty((*shape, 4, 4))
+    found[...] = frames
+    cosine, sine = np.cos(angles)[..., None], np.sin(angles)[..., None]
+    x, y = frames[..., :, 0], frames[..., :, 1]
+    found[..., :, 0], found[..., :, 1] = cosine * x + sine * y, cosine * y - sine * x
+    return found
+
+
+def _homogeneous(points: Floats) -> Floats:
+    return np.concatenate([points, np.ones((len(points), 1))], axis=1)
