@@ -86,7 +86,7 @@ def test_ten_seeds_of_one_scan_are_ten_scans_of_then() -> None:
     for seed, then in enumerate(kept["believed_mm"]):
         section = demo.uncertainty.model_copy(update={"seed": seed})
         scenario = demo.model_copy(update={"uncertainty": section})
-        now = reported(scenario, names, kept["joints"], executed).poses
+        now = reported(scenario, names, kept["joints"], executed, executed).poses
         for view, pair in enumerate(then):
             for pose, position, moved in zip(now[view], pair, executed[view], strict=True):
                 assert (pose.position == position).all() and (pose.quat == moved.quat).all()

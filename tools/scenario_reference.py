@@ -45,8 +45,9 @@ ANEW = """## What a key makes anew
 A result belongs to a scenario by a digest of its stage: of the keys that the stage reads and that
 are not at their default, of the content of files, and of the stages it stands on. Name, description
 and the parts' names count for none. `seed` counts where something is drawn: for the images with
-noise or random bad pixels, for the volume in random order. `uncertainty.seed` varies the believed
-poses alone. The volume stands on them only where it is made from them.
+noise or random bad pixels, for the volume in random order, for executed poses where errors move
+them. `uncertainty.seed` varies the believed poses alone. The volume stands on them only where it is
+made from them.
 """
 
 EXTENSIONS = """## Algorithms and trajectories of your own

@@ -9,6 +9,7 @@ import numpy as np
 from twinct.errors import MotionError
 from twinct.geometry import Floats, Pose
 from twinct.scenario import GantryCell, Source
+from twinct.uncertainty import TrueCell
 from twinct.views import Instant, JointSample, Reached, SevenNumbers, Target, from_seven, to_seven
 
 STATE = 15
@@ -17,6 +18,8 @@ STATE = 15
 
 class Gantry:
     """What a scan needs of a robot simulation, without arms: executed is what was commanded.
+
+    But for what is drawn for each view, and a specimen that moves, where the scenario says so.
 
     There are no joints, and nothing is looked at that could collide: the clearance is NaN. Where
     an image takes its time, it is centred on the moment of the view, and both end-effectors go on
@@ -29,7 +32,13 @@ class Gantry:
     on_joints: Callable[[JointSample], None] | None = None
 
     def __init__(
-        self, cell: GantryCell, source: Source, specimen: Pose, *, remember: bool = False
+        self,
+        cell: GantryCell,
+        source: Source,
+        specimen: Pose,
+        *,
+        remember: bool = False,
+        true_cell: TrueCell | None = None,
     ) -> None:
         """Stand before the first view.
 
@@ -38,7 +47,9 @@ class Gantry:
             source: how long an image takes, and of how many instants it is made.
             specimen: ``world_from_specimen``.
             remember: whether each view says where the last one was taken.
+            true_cell: where everything really is; None: where it is told to be.
         """
+        self._true_cell = true_cell
         self._view_s = cell.view_s
         self._object_m = to_seven(specimen)
         self._shares: list[float] = []
@@ -54,12 +65,12 @@ class Gantry:
 
     def move(self, view: int | None, target: Target) -> Reached:
         """Be at a target, whichever view it is."""
-        del view
         last, self._last = self._last, target
-        self._time_s += self._view_s
+        last_s, self._time_s = self._time_s, self._time_s + self._view_s
+        before = view - 1 if view else None
         none = np.zeros(0)
         return Reached(
-            executed=self._at(target),
+            executed=self._really(self._at(target), view, self._time_s),
             joint_names=(),
             position=none,
             velocity=none,
@@ -67,8 +78,15 @@ class Gantry:
             state=np.array([self._time_s, *target.source_m, *target.detector_m]),
             time_s=self._time_s,
             clearance_mm=np.nan,
-            exposure=tuple(self._on(last or target, target, share) for share in self._shares),
-            before=self._at(last) if last and self._remember else None,
+            exposure=tuple(
+                self._really(self._on(last or target, target, share), view, now_s)
+                for share, now_s in zip(
+                    self._shares, self._time_s + self._view_s * np.array(self._shares), strict=True
+                )
+            ),
+            before=self._really(self._at(last), before, last_s)
+            if last and self._remember
+            else None,
         )
 
     def home(self) -> Reached:
@@ -95,6 +113,9 @@ class Gantry:
 
     def close(self) -> None:
         """Nothing is held."""
+
+    def _really(self, told: Instant, view: int | None, time_s: float) -> Instant:
+        return told if self._true_cell is None else self._true_cell.at(told, view, time_s)
 
     def _at(self, target: Target) -> Instant:
         return Instant(target.source_m, self._object_m, target.detector_m)

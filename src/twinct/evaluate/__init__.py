@@ -14,7 +14,7 @@ from twinct.evaluate.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluate.nps import Nps, detrended, noise_power_spectrum
 from twinct.evaluate.observer import detectability
 from twinct.evaluate.places import Voxels, ball, centres, cuboid, cylinder, part_of, shell
-from twinct.evaluate.pose import ArmErrors, PoseErrors, pose_errors, tool_speeds
+from twinct.evaluate.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
 from twinct.evaluate.region import region_of_interest
 from twinct.evaluate.sight import Sight, sight
 from twinct.evaluate.streaks import around_axis, streak_index
@@ -48,6 +48,7 @@ __all__ = [
     "pose_errors",
     "region_depth",
     "region_of_interest",
+    "reprojection_px",
     "rmse_by_depth",
     "shell",
     "sight",

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from twinct.geometry import Floats, Pose
+from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.views import PosePairs
 
 
@@ -58,6 +59,20 @@ def pose_errors(commanded: PosePairs, executed: PosePairs) -> PoseErrors:
         )
     source = _arm_errors(commanded.source, executed.source)
     return PoseErrors(source, _arm_errors(commanded.detector, executed.detector))
+
+
+def reprojection_px(true: ScanGeometry, taken: ScanGeometry, points: ArrayLike) -> Floats:
+    """How far apart two geometries of the same views have the images of points.
+
+    Args:
+        true: where source and panel were.
+        taken: where they are taken to have been.
+        points: (points, 3), mm.
+
+    Returns:
+        (views, points), pixels; NaN where one of them has no image.
+    """
+    return np.linalg.norm(taken.project(points) - true.project(points), axis=-1)
 
 
 def tool_speeds(executed: PosePairs, simulated_s: Floats) -> dict[str, dict[str, float]]:

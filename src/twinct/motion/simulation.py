@@ -21,6 +21,7 @@ from twinct.motion.reference import Reference
 from twinct.motion.refusals import readable
 from twinct.motion.shutter import Shutter
 from twinct.scenario import Motion
+from twinct.uncertainty import TrueCell
 from twinct.views import Instant, JointSample, Reached, Target, to_seven
 
 BREAKAWAY_RAD_S = 0.002
@@ -73,6 +74,7 @@ class RobotSimulation:
         plan: MotionPlan | None,
         shutter: Shutter | None = None,
         roll_free: tuple[bool, bool] = (False, False),
+        true_cell: TrueCell | None = None,
     ) -> None:
         """Start at rest in a plan's home.
 
@@ -84,6 +86,8 @@ class RobotSimulation:
             shutter: how long an image takes; none: no time.
             roll_free: whether source and panel may be turned about their own axis on the way to a
                 target of no plan.
+            true_cell: where everything really is. The model here is the nominal one: plan, trigger
+                and clearance go by it. None: it is the truth.
 
         Raises:
             MissingExtraError: MuJoCo, mink or Ruckig is not installed.
@@ -91,6 +95,8 @@ class RobotSimulation:
         self._cell, self._motion, self._model = cell_model, motion, cell_model.model
         self._shutter, self._roll_free = shutter or Shutter(), roll_free
         self._open_steps = self._shutter.steps(self._model.opt.timestep)
+        self._true_cell = true_cell
+        self._view: int | None = None
         self._taken = False
         self._data = mujoco.MjData(self._model)
         self._reactive = Reactive(cell_model, motion)
@@ -187,6 +193,7 @@ class RobotSimulation:
             TargetRefusedError: out of reach, would collide, missed, or the arms could not follow.
                 The first two leave the simulation as it was.
         """
+        self._view = view
         if self._motion.scheme == "reactive" or view is not None:
             self._guide.forget()
         if self._motion.scheme == "reactive":
@@ -210,6 +217,7 @@ class RobotSimulation:
             TargetRefusedError: there is no way, which leaves the simulation as it was; or the arms
                 could not follow it.
         """
+        self._view = None
         lead = self._plan_from(self._guide.home)
         return self._along(0, "home", lead, on_step, settled=True)
 
@@ -320,7 +328,8 @@ class RobotSimulation:
         instants: list[Instant] = []
         watch = self.watch = self._new_watch()
         mujoco.mj_step1(model, data)
-        before = self._instant() if self._shutter.remember and self._taken else None
+        last = self._view - 1 if self._view else None
+        before = self._instant(last) if self._shutter.remember and self._taken else None
         for step in range(steps + open_steps + 1):
             record[step, 0], record[step, 1], record[step, 2] = joints, speeds, torques
             if data.ncon:
@@ -336,7 +345,7 @@ class RobotSimulation:
             # What a move finds before its first step is the last one's doing.
             opens = step > lead and near and (not settled or self._at_rest())
             if instants or opens:
-                instants.append(self._instant())
+                instants.append(self._instant(self._view))
                 if len(instants) > open_steps:
                     self._judge(watch, record[: step + 1])
                     self._taken = True
@@ -386,11 +395,14 @@ class RobotSimulation:
                 return False
         return True
 
-    def _instant(self) -> Instant:
+    def _instant(self, view: int | None) -> Instant:
         data, body = self._data, self._cell.specimen_body
         source, detector = (to_seven(site_pose(data, site)) for site in self._cell.site_ids)
         quat = np.roll(data.xquat[body], -1)
-        return Instant(source, (*data.xpos[body].tolist(), *quat.tolist()), detector)
+        told = Instant(source, (*data.xpos[body].tolist(), *quat.tolist()), detector)
+        if self._true_cell is None:
+            return told
+        return self._true_cell.at(told, view, float(data.time), data.qpos, data.qvel)
 
     def _reached(self, record: Floats, instants: list[Instant], before: Instant | None) -> Reached:
         model, data, timestep = self._model, self._data, self._model.opt.timestep

@@ -20,7 +20,16 @@ from twinct.runs.job import Run, finished_run, report_again
 from twinct.runs.kept import Reconstruction, kept_reconstructions
 from twinct.runs.reporting import judge, truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
-from twinct.scan import OWN, NamedGeometry, Scan, ScanStore, Workshop, checked_name, reported
+from twinct.scan import (
+    OWN,
+    RELATIVE,
+    NamedGeometry,
+    Scan,
+    ScanStore,
+    Workshop,
+    checked_name,
+    reported,
+)
 from twinct.scenario import Scenario, stage_digests
 from twinct.volume import Volume
 
@@ -56,15 +65,17 @@ def derive_geometry(
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "uncertainty")
     scenario = _scenario_of(folder, overrides)
-    if checked_name(name) in OWN:
-        raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
+    if checked_name(name) in (taken := (*OWN, RELATIVE)):
+        raise InputError(f"name {name!r}: every scan has {', '.join(taken)} already")
     with (
         sole_owner(folder.lock),
         audience_of(observers) as audience,
         audience.stage(f"geometry {name}", 1) as step,
     ):
         scan = Run(scenario, folder).scan
-        found = reported(scenario, scan.joint_names, scan.joints, scan.executed, name)
+        found = reported(
+            scenario, scan.joint_names, scan.joints, scan.executed, scan.commanded, name
+        )
         if name in scan.derived and scan.derived[name].digest != found.digest:
             raise ScanExistsError(f"{folder.geometries / name}.json is another geometry: --as")
         found.write(folder.geometries)

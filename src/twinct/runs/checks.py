@@ -11,7 +11,7 @@ from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
 from twinct.runs.metal import check_metal
 from twinct.runs.named import Places
-from twinct.scan import OWN, Workshop, named_geometries
+from twinct.scan import OWN, RELATIVE, Workshop, named_geometries
 from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.size import SpecimenSize, specimen_size
 
@@ -156,7 +156,7 @@ def check_geometries(scenario: Scenario, derived: Path | None = None) -> None:
     Raises:
         InputError: a geometry that is none of every scan, nor one of those.
     """
-    known = (*OWN, *(named_geometries(derived) if derived else ()))
+    known = (*OWN, RELATIVE, *(named_geometries(derived) if derived else ()))
     others = [name for name in scenario.reconstruction.geometries if name not in known]
     if others:
         raise InputError(

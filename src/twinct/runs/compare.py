@@ -125,14 +125,14 @@ def _compared(
     scenario, run, kept = entry.scenario, entry.run, entry.kept
     energy = effective_energy_kev(scenario.source, scenario.detector)
     scan, grid = run.scan, scenario.reconstruction.volume_grid
-    stands = scan.executed_object[len(scan) // 2]
+    stands = scan.stands
     if not planes:
 
         def hit(layer: VolumeGrid) -> bool:
             return bool(specimen.truth(layer, energy, stands).any())
 
         planes |= planes_through(grid, specimen.bounds, stands, hit)
-    volume, views = entry.volume(), scan.executed.geometry(scenario.detector.panel)
+    volume, views = entry.volume(), scan.relative.geometry(scenario.detector.panel)
     slices: dict[str, CrossSection | None] = {}
     for name, plane in planes.items():
         layer = layer_of(plane, grid)

@@ -21,6 +21,7 @@ from twinct.evaluate import (
     pose_errors,
     region_depth,
     region_of_interest,
+    reprojection_px,
     rmse_by_depth,
     tool_speeds,
 )
@@ -43,6 +44,7 @@ from twinct.runs.seconds import Seconds, Timing
 from twinct.scan import Scan, Workshop
 from twinct.scenario import stage_digests
 from twinct.specimen import BuiltSpecimen, build_specimen
+from twinct.views import PosePairs
 from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
@@ -78,12 +80,10 @@ def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -
     scenario = scan.scenario
     grid = scenario.reconstruction.volume_grid
     energy = effective_energy_kev(scenario.source, scenario.detector)
-    # The specimen stands still: any view's pose would do, but for rounding.
-    stands = scan.executed_object[len(scan) // 2]
     with (audience or Audience()).stage("truth", 2) as step:
-        volume = workshop.specimen.truth(grid, energy, stands)
+        volume = workshop.specimen.truth(grid, energy, scan.stands)
         step()
-        region = region_of_interest(scan.executed.geometry(scenario.detector.panel), grid)
+        region = region_of_interest(scan.relative.geometry(scenario.detector.panel), grid)
         step()
     return Truth(volume, region, workshop.specimen.reference_mu(energy))
 
@@ -98,17 +98,14 @@ def judge(
     scenario, array = scan.scenario, volume.array
     grid, mu = scenario.reconstruction.volume_grid, truth.mu_reference
     figures = image_figures(array, truth.volume, truth.region, mu, grid)
-    depth = region_depth(scan.executed.geometry(scenario.detector.panel), grid)
+    depth = region_depth(scan.relative.geometry(scenario.detector.panel), grid)
     further: dict[str, Any] = {
         "edge_width_mm": edge_width(array, truth.volume, truth.region, mu, grid),
         "rmse_rel_by_depth": rmse_by_depth(array, truth.volume, truth.region, depth, mu),
     }
     if scenario.evaluation is not None:
-        built, stands = (
-            specimen or build_specimen(scenario.specimen),
-            scan.executed_object[len(scan) // 2],
-        )
-        further |= Places(scenario, built, stands, grid).figures(array, truth.volume, mu)
+        built = specimen or build_specimen(scenario.specimen)
+        further |= Places(scenario, built, scan.stands, grid).figures(array, truth.volume, mu)
     return replace(figures, further=further)
 
 
@@ -185,6 +182,9 @@ def _of_scan(scan: Scan) -> dict[str, Any]:
         "pose_errors": pose_errors(scan.commanded, scan.executed),
         "clearance_mm": scan.clearance_mm,
         "simulated_seconds": float(scan.simulated_s[-1]),
+        "told_error": pose_errors(scan.commanded, scan.told).summary()
+        if scan.scenario.uncertainty.moves
+        else {},
         "tool_speed_mm_s": tool_speeds(scan.executed, scan.simulated_s) if moved else {},
     }
 
@@ -196,9 +196,19 @@ def _geometries(scan: Scan) -> dict[str, Any]:
             "made_by": dict(found.made_by),
             "digest": found.digest,
             "pose_error": pose_errors(scan.executed, found.poses).summary(),
+            "reprojection_px": _reprojection(scan, found.poses),
         }
         for found in {"believed": scan.reported, **scan.derived}.values()
     }
+
+
+def _reprojection(scan: Scan, taken: PosePairs) -> dict[str, float]:
+    """How far off the image of the isocentre is, as the specimen sees source and panel, pixels."""
+    panel, trajectory = scan.scenario.detector.panel, scan.scenario.trajectory
+    # A file of views turns about the world's origin.
+    isocentre = np.array([getattr(trajectory, "isocentre_mm", (0.0, 0.0, 0.0))])
+    off = reprojection_px(scan.relative.geometry(panel), taken.geometry(panel), isocentre)
+    return {name: float(of(off)) for name, of in (("mean", np.mean), ("max", np.max))}
 
 
 def _others(kept: Iterable[Reconstruction]) -> list[Another]:

@@ -3,7 +3,7 @@
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.data import Scan, View, reported
 from twinct.scan.findings import frame_damage, unknown_files, view_damage
-from twinct.scan.named import OWN, NamedGeometry, checked_name, named_geometries
+from twinct.scan.named import OWN, RELATIVE, NamedGeometry, checked_name, named_geometries
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
 from twinct.scan.store import ScanStore, check_space, write_frame
 from twinct.scan.workshop import Workshop
@@ -11,6 +11,7 @@ from twinct.scan.workshop import Workshop
 __all__ = [
     "RigFactory",
     "OWN",
+    "RELATIVE",
     "LocalRig",
     "NamedGeometry",
     "Rig",

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
 from twinct.geometry import Pose
-from twinct.scan.named import OWN, NamedGeometry, poses_digest
-from twinct.scenario import Scenario
-from twinct.uncertainty import Evidence, reported_poses
+from twinct.scan.named import OWN, RELATIVE, NamedGeometry, poses_digest
+from twinct.scan.told import evidence_of, seen_from
+from twinct.scenario import Scenario, Uncertainty
+from twinct.uncertainty import reported_poses
 from twinct.views import Instant, PosePairs, Reached
 
 if TYPE_CHECKING:
@@ -99,7 +100,32 @@ class Scan:
     @cached_property
     def reported(self) -> NamedGeometry:
         """The same, with what made it."""
-        return reported(self.scenario, self.joint_names, self.joints, self.executed)
+        return reported(self.scenario, self.joint_names, self.joints, self.executed, self.commanded)
+
+    @cached_property
+    def told(self) -> PosePairs:
+        """Where the controllers take source and panel to be, by encoders and nominal model.
+
+        ``executed``, where nothing is wrong with what they know.
+        """
+        found = evidence_of(
+            self.scenario, self.commanded, self.executed, self.joint_names, self.joints
+        )
+        return found.told
+
+    @property
+    def stands(self) -> Pose:
+        """``world_from_object`` where the truth is: a specimen that moves starts there."""
+        if any(self.scenario.uncertainty.patient.sizes):
+            return self.scenario.specimen.world_from_specimen
+        return self.executed_object[len(self) // 2]  # any view's would do, but for rounding
+
+    @cached_property
+    def relative(self) -> PosePairs:
+        """Executed poses as the specimen sees them: the same where it keeps its place."""
+        if not any(self.scenario.uncertainty.patient.sizes):
+            return self.executed
+        return seen_from(self.stands, self.executed_object, self.executed)
 
     @classmethod
     def from_views(cls, scenario: Scenario, commanded: PosePairs, views: list[View]) -> Scan:
@@ -132,10 +158,12 @@ class Scan:
     def poses(self, which: str) -> PosePairs:
         """Poses of a geometry: ``commanded``, ``executed``, ``believed``, or a derived one's name.
 
+        Also ``relative``: executed, as the specimen sees it.
+
         Raises:
             InputError: there is none of this name.
         """
-        if which in OWN:
+        if which in (*OWN, RELATIVE):
             return cast(PosePairs, getattr(self, which))
         if which not in self.derived:
             raise InputError(f"geometry {which!r} is none of {', '.join((*OWN, *self.derived))}")
@@ -160,11 +188,22 @@ def reported(
     joint_names: tuple[str, ...],
     joints: NDArray[np.float64],
     executed: PosePairs,
+    commanded: PosePairs,
     name: str = "believed",
 ) -> NamedGeometry:
     """What the robots report of some views, as the scenario's uncertainty says."""
-    evidence = Evidence(scenario.cell, joint_names, joints, executed)
+    evidence = evidence_of(scenario, commanded, executed, joint_names, joints)
     uncertainty, seed = scenario.uncertainty, scenario.believed_seed
-    made_by = {"model": "repeatability", **uncertainty.model_dump(mode="json"), "seed": seed}
+    model = "nominal kinematics" if uncertainty.moves else "repeatability"
+    made_by = {"model": model, **_told_of(uncertainty), "seed": seed}
     made_by["executed"] = poses_digest(executed)
     return NamedGeometry(name, reported_poses(evidence, uncertainty, seed), made_by)
+
+
+def _told_of(uncertainty: Uncertainty) -> dict[str, Any]:
+    """What the reported poses come of, but keys at their default that have not always been."""
+    told = uncertainty.model_dump(mode="json", exclude_defaults=True)
+    for side in ("source", "detector"):
+        always = getattr(uncertainty, side).model_dump(include={"sigma_mm", "cutoff_mm"})
+        told[side] = always | told.get(side, {})
+    return told

@@ -21,6 +21,9 @@ from twinct.views import PosePairs
 OWN = ("commanded", "executed", "believed")
 """Names that every scan has."""
 
+RELATIVE = "relative"
+"""Executed poses as the specimen sees them; another name for them where it keeps its place."""
+
 FORMAT = "twinct geometry 1"
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")

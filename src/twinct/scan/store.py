@@ -374,7 +374,8 @@ class ScanStore:
     def reported(self) -> NamedGeometry:
         """The ``believed`` poses of the views on disk, with what made them."""
         joints = np.asarray(self._array("joints")[: self.acquired])
-        return reported(self.scenario, self.joint_names, joints, self.poses("executed"))
+        executed, commanded = self.poses("executed"), self.poses("commanded")
+        return reported(self.scenario, self.joint_names, joints, executed, commanded)
 
     def _poses(self, name: str, views: int) -> tuple[Pose, ...]:
         columns = self._array(name)[:views], self._array(f"{name}_quat")[:views]

@@ -18,6 +18,7 @@ from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Cell, GantryCell, Scenario
 from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.trajectory import commanded_views
+from twinct.uncertainty import TrueCell
 from twinct.views import PosePairs, Target
 
 if TYPE_CHECKING:
@@ -188,6 +189,18 @@ class Workshop:
             assert self.plan is not None
             render_cell(self.room, path, self.plan.joints[view], width, height)
 
+    @cached_property
+    def true_cell(self) -> TrueCell | None:
+        """Where everything really is; None where the controllers know that."""
+        scenario, chains = self.scenario, None
+        if not scenario.uncertainty.moves:
+            return None
+        if scenario.cell.kind == "arms":
+            from twinct.cell import chains_of
+
+            chains = chains_of(self.cell)
+        return TrueCell(scenario.uncertainty, scenario.seed, scenario.arms_seed, chains)
+
     def robots(self, *, planned: bool = False) -> RobotSimulation | Gantry:
         """A robot simulation at rest in the plan's home, or a gantry.
 
@@ -196,12 +209,14 @@ class Workshop:
         scenario, source, lags = self.scenario, self.scenario.source, self.scenario.detector.lag > 0
         if isinstance(scenario.cell, GantryCell):
             place = scenario.specimen.world_from_specimen
-            return Gantry(scenario.cell, source, place, remember=lags)
+            return Gantry(scenario.cell, source, place, remember=lags, true_cell=self.true_cell)
         from twinct.motion import RobotSimulation, Shutter
 
         shutter = Shutter(source.exposure_ms / 1000, source.motion_samples, lags)
         plan = None if planned else self.plan
-        return RobotSimulation(self.cell, scenario.motion, plan, shutter, self._roll_free)
+        return RobotSimulation(
+            self.cell, scenario.motion, plan, shutter, self._roll_free, self.true_cell
+        )
 
     def imager(self) -> Imager:
         """An X-ray simulation of the specimen."""

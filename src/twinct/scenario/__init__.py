@@ -73,12 +73,21 @@ from twinct.scenario.specimen import (
     Specimen,
     Sphere,
 )
-from twinct.scenario.uncertainty import PositionNoise, Uncertainty
+from twinct.scenario.uncertainty import (
+    PRESETS,
+    ArmErrors,
+    PatientMotion,
+    PoseNoise,
+    Uncertainty,
+    ViewErrors,
+)
 
 __all__ = [
+    "PRESETS",
     "AnyCell",
     "AnyTrajectory",
     "Arm",
+    "ArmErrors",
     "BadPixels",
     "BallHelix",
     "BeamHardening",
@@ -116,7 +125,8 @@ __all__ = [
     "OneMaterialHardening",
     "Part",
     "PointSpread",
-    "PositionNoise",
+    "PatientMotion",
+    "PoseNoise",
     "QuantumNoise",
     "RandomBadPixels",
     "Readout",
@@ -145,6 +155,7 @@ __all__ = [
     "TubeSpectrum",
     "TwoMaterialHardening",
     "Uncertainty",
+    "ViewErrors",
     "Zone",
     "load_scenario",
     "named_places",

@@ -72,13 +72,21 @@ STAGES: dict[StageName, _Stage] = {
             *("motion.tool_speed_mm_s", "motion.settle_s"),
             *("motion.jerk_deg_s3", "motion.settle_speed_mm_s", "motion.timeout_s"),
             *("source.motion_samples", "source.exposure_ms"),
+            *("uncertainty.arms", "uncertainty.views", "uncertainty.patient", "seed"),
         ),
         on=("plan",),
     ),
     "images": _Stage(
         1, ("source", "detector", "specimen.parts.material", "seed"), on=("executed",)
     ),
-    "believed": _Stage(1, ("uncertainty", "seed"), on=("executed",)),
+    "believed": _Stage(
+        1,
+        (
+            *("uncertainty.source", "uncertainty.detector", "uncertainty.encoder_step_deg"),
+            *("uncertainty.seed", "seed"),
+        ),
+        on=("executed",),
+    ),
     # Of the detector what it leaves out: volumes from before it did were others.
     "volume": _Stage(
         1,
@@ -88,7 +96,7 @@ STAGES: dict[StageName, _Stage] = {
     ),
 }
 
-COUNT_FOR_NONE = ("name", "description", "specimen.parts.name", "evaluation")
+COUNT_FOR_NONE = ("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset")
 """Keys, and sections, that change neither scan nor truth nor volume."""
 
 _OF_ARMS = ("motion", "cell.floor_z_mm")
@@ -103,7 +111,7 @@ _BEFORE: dict[str, object] = {
 }
 """Defaults that were others when a stage had its version: results made with those stay valid."""
 
-_SEEDS = ("seed", "uncertainty.seed")
+_SEEDS = ("seed", "uncertainty.seed", "uncertainty.arms.seed")
 """Read only by a stage that draws."""
 
 
@@ -156,15 +164,20 @@ def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
     return (stage, base) != ("volume", "believed") or base in scenario.reconstruction.geometries
 
 
-def _seed(scenario: Scenario, stage: StageName) -> int | None:
+def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
     """What a stage draws with; None where it draws nothing."""
     detector, noise, section = scenario.detector, scenario.uncertainty, scenario.reconstruction
     if stage == "images":
         electronic = detector.readout is not None and detector.readout.electronic_noise > 0
         bad_pixels = isinstance(detector.bad_pixels, RandomBadPixels)
         return scenario.seed if detector.noise or electronic or bad_pixels else None
+    if stage == "executed":
+        return (scenario.arms_seed, scenario.seed) if noise.moves else None
     if stage == "believed":
-        draws = noise.source.sigma_mm > 0 or noise.detector.sigma_mm > 0
+        sizes = (
+            (side.sigma_mm, side.rotation_sigma_deg) for side in (noise.source, noise.detector)
+        )
+        draws = any(map(any, sizes))
         return scenario.believed_seed if draws else None
     if stage == "volume":  # an algorithm from elsewhere may draw what it likes
         random = getattr(section, "order", None) == "random"

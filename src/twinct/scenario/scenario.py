@@ -60,6 +60,7 @@ class Scenario(Section):
         found = (
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
+            self._arms_to_err(),
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
         )
         if conflicts := [conflict for conflict in found if conflict is not None]:
@@ -117,6 +118,17 @@ class Scenario(Section):
             ("source.exposure_ms", "source.motion_samples", "cell.view_s"),
         )
 
+    def _arms_to_err(self) -> Conflict | None:
+        found = {
+            "uncertainty.arms": any(self.uncertainty.arms.sizes),
+            "uncertainty.encoder_step_deg": self.uncertainty.encoder_step_deg > 0,
+        }
+        keys = tuple(key for key, asked in found.items() if asked)
+        if not isinstance(self.cell, GantryCell) or not keys:
+            return None
+        what = f"{' and '.join(keys)}: a gantry has no arms; uncertainty.views is of any machine"
+        return Conflict(what, (*keys, "uncertainty.preset", "cell.kind"))
+
     def _plan_to_follow(self) -> Conflict | None:
         if self.motion.plan is None or self.motion.scheme == "planned":
             return None
@@ -133,6 +145,12 @@ class Scenario(Section):
     def believed_seed(self) -> int:
         """Seed of what the believed poses are off by."""
         return self.seed if self.uncertainty.seed is None else self.uncertainty.seed
+
+    @property
+    def arms_seed(self) -> int:
+        """Seed of what is wrong with the arms for a whole scan."""
+        own = self.uncertainty.arms.seed
+        return self.seed if own is None else own
 
     def files(self) -> dict[str, Path]:
         """Files and folders the scenario names, by key, from every section."""

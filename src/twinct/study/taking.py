@@ -271,7 +271,7 @@ def _whole_run(
     )
     seconds.stages |= finished.figures["seconds"]
     grid, truth = scenario.reconstruction.volume_grid, Volume.read(finished.paths.truth).array
-    region = region_of_interest(finished.scan.executed.geometry(scenario.detector.panel), grid)
+    region = region_of_interest(finished.scan.relative.geometry(scenario.detector.panel), grid)
     shown = cross_sections(finished.volume.array, truth, region, grid)
     found = {
         "figures": flat_figures(finished.figures),
@@ -315,7 +315,7 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, shelf: Shelf) -> Truth:
     scenario = scan.scenario
     section = scenario.reconstruction.grid
     energy = effective_energy_kev(scenario.source, scenario.detector)
-    stands = scan.executed_object[len(scan) // 2]
+    stands = scan.stands
     at = [*stands.position.tolist(), *stands.quat.tolist()]
     grid = section.model_dump(mode="json")
     of_truth = _digest(["truth", specimen_digest(scenario), energy, at, grid])
@@ -325,7 +325,7 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, shelf: Shelf) -> Truth:
         return specimen.truth(section.volume_grid, energy, stands)
 
     def region() -> Any:
-        executed = scan.executed.geometry(scenario.detector.panel)
+        executed = scan.relative.geometry(scenario.detector.panel)
         return region_of_interest(executed, section.volume_grid)
 
     return Truth(

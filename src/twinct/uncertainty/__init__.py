@@ -1,7 +1,8 @@
-"""What separates believed from executed poses: models that are applied to a scan, after it."""
+"""What separates executed from commanded poses, and believed ones from both."""
 
 from twinct.uncertainty.evidence import Evidence
+from twinct.uncertainty.executed import TrueCell
 from twinct.uncertainty.repeatability import believed_poses
 from twinct.uncertainty.reported import reported_poses
 
-__all__ = ["Evidence", "believed_poses", "reported_poses"]
+__all__ = ["Evidence", "TrueCell", "believed_poses", "reported_poses"]

@@ -16,11 +16,11 @@ class Evidence:
     Attributes:
         cell: the room, as the controllers know it.
         joint_names: source arm first; none with a gantry.
-        encoders: what the encoders read, which are ideal so far, (views, joints), rad.
-        executed: where source and panel were.
+        encoders: what the encoders read, (views, joints), rad.
+        told: what the controllers make of that by their nominal model.
     """
 
     cell: AnyCell
     joint_names: tuple[str, ...]
     encoders: Floats
-    executed: PosePairs
+    told: PosePairs

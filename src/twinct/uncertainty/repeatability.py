@@ -1,8 +1,9 @@
-"""What separates the believed poses from the executed ones.
+"""The noise of the poses that are reported.
 
 The paper's model: the positions that a system reports carry normal noise for each axis, redrawn
-beyond a cut-off; orientations stay exact. A draw depends on (seed, purpose, view) alone, so that a
-resumed scan believes what an undisturbed one believes.
+beyond a cut-off; orientations stay exact. Beyond it: noise of the orientation too, and noise that
+is alike over neighbouring views. A draw depends on (seed, purpose, view) alone, so that a resumed
+scan believes what an undisturbed one believes.
 """
 
 from __future__ import annotations
@@ -11,13 +12,15 @@ import numpy as np
 
 from twinct.draws import view_rng
 from twinct.geometry import Floats, Pose
-from twinct.scenario import PositionNoise, Uncertainty
+from twinct.scenario import PoseNoise, Uncertainty
+from twinct.uncertainty.alike import view_normals
 
 
-def truncated_normal(rng: np.random.Generator, noise: PositionNoise) -> Floats:
-    """Three draws from N(0, sigma^2), each redrawn until it lies within the cut-off, mm."""
-    draws = rng.normal(0.0, noise.sigma_mm, 3)
-    while (beyond := np.abs(draws) > noise.cutoff_mm).any():
+def truncated_normal(rng: np.random.Generator, noise: PoseNoise, count: int = 3) -> Floats:
+    """Draws from N(0, sigma^2), each redrawn until it lies within the cut-off, mm, (count,)."""
+    draws = rng.normal(0.0, noise.sigma_mm, count)
+    cutoff = np.inf if noise.cutoff_mm is None else noise.cutoff_mm
+    while (beyond := np.abs(draws) > cutoff).any():
         draws[beyond] = rng.normal(0.0, noise.sigma_mm, int(beyond.sum()))
     return draws
 
@@ -25,11 +28,19 @@ def truncated_normal(rng: np.random.Generator, noise: PositionNoise) -> Floats:
 def believed_poses(
     source: Pose, detector: Pose, uncertainty: Uncertainty, seed: int, view: int
 ) -> tuple[Pose, Pose]:
-    """What the system reports of the two poses of an executed view."""
+    """What the system reports of the two poses of a view."""
 
-    def believed(name: str, executed: Pose, noise: PositionNoise) -> Pose:
-        error_mm = truncated_normal(view_rng(seed, f"believed {name}", view), noise)
-        return Pose(executed.position + error_mm, executed.quat)
+    def believed(name: str, told: Pose, noise: PoseNoise) -> Pose:
+        purpose, length = f"believed {name}", noise.correlation_views
+        if length:
+            error_mm = noise.sigma_mm * view_normals(seed, purpose, view, 3, length)
+        else:
+            error_mm = truncated_normal(view_rng(seed, purpose, view), noise)
+        noisy = Pose(told.position + error_mm, told.quat)
+        if not noise.rotation_sigma_deg:
+            return noisy
+        turn = view_normals(seed, f"{purpose} rotation", view, 3, length)
+        return noisy @ Pose.exp([0, 0, 0, *np.radians(noise.rotation_sigma_deg) * turn])
 
     return (
         believed("source", source, uncertainty.source),

@@ -9,9 +9,7 @@ from twinct.views import PosePairs
 
 
 def reported_poses(evidence: Evidence, uncertainty: Uncertainty, seed: int) -> PosePairs:
-    """Executed poses with the noise of each view; other seeds are other reports of one scan."""
-    executed = evidence.executed
-    pairs = [
-        believed_poses(*executed[view], uncertainty, seed, view) for view in range(len(executed))
-    ]
+    """What was told, with the noise of each view; other seeds are other reports of one scan."""
+    told = evidence.told
+    pairs = [believed_poses(*told[view], uncertainty, seed, view) for view in range(len(told))]
     return PosePairs(tuple(source for source, _ in pairs), tuple(panel for _, panel in pairs))

@@ -1,0 +1,107 @@
+"""Where source, specimen and panel really are, by what the controllers take them to be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinct.draws import view_rng
+from twinct.geometry import Chain, Floats, Pose
+from twinct.scenario import Uncertainty, ViewErrors
+from twinct.uncertainty.alike import view_normals
+from twinct.uncertainty.arms import S_PER_MS, Moment, drawn, true_tools
+from twinct.uncertainty.patient import world_from_moved
+from twinct.views import Instant, from_seven, to_seven
+
+SIDES = ("source", "detector")
+
+
+def view_sigmas(section: ViewErrors) -> tuple[Floats, Floats]:
+    """Standard deviations of the twists (v, w) of source and panel in their own axes, (6,) each."""
+    tilt, turn = np.radians([section.detector_tilt_deg, section.detector_turn_deg])
+    plane, normal = section.detector_in_plane_mm, section.detector_normal_mm
+    source = np.array([section.source_mm] * 3 + [0.0] * 3)
+    return source, np.array([plane, plane, normal, tilt, tilt, turn])
+
+
+class TrueCell:
+    """What is real in a scan whose controllers know only the nominal.
+
+    A function of the scenario, the view, and what the controllers have at an instant: it keeps
+    nothing, so that a resumed scan finds the same.
+    """
+
+    def __init__(
+        self,
+        uncertainty: Uncertainty,
+        seed: int,
+        arms_seed: int,
+        chains: tuple[Chain, Chain] | None = None,
+    ) -> None:
+        """Draw what stays the same for a whole scan.
+
+        Args:
+            uncertainty: the scenario's.
+            seed: of what changes from view to view.
+            arms_seed: of what does not.
+            chains: the nominal arms; None with a gantry.
+        """
+        self._section, self._seed, self._arms_seed = uncertainty, seed, arms_seed
+        self._arms = None
+        if chains is not None and any(uncertainty.arms.sizes):
+            self._arms = [
+                (chain, drawn(uncertainty.arms, chain, arms_seed, side))
+                for chain, side in zip(chains, SIDES, strict=True)
+            ]
+
+    def at(
+        self,
+        told: Instant,
+        view: int | None,
+        time_s: float,
+        joints: Floats | None = None,
+        speeds: Floats | None = None,
+    ) -> Instant:
+        """Where everything really is at an instant.
+
+        Args:
+            told: where the controllers take it to be.
+            view: that is exposed; None: of no scan, whose poses lack what is a view's own.
+            time_s: simulated time.
+            joints: rad, both arms, source first; None with a gantry.
+            speeds: of them, rad/s.
+        """
+        source, detector = told.source_m, told.detector_m
+        if self._arms is not None and joints is not None and speeds is not None:
+            poses = self._true_poses(joints, speeds, view, time_s)
+            source, detector = map(to_seven, poses)
+        views = self._section.views
+        if view is not None and any(views.sizes):
+            source, detector = (
+                to_seven(from_seven(at) @ Pose.exp(sigma * self._normals(side, view)))
+                for at, sigma, side in zip(
+                    (source, detector), view_sigmas(views), SIDES, strict=True
+                )
+            )
+        stands = told.object_m
+        if any((patient := self._section.patient).sizes):
+            stands = to_seven(world_from_moved(patient, self._arms_seed, time_s) @ told.object)
+        return Instant(source, stands, detector)
+
+    def _normals(self, side: str, view: int) -> Floats:
+        length = self._section.views.correlation_views
+        return view_normals(self._seed, f"view {side}", view, 6, length)
+
+    def _true_poses(
+        self, joints: Floats, speeds: Floats, view: int | None, time_s: float
+    ) -> list[Pose]:
+        section, found, first = self._section.arms, [], 0
+        late_ms = section.trigger_delay_ms
+        if view is not None:
+            late_ms += section.trigger_jitter_ms * view_rng(self._seed, "trigger", view).normal()
+        for chain, deviation in self._arms or ():
+            own = slice(first, first := first + len(chain))
+            moment = Moment(joints[None, own], speeds[None, own], np.array([time_s]))
+            late_s = np.full((1, 1), late_ms * S_PER_MS)
+            matrix = true_tools(section, chain, deviation, moment, late_s)[0, 0]
+            found.append(Pose.from_matrix(matrix[:3, 3], matrix[:3, :3]))
+        return found
