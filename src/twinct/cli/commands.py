@@ -220,6 +220,27 @@ def reach(
 
 
 @app.command
+def uncertainty(
+    scenario: ScenarioFile,
+    *,
+    draws: int = 1000,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
+    set_: Overrides = (),
+) -> None:
+    """What the errors of a scenario do to its geometry: poses, images, causes; nothing is rendered.
+
+    Args:
+        draws: How many scans are drawn.
+        out: Folder for uncertainty.json, with all covariances, and uncertainty.png.
+        picture: File for the picture of a view that cannot be had.
+    """
+    from twinct.cli.uncertainty import uncertainty_command
+
+    uncertainty_command(scenario, set_, draws, out, picture)
+
+
+@app.command
 def place(
     scenario: ScenarioFile,
     *,

@@ -1,0 +1,141 @@
+"""What a scenario's errors do to its geometry, without a move or an image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twinct.errors import InputError
+from twinct.geometry import Floats
+from twinct.report import plain
+from twinct.scan import Workshop
+from twinct.scenario import GantryCell
+from twinct.uncertainty.propagation import NominalScan, Propagation, propagate
+
+LATTICE = 5
+"""Points along each axis of the grid, of which those count that every view sees."""
+
+TOLD_VIEWS = 5
+"""Views, evenly among all, whose covariances with each other are written."""
+
+FRAME = (
+    "errors are executed less believed: displacement of the focal spot, mm, and turn of the "
+    "source, rad, then the same of panel centre and panel; all along and about the world's axes"
+)
+
+
+def nominal_scan(workshop: Workshop) -> NominalScan:
+    """The views of a scenario as its controllers will have them.
+
+    Raises:
+        TrajectoryError: views that cannot be reached, or would collide.
+    """
+    cell = workshop.scenario.cell
+    if isinstance(cell, GantryCell):
+        views = workshop.commanded
+        return NominalScan.of_gantry(views, cell.view_s * np.arange(1.0, len(views) + 1))
+    from twinct.cell import chains_of
+
+    plan = workshop.plan
+    assert plan is not None
+    speeds = plan.state[plan.waypoints, 1]
+    return NominalScan.of_arms(chains_of(workshop.cell), plan.joints, speeds, plan.exposures_s)
+
+
+def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
+    """Draw a scenario's errors so often, and give their covariances to first order beside them.
+
+    Raises:
+        InputError: fewer than two draws.
+        TrajectoryError: views that cannot be reached, or would collide.
+    """
+    if draws < 2:
+        raise InputError(f"draws ({draws}) must be at least 2: one has no spread")
+    scenario = workshop.scenario
+    return propagate(
+        scenario.uncertainty,
+        nominal_scan(workshop),
+        scenario.detector.panel,
+        seen_points(workshop),
+        draws=draws,
+        seed=scenario.seed,
+        arms_seed=scenario.arms_seed,
+    )
+
+
+def seen_points(workshop: Workshop) -> Floats:
+    """The isocentre, and a lattice of the points of the grid that every view sees, (points, 3)."""
+    scenario, views = workshop.scenario, workshop.commanded
+    grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
+    shares = np.arange(LATTICE) / (LATTICE - 1)
+    ends = [axis[0] + shares * (axis[-1] - axis[0]) for axis in grid.axes()]
+    lattice = np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = grid.world_from_grid.apply(lattice)
+    last = np.array([panel.columns, panel.rows]) - 1.0
+    images = views.project(places)
+    seen = ((images >= 0) & (images <= last)).all(axis=(0, 2))
+    # A file of views turns about the world's origin.
+    isocentre = getattr(scenario.trajectory, "isocentre_mm", (0.0, 0.0, 0.0))
+    return np.concatenate([[isocentre], places[seen]])
+
+
+def told_errors(found: Propagation, workshop: Workshop) -> dict[str, Any]:
+    """The same as plain data: distributions, causes, covariances."""
+    scenario, errors, analytic = workshop.scenario, found.errors, found.analytic
+    draws, views = errors.shape[:2]
+    shown = sorted({k * (views - 1) // (TOLD_VIEWS - 1) for k in range(TOLD_VIEWS)})
+    some = errors[:, shown].reshape(draws, -1)
+    return plain(
+        {
+            "scenario": scenario.name,
+            "draws": draws,
+            "seed": scenario.seed,
+            "arms_seed": scenario.arms_seed,
+            "frame": FRAME,
+            "points_mm": found.points,
+            "summary": summary(found),
+            "terms": found.shares(),
+            "views": [
+                {
+                    "view": view,
+                    **{name: _spread(values[:, view]) for name, values in figures(found).items()},
+                    "mean": errors[:, view].mean(axis=0),
+                    "covariance": analytic.covariances[view],
+                    "covariance_drawn": np.cov(errors[:, view].T),
+                }
+                for view in range(views)
+            ],
+            "between_views": {
+                "views": shown,
+                "covariance": np.block([[analytic.covariance(a, b) for b in shown] for a in shown]),
+                "covariance_drawn": np.cov(some.T),
+            },
+        }
+    )
+
+
+def figures(found: Propagation) -> dict[str, Floats]:
+    """What is told of the errors of each draw and view, (draws, views)."""
+    errors, pixels = found.errors, found.pixels.astype(float)
+    parts = {
+        "source_mm": np.linalg.norm(errors[..., :3], axis=-1),
+        "source_deg": np.degrees(np.linalg.norm(errors[..., 3:6], axis=-1)),
+        "detector_mm": np.linalg.norm(errors[..., 6:9], axis=-1),
+        "detector_deg": np.degrees(np.linalg.norm(errors[..., 9:], axis=-1)),
+        "isocentre_px": pixels[..., 0],
+    }
+    if pixels.shape[-1] > 1:
+        parts["region_px"] = np.sqrt((pixels[..., 1:] ** 2).mean(axis=-1))
+    return parts
+
+
+def summary(found: Propagation) -> dict[str, dict[str, float]]:
+    """Distributions over all draws and views."""
+    return {name: _spread(values.ravel()) for name, values in figures(found).items()}
+
+
+def _spread(values: Floats) -> dict[str, float]:
+    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
+    shown = {"mean": values.mean(), "std": values.std(), "p5": low, "median": middle, "p95": high}
+    return {name: float(value) for name, value in (shown | {"max": values.max()}).items()}

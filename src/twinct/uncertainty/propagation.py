@@ -1,0 +1,545 @@
+"""What a scenario's errors do to the geometry of its views, before anything moves.
+
+An error is what separates the executed poses from the believed ones: the displacement of a tool's
+origin and its turn, (v, w) in mm and rad, both told in the axes of the world. Those of source and
+panel are stacked, (12,). A specimen that moves counts as both moving against it.
+
+To first order each term makes a zero-mean error that is linear in standard draws: its factor F_v
+of view v gives the covariance r(v, w) F_v F_w' of two views, where r is 1 for what stays the same
+in a scan, exp(-d^2 / 2 length^2) over d views for what is alike, and 0 for what is drawn anew. A
+gear error of any phase is a cosine and a sine of independent amplitudes: that covariance is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import oaconvolve
+from scipy.spatial.transform import Rotation
+from scipy.stats import truncnorm
+
+from twinct.draws import scan_rng
+from twinct.geometry import Chain, Floats, Panel, ScanGeometry, exp_matrices, lock
+from twinct.scenario import PoseNoise, Uncertainty
+from twinct.uncertainty.alike import weights
+from twinct.uncertainty.arms import (
+    S_PER_MS,
+    ArmDeviation,
+    Moment,
+    coldness,
+    drawn,
+    mean_compliance,
+    spreads,
+    true_tools,
+)
+from twinct.uncertainty.executed import SIDES, view_sigmas
+from twinct.uncertainty.patient import amplitudes, directions, patient_twists
+
+Singles = NDArray[np.float32]
+"""Draws by the million: their rounding is nothing beside their spread."""
+
+CONSTANT = np.inf
+"""Length over which what stays the same in a scan is alike."""
+
+CHUNK = 50_000
+"""Poses of each arm that are drawn at a time."""
+
+STEP = 1e-3
+"""mm and rad, of the difference quotients of projections."""
+
+
+@dataclass(frozen=True, eq=False)
+class NominalScan:
+    """The views of a scan as the controllers have them.
+
+    Attributes:
+        poses: ``world_from_source`` and ``world_from_detector``, (2, views, 4, 4), mm.
+        time_s: since the scan began, (views,).
+        chains: source and detector arm; none with a gantry.
+        moments: of each arm.
+    """
+
+    poses: Floats
+    time_s: Floats
+    chains: tuple[Chain, ...] = ()
+    moments: tuple[Moment, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Lock the arrays."""
+        lock(self, "poses", "time_s")
+
+    @classmethod
+    def of_arms(
+        cls, chains: tuple[Chain, Chain], joints: Floats, speeds: Floats, time_s: Floats
+    ) -> NominalScan:
+        """Of what the joints of both arms do, source first, (views, joints), rad and s."""
+        first = len(chains[0])
+        moments = tuple(
+            Moment(joints[:, own], speeds[:, own], time_s)
+            for own in (slice(None, first), slice(first, None))
+        )
+        poses = [chain.tools(one.joints) for chain, one in zip(chains, moments, strict=True)]
+        return cls(np.stack(poses), time_s, chains, moments)
+
+    @classmethod
+    def of_gantry(cls, views: ScanGeometry, time_s: Floats) -> NominalScan:
+        """Of views that a gantry takes."""
+        sides = views.source_poses(), views.detector_poses()
+        return cls(np.array([[pose.matrix for pose in side] for side in sides]), time_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """What one cause does to all views, to first order.
+
+    Attributes:
+        name: of the cause.
+        factor: errors by standard draws, (views, 12, draws), mm and rad.
+        length: in views, over which it is alike: ``CONSTANT``, a number, or 0.
+    """
+
+    name: str
+    factor: Floats
+    length: float
+
+    def alike(self, apart: Floats) -> Floats:
+        """Correlation of its draws in views so far apart."""
+        if self.length == CONSTANT:
+            return np.ones_like(apart, dtype=float)
+        if not self.length:
+            return (apart == 0).astype(float)
+        return np.exp(-((apart / self.length) ** 2) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class FirstOrder:
+    """Covariances of all views to first order, and the means that they are about.
+
+    Attributes:
+        terms: all causes that spread.
+        means: what is the same in all draws, a draw of 1 for each cause.
+        views: how many.
+    """
+
+    terms: tuple[Term, ...]
+    means: tuple[Term, ...]
+    views: int
+
+    def covariance(self, one: int, other: int) -> Floats:
+        """Of the errors of two views, (12, 12): rows of the one, columns of the other."""
+        found = np.zeros((12, 12))
+        for term in self.terms:
+            apart = np.array(float(one - other))
+            found += term.alike(apart) * term.factor[one] @ term.factor[other].T
+        return found
+
+    @cached_property
+    def covariances(self) -> Floats:
+        """Of each view with itself, (views, 12, 12)."""
+        return sum(
+            (term.factor @ np.swapaxes(term.factor, 1, 2) for term in self.terms),
+            np.zeros((self.views, 12, 12)),
+        )
+
+
+def first_order(section: Uncertainty, scan: NominalScan) -> FirstOrder:
+    """Covariances of a scenario's errors, without a draw."""
+    found = [
+        *(_of_arms(section, scan) if scan.chains else ()),
+        *_of_views(section, scan),
+        *_reported(section),
+    ]
+    views = len(scan.time_s)
+    means = _means(section, scan) if scan.chains else ()
+    terms: dict[tuple[str, float], list[Floats]] = {}
+    for term in found:
+        if term.factor.any():
+            factor = np.broadcast_to(term.factor, (views, *term.factor.shape[1:]))
+            terms.setdefault((term.name, term.length), []).append(factor)
+    joined = tuple(
+        Term(name, np.concatenate(parts, axis=2), length) for (name, length), parts in terms.items()
+    )
+    return FirstOrder(joined, tuple(term for term in means if term.factor.any()), views)
+
+
+def _carried(frames: Floats, tools: Floats) -> Floats:
+    """(..., 6, 6): from twists of frames, in their axes, to errors of tools, in the world's."""
+    rotation = frames[..., :3, :3]
+    arms = tools[..., :3, 3] - frames[..., :3, 3]
+    found = np.zeros((*rotation.shape[:-2], 6, 6))
+    found[..., :3, :3] = found[..., 3:, 3:] = rotation
+    # w x r, column by column of the axes.
+    turned = np.cross(np.swapaxes(rotation, -1, -2), arms[..., None, :])
+    found[..., :3, 3:] = np.swapaxes(turned, -1, -2)
+    return found
+
+
+def _of_side(side: int, factor: Floats) -> Floats:
+    """A factor of one end-effector, (views, 6, draws), as one of both."""
+    both = np.zeros((len(factor), 12, factor.shape[2]))
+    both[:, 6 * side : 6 * side + 6] = factor
+    return both
+
+
+def _of_arms(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
+    arms, views = section.arms, len(scan.time_s)
+    missed = np.zeros((views, 12, 1))
+    for side, (chain, moment) in enumerate(zip(scan.chains, scan.moments, strict=True)):
+        tools = scan.poses[side]
+        frames = chain.frames(moment.joints)[:, :-1]
+        # Before its turn a joint's frame has other axes across the hinge.
+        still = frames @ np.linalg.inv(exp_matrices(_about_z(moment.joints)))
+        places = {
+            "base": _carried(np.broadcast_to(chain.base, tools.shape), tools)[:, None],
+            "links": _carried(still, tools[:, None]),
+            "tool": _carried(tools, tools)[:, None],
+        }
+        for term, frame, sigma in spreads(arms):
+            factor = places[frame] * sigma
+            yield Term(term, _of_side(side, _columns(factor)), CONSTANT)
+        growth = arms.drift_mm * coldness(arms, moment.time_s)[:, None, None, None]
+        yield Term("drift", _of_side(side, _columns(growth * places["links"][..., :3])), CONSTANT)
+        turns = places["links"][..., 5]  # of each joint about its axis, (views, joints, 6)
+
+        def by_joint(angles: Floats, turns: Floats = turns) -> Floats:
+            return np.swapaxes(turns * angles[..., None], 1, 2)
+
+        torques = chain.gravity_torques(moment.joints)
+        windup = arms.windup_spread * mean_compliance(arms, chain) * torques
+        yield Term("windup", _of_side(side, by_joint(windup)), CONSTANT)
+        periods = arms.gear_periods * moment.joints
+        for wave in (np.cos(periods), np.sin(periods)):
+            gear = np.radians(arms.gear_deg) / np.sqrt(2) * wave
+            yield Term("gear", _of_side(side, by_joint(gear)), CONSTANT)
+        # A step of the encoder leaves an even distribution over its width.
+        step = np.radians(section.encoder_step_deg) / np.sqrt(12)
+        step = np.broadcast_to(step, moment.joints.shape)
+        yield Term("encoder", _of_side(side, by_joint(step)), 0.0)
+        jitter = arms.trigger_jitter_ms * S_PER_MS * moment.speeds
+        missed[:, 6 * side : 6 * side + 6, 0] = by_joint(jitter).sum(axis=2)
+    yield Term("trigger", missed, 0.0)
+
+
+def _means(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
+    """What all gears wind up alike, and the delay of all triggers."""
+    wound, late = np.zeros((2, len(scan.time_s), 12, 1))
+    for side, (chain, moment) in enumerate(zip(scan.chains, scan.moments, strict=True)):
+        frames = chain.frames(moment.joints)[:, :-1]
+        turns = _carried(frames, scan.poses[side][:, None])[..., 5]
+        angles = mean_compliance(section.arms, chain) * chain.gravity_torques(moment.joints)
+        way = section.arms.trigger_delay_ms * S_PER_MS * moment.speeds
+        rows = slice(6 * side, 6 * side + 6)
+        wound[:, rows, 0] = np.einsum("vji,vj->vi", turns, angles)
+        late[:, rows, 0] = np.einsum("vji,vj->vi", turns, way)
+    yield Term("windup, mean", wound, CONSTANT)
+    yield Term("trigger, mean", late, CONSTANT)
+
+
+def _about_z(angles: Floats) -> Floats:
+    twists = np.zeros((*angles.shape, 6))
+    twists[..., 5] = angles
+    return twists
+
+
+def _columns(factor: Floats) -> Floats:
+    """(views, frames, 6, draws) as (views, 6, frames x draws), those that do nothing left out."""
+    flat = np.moveaxis(factor, 1, 2).reshape(len(factor), 6, -1)
+    return flat[:, :, flat.any(axis=(0, 1))]
+
+
+def _of_views(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
+    for side, sigma in enumerate(view_sigmas(section.views)):
+        tools = scan.poses[side]
+        factor = _carried(tools, tools) * sigma
+        yield Term("views", _of_side(side, factor), section.views.correlation_views)
+    patient = section.patient
+    sizes = amplitudes(patient, scan.time_s)  # a direction has 1/3 of its square along each axis
+    pivot = np.eye(4)
+    pivot[:3, 3] = patient.pivot_mm
+    both = np.concatenate(
+        [_carried(np.broadcast_to(pivot, t.shape), t) for t in scan.poses], axis=1
+    )
+    for part in range(4):
+        axes = slice(0, 3) if part % 2 == 0 else slice(3, 6)
+        factor = -both[:, :, axes] * sizes[:, part, None, None] / np.sqrt(3)
+        yield Term("patient", factor, CONSTANT)
+
+
+def _reported(section: Uncertainty) -> Iterator[Term]:
+    for side, noise in enumerate((section.source, section.detector)):
+        sigma = np.array([_cut_sigma(noise)] * 3 + [np.radians(noise.rotation_sigma_deg)] * 3)
+        yield Term("reported", _of_side(side, np.diag(sigma)[None]), noise.correlation_views)
+
+
+def _cut_sigma(noise: PoseNoise) -> float:
+    """Standard deviation of an axis after what lies beyond the cut-off is drawn again."""
+    if noise.cutoff_mm is None or not noise.sigma_mm:
+        return noise.sigma_mm
+    cut = noise.cutoff_mm / noise.sigma_mm
+    return noise.sigma_mm * float(truncnorm(-cut, cut).std())
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Errors as they are drawn.
+
+    Attributes:
+        errors: (draws, views, 12), mm and rad, as told above.
+        true: executed poses as the specimen sees them, (2, draws, views, 4, 4), mm.
+        believed: (2, draws, views, 4, 4), mm.
+    """
+
+    errors: Floats
+    true: Floats
+    believed: Floats
+
+
+def draw(
+    section: Uncertainty, scan: NominalScan, draws: int, seed: int, arms_seed: int
+) -> Iterator[tuple[slice, Draws]]:
+    """Draw a scenario's errors, some views after the other.
+
+    What stays the same in a scan is in the first draw as in the scan with these seeds.
+
+    Yields:
+        the views, and their draws.
+    """
+    views = len(scan.time_s)
+    deviations = [
+        drawn(section.arms, chain, arms_seed, side, draws)
+        for chain, side in zip(scan.chains, SIDES, strict=bool(scan.chains))
+    ]
+    towards = directions(arms_seed, draws)
+    jitter = scan_rng(seed, "trigger of all").normal(size=(draws, views))
+    own = [
+        _alike(seed, f"view {side} of all", draws, views, section.views.correlation_views)
+        * sigma.astype(np.float32)
+        for side, sigma in zip(SIDES, view_sigmas(section.views), strict=True)
+    ]
+    told = [
+        _reported_draws(noise, seed, side, draws, views)
+        for noise, side in zip((section.source, section.detector), SIDES, strict=True)
+    ]
+    encoders, size = scan_rng(seed, "encoders of all"), max(1, CHUNK // draws)
+    for first in range(0, views, size):
+        part = slice(first, min(first + size, views))
+        late_s = S_PER_MS * (
+            section.arms.trigger_delay_ms + section.arms.trigger_jitter_ms * jitter[:, part]
+        )
+        moved = _patient(section, towards, scan.time_s[part])
+        true, believed = [], []
+        for side in range(2):
+            here = scan.poses[side][None, part]
+            known = here
+            if deviations:
+                known = _encoded(section, scan, side, part, encoders, draws)
+                here = _true(section, scan, side, part, deviations[side], late_s)
+            here = here @ exp_matrices(own[side][:, part].astype(float))
+            noise = told[side][:, part].astype(float)
+            known = known @ exp_matrices(np.concatenate([0 * noise[..., 3:], noise[..., 3:]], -1))
+            known[..., :3, 3] += noise[..., :3]
+            true.append(here if moved is None else moved @ here)
+            believed.append(known)
+        yield part, _gathered(np.stack(true), np.stack(believed))
+
+
+def _gathered(true: Floats, believed: Floats) -> Draws:
+    apart = true[..., :3, 3] - believed[..., :3, 3]
+    turns = true[..., :3, :3] @ np.swapaxes(believed[..., :3, :3], -1, -2)
+    angles = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(apart.shape)
+    both = np.concatenate([apart, angles], axis=-1)
+    return Draws(np.concatenate([both[0], both[1]], axis=-1), true, believed)
+
+
+def _true(
+    section: Uncertainty,
+    scan: NominalScan,
+    side: int,
+    part: slice,
+    deviation: ArmDeviation,
+    late_s: Floats,
+) -> Floats:
+    if not any(section.arms.sizes):
+        return scan.poses[side][None, part]
+    moment = Moment(*(values[part] for values in scan.moments[side]))
+    return true_tools(section.arms, scan.chains[side], deviation, moment, late_s)
+
+
+def _encoded(
+    section: Uncertainty,
+    scan: NominalScan,
+    side: int,
+    part: slice,
+    rng: np.random.Generator,
+    draws: int,
+) -> Floats:
+    """What the nominal model makes of encoders whose joints are anywhere within their steps."""
+    if not (step := np.radians(section.encoder_step_deg)):
+        return scan.poses[side][None, part]
+    joints = scan.moments[side].joints[part]
+    return scan.chains[side].tools(joints + step * rng.uniform(-0.5, 0.5, (draws, *joints.shape)))
+
+
+def _patient(section: Uncertainty, towards: Floats, time_s: Floats) -> Floats | None:
+    """``place_from_moved``, (draws, views, 4, 4); None where the specimen keeps its place."""
+    if not any(section.patient.sizes):
+        return None
+    pivot = np.eye(4)
+    pivot[:3, 3] = section.patient.pivot_mm
+    moved = exp_matrices(patient_twists(section.patient, towards, time_s))
+    return pivot @ np.linalg.inv(moved) @ np.linalg.inv(pivot)
+
+
+def _alike(seed: int, purpose: str, draws: int, views: int, length: float) -> Singles:
+    """Standard draws that are alike over a length, (draws, views, 6), float32."""
+    rng, own = scan_rng(seed, purpose), weights(length)
+    white = rng.standard_normal((draws, views + len(own) - 1, 6), dtype=np.float32)
+    if not length:
+        return white
+    return oaconvolve(white, own[None, :, None].astype(np.float32), mode="valid", axes=1)
+
+
+def _reported_draws(noise: PoseNoise, seed: int, side: str, draws: int, views: int) -> Singles:
+    sigma = np.array([noise.sigma_mm] * 3 + [np.radians(noise.rotation_sigma_deg)] * 3, np.float32)
+    found = sigma * _alike(seed, f"reported {side}", draws, views, noise.correlation_views)
+    rng = scan_rng(seed, f"reported {side} again")
+    cutoff = np.inf if noise.cutoff_mm is None else noise.cutoff_mm
+    while (beyond := np.abs(found[..., :3]) > cutoff).any():
+        found[..., :3][beyond] = rng.normal(0.0, noise.sigma_mm, int(beyond.sum()))
+    return found
+
+
+def pixel_jacobian(scan: NominalScan, panel: Panel, points: Floats) -> Floats:
+    """What small errors do to the images of points: executed less believed, pixels.
+
+    Args:
+        scan: the views.
+        panel: the pixel lattice.
+        points: (points, 3), mm.
+
+    Returns:
+        (views, points, 2, 12), pixels by mm and rad.
+    """
+    found = []
+    for column in range(12):
+        step = np.zeros(6)
+        step[column % 6] = STEP
+        ends = []
+        for sign in (1, -1):
+            poses = scan.poses.copy()
+            poses[column // 6] = _displaced(poses[column // 6], sign * step)
+            ends.append(project(poses[:, None], panel, points)[0])
+        found.append((ends[0] - ends[1]) / (2 * STEP))
+    return np.stack(found, axis=-1)
+
+
+def _displaced(poses: Floats, error: Floats) -> Floats:
+    found = poses.copy()
+    found[..., :3, 3] += error[:3]
+    found[..., :3, :3] = Rotation.from_rotvec(error[3:]).as_matrix() @ poses[..., :3, :3]
+    return found
+
+
+def project(poses: Floats, panel: Panel, points: Floats) -> Floats:
+    """Images of points by many geometries.
+
+    Args:
+        poses: source and panel, (2, draws, views, 4, 4), mm.
+        panel: the pixel lattice.
+        points: (points, 3), mm.
+
+    Returns:
+        (draws, views, points, 2): fractional (column, row).
+    """
+    source, detector = poses[0][..., None, :3, 3], poses[1][..., :3, 3][..., None, :]
+    u, v, normal = np.moveaxis(poses[1][..., :3, :3], -1, 0)[..., None, :]
+    rays = points - source
+    to_panel = detector - source
+    reach = (to_panel * normal).sum(-1) / (rays * normal).sum(-1)
+    offset = reach[..., None] * rays - to_panel
+    column, row = (offset * u).sum(-1) / panel.pitch_u, (offset * v).sum(-1) / panel.pitch_v
+    return np.stack([column, row], axis=-1) + panel.middle
+
+
+@dataclass(frozen=True, eq=False)
+class Propagation:
+    """What a scenario's errors do to the geometry of its views.
+
+    Attributes:
+        analytic: covariances to first order.
+        errors: as drawn, (draws, views, 12), mm and rad.
+        points: in whose images errors are told, the isocentre first, (points, 3), mm.
+        pixels: distance of a point's image where it was and where it is believed to be,
+            (draws, views, points), pixels.
+        jacobian: of the images, (views, points, 2, 12), pixels by mm and rad.
+    """
+
+    analytic: FirstOrder
+    errors: Floats
+    points: Floats
+    pixels: Singles
+    jacobian: Floats
+
+    def shares(self) -> list[dict[str, float | str]]:
+        """What each cause does alone, to first order, over all views: the largest first.
+
+        Root mean squares: of the displacement and turn of source and panel, and of the distance of
+        images of all points.
+        """
+        rows: list[dict[str, float | str]] = []
+        for term in (*self.analytic.terms, *self.analytic.means):
+            rms = np.sqrt((term.factor**2).sum(axis=2).mean(axis=0))
+            image = self.jacobian @ term.factor[:, None]
+            rows.append(
+                {
+                    "term": term.name,
+                    "source_mm": float(np.linalg.norm(rms[:3])),
+                    "source_deg": float(np.degrees(np.linalg.norm(rms[3:6]))),
+                    "detector_mm": float(np.linalg.norm(rms[6:9])),
+                    "detector_deg": float(np.degrees(np.linalg.norm(rms[9:]))),
+                    "isocentre_px": _rms_px(image[:, :1]),
+                    "region_px": _rms_px(image[:, 1:]),
+                }
+            )
+        return sorted(rows, key=lambda row: -float(row["region_px"]))
+
+
+def _rms_px(image: Floats) -> float:
+    """Of the distances in images by standard draws, (views, points, 2, draws)."""
+    return float(np.sqrt((image**2).sum(axis=(2, 3)).mean())) if image.size else float("nan")
+
+
+def propagate(
+    section: Uncertainty,
+    scan: NominalScan,
+    panel: Panel,
+    points: Sequence[Sequence[float]] | Floats,
+    *,
+    draws: int,
+    seed: int,
+    arms_seed: int,
+) -> Propagation:
+    """Draw a scenario's errors, and give their covariances to first order beside them.
+
+    Args:
+        section: the scenario's errors.
+        scan: its views.
+        panel: the pixel lattice.
+        points: whose images are looked at, the isocentre first, (points, 3), mm.
+        draws: how many scans.
+        seed: of what changes from view to view.
+        arms_seed: of what does not.
+    """
+    where = np.asarray(points, dtype=np.float64)
+    errors = np.zeros((draws, len(scan.time_s), 12))
+    pixels = np.zeros((draws, len(scan.time_s), len(where)), np.float32)
+    for part, drawn_now in draw(section, scan, draws, seed, arms_seed):
+        errors[:, part] = drawn_now.errors
+        ends = (project(poses, panel, where) for poses in (drawn_now.true, drawn_now.believed))
+        pixels[:, part] = np.linalg.norm(np.subtract(*ends), axis=-1)
+    analytic = first_order(section, scan)
+    return Propagation(analytic, errors, where, pixels, pixel_jacobian(scan, panel, where))
