@@ -20,6 +20,7 @@ ARRAYS = ("position", "velocity", "effort", "state")
 
 
 PHYSICS = {
+    "uncertainty": {"preset": "collaborative", "patient": {"nod_mm": 3.0}},
     "source": {
         "spectrum": {"kind": "tube", "kvp": 80},
         "exposure_ms": 8.0,
