@@ -55,3 +55,13 @@ def test_a_scan_goes_on_as_it_was(
     assert again.executed == reached[2].executed
     assert again.exposure == reached[2].exposure
     assert again.before == reached[2].before
+
+
+def test_what_lags_is_where_the_last_view_was_taken(
+    cell: CellModel, plan: MotionPlan, targets: list[Target], true_cell: TrueCell
+) -> None:
+    """With what was drawn for that view, not for this one."""
+    shutter = Shutter(remember=True)
+    simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan, shutter, true_cell=true_cell)
+    first, second = moved(simulation, targets, range(2))
+    assert second.before == first.executed
