@@ -207,7 +207,7 @@ def _title(title: str) -> str:
 
 
 def _kind(model: type[BaseModel]) -> str:
-    for tag in ("kind", "algorithm"):
+    for tag in ("kind", "algorithm", "method"):
         if info := model.model_fields.get(tag):
             return f" ({tag}: {typing.get_args(info.annotation)[0]})"
     return ""

@@ -5,6 +5,7 @@ from twinct.recon.cgls import cgls
 from twinct.recon.fast import fast
 from twinct.recon.fdk import fdk
 from twinct.recon.fista_tv import fista_tv
+from twinct.recon.known import FoundImplant, Implant, OneEnergy, WithoutImplants, without_implants
 from twinct.recon.memory import available_bytes, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, without_metal
 from twinct.recon.orbit import Circle, fit_circle
@@ -22,9 +23,13 @@ __all__ = [
     "AlgorithmSettings",
     "Callback",
     "Circle",
+    "FoundImplant",
+    "Implant",
+    "OneEnergy",
     "Problem",
     "Projector",
     "Step",
+    "WithoutImplants",
     "WithoutMetal",
     "available_bytes",
     "cgls",
@@ -41,6 +46,7 @@ __all__ = [
     "sirt",
     "spread_order",
     "weighted_distance",
+    "without_implants",
     "without_metal",
     "without_surroundings",
 ]

@@ -45,12 +45,12 @@ def hardening_corrected(
     source, detector = scenario.source, scenario.detector
     energy = effective_energy_kev(source, detector)
     known = build_spectrum(source), build_response(detector)
-    materials = _materials(section)
+    materials = materials_of(section)
     if section.kind == "one_material":
         substances = materials or [Workshop(scenario).specimen.largest_part.material]
         return _each(Hardening(*known, substances, energy), integrals)
 
-    base, dense = materials
+    base = materials[0]
     volume = sart(
         A,
         _each(Hardening(*known, [base], energy), integrals),
@@ -58,16 +58,42 @@ def hardening_corrected(
         relaxation=getattr(scenario.reconstruction, "relaxation", RELAXATION),
         mask=mask,
     ).array
+    return corrected_for(scenario, integrals, A, volume, mask)[0]
+
+
+def corrected_for(
+    scenario: Scenario,
+    integrals: NDArray[np.float32],
+    A: Projector,
+    volume: NDArray[np.float32],
+    mask: NDArray[np.bool_] | None = None,
+    *,
+    keep: bool = False,
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """Integrals corrected for two materials that a volume tells apart, with ``keep`` their paths.
+
+    The volume is (z, y, x); paths are those in the dense material, (views, rows, columns), mm.
+    """
+    from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+    from twinct.xray.hardening import Hardening
+
+    section = scenario.reconstruction.beam_hardening
+    assert section is not None
+    source, detector = scenario.source, scenario.detector
+    energy = effective_energy_kev(source, detector)
+    base, dense = materials_of(section)
     low, high = base.mu_per_mm(energy), dense.mu_per_mm(energy)
     share = np.empty_like(volume)
     for plane, values in zip(share, volume, strict=True):
         # From a quarter to three quarters of the step between them: noise counts as neither.
         plane[:] = np.clip(2 * (values - low) / (high - low) - 0.5, 0, 1)
     paths = A(share)
+    known = build_spectrum(source), build_response(detector)
     hardening = Hardening(*known, [base, dense], energy, float(paths.max()))
+    corrected = np.empty_like(paths) if keep else paths
     for view, path in enumerate(paths):
-        path[:] = hardening.correct(masked_image(integrals, view, mask), path)
-    return paths
+        corrected[view] = hardening.correct(masked_image(integrals, view, mask), path)
+    return corrected, paths if keep else None
 
 
 def _each(hardening: Hardening, integrals: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -93,7 +119,7 @@ def check_hardening(scenario: Scenario) -> None:
     section = scenario.reconstruction.beam_hardening
     if section is None:
         return
-    materials = _materials(section)
+    materials = materials_of(section)
     if section.kind == "two_materials":
         from twinct.xray.build import effective_energy_kev
 
@@ -106,7 +132,7 @@ def check_hardening(scenario: Scenario) -> None:
             )
 
 
-def _materials(section: BeamHardening) -> list[Material]:
+def materials_of(section: BeamHardening) -> list[Material]:
     """Those that the section names: none, one, or base and dense."""
     from twinct.specimen.materials import material
 

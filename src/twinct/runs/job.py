@@ -217,7 +217,9 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
             figures.setdefault(which, ImageFigures.of(told))
         if asked_anew:
             _judge_others(now, workshop, audience)
-        results = Results(made.volume, truth, figures, before.get("residuals", {}))
+        found = {key: before[key] for key in ("implants",) if key in before}
+        volume = replace(made.volume, extras={**made.volume.extras, **found})
+        results = Results(volume, truth, figures, before.get("residuals", {}))
         timing = Timing(before["seconds"], before["real_time_factor"])
         write_results(folder, workshop, now.scan, results, timing)
         if asked_anew:

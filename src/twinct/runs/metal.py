@@ -41,7 +41,7 @@ def check_metal(scenario: Scenario) -> None:
         InputError: unknown materials, each with its key, or such as do not attenuate more and more.
     """
     section = scenario.reconstruction.metal
-    if section is None:
+    if not isinstance(section, Nmar):
         return
     mus = _attenuations(scenario, section)
     if not mus["tissue"] < mus["bone"] < mus["metal"]:

@@ -140,8 +140,10 @@ def write_results(
     if isinstance(timing, Seconds):
         timing = timing.finished()
     digests = stage_digests(scenario)
+    implants = results.volume.extras.get("implants")
     metrics = build_metrics(
         **_of_scan(scan),
+        **({} if implants is None else {"implants": implants}),
         image=results.figures,
         seconds=timing.stages,
         real_time_factor=timing.real_time_factor,

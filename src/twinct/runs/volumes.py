@@ -23,15 +23,17 @@ from twinct.observers import Audience, IterationDone, Observers, audience_of
 from twinct.recon.algorithm import Problem
 from twinct.recon.algorithms import algorithms
 from twinct.recon.engine import asked_for
+from twinct.recon.known import implant_bytes
 from twinct.recon.memory import advice, peak_bytes, refuse_if_short
-from twinct.recon.metal import metal_bytes
+from twinct.recon.metal import WithoutMetal, metal_bytes
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.steps import Step
 from twinct.recon.surroundings import surroundings_bytes, without_surroundings
+from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.metal import metal_replaced
 from twinct.scan import Scan
-from twinct.scenario import SECTIONS, Scenario, parse_scenario, stage_digests
+from twinct.scenario import SECTIONS, KnownImplants, Nmar, Scenario, parse_scenario, stage_digests
 from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
@@ -129,19 +131,26 @@ def _reconstruct(
     if x0 is not None and done >= iterations and section.metal is None:
         return Volume(x0, grid)
     A = Projector(poses, grid)
-    integrals = hardening_corrected(scenario, line_integrals(scan.transmission), A, pixels)
+    integrals = line_integrals(scan.transmission)
+    metal: WithoutMetal | TakenOut | None = None
+    if isinstance(section.metal, KnownImplants):
+        with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
+            known = scenario, section.metal, integrals, A, pixels
+            metal = implants_taken_out(*known, lambda _: tick())
+        integrals = metal.line_integrals
+    else:
+        integrals = hardening_corrected(scenario, integrals, A, pixels)
     if around := section.around:
         with audience.stage("surroundings", around.iterations * len(A)) as tick:
             integrals = without_surroundings(
                 A, integrals, **around._asdict(), mask=pixels, callback=lambda _: tick()
             )
-    metal = None
-    if implants := section.metal:
-        with audience.stage("metal", implants.first_iterations * len(A)) as tick:
-            metal = metal_replaced(scenario, implants, integrals, A, pixels, lambda _: tick())
+    if isinstance(section.metal, Nmar):
+        with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
+            metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
         integrals = metal.line_integrals
-        if x0 is not None and done >= iterations:
-            return metal.put_back(Volume(x0, grid))
+    if metal and x0 is not None and done >= iterations:
+        return metal.put_back(Volume(x0, grid))
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
     updates = algorithm.updates(section, len(scan))
@@ -196,6 +205,9 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
         stages["surroundings"] = held + own
     if section.metal is not None:
         stages["metal"] = held + metal_bytes(voxels, pixels)
+    if isinstance(section.metal, KnownImplants):
+        # Measured and corrected integrals, and paths in the dense material, live beside them.
+        stages["implants"] = held + 12 * pixels + implant_bytes(voxels, pixels)
     stages[algorithm.name] = held + peak_bytes(algorithm, voxels, pixels)
     return stages
 
@@ -212,6 +224,8 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     grid = scenario.reconstruction.volume_grid
     check_grid(commanded, grid)
     algorithm.check(commanded)
+    if isinstance(metal := scenario.reconstruction.metal, KnownImplants):
+        check_implants(scenario, metal, commanded)
     stages = memory_needed(scenario, commanded)
     most = max(stages, key=lambda stage: stages[stage])
     refuse_if_short(

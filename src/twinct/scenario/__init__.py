@@ -43,7 +43,7 @@ from twinct.scenario.loading import (
     scenario_schema,
     write_scenario,
 )
-from twinct.scenario.metal import Nmar
+from twinct.scenario.metal import Implant, KnownImplants, Nmar
 from twinct.scenario.motion import InverseKinematics, Motion
 from twinct.scenario.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
 from twinct.scenario.scenario import AnyTrajectory, Scenario
@@ -116,8 +116,10 @@ __all__ = [
     "Grid",
     "Head",
     "ImageSpot",
+    "Implant",
     "IntegratingResponse",
     "InverseKinematics",
+    "KnownImplants",
     "MeshFile",
     "Motion",
     "Nmar",

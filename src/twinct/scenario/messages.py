@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from twinct.scenario.reading import Draft, Key, is_list, key_of
+from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
 from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
 from twinct.scenario.version_0_1 import advice
@@ -37,8 +37,8 @@ def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scena
             in_conflict.append(key)
             continue
         if detail["type"] == "union_tag_invalid":
-            by_kind = "kind" in detail.get("ctx", {})["discriminator"]
-            key = (*key, "kind" if by_kind else "algorithm")
+            by = detail.get("ctx", {})["discriminator"]
+            key = (*key, next((tag for tag in KIND_KEYS if tag in by), "algorithm"))
         wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
         found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model, others)))
     sentences: list[str] = []
@@ -175,6 +175,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
 
 
 def _tag(model: type[BaseModel]) -> str | None:
-    """What the key ``kind`` or ``algorithm`` says of a section that is one of several."""
-    infos = (model.model_fields[tag] for tag in ("kind", "algorithm") if tag in model.model_fields)
+    """What ``kind``, ``method`` or ``algorithm`` says of a section that is one of several."""
+    tags = (*KIND_KEYS, "algorithm")
+    infos = (model.model_fields[tag] for tag in tags if tag in model.model_fields)
     return next((str(typing.get_args(info.annotation)[0]) for info in infos), None)

@@ -23,6 +23,8 @@ DEEPEST = 20
 """Levels that a scenario may be nested; its own sections need six."""
 
 
+KIND_KEYS = ("kind", "method")
+"""Keys that say which of several sections one is."""
 DEFAULT_KINDS: dict[Key, str] = {("cell",): DEFAULT_KIND}
 """Of sections that may leave out their ``kind``."""
 
@@ -215,8 +217,8 @@ def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key)
     for name, value in data.items():
         inner, old = (*key, name), here.get(name)
         if is_mapping(old) and is_mapping(value):
-            kind = old.get("kind", DEFAULT_KINDS.get(inner))
-            if value.get("kind", kind) == kind:
+            kinds = {tag: old.get(tag, DEFAULT_KINDS.get(inner)) for tag in KIND_KEYS}
+            if all(value.get(tag, kind) == kind for tag, kind in kinds.items()):
                 _change_algorithm(base, inner, value.get("algorithm"))
                 _merge(base, value, origins, inner)
                 base.record({inner: origins[inner]})
@@ -255,8 +257,8 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
         else:
             raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
         if depth == len(steps) - 1:
-            if is_mapping(here) and step == "kind":
-                if here.get("kind", DEFAULT_KINDS.get(key[:-1], value)) != value:
+            if is_mapping(here) and step in KIND_KEYS:
+                if here.get(step, DEFAULT_KINDS.get(key[:-1], value)) != value:
                     _start_afresh(draft, here, key[:-1])
             if step == "algorithm":
                 _change_algorithm(draft, key[:-1], value)

@@ -13,7 +13,7 @@ from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.algorithms import algorithms
 from twinct.scenario.beam_hardening import BeamHardening
-from twinct.scenario.metal import Nmar
+from twinct.scenario.metal import Metal
 from twinct.settings import Lengths, Positive, Section, Vector, facts, setting
 
 log = logging.getLogger(__name__)
@@ -100,7 +100,7 @@ class Reconstruction(Section):
     beam_hardening: BeamHardening | None = setting(
         None, "Correction of line integrals before reconstruction."
     )
-    metal: Nmar | None = setting(None, "Replace what rays through metal say; the last correction.")
+    metal: Metal | None = setting(None, "What is done about rays through metal.")
     geometry: GeometryName | tuple[GeometryName, ...] = setting(
         "believed",
         "Geometry to reconstruct from: commanded, executed, believed, or the name of one derived "
@@ -174,7 +174,11 @@ class Reconstruction(Section):
             voxel = self.volume_grid.voxel.min()
             words.append(f"zoom with voxels of {voxel:.3g} mm")
         if self.metal:
-            words.append(f"metal replaced ({self.metal.method})")
+            words.append(
+                "metal replaced (nmar)"
+                if self.metal.method == "nmar"
+                else f"{len(self.metal.implants)} known implants taken out"
+            )
         return ", ".join(filter(None, words))
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,0 +1,283 @@
+"""Known implants of a scan: from its scenario to poses, and to line integrals without them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twinct.errors import InputError
+from twinct.geometry import Pose, ScanGeometry
+from twinct.recon.known import FoundImplant, Implant, outside, without_implants
+from twinct.recon.metal import without_metal
+from twinct.recon.projector import Projector
+from twinct.recon.sart import sart
+from twinct.recon.steps import Callback
+from twinct.recon.surroundings import without_surroundings
+from twinct.runs.integrals import corrected_for, hardening_corrected, materials_of
+from twinct.scan import Workshop
+from twinct.scenario import KnownImplants, Part, Scenario
+from twinct.shadow import Body
+from twinct.volume import Volume
+
+if TYPE_CHECKING:
+    from twinct.specimen.materials import Material
+
+log = logging.getLogger(__name__)
+
+_KEY = "reconstruction.metal"
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """An implant as the scenario describes it.
+
+    Attributes:
+        name: what messages call it.
+        material: what it is made of.
+        implant: its shape, and where it is believed to be.
+    """
+
+    name: str
+    material: Material
+    implant: Implant
+
+
+@dataclass(frozen=True, eq=False)
+class TakenOut:
+    """Line integrals without known implants, and the implants.
+
+    Attributes:
+        line_integrals: (views, rows, columns), surroundings of the grid included.
+        known: what was looked for.
+        found: where it is.
+        world_from_specimen: where the specimen is believed to stand.
+        energy_kev: of the volume's attenuation.
+    """
+
+    line_integrals: NDArray[np.float32]
+    known: Sequence[Known]
+    found: Sequence[FoundImplant]
+    world_from_specimen: Pose
+    energy_kev: float
+
+    def put_back(self, volume: Volume) -> Volume:
+        """A volume of these line integrals with the implants in it, each voxel by its share.
+
+        What was found of them is among the extras, as ``implants``.
+        """
+        from twinct.specimen.voxels import volume_fractions
+
+        array = np.array(volume.array)
+        for one, found in zip(self.known, self.found, strict=True):
+            body, mu = one.implant.body, one.material.mu_per_mm(self.energy_kev)
+            share = volume_fractions(
+                body.vertices, body.faces, volume.grid, found.world_from_implant
+            )
+            inside = np.flatnonzero(share)
+            array.flat[inside] += share.flat[inside] * (mu - array.flat[inside])
+        extras = dict(volume.extras) | {"implants": self.told()}
+        return Volume(array, volume.grid, extras)
+
+    def told(self) -> list[dict[str, Any]]:
+        """Poses in the specimen's frame as the scenario has them, and what separates them."""
+        specimen_from_world = self.world_from_specimen.inverse()
+        told: list[dict[str, Any]] = []
+        for one, found in zip(self.known, self.found, strict=True):
+            pose, believed = found.world_from_implant, one.implant.world_from_implant
+            of_specimen = specimen_from_world @ pose
+            sigma = np.sqrt(np.diag(found.covariance))
+            told.append(
+                {
+                    "name": one.name,
+                    "position_mm": of_specimen.position.tolist(),
+                    "rotation_deg": Rotation.from_quat(of_specimen.quat)
+                    .as_euler("xyz", degrees=True)
+                    .tolist(),
+                    "moved_mm": pose.distance_mm(believed),
+                    "turned_deg": pose.angle_deg(believed),
+                    "position_sigma_mm": sigma[:3].tolist(),
+                    "rotation_sigma_deg": np.degrees(sigma[3:]).tolist(),
+                    "density_rel": found.density,
+                    "slack_mm": float(np.sqrt(np.square(found.slack).sum(axis=1).mean())),
+                }
+            )
+        return told
+
+
+def implants_taken_out(
+    scenario: Scenario,
+    section: KnownImplants,
+    measured: NDArray[np.float32],
+    A: Projector,
+    mask: NDArray[np.bool_] | None,
+    callback: Callback,
+) -> TakenOut:
+    """Line integrals, corrected as the scenario asks for, without the implants that it knows.
+
+    Args:
+        scenario: what is believed of source, detector and specimen.
+        section: its ``reconstruction.metal``.
+        measured: -ln of the transmission, (views, rows, columns).
+        A: the projector, with the believed geometry.
+        mask: where a pixel counts.
+        callback: of each ``sart`` but that of the correction of beam hardening.
+    """
+    from twinct.xray.build import effective_energy_kev
+
+    known = known_implants(scenario, section)
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    mus = {name: of.mu_per_mm(energy) for name, of in _prior(section).items()}
+    first = hardening_corrected(scenario, measured, A, mask)
+    inner, around = first, scenario.reconstruction.around
+    surroundings = None
+    if around is not None:
+        inner = without_surroundings(A, first, **around._asdict(), mask=mask)
+        surroundings = first - inner
+        if mask is not None:
+            surroundings *= mask
+    iterations = section.first_iterations
+    metal = min(one.material.mu_per_mm(energy) for one in known)
+    replaced = without_metal(
+        A, inner, **mus, metal=metal, first_iterations=iterations, mask=mask, callback=callback
+    ).line_integrals
+    del inner, first
+    background = sart(
+        A, replaced, iterations=iterations, relaxation=0.3, mask=mask, callback=callback
+    ).array
+    del replaced
+    taken = without_implants(
+        A,
+        _beam(scenario, known, measured, A, mask),
+        [one.implant for one in known],
+        background,
+        surroundings=surroundings,
+        position_sigma_mm=section.position_sigma_mm,
+        rotation_sigma_deg=section.rotation_sigma_deg,
+        slack_mm=section.slack_mm,
+        rounds=section.rounds,
+        iterations=iterations,
+        mask=mask,
+        callback=callback,
+    )
+    stands = scenario.specimen.world_from_specimen
+    result = TakenOut(taken.line_integrals, known, taken.found, stands, energy)
+    for one in result.told():
+        log.info(
+            "implant %s: moved by %.3f mm and %.3f deg from where it was believed, density %.3f",
+            *(one[key] for key in ("name", "moved_mm", "turned_deg", "density_rel")),
+        )
+    return result
+
+
+def volumes_of(section: KnownImplants) -> int:
+    """SART iterations that ``implants_taken_out`` tells of."""
+    return section.first_iterations * (2 + section.rounds)
+
+
+def known_implants(scenario: Scenario, section: KnownImplants) -> list[Known]:
+    """The implants of a scenario, where they are believed to be.
+
+    Raises:
+        InputError: names of parts that are none, shapes or materials that cannot be built.
+    """
+    from twinct.specimen.materials import material
+    from twinct.specimen.shapes import shape_surface
+
+    parts = {part.label: part for part in scenario.specimen.parts}
+    problems: list[str] = []
+    known: list[Known] = []
+    for i, told in enumerate(section.implants):
+        key = f"{_KEY}.implants.{i}"
+        if told.part and told.part not in parts and None in (told.shape, told.position_mm):
+            problems.append(f"{key}.part: no part is called {told.part!r}; there are {[*parts]}")
+            continue
+        part: Part = told.described_by(parts.get(told.part))
+        name = part.name or f"implant {i}"
+        try:
+            substance = material(part.material, f"{key}.material")
+            mesh = shape_surface(part.shape, name)
+            body = Body(mesh.vertices, mesh.faces)
+        except InputError as error:
+            problems += error.problems
+            continue
+        place = scenario.specimen.world_from_specimen @ part.specimen_from_part
+        known.append(Known(name, substance, Implant(body, place)))
+    if problems:
+        raise InputError(problems)
+    return known
+
+
+def check_implants(scenario: Scenario, section: KnownImplants, views: ScanGeometry) -> None:
+    """Look at what can be known before any work.
+
+    Raises:
+        InputError: see ``known_implants``; attenuations that do not rise; implants outside of the
+            grid; views whose every ray passes one.
+    """
+    from twinct.xray.build import effective_energy_kev
+
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    known = known_implants(scenario, section)
+    tissue, bone = (one.mu_per_mm(energy) for one in _prior(section).values())
+    problems: list[str] = []
+    if tissue >= bone:
+        problems.append(f"{_KEY}: bone attenuates by {bone:.3g}, tissue by {tissue:.3g} per mm")
+    for one in known:
+        if (mu := one.material.mu_per_mm(energy)) <= bone:
+            problems.append(
+                f"{_KEY}: {one.name} of {one.material.name} attenuates by {mu:.3g} per mm, bone by "
+                f"{bone:.3g}: an implant must exceed bone"
+            )
+    A = Projector(views, scenario.reconstruction.volume_grid)
+    names = [one.name for one in known]
+    found = outside(A, [one.implant for one in known], names)
+    if problems := problems + [f"{_KEY}: {problem}" for problem in found]:
+        raise InputError(problems)
+
+
+def _prior(section: KnownImplants) -> dict[str, Material]:
+    from twinct.specimen.materials import material
+
+    names = ("tissue", "bone")
+    return {name: material(getattr(section, name), f"{_KEY}.{name}") for name in names}
+
+
+def _beam(
+    scenario: Scenario,
+    known: Sequence[Known],
+    measured: NDArray[np.float32],
+    A: Projector,
+    mask: NDArray[np.bool_] | None,
+) -> Any:
+    """How the scan's beam attenuates in a background and in the implants together."""
+    from twinct.specimen.materials import material
+    from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+    from twinct.xray.implants import Corrected, MetalModel
+
+    section = scenario.reconstruction.beam_hardening
+    energy: float | None = effective_energy_kev(scenario.source, scenario.detector)
+    spectrum, response = build_spectrum(scenario.source), build_response(scenario.detector)
+    materials = [] if section is None else materials_of(section)
+    if section is None:  # what surrounds the implants is not known better
+        materials = [material("soft_tissue")]
+        energy = None
+    elif not materials:
+        materials = [Workshop(scenario).specimen.largest_part.material]
+    metals = [one.material for one in known]
+    model = MetalModel(spectrum, response, materials, metals, energy)
+    if section is None or section.kind == "one_material":
+        corrected = hardening_corrected(scenario, measured, A, mask)
+        same = Corrected(model, measured, corrected, None)
+        return lambda _: same
+
+    def for_background(background: NDArray[np.float32]) -> Corrected:
+        integrals, paths = corrected_for(scenario, measured, A, background, mask, keep=True)
+        return Corrected(model, measured, integrals, paths)
+
+    return for_background

@@ -1,0 +1,144 @@
+"""A closed body, and its shadow in a view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twinct.errors import InputError
+from twinct.geometry import Floats, Pose, ScanGeometry
+from twinct.geometry.arrays import frozen
+from twinct.shadow._kernel import crossings
+
+
+class Box(NamedTuple):
+    """A rectangle of pixels: rows and columns of a panel."""
+
+    rows: slice
+    columns: slice
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns; 0 where the rectangle is empty."""
+        down, across = self
+        return max(down.stop - down.start, 0), max(across.stop - across.start, 0)
+
+
+class Shadow(NamedTuple):
+    """What a view sees of a body.
+
+    Attributes:
+        box: the pixels of the arrays; rays beside it miss the body.
+        lengths: of each ray inside the body, (rows, columns), mm.
+        slopes: their derivatives with a motion of the body along a twist (v, w) in its own axes,
+            ``world_from_body @ Pose.exp(twist)``, (rows, columns, 6), mm by mm and rad.
+    """
+
+    box: Box
+    lengths: Floats
+    slopes: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A closed body of triangles, in its own frame.
+
+    Attributes:
+        vertices: (vertices, 3), mm.
+        faces: (faces, 3), counter-clockwise seen from outside.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.int64]
+
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
+        """Copy and freeze the arrays.
+
+        Raises:
+            InputError: the surface is open, or turned inside out.
+        """
+        triangles = np.array(faces, dtype=np.int64)
+        triangles.setflags(write=False)
+        corners = np.asarray(vertices, dtype=np.float64)
+        object.__setattr__(self, "vertices", frozen(corners, corners.shape, "vertices"))
+        object.__setattr__(self, "faces", triangles)
+        edges = np.concatenate([triangles[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+        there, back = (np.unique(way, axis=0) for way in (edges, edges[:, ::-1]))
+        if len(there) != len(edges) or not np.array_equal(there, back):
+            raise InputError("the mesh of a body is open: paths through it need a closed surface")
+        a, b, c = (self.vertices[triangles[:, i]] for i in range(3))
+        if np.einsum("ij,ij", a, np.cross(b, c)) <= 0:
+            raise InputError("the mesh of a body is inside out: its normals must point outwards")
+
+    @property
+    def radius_mm(self) -> float:
+        """Of the sphere about the origin of its frame that just holds it, mm."""
+        return float(np.linalg.norm(self.vertices, axis=1).max())
+
+    def box(
+        self, geometry: ScanGeometry, world_from_body: Pose, view: int, margin: float = 0
+    ) -> Box:
+        """The pixels that the body may shade in a view, with a margin, within the panel.
+
+        Raises:
+            InputError: the body reaches the plane through the source parallel to the panel.
+        """
+        places = geometry[view].project(world_from_body.apply(self.vertices))[0]
+        if np.isnan(places).any():
+            raise InputError(f"a body reaches behind the source of view {view}")
+        panel = geometry.panel
+        low = np.clip(np.floor(places.min(axis=0) - margin), 0, (panel.columns, panel.rows))
+        high = np.clip(np.ceil(places.max(axis=0) + margin) + 1, 0, (panel.columns, panel.rows))
+        columns, rows = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+        return Box(rows, columns)
+
+    def shadow(
+        self,
+        geometry: ScanGeometry,
+        world_from_body: Pose,
+        view: int,
+        *,
+        slopes: bool = False,
+        box: Box | None = None,
+    ) -> Shadow:
+        """Path lengths of the rays of a view to the pixel centres, and their derivatives.
+
+        A ray's length inside is the sum of where it leaves less where it enters. If a facet with
+        normal n is moved by u where a ray along d meets it, the crossing moves along the ray by
+        n u / (n d): with u = v + w x x for a twist, the derivatives are exact, but for rays that
+        touch an edge.
+
+        Args:
+            geometry: the views.
+            world_from_body: pose of the body.
+            view: its number.
+            slopes: also the derivatives; else they have no columns.
+            box: the pixels wanted; all that the body may shade if not given.
+
+        Raises:
+            InputError: as for ``box``.
+        """
+        box = box or self.box(geometry, world_from_body, view)
+        local, panel = world_from_body.inverse() @ geometry[view], geometry.panel
+        source = local.source[0]
+        across, up = local.u[0] * panel.pitch_u, local.v[0] * panel.pitch_v
+        column, row = panel.middle
+        lengths = np.zeros(box.shape)
+        derivatives = np.zeros((*box.shape, 6 if slopes else 0))
+        if lengths.size:
+            crossings(
+                self.vertices - source,
+                self.faces,
+                local.project(self.vertices)[0],
+                source,
+                local.detector[0] - source - column * across - row * up,
+                across,
+                up,
+                (box.rows.start, box.columns.start),
+                lengths,
+                derivatives,
+            )
+        return Shadow(box, lengths, derivatives)
