@@ -1,31 +1,33 @@
 """Known implants in a small analytic scene: found, and taken out of the line integrals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from twinct.errors import InputError
-from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, sart
 from twinct.recon.known import Implant, OneEnergy, without_implants
-from twinct.shadow import Body
+from twinct.shadow import Body, Rays
 
 TISSUE, BONE, METAL = 0.02, 0.05, 0.3
-HEAD, BONES = ((0, 0, 0), (30, 26, 24)), ((6, 4, -3), (14, 9, 9))
-PLACE = Pose.from_euler((8, 3, -2), (70, 10, 30))
+HEAD, BONES = ((0, 0, 0), (22, 20, 18)), ((2, 3, -1), (13, 9, 7))
+PLACE = Pose.from_euler((3, 3, -1), (70, 10, 30))
 NOISE = 0.01
 JITTER_MM = 0.1
 
 
 def rod():
-    mesh = trimesh.creation.cylinder(1.5, 18.0, sections=64)
+    mesh = trimesh.creation.cylinder(1.5, 12.0, sections=32)
     return Body(mesh.vertices, mesh.faces)
 
 
 def integrals(geometry, body, pose):
-    images = np.zeros((len(geometry), *geometry.panel.shape))
+    images, rays = np.zeros((len(geometry), *geometry.panel.shape)), Rays(geometry)
     for view, image in enumerate(images):
-        box, lengths, _ = body.shadow(geometry, pose, view)
+        box, lengths, _ = rays.shadow(body, pose, view)
         image[box] = lengths
     return images
 
@@ -34,22 +36,19 @@ def integrals(geometry, body, pose):
 def scene(circle, ellipsoid_integrals):
     """Projector from believed poses, line integrals with a rod and without, and a start volume."""
     rng = np.random.default_rng(5)
-    executed = circle(60, Panel(72, 90, 2.0, 2.0))
+    executed = circle(36, Panel(48, 60, 2.0, 2.0))
     source, detector = (
         ends + rng.normal(0, JITTER_MM, ends.shape) for ends in (executed.source, executed.detector)
     )
-    believed = ScanGeometry(source, detector, executed.u, executed.v, executed.panel)
+    believed = replace(executed, source=source, detector=detector)
     head, bones = (ellipsoid_integrals(executed, *body) for body in (HEAD, BONES))
     plain = TISSUE * head + (BONE - TISSUE) * bones
     plain += rng.normal(0, NOISE, plain.shape).astype(np.float32)
     dark = (plain + (METAL - BONE) * integrals(executed, rod(), PLACE)).astype(np.float32)
-    A = Projector(believed, VolumeGrid((34, 36, 40), 1.6))
-    return A, dark, plain
-
-
-def start_of(A, dark):
-    """A volume with bone where more than bone is seen."""
-    return np.minimum(sart(A, dark, iterations=3, relaxation=0.3).array, BONE)
+    A = Projector(believed, VolumeGrid((20, 22, 24), 2.0))
+    # Bone where more than bone is seen.
+    start = np.minimum(sart(A, dark, iterations=2, relaxation=0.3).array, BONE)
+    return A, dark, plain, start
 
 
 def off(twist):
@@ -60,10 +59,11 @@ def axis_error_deg(pose):
     return np.degrees(np.arccos(np.clip(pose.rotation[:, 2] @ PLACE.rotation[:, 2], -1, 1)))
 
 
-def found_in(scene, twist=(0, 0, 0, 0, 0, 0), **keys):
-    A, dark, _ = scene
-    beam = OneEnergy(dark, np.array([keys.pop("mu", METAL)]))
-    return without_implants(A, beam, [Implant(rod(), off(twist))], start_of(A, dark), **keys)
+def found_in(scene, twist=(0, 0, 0, 0, 0, 0), mu=METAL, **keys):
+    A, dark, _, start = scene
+    implants = [Implant(rod(), off(twist))]
+    keys = {"rounds": 1, "iterations": 2} | keys
+    return without_implants(A, OneEnergy(dark, np.array([mu])), implants, start, **keys)
 
 
 @pytest.mark.parametrize("twist", [(1.2, -1.2, 1.0, 3.5, -3.5, 0), (-1, 0, -1.7, -4, 3, 0)])
@@ -80,37 +80,25 @@ def test_a_rod_is_found_from_2_mm_and_5_degrees_off(scene, twist):
     assert rod_.density == pytest.approx((METAL - BONE) / METAL, abs=0.05)
 
 
-def test_what_is_left_is_as_good_as_without_metal(scene):
-    A, dark, plain = scene
-    left = found_in(scene, (0.5, -0.5, 0.5, 1, 1, 0)).line_integrals
+def test_what_is_left_is_as_good_as_without_metal_though_its_density_is_wrong(scene):
+    _, dark, plain, _ = scene
+    taken = found_in(scene, (0.5, -0.5, 0.5, 1, 1, 0), mu=METAL * 1.1)
+    assert taken.found[0].density * 1.1 == pytest.approx((METAL - BONE) / METAL, abs=0.05)
     metal = np.abs(dark - plain) > 1e-3
-    np.testing.assert_array_equal(
-        left[integrals(A.geometry, rod(), PLACE) == 0][:100].shape, (100,)
-    )
-    error, was = (left - plain)[metal], (dark - plain)[metal]
+    error, was = (taken.line_integrals - plain)[metal], (dark - plain)[metal]
     assert np.sqrt((error**2).mean()) < 0.1 * np.sqrt((was**2).mean())
+    # Two directions on the panel, source and panel both, seen at half its distance.
+    assert 0.03 < np.sqrt((taken.found[0].slack ** 2).sum(axis=1).mean()) < 0.2
 
 
-def test_a_wrong_density_is_told(scene):
-    taken = found_in(scene, mu=METAL * 1.1)
-    right = found_in(scene)
-    assert taken.found[0].density * 1.1 == pytest.approx(right.found[0].density, rel=0.01)
-    np.testing.assert_allclose(taken.line_integrals, right.line_integrals, atol=0.02)
-
-
-def test_jitter_of_views_is_found(scene):
-    A, _, _ = scene
-    with_slack, without = found_in(scene), found_in(scene, slack_mm=0)
-    assert not without.found[0].slack.any()
-    slack = np.sqrt((with_slack.found[0].slack ** 2).sum(axis=1).mean())
-    assert 0.03 < slack < 0.2  # two directions on the panel, source and panel, magnified twice
+def test_without_slack_no_view_is_displaced(scene):
+    assert not found_in(scene, slack_mm=0).found[0].slack.any()
 
 
 def test_masked_pixels_have_no_influence(scene):
-    A, dark, _ = scene
+    A, dark, _, start = scene
     mask = np.ones(dark.shape, np.bool_)
-    mask[:, :, 40] = mask[3:5, 20:60] = False
-    start = start_of(A, dark)
+    mask[:, :, 27] = mask[3:5, 10:50] = False
     results = [
         without_implants(
             A,
@@ -119,6 +107,7 @@ def test_masked_pixels_have_no_influence(scene):
             start,
             mask=mask,
             rounds=1,
+            iterations=1,
         )
         for value in (9, 1)
     ]
@@ -130,7 +119,7 @@ def test_masked_pixels_have_no_influence(scene):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"twist": (60, 0, 0, 0, 0, 0)}, "implant 0 reaches .* mm out of the grid"),
+        ({"twist": (40, 0, 0, 0, 0, 0)}, "implant 0 reaches .* mm out of the grid"),
         ({"rounds": 0}, "rounds is 0"),
         ({"slack_mm": -1}, "slack_mm is -1"),
     ],
@@ -141,12 +130,10 @@ def test_what_cannot_be_is_named(scene, keys, words):
 
 
 def test_a_view_without_a_free_ray_is_named(scene):
-    A, dark, _ = scene
-    mesh = trimesh.creation.box((60, 54, 50))
+    A, dark, _, start = scene
+    mesh = trimesh.creation.box((40, 40, 36))
     small = Panel(4, 4, 2.0, 2.0)
-    geometry = ScanGeometry(
-        *(getattr(A.geometry, n) for n in ("source", "detector", "u", "v")), small
-    )
+    geometry = replace(A.geometry, panel=small)
     narrow = Projector(geometry, A.grid)
     beam = OneEnergy(np.ones(narrow.range_shape, np.float32), np.array([METAL]))
     implant = Implant(Body(mesh.vertices, mesh.faces), Pose.identity())

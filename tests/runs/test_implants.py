@@ -10,6 +10,7 @@ from twinct.runs.implants import check_implants, known_implants
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Scan
 from twinct.scenario import parse_scenario
+from twinct.shadow import Rays
 from twinct.specimen import material
 from twinct.trajectory import commanded_views
 from twinct.views import PosePairs
@@ -55,12 +56,13 @@ def scan():
         section = {"method": "known", "implants": [{"part": "screw"}]}
         (screw,) = known_implants(scenario, settings(metal=section).reconstruction.metal)
         body, pose = screw.implant.body, screw.implant.world_from_implant
+        rays = Rays(geometry)
         for view, image in enumerate(images):
             ray = geometry.pixel_centres(view) - geometry.source[view]
             ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
             far = geometry.source[view] @ geometry.source[view] - (ray @ geometry.source[view]) ** 2
             image += TISSUE * 2 * np.sqrt(np.maximum(35.0**2 - far, 0))
-            box, lengths, _ = body.shadow(geometry, pose, view)
+            box, lengths, _ = rays.shadow(body, pose, view)
             image[box] += (screw.material.mu_per_mm(80.0) - TISSUE) * lengths
         poses, views = PosePairs.from_geometry(geometry), len(geometry)
         return Scan(

@@ -6,7 +6,7 @@ import trimesh
 
 from twinct.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.shadow import Body
+from twinct.shadow import Body, Rays
 
 PANEL = Panel(21, 31, 2.0, 1.5)
 
@@ -28,7 +28,7 @@ def rod(radius=3.0, height=18.0):
 
 def whole(body, geometry, pose, view, **keys):
     """The shadow on the whole panel."""
-    shadow = body.shadow(geometry, pose, view, **keys)
+    shadow = Rays(geometry).shadow(body, pose, view, **keys)
     image = np.zeros((*geometry.panel.shape, *shadow.slopes.shape[2:])) if keys else None
     lengths = np.zeros(geometry.panel.shape)
     lengths[shadow.box] = shadow.lengths
@@ -88,8 +88,9 @@ def test_derivatives_are_those_of_finite_differences(geometry):
 def test_a_box_of_pixels_holds_the_same(geometry):
     pose = Pose.from_euler((1, 2, 3), (0, 0, 0))
     body = ball(6.0, 2)
-    small = body.shadow(geometry, pose, 1)
-    large = body.shadow(geometry, pose, 1, box=body.box(geometry, pose, 1, margin=4))
+    rays = Rays(geometry)
+    small = rays.shadow(body, pose, 1)
+    large = rays.shadow(body, pose, 1, box=rays.box(body, pose, 1, margin=4))
     rows, columns = (
         slice(a.start - b.start, a.stop - b.start)
         for a, b in zip(small.box, large.box, strict=True)
@@ -97,7 +98,7 @@ def test_a_box_of_pixels_holds_the_same(geometry):
     np.testing.assert_array_equal(large.lengths[rows, columns], small.lengths)
     assert large.lengths.sum() == pytest.approx(small.lengths.sum(), rel=1e-12)
     beside = Pose.from_euler((0, 0, 500), (0, 0, 0))
-    assert body.shadow(geometry, beside, 1).lengths.size == 0
+    assert rays.shadow(body, beside, 1).lengths.size == 0
 
 
 def test_what_is_no_body_is_refused(geometry):
@@ -108,4 +109,4 @@ def test_what_is_no_body_is_refused(geometry):
         Body(mesh.vertices, mesh.faces[:, ::-1])
     behind = Pose.from_euler(geometry.source[1], (0, 0, 0))
     with pytest.raises(InputError, match="behind the source of view 1"):
-        Body(mesh.vertices, mesh.faces).shadow(geometry, behind, 1)
+        Rays(geometry).shadow(Body(mesh.vertices, mesh.faces), behind, 1)

@@ -19,7 +19,7 @@ from twinct.recon.memory import SPARE_BYTES, advice, refuse_if_short
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
-from twinct.shadow import Body, Box
+from twinct.shadow import Body, Box, Rays
 
 ndimage: Any = scipy_ndimage  # it comes without types
 
@@ -226,10 +226,10 @@ def without_implants(
     behind = beam(volume)
     _, pixels = checks.projections(behind.measured, mask)
     checks.done()
-    allowed = np.repeat(
-        [max(position_sigma_mm, 1e-3), max(math.radians(rotation_sigma_deg), 1e-5)], 3
+    allowed = np.repeat(np.maximum([position_sigma_mm, math.radians(rotation_sigma_deg)], 1e-5), 3)
+    fit = _Fit(
+        Rays(A.geometry), [_Sought(one, len(A)) for one in implants], allowed, slack_mm, pixels
     )
-    fit = _Fit(A.geometry, [_Sought(one, len(A)) for one in implants], allowed, slack_mm, pixels)
     for number in range(rounds):
         expected = A(volume)
         if surroundings is not None:
@@ -258,7 +258,7 @@ def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()
     They must lie in the grid and in front of all sources, and leave some rays of each view.
     """
     problems: list[str] = []
-    local = A.grid.world_from_grid.inverse()
+    local, rays = A.grid.world_from_grid.inverse(), Rays(A.geometry)
     labels = names or [f"implant {i}" for i in range(len(implants))]
     for label, one in zip(labels, implants, strict=True):
         corners = (local @ one.world_from_implant).apply(one.body.vertices)
@@ -271,7 +271,7 @@ def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()
         for view in range(len(A)):
             shaded = np.zeros(A.range_shape[1:], np.bool_)
             for one in implants:
-                box, lengths, _ = one.body.shadow(A.geometry, one.world_from_implant, view)
+                box, lengths, _ = rays.shadow(one.body, one.world_from_implant, view)
                 shaded[box] |= lengths > 0
             if shaded.all():
                 problems.append(f"every ray of view {view} passes an implant: nothing is left")
@@ -307,18 +307,23 @@ class _Fit:
     """Poses of implants from residuals about their shadows.
 
     Attributes:
-        geometry: the believed views.
+        rays: of the believed views.
         sought: the implants.
         allowed: standard deviations of a twist (v, w) from where they are believed, (6,).
         slack_mm: standard deviation of the displacement in each view.
         mask: where pixels count.
     """
 
-    geometry: ScanGeometry
+    rays: Rays
     sought: list[_Sought]
     allowed: Floats
     slack_mm: float
     mask: Mask | None
+
+    @property
+    def geometry(self) -> ScanGeometry:
+        """The believed views."""
+        return self.rays.geometry
 
     def go_on(self, behind: Behind, expected: Singles, *, coarse: bool) -> None:
         """Improve all poses, from as coarse as they may be off if that is asked for."""
@@ -386,13 +391,13 @@ class _Fit:
     ) -> tuple[Floats, Floats]:
         """Residuals about a shadow, (rays,), and their derivatives, (rays, 7), blurred."""
         one = self.sought[i]
-        box = one.body.box(self.geometry, one.at(view), view, 3 * blur + 2)
+        box = self.rays.box(one.body, one.at(view), view, 3 * blur + 2)
         if 0 in box.shape:
             return np.empty(0), np.empty((0, 7))
         rays, left, slopes = self._behind(behind, view, box)
         rest = (behind.line_integrals[view][box] - expected[view][box]).astype(np.float64)
         rest.flat[rays] = left - expected[view][box].flat[rays]
-        _, lengths, turns = one.body.shadow(self.geometry, one.at(view), view, slopes=True, box=box)
+        _, lengths, turns = self.rays.shadow(one.body, one.at(view), view, slopes=True, box=box)
         jacobian = np.zeros((*box.shape, 7))
         by_length = np.zeros(box.shape)
         by_length.flat[rays] = slopes[i] * one.density
@@ -417,7 +422,7 @@ class _Fit:
         """Rays of a box through any implant, flat in it; what is left of them; derivatives."""
         lengths = np.stack(
             [
-                one.density * one.body.shadow(self.geometry, one.at(view), view, box=box).lengths
+                one.density * self.rays.shadow(one.body, one.at(view), view, box=box).lengths
                 for one in self.sought
             ]
         ).reshape(len(self.sought), -1)

@@ -1,4 +1,4 @@
-"""A closed body, and its shadow in a view."""
+"""Closed bodies, and their shadows in the views of a scan."""
 
 from __future__ import annotations
 
@@ -78,18 +78,30 @@ class Body:
         """Of the sphere about the origin of its frame that just holds it, mm."""
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
-    def box(
-        self, geometry: ScanGeometry, world_from_body: Pose, view: int, margin: float = 0
-    ) -> Box:
-        """The pixels that the body may shade in a view, with a margin, within the panel.
+
+class Rays:
+    """The rays of a scan to its pixel centres, ready to be crossed with bodies.
+
+    Attributes:
+        geometry: the views.
+    """
+
+    def __init__(self, geometry: ScanGeometry) -> None:
+        """Work out what all shadows of a view share."""
+        self.geometry, panel = geometry, geometry.panel
+        column, row = panel.middle
+        self._steps = np.stack([geometry.u * panel.pitch_u, geometry.v * panel.pitch_v], axis=1)
+        to_panel = geometry.detector - geometry.source
+        self._first = to_panel - column * self._steps[:, 0] - row * self._steps[:, 1]
+        self._matrices = geometry.matrices()
+
+    def box(self, body: Body, world_from_body: Pose, view: int, margin: float = 0) -> Box:
+        """The pixels that a body may shade in a view, with a margin, within the panel.
 
         Raises:
             InputError: the body reaches the plane through the source parallel to the panel.
         """
-        places = geometry[view].project(world_from_body.apply(self.vertices))[0]
-        if np.isnan(places).any():
-            raise InputError(f"a body reaches behind the source of view {view}")
-        panel = geometry.panel
+        places, panel = self._places(body, world_from_body, view), self.geometry.panel
         low = np.clip(np.floor(places.min(axis=0) - margin), 0, (panel.columns, panel.rows))
         high = np.clip(np.ceil(places.max(axis=0) + margin) + 1, 0, (panel.columns, panel.rows))
         columns, rows = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
@@ -97,14 +109,14 @@ class Body:
 
     def shadow(
         self,
-        geometry: ScanGeometry,
+        body: Body,
         world_from_body: Pose,
         view: int,
         *,
         slopes: bool = False,
         box: Box | None = None,
     ) -> Shadow:
-        """Path lengths of the rays of a view to the pixel centres, and their derivatives.
+        """Path lengths of the rays of a view inside a body, and their derivatives.
 
         A ray's length inside is the sum of where it leaves less where it enters. If a facet with
         normal n is moved by u where a ray along d meets it, the crossing moves along the ray by
@@ -112,29 +124,28 @@ class Body:
         touch an edge.
 
         Args:
-            geometry: the views.
-            world_from_body: pose of the body.
-            view: its number.
+            body: its shape.
+            world_from_body: its pose.
+            view: number of the view.
             slopes: also the derivatives; else they have no columns.
             box: the pixels wanted; all that the body may shade if not given.
 
         Raises:
             InputError: as for ``box``.
         """
-        box = box or self.box(geometry, world_from_body, view)
-        local, panel = world_from_body.inverse() @ geometry[view], geometry.panel
-        source = local.source[0]
-        across, up = local.u[0] * panel.pitch_u, local.v[0] * panel.pitch_v
-        column, row = panel.middle
+        box = box or self.box(body, world_from_body, view)
         lengths = np.zeros(box.shape)
         derivatives = np.zeros((*box.shape, 6 if slopes else 0))
         if lengths.size:
+            turned = world_from_body.rotation  # from the world to the body by its transpose
+            source = (self.geometry.source[view] - world_from_body.position) @ turned
+            first, (across, up) = self._first[view] @ turned, self._steps[view] @ turned
             crossings(
-                self.vertices - source,
-                self.faces,
-                local.project(self.vertices)[0],
+                body.vertices - source,
+                body.faces,
+                self._places(body, world_from_body, view),
                 source,
-                local.detector[0] - source - column * across - row * up,
+                first,
                 across,
                 up,
                 (box.rows.start, box.columns.start),
@@ -142,3 +153,11 @@ class Body:
                 derivatives,
             )
         return Shadow(box, lengths, derivatives)
+
+    def _places(self, body: Body, world_from_body: Pose, view: int) -> Floats:
+        """(column, row) where the body's corners project, (vertices, 2)."""
+        matrix = self._matrices[view] @ world_from_body.matrix
+        column, row, depth = matrix[:, :3] @ body.vertices.T + matrix[:, 3:]
+        if depth.min() <= 0:
+            raise InputError(f"a body reaches behind the source of view {view}")
+        return np.stack([column, row], axis=1) / depth[:, None]
