@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -42,15 +42,17 @@ ALIKE_PX = 10.0
 
 
 class Behind(Protocol):
-    """Line integrals of a scan that know how metal and what surrounds it attenuate together.
+    """Line integrals of a scan that know how metal and what surrounds it attenuate together."""
 
-    Attributes:
-        measured: -ln of the transmission, (views, rows, columns).
-        line_integrals: the same, corrected as if there were no metal.
-    """
+    @property
+    def measured(self) -> Singles:
+        """-ln of the transmission, (views, rows, columns)."""
+        ...
 
-    measured: Singles
-    line_integrals: Singles
+    @property
+    def line_integrals(self) -> Singles:
+        """The same, corrected as if there were no metal."""
+        ...
 
     def without(self, view: int, rays: NDArray[np.intp], lengths: Floats) -> tuple[Floats, Floats]:
         """What is left of rays behind paths through implants.
@@ -67,12 +69,8 @@ class Behind(Protocol):
         ...
 
 
-class Beam(Protocol):
-    """Makes of a volume without metal, (z, y, x), what is ``Behind`` it."""
-
-    def __call__(self, background: Singles) -> Behind:
-        """Line integrals for this background."""
-        ...
+Beam = Callable[[Singles], Behind]
+"""Makes of a volume without metal, (z, y, x), what is ``Behind`` it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +296,7 @@ class _Sought:
         return self.pose @ Pose(self.slack[view], np.array([0.0, 0.0, 0.0, 1.0]))
 
     def found(self) -> FoundImplant:
-        covariance = np.linalg.inv(self.information)[:6, :6]
+        covariance: Any = np.linalg.inv(self.information)[:6, :6]
         return FoundImplant(self.pose, covariance, self.density, self.slack.copy())
 
 
@@ -352,7 +350,7 @@ class _Fit:
         off = np.array([*(one.start.inverse() @ one.pose).log(), one.logarithm])
         information, pull = weight.copy(), -weight @ off
         slack = self.slack_mm if fine else 0.0
-        answers: list[tuple[int, Floats, Floats, Floats, Floats]] = []
+        answers: list[tuple[int, Any, Any, Any, Any]] = []
         for view in views:
             rest, slopes = self._residual(i, view, behind, expected, blur)
             if not len(rest):
@@ -360,27 +358,26 @@ class _Fit:
             scale = 1.4826 * float(np.median(np.abs(rest))) + 1e-9
             robust = np.minimum(1, OUTLIER * scale / np.maximum(np.abs(rest), 1e-12))
             robust /= scale**2 * max(4 * math.pi * blur**2, ALIKE_PX)
-            H = (slopes * robust[:, None]).T @ slopes
-            b = -slopes.T @ (robust * rest)
+            normal = (slopes * robust[:, None]).T @ slopes
+            pulled = -slopes.T @ (robust * rest)
             if slack:
                 # The view's own displacement along the panel is eliminated (Schur complement).
                 along = one.pose.inverse().rotate([self.geometry.u[view], self.geometry.v[view]])
-                T = np.zeros((7, 2))
-                T[:3] = along.T
-                own = np.linalg.inv(T.T @ H @ T + np.eye(2) / slack**2)
-                e = T.T @ b - along @ one.slack[view] / slack**2
-                answers.append((view, T, own, e, H))
-                b = b - H @ T @ own @ e
-                H = H - H @ T @ own @ T.T @ H
-            information += H
-            pull += b
+                both = normal[:, :3] @ along.T
+                own = np.linalg.inv(along @ both[:3] + np.eye(2) / slack**2)
+                aside = along @ (pulled[:3] - one.slack[view] / slack**2)
+                answers.append((view, along, own, aside, both))
+                pulled = pulled - both @ own @ aside
+                normal = normal - both @ own @ both.T
+            information += normal
+            pull += pulled
         step = np.zeros(7)
         step[:free] = np.linalg.solve(information[:free, :free], pull[:free])
         length = float(np.linalg.norm(step[:3]) + one.body.radius_mm * np.linalg.norm(step[3:6]))
         longest = max(float(self.allowed[0]), 0.5)
         step *= min(1, longest / max(length, 1e-12))
-        for view, T, own, e, H in answers:
-            one.slack[view] += T[:3] @ (own @ (e - T.T @ H @ step))
+        for view, along, own, aside, both in answers:
+            one.slack[view] += (own @ (aside - both.T @ step)) @ along
         one.pose = one.pose @ Pose.exp(step[:6])
         one.logarithm += float(step[6])
         one.information = information

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from twinct.errors import InputError
 from twinct.geometry import Pose, ScanGeometry
-from twinct.recon.known import FoundImplant, Implant, outside, without_implants
+from twinct.recon.known import Beam, FoundImplant, Implant, outside, without_implants
 from twinct.recon.metal import without_metal
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
@@ -254,7 +254,7 @@ def _beam(
     measured: NDArray[np.float32],
     A: Projector,
     mask: NDArray[np.bool_] | None,
-) -> Any:
+) -> Beam:
     """How the scan's beam attenuates in a background and in the implants together."""
     from twinct.specimen.materials import material
     from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
@@ -274,7 +274,11 @@ def _beam(
     if section is None or section.kind == "one_material":
         corrected = hardening_corrected(scenario, measured, A, mask)
         same = Corrected(model, measured, corrected, None)
-        return lambda _: same
+
+        def for_any(_: NDArray[np.float32]) -> Corrected:
+            return same
+
+        return for_any
 
     def for_background(background: NDArray[np.float32]) -> Corrected:
         integrals, paths = corrected_for(scenario, measured, A, background, mask, keep=True)
