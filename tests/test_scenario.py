@@ -138,6 +138,22 @@ def test_nested_problem_is_named_alone() -> None:
     assert "did you mean 'density_g_cm3'" in text and "must be a valid string" not in text
 
 
+def test_another_method_starts_afresh_too(tmp_path: Path) -> None:
+    base, file = tmp_path / "b.yaml", tmp_path / "c.yaml"
+    base.write_text(f"extends: {DEMO}\nreconstruction: {{metal: {{method: nmar, metal: steel}}}}\n")
+    known = "metal: {method: known, implants: [{part: skull}]}"
+    file.write_text(f"extends: b.yaml\nreconstruction: {{{known}}}\n")
+    key = "reconstruction.metal"
+    both = [f"{key}.implants=[{{part: skull}}]", f"{key}.method=known"]
+    for path, overrides in ((file, []), (base, both), (base, both[::-1])):
+        section = load_scenario(path, overrides).reconstruction.metal
+        assert section is not None and section.method == "known"
+    assert "metal.method: method 'nmr' is not one of 'nmar', 'known'" in problems(
+        f"{key}={{method: nmr}}"
+    )
+    assert problems(f"{key}={{}}").endswith("this key needs a 'method'")
+
+
 def test_another_kind_replaces_the_whole_section(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(
         f"extends: {DEMO}\ntrajectory: {{kind: circle, views: 5}}\n", encoding="utf-8"
@@ -216,6 +232,8 @@ def test_an_algorithm_in_words_is_its_keys_and_the_corrections() -> None:
         "fdk, window ramp, beam hardening of one material"
     )
     assert words("algorithm=fdk", "metal={method: nmar}").endswith(", metal replaced (nmar)")
+    known = "metal={method: known, implants: [{part: skull}]}"
+    assert words("algorithm=fdk", known).endswith(", 1 known implants taken out")
 
 
 def test_a_key_of_another_algorithm_is_refused_where_its_own_was_chosen(tmp_path: Path) -> None:

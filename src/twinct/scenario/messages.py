@@ -115,7 +115,8 @@ def _sentence(
         return "this key is needed and missing"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         if "tag" not in detail["ctx"]:
-            return "this key needs a 'kind'"
+            by = detail["ctx"]["discriminator"]
+            return f"this key needs a {'method' if 'method' in by else 'kind'!r}"
         given, allowed = detail["ctx"]["tag"], detail["ctx"]["expected_tags"]
         if given in (broken := _BROKEN.get(key, {})):
             return broken[given]
