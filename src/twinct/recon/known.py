@@ -158,7 +158,7 @@ def without_implants(
     position_sigma_mm: float = 2.0,
     rotation_sigma_deg: float = 5.0,
     slack_mm: float = 0.1,
-    rounds: int = 2,
+    rounds: int = 1,
     iterations: int = 3,
     relaxation: float = 0.3,
     mask: ArrayLike | None = None,
@@ -194,7 +194,7 @@ def without_implants(
         position_sigma_mm: standard deviation of the believed position along each axis, mm.
         rotation_sigma_deg: the same about each axis of the implant, deg.
         slack_mm: see above; 0 for exact poses.
-        rounds: of poses and background.
+        rounds: of poses and background; the poses are gone over once more at the end.
         iterations: of each ``sart``.
         relaxation: of each ``sart``.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.

@@ -81,7 +81,7 @@ class KnownImplants(Section):
         "How far an implant may seem displaced in one view because poses of source and panel are "
         "not exact: standard deviation.",
     )
-    rounds: int = setting(2, "Poses and anatomy in turns, as often.", ge=1, le=100)
+    rounds: int = setting(1, "Poses and anatomy in turns, as often.", ge=1, le=100)
     tissue: str | Composition = setting(
         "soft_tissue", "Soft tissue of the first volume, as with nmar."
     )
