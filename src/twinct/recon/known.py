@@ -337,8 +337,9 @@ class _Fit:
         """A few Gauss-Newton steps of one implant at one blur, px."""
         fine, views = blur <= FINEST_PX, len(self.geometry)
         some = range(0, views, 1 if fine else max(views // SOME_VIEWS, 1))
+        enough = 1e-3 if fine else 0.02 * blur
         for _ in range(4):
-            if self._step(i, behind, expected, blur, some, fine) < 1e-3:
+            if self._step(i, behind, expected, blur, some, fine) < enough:
                 break
 
     def _step(
