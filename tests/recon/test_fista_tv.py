@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fista_tv
@@ -100,6 +100,35 @@ def test_without_regularisation_it_is_least_squares(problem):
     x, least = nnls(M, b)
     ours = fista_tv(A, p, iterations=300, regularisation=0.0, subsets=1, tv_steps=1).array
     assert np.linalg.norm(M @ ours.ravel() - b) < (1 + 1e-4) * least
+
+
+def test_huber_reaches_the_minimum(problem):
+    """Without regularisation, against L-BFGS-B in float64."""
+    A, p, weights, M, b, w = problem
+    huber = 0.7  # a third of the residuals of the minimum are beyond
+
+    def cost(x):
+        rest = M @ x - b
+        small = np.clip(rest, -huber, huber)
+        return (w * small * (rest - small / 2)).sum(), M.T @ (w * small)
+
+    least = minimize(
+        *(cost, np.zeros(M.shape[1])), jac=True, method="L-BFGS-B", bounds=[(0, None)] * M.shape[1],
+        options={"maxiter": 5000, "maxfun": 10000, "ftol": 1e-12},
+    )  # fmt: skip
+    beyond = np.abs(M @ least.x - b) > huber
+    assert 0.1 < beyond.mean() < 0.6
+    ours = fista_tv(
+        A,
+        p,
+        iterations=150,
+        regularisation=0.0,
+        subsets=1,
+        tv_steps=1,
+        weights=weights,
+        huber=huber,
+    ).array
+    assert cost(ours.ravel().astype(float))[0] < (1 + OBJECTIVE) * least.fun
 
 
 @pytest.mark.tutorial

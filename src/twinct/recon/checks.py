@@ -111,6 +111,12 @@ class Checks:
             self.problems.append(f"{name} is {value!r}: a finite number of at least 0 needed")
         return float(value)
 
+    def huber(self, value: float | None) -> float | None:
+        """A finite number above 0, or none."""
+        if value is not None and not (value > 0 and math.isfinite(value)):
+            self.problems.append(f"huber is {value!r}: a finite number above 0 needed, or None")
+        return value
+
     def start(self, x0: ArrayLike | None, domain_shape: tuple[int, ...]) -> ArrayLike | None:
         """A volume to start from, finite."""
         if x0 is None:

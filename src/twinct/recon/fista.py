@@ -1,0 +1,194 @@
+"""What regularised algorithms share: FISTA, its data terms and its proximal step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from twinct.recon.algorithm import AlgorithmSettings
+from twinct.recon.checks import Mask, counting_rays, remainder
+from twinct.recon.engine import Singles
+from twinct.recon.order import subsets_of
+from twinct.recon.projector import LOWEST, Projector
+from twinct.recon.settings import Iterations, Nonnegative, Subsets
+from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.settings import NonNegative, Positive
+from twinct.volume import Volume
+
+LEAST_WEIGHT = 0.05
+"""Smallest curvature taken for a voxel, share of the mean: larger ones make smaller, safe steps."""
+
+DUAL_STEP = 1.8
+"""Step of the dual iteration, which ceases to converge at 2."""
+
+LOOSE = 2.0
+"""Huber's bound is at least this times the mean residual of a view in the first half of the
+iterations: from far away it would take as many more to come near."""
+
+
+class Regularised(AlgorithmSettings):
+    """Keys of an algorithm that minimises a data term plus total variation."""
+
+    iterations: Iterations = 10
+    regularisation: NonNegative = Field(
+        default=1e-4,
+        description="Strength of the total variation: a pure number that means the same for any "
+        "number of views, pixels or voxels.",
+    )
+    subsets: Subsets = None
+    weighting: Literal["uniform", "counts"] = Field(
+        default="uniform",
+        description="Weight of each pixel; counts: its transmission, for Poisson noise.",
+    )
+    huber: Positive | None = Field(
+        default=None,
+        description="Difference of a line integral beyond which it counts by its size, not by its "
+        "square, so that a few wrong pixels do little (Huber's loss); 3 times the noise is usual. "
+        "null: always its square.",
+    )
+    tv_steps: int = Field(
+        default=10, ge=1, le=1000, description="Steps of the denoising in each update."
+    )
+    nonnegative: Nonnegative = True
+
+
+@dataclass(frozen=True, eq=False)
+class KnownBefore:
+    """What a volume is expected to resemble.
+
+    Attributes:
+        array: (z, y, x), 0 where nothing is known.
+        seams: voxels next to the border of what is known, flat indices: differences across it mean
+            nothing.
+        share: of the total variation that is taken of the difference to it, 0 to 1.
+    """
+
+    array: Singles
+    seams: NDArray[np.intp]
+    share: float
+
+
+@dataclass(eq=False)
+class Variation:
+    """strength * TV(x), or shares of it of x and of its difference to what is known; x >= floor.
+
+    The proximal step solves the dual problem (Chambolle 2004) in the metric of the data term, from
+    the dual of the step before. Two terms have a dual each, and steps of half the size.
+    """
+
+    A: Projector
+    strength: float
+    steps: int
+    floor: np.float32
+    known: KnownBefore | None = None
+    dual: Singles = field(init=False)
+    other: Singles = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Start from zero."""
+        shape = 3, *self.A.domain_shape
+        self.dual = np.zeros(shape, np.float32)
+        self.other = np.zeros(shape if self.known else (3, 0, 0, 0), np.float32)
+
+    def lower(self, z: Singles, curvature: Singles, x: Singles) -> None:
+        """Write the minimiser of 0.5 |x - z|^2 in that metric plus this term to ``x``."""
+        kernels, inverse, known = self.A.kernels, 1.0 / self.A.grid.voxel, self.known
+        if known is None:
+            for _ in range(self.steps):
+                kernels.primal(z, curvature, self.dual, inverse, self.floor, x)
+                kernels.ascend(x, curvature, inverse, self.strength, DUAL_STEP, self.dual)
+            kernels.primal(z, curvature, self.dual, inverse, self.floor, x)
+            return
+        room, others = np.empty_like(x), self.other.reshape(3, -1)
+        own, share = (1 - known.share) * self.strength, known.share * self.strength
+        for last in range(self.steps + 1):
+            kernels.primal(z, curvature, self.dual, inverse, np.float32(LOWEST), room)
+            kernels.primal(room, curvature, self.other, inverse, self.floor, x)
+            if last == self.steps:
+                return
+            kernels.ascend(x, curvature, inverse, own, DUAL_STEP / 2, self.dual)
+            np.subtract(x, known.array, out=room)
+            kernels.ascend(room, curvature, inverse, share, DUAL_STEP / 2, self.other)
+            others[:, known.seams] = 0.0
+
+
+def minimised(
+    A: Projector,
+    p: NDArray[Any],
+    x: Singles,
+    variation: Variation,
+    *,
+    iterations: int,
+    subsets: int,
+    weights: NDArray[Any] | None,
+    huber: float | None,
+    mask: Mask | None,
+    callback: Callback | None,
+) -> Volume:
+    """FISTA from ``x``, which is worked on; see ``fista_tv``, which checks its arguments."""
+    parts = [(A[views], views) for views in subsets_of(len(A), subsets)]
+    trust = _trust(A, weights, mask)
+    curvature = _curvature(parts, trust)
+    mean = float(curvature.mean(dtype=np.float64))
+    curvature /= np.float32(mean)
+    np.maximum(curvature, np.float32(LEAST_WEIGHT), out=curvature)
+    before, z = x.copy(), x.copy()
+    momentum = 1.0
+    listener = Listener(callback, subsets)
+    for iteration in range(iterations):
+        early = iteration < iterations // 2
+        for update, (part, views) in enumerate(parts):
+            rest = remainder(part, z, p, views, mask)
+            square, rays = 0.0, 0
+            for here, view in enumerate(views):
+                if listener.wanted:
+                    counts = trust[view] > 0
+                    square += sum_of_squares(rest[here][None, counts])
+                    rays += int(counts.sum())
+                if huber is not None:
+                    bound = max(huber, LOOSE * float(np.abs(rest[here]).mean()) * early)
+                    np.clip(rest[here], -bound, bound, out=rest[here])
+                rest[here] *= trust[view]
+            step = part.T(rest)
+            del rest
+            step *= np.float32(subsets / mean)
+            step /= curvature
+            z += step
+            del step
+            x, before = before, x
+            variation.lower(z, curvature, x)
+            momentum, last = (1 + math.sqrt(1 + 4 * momentum**2)) / 2, momentum
+            share = np.float32((last - 1) / momentum)
+            for plane, new, old in zip(z, x, before, strict=True):
+                np.subtract(new, old, out=plane)
+                plane *= share
+                plane += new
+            if listener(iteration, update, square, rays, x):
+                return Volume(x, A.grid)
+    return Volume(x, A.grid)
+
+
+def _trust(A: Projector, weights: NDArray[Any] | None, mask: Mask | None) -> Singles:
+    """W of the rays that count, 0 of the others."""
+    counts, trust = counting_rays(A, mask)
+    for view, image in enumerate(trust):
+        image[:] = counts[view] if weights is None else np.where(counts[view], weights[view], 0)
+    return trust
+
+
+def _curvature(parts: list[tuple[Projector, list[int]]], trust: Singles) -> Singles:
+    """Row sums of A^T W A, the largest over the subsets times their number."""
+    largest = np.zeros(parts[0][0].domain_shape, np.float32)
+    ones = np.ones_like(largest)
+    for part, views in parts:
+        rows = part(ones)
+        for view, image in zip(views, rows, strict=True):
+            image *= trust[view]
+        np.maximum(largest, part.T(rows), out=largest)
+    largest *= np.float32(len(parts))
+    return largest
