@@ -9,7 +9,28 @@ import pytest
 
 from twinct.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Problem, Projector, cgls, fast, fdk, fista_tv, os_sart, sart, sirt
+from twinct.recon import (
+    Problem,
+    Projector,
+    cgls,
+    fast,
+    fdk,
+    fista_tv,
+    os_sart,
+    prior_tv,
+    sart,
+    sirt,
+)
+from twinct.volume import Volume
+
+
+def with_prior(A, p, **settings):
+    """A prior that resembles the scan: a box about its ellipsoid."""
+    prior = np.zeros((20, 22, 21), np.float32)
+    prior[7:14, 4:16, 7:17] = 1.0
+    defaults = {"iterations": 3, "regularisation": 0.01, "subsets": 4}
+    return prior_tv(A, p, Volume(prior, VolumeGrid(prior.shape, 2.0)), **(defaults | settings))
+
 
 RUNS = {
     "sart": partial(sart, iterations=2, relaxation=0.5),
@@ -18,6 +39,7 @@ RUNS = {
     "sirt": partial(sirt, iterations=6, relaxation=1.5),
     "cgls": partial(cgls, iterations=5),
     "fista_tv": partial(fista_tv, iterations=3, regularisation=0.01, subsets=4),
+    "prior_tv": with_prior,
     "fdk": fdk,
 }
 RESUMABLE = ("sart", "os_sart", "sirt")
@@ -89,7 +111,7 @@ def test_callback_sees_each_update_and_stops(name, scan):
     stopped = RUNS[name](A, p, callback=watch)
     assert len(steps) == last
     assert not np.array_equal(stopped, RUNS[name](A, p))
-    if name not in ("fdk", "fast"):  # which begins with larger pixels
+    if name not in ("fdk", "fast", "prior_tv"):  # they begin with larger pixels, or from a prior
         # The first update starts from zero: the residual is that of the projections alone.
         views = {"sart": 1, "os_sart": 4, "fista_tv": 6}.get(name, 24)
         counts = A.chords() >= A.grid.voxel.min()
@@ -119,12 +141,12 @@ def test_every_wrong_argument_is_named(name, scan):
     if name in RESUMABLE or name == "fast":
         extra["first_relaxation" if name == "fast" else "relaxation"] = 2.0
         names.append("relaxation is 2.0: above 0 and below 2")
-    if name in ("os_sart", "fista_tv"):
+    if name in ("os_sart", "fista_tv", "prior_tv"):
         extra["subsets"] = 25
         names.append("subsets is 25: a whole number of at least 1 and at most 24")
-    if name == "fista_tv":
-        extra |= {"regularisation": -1.0, "weights": -np.ones_like(p)}
-        names += ["regularisation is -1.0", "weights must be 0 or more"]
+    if name in ("fista_tv", "prior_tv"):
+        extra |= {"regularisation": -1.0, "weights": -np.ones_like(p), "huber": 0.0}
+        names += ["regularisation is -1.0", "weights must be 0 or more", "huber is 0.0"]
     if name == "fast":
         extra |= {"passes": 0, "levels": 0, "margin": -1.0, "denoising": np.nan}
         names += ["passes is 0", "levels is 0", "margin is -1.0", "denoising is nan"]

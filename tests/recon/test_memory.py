@@ -10,8 +10,19 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, cgls, fast, fdk, fista_tv, os_sart, sart, sirt
+from twinct.recon import Projector, cgls, fast, fdk, fista_tv, os_sart, prior_tv, sart, sirt
 from twinct.recon.algorithms import BUILT_IN
+from twinct.volume import Volume
+
+
+def with_prior(A, p):
+    """With a prior of as many voxels, which counts, too."""
+    prior = np.zeros(A.domain_shape, np.float32)
+    prior[1:-1, 2:-2, 1:-1] = 4.0
+    prior[1:2, 2:-3, 1:2] = 3.0
+    settings = {"iterations": 2, "regularisation": 0.01, "subsets": 1, "tv_steps": 1}
+    return prior_tv(A, p, Volume(prior, A.grid), **settings)
+
 
 RUNS = {
     "sart": partial(sart, iterations=2, relaxation=0.5),
@@ -20,6 +31,7 @@ RUNS = {
     "sirt": partial(sirt, iterations=2),
     "cgls": partial(cgls, iterations=2),
     "fista_tv": partial(fista_tv, iterations=2, regularisation=0.01, subsets=1, tv_steps=1),
+    "prior_tv": with_prior,
     "fdk": fdk,
 }
 SLACK = 0.3

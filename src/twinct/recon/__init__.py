@@ -11,7 +11,9 @@ from twinct.recon.metal import WithoutMetal, without_metal
 from twinct.recon.orbit import Circle, fit_circle
 from twinct.recon.order import random_order, spread_order, weighted_distance
 from twinct.recon.os_sart import os_sart
+from twinct.recon.prior_tv import prior_tv
 from twinct.recon.projector import Projector
+from twinct.recon.registration import registered
 from twinct.recon.rtk import rtk_sart
 from twinct.recon.sart import sart
 from twinct.recon.sirt import sirt
@@ -39,8 +41,10 @@ __all__ = [
     "fit_circle",
     "os_sart",
     "peak_bytes",
+    "prior_tv",
     "random_order",
     "refuse_if_short",
+    "registered",
     "rtk_sart",
     "sart",
     "sirt",

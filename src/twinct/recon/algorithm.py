@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import ScanGeometry
+from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.projector import Projector
 from twinct.recon.steps import Callback
 from twinct.settings import Section
@@ -68,6 +68,7 @@ class Algorithm(Generic[SettingsT]):
         masks: leaves pixels out; with a mask it is refused otherwise.
         updates: in each pass, of these settings and so many views; for the progress.
         check: raises InputError for views that it cannot work with, before any work.
+        check_keys: the same for its keys and the files that they name, with the grid.
     """
 
     settings: type[SettingsT]
@@ -78,6 +79,7 @@ class Algorithm(Generic[SettingsT]):
     masks: bool = True
     updates: Callable[[SettingsT, int], int] = field(default=lambda settings, views: 1)
     check: Callable[[ScanGeometry], object] = field(default=lambda geometry: None)
+    check_keys: Callable[[SettingsT, VolumeGrid], object] = field(default=lambda own, grid: None)
 
     @property
     def name(self) -> str:

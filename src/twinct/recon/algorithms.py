@@ -12,13 +12,14 @@ from twinct.recon.fast import FAST
 from twinct.recon.fdk import FDK
 from twinct.recon.fista_tv import FISTA_TV
 from twinct.recon.os_sart import OS_SART
+from twinct.recon.prior_tv import PRIOR_TV
 from twinct.recon.rtk import RTK_SART
 from twinct.recon.sart import SART
 from twinct.recon.sirt import SIRT
 
 BUILT_IN: dict[str, Algorithm[Any]] = {
     algorithm.name: algorithm
-    for algorithm in (SART, FAST, OS_SART, SIRT, CGLS, FDK, FISTA_TV, RTK_SART)
+    for algorithm in (SART, FAST, OS_SART, SIRT, CGLS, FDK, FISTA_TV, PRIOR_TV, RTK_SART)
 }
 
 

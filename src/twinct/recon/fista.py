@@ -111,7 +111,8 @@ class Variation:
             kernels.primal(room, curvature, self.other, inverse, self.floor, x)
             if last == self.steps:
                 return
-            kernels.ascend(x, curvature, inverse, own, DUAL_STEP / 2, self.dual)
+            if own > 0:  # else it divides by zero
+                kernels.ascend(x, curvature, inverse, own, DUAL_STEP / 2, self.dual)
             np.subtract(x, known.array, out=room)
             kernels.ascend(room, curvature, inverse, share, DUAL_STEP / 2, self.other)
             others[:, known.seams] = 0.0

@@ -216,16 +216,17 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     """Refuse before any work what the algorithm cannot do, or what does not fit into memory.
 
     Raises:
-        InputError: an engine that is none, a grid behind a source, or no circular scan for fdk; or
-            too little memory, with what is needed and there.
+        InputError: an engine that is none, a grid behind a source, no circular scan for fdk, or a
+            prior that cannot be used; or too little memory, with what is needed and there.
     """
     asked_for()
-    algorithm = algorithms()[scenario.reconstruction.algorithm]
-    grid = scenario.reconstruction.volume_grid
+    section = scenario.reconstruction
+    algorithm, grid = algorithms()[section.algorithm], section.volume_grid
     check_grid(commanded, grid)
     algorithm.check(commanded)
     if isinstance(metal := scenario.reconstruction.metal, KnownImplants):
         check_implants(scenario, metal, commanded)
+    algorithm.check_keys(section, grid)
     stages = memory_needed(scenario, commanded)
     most = max(stages, key=lambda stage: stages[stage])
     refuse_if_short(

@@ -1,0 +1,116 @@
+"""A prior as a scenario names it: read, counted by content, refused before any work."""
+
+import numpy as np
+import pytest
+
+from twinct.errors import InputError, ScenarioError
+from twinct.geometry import Pose, VolumeGrid
+from twinct.recon import Projector, prior_tv
+from twinct.runs import line_integrals, reconstruct, require_feasible
+from twinct.scan import Scan
+from twinct.scenario import load_scenario, parse_scenario, stage_digests
+from twinct.trajectory import commanded_views
+from twinct.views import PosePairs
+from twinct.volume import Volume
+
+GRID = VolumeGrid((24, 24, 24), 4.0)
+POINTS = np.stack(np.meshgrid(*(GRID.axes()[::-1]), indexing="ij"))
+TISSUE = np.where(np.sum((POINTS / [[[[30]]], [[[24]]], [[[36]]]]) ** 2, axis=0) < 1, 0.02, 0)
+
+
+def settings(path, **reconstruction):
+    keys = {
+        "algorithm": "prior_tv",
+        "iterations": 2,
+        "grid": {"voxels": 24, "voxel_mm": 4.0},
+        "prior": {"path": str(path)},
+    }
+    return {
+        "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8.0},
+        "trajectory": {"kind": "circle", "views": 8},
+        "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 35}}]},
+        "uncertainty": {"source": {"sigma_mm": 0}, "detector": {"sigma_mm": 0}},
+        "reconstruction": keys | reconstruction,
+    }
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "earlier.nii"
+    Volume(TISSUE, GRID).write(path)
+    return path
+
+
+def test_the_scenario_says_all_of_it(file):
+    prior = {"path": str(file), "share": 0.7, "position_mm": [1, 0, 0]}
+    scenario = parse_scenario(settings(file, prior=prior, huber=0.1, weighting="counts"))
+    geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+    A = Projector(geometry, GRID)
+    poses = PosePairs.from_geometry(geometry)
+    scan = Scan(
+        scenario=scenario,
+        transmission=np.exp(-A(TISSUE)),
+        commanded=poses,
+        executed=poses,
+        executed_object=(),
+        joint_names=(),
+        joints=np.zeros((8, 0)),
+        simulated_s=np.arange(8, dtype=float),
+        clearance_mm=np.full(8, 50.0),
+    )
+    A = Projector(scan.believed.geometry(scenario.detector.panel), GRID)
+    expected = prior_tv(
+        A,
+        line_integrals(scan.transmission),
+        Volume.read(file),
+        iterations=2,
+        regularisation=1e-4,
+        share=0.7,
+        start=Pose.from_euler((1, 0, 0), (0, 0, 0)),
+        huber=0.1,
+        weights=scan.transmission,
+    )
+    found = reconstruct(scan)
+    assert np.array_equal(found, expected)
+    assert found.extras["world_from_prior"] == expected.extras["world_from_prior"]
+    words = scenario.reconstruction.in_words
+    assert "prior earlier.nii with a share of 0.7" in words and "huber 0.1" in words
+
+
+def test_a_prior_counts_by_its_content(file, tmp_path):
+    scenario = parse_scenario(settings(file))
+    assert scenario.files() == {"reconstruction.prior.path": file}
+    first = stage_digests(scenario)
+    other = tmp_path / "elsewhere.nii"
+    file.rename(other)
+    assert stage_digests(parse_scenario(settings(other))) == first
+    Volume(TISSUE * 1.01, GRID).write(other)
+    second = stage_digests(parse_scenario(settings(other)))
+    assert [name for name in first if first[name] != second[name]] == ["volume"]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda path: path.write_text("no volume"), "not a readable NIfTI volume"),
+        (lambda path: Volume(50_000 * TISSUE - 1000, GRID).write(path), "Hounsfield units"),
+        (
+            lambda path: Volume(
+                TISSUE, VolumeGrid(GRID.shape, 4.0, Pose.from_euler((0, 99, 0), (0, 0, 0)))
+            ).write(path),
+            r"prior.path \(.*earlier.nii\): the prior lies beside the grid: its middle is 99 mm",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_before_any_work(file, make, words):
+    make(file)
+    scenario = parse_scenario(settings(file))
+    with pytest.raises(InputError, match=words):
+        require_feasible(scenario, commanded_views(scenario.trajectory, scenario.detector.panel))
+
+
+def test_a_prior_is_needed_and_has_to_be_there(tmp_path):
+    with pytest.raises(ScenarioError, match="reconstruction.prior"):
+        load_scenario(settings("x"), ["reconstruction={algorithm: prior_tv}"])
+    with pytest.raises(ScenarioError, match=r"reconstruction\.prior\.path.*gone\.nii"):
+        load_scenario(settings(tmp_path / "gone.nii"))
