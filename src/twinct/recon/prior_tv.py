@@ -88,7 +88,8 @@ def prior_tv(
     new, its edges cost no more than they would without a prior. Where the prior has no values its
     share is that of the volume itself.
 
-    Memory at its peak: 12 volumes and twice the projections, beside the prior as it is given, the
+    Memory at its peak: 15 volumes (12 where the grid is large: the registration stays coarse) and
+    twice the projections, beside the prior as it is given, the
     projections and weights.
 
     Args:
@@ -204,7 +205,7 @@ def _check(settings: PriorTv, grid: VolumeGrid) -> None:
 PRIOR_TV = Algorithm(
     PriorTv,
     _solve,
-    volumes=13,
+    volumes=16,
     projections=2,
     updates=lambda own, n: subset_number(own.subsets, n),
     check_keys=_check,
