@@ -24,12 +24,13 @@ from twinct.recon import (
 from twinct.volume import Volume
 
 
-def with_prior(A, p, **settings):
+def with_prior(A, line_integrals, **settings):
     """A prior that resembles the scan: a box about its ellipsoid."""
     prior = np.zeros((20, 22, 21), np.float32)
     prior[7:14, 4:16, 7:17] = 1.0
     defaults = {"iterations": 3, "regularisation": 0.01, "subsets": 4}
-    return prior_tv(A, p, Volume(prior, VolumeGrid(prior.shape, 2.0)), **(defaults | settings))
+    volume = Volume(prior, VolumeGrid(prior.shape, 2.0))
+    return prior_tv(A, line_integrals, volume, **(defaults | settings))
 
 
 RUNS = {

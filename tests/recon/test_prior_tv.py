@@ -75,8 +75,10 @@ def test_few_views_are_enough_and_what_is_new_survives(scan):
     lesion = ball(A.grid, LESION[0], 3.0) > 0.99
     contrast = (ours.array - anatomy(A.grid))[lesion].mean() / (VALUE / 2)
     assert contrast > 0.7  # measured 0.79: 8 views of voxels a fifth of the lesion
-    found = MOVED.inverse() @ ours.extras["world_from_prior"]
-    assert np.linalg.norm(found.position) < 0.1 and found.angle_deg(Pose.identity()) < 0.3
+    # Where the bones come to lie; without registration they are off by 1 to 2 mm.
+    bones = np.array([(10, 2, 4), (-9, 7, -6), (1, -12, 3.0)])
+    off = ours.extras["world_from_prior"].apply(bones) - MOVED.apply(bones)
+    assert np.linalg.norm(off, axis=1).max() < 0.5  # a quarter of a voxel, a sixth of a pixel
 
 
 @pytest.mark.tutorial

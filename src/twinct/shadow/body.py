@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.geometry.arrays import frozen
-from twinct.shadow._kernel import crossings
 
 
 class Box(NamedTuple):
@@ -137,6 +136,9 @@ class Rays:
         lengths = np.zeros(box.shape)
         derivatives = np.zeros((*box.shape, 6 if slopes else 0))
         if lengths.size:
+            # The settings of algorithms are read without a compiler.
+            from twinct.shadow._kernel import crossings
+
             turned = world_from_body.rotation  # from the world to the body by its transpose
             source = (self.geometry.source[view] - world_from_body.position) @ turned
             first, (across, up) = self._first[view] @ turned, self._steps[view] @ turned
