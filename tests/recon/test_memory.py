@@ -18,7 +18,8 @@ from twinct.volume import Volume
 def with_prior(A, p):
     """With a prior of as many voxels, which counts, too."""
     prior = np.zeros(A.domain_shape, np.float32)
-    prior[:, : len(prior) // 2] = 2 / A.grid.size_mm[1]  # line integrals of about 1, as p
+    prior[:, : len(prior) // 2] = 2 / A.grid.size_mm[1]
+    p[:] = A(prior)  # it lies where it shall
     settings = {"iterations": 2, "regularisation": 0.01, "subsets": 1, "tv_steps": 1}
     return prior_tv(A, p, Volume(prior, A.grid), **settings)
 

@@ -187,6 +187,8 @@ def test_each_algorithm_gives_the_volume_of_a_fresh_run(
     assert len(names) >= 7
     for name in names:
         section = f"algorithm: {name}, geometry: believed, grid: {{voxels: {voxels}, voxel_mm: 9}}"
+        if name == "prior_tv":
+            section += f", prior: {{path: {asked.paths.volume}}}"
         more = [f"reconstruction={{{section}}}"]
         fresh = load_scenario(DEMO, [*tiny_keys[:3], *circle, *more])
         out = tmp_path / name

@@ -206,7 +206,7 @@ PRIOR_TV = Algorithm(
     PriorTv,
     _solve,
     volumes=16,
-    projections=2,
+    projections=3,
     updates=lambda own, n: subset_number(own.subsets, n),
     check_keys=_check,
 )

@@ -135,8 +135,9 @@ def _at_level(A: Projector, p: Singles, mask: Mask | None, prior: Volume, pose: 
         inside = covered(there, A.grid)
         x = np.where(inside, resampled(smooth, there, A.grid), first)
         estimate = A(x)
-        _refuse_other_units(estimate[counts], p[counts])
-        rest = np.where(counts, p - estimate, 0)
+        _refuse_other_units(estimate, p, counts)
+        rest = np.subtract(p, estimate, out=estimate)
+        rest[~counts] = 0
         step = _step(A, x, inside, rest, counts, reach)
         pose = frame @ Pose.exp(step) @ frame.inverse() @ pose
         if np.linalg.norm(step[:3]) + reach * np.linalg.norm(step[3:]) < CLOSE * A.grid.voxel.min():
@@ -144,8 +145,9 @@ def _at_level(A: Projector, p: Singles, mask: Mask | None, prior: Volume, pose: 
     return pose
 
 
-def _refuse_other_units(estimate: Singles, measured: Singles) -> None:
-    ratio = float(estimate.sum(dtype=np.float64) / measured.sum(dtype=np.float64))
+def _refuse_other_units(estimate: Singles, measured: Singles, counts: Mask) -> None:
+    mine, theirs = (a.sum(dtype=np.float64, where=counts) for a in (estimate, measured))
+    ratio = float(mine / theirs)
     if not 1 / DIFFERENT < ratio < DIFFERENT:
         raise InputError(
             f"the prior's line integrals are {ratio:.3g} x those measured: attenuation in 1/mm at "
@@ -157,21 +159,28 @@ def _step(
     A: Projector, x: Singles, inside: Mask, rest: Singles, counts: Mask, reach: float
 ) -> Floats:
     """The twist of the grid's frame that explains most of what is left, (6,), mm and rad."""
-    rest = _edges(rest)[counts]
-    noise = 1.4826 * float(np.median(np.abs(rest)))
-    trust = 1.0 / np.maximum(np.abs(rest, dtype=np.float64) / (1.345 * noise or 1.0), 1.0)
-    images = [_edges(A(slope) * counts)[counts] for slope in _slopes(A.grid, x, inside, reach)]
-    weighted = [image * trust for image in images]
-    # Sums of products without BLAS, whose threads change the last bits.
-    normal = np.array([[np.sum(a * b) for a in images] for b in weighted])
-    right = np.array([np.sum(a * rest) for a in weighted])
+    for image in rest:
+        image[:] = _edges(image)
+    sizes = rest[counts]
+    noise = 1.4826 * float(np.median(np.abs(sizes, out=sizes), overwrite_input=True))
+    del sizes
+    slopes = _slopes(A.grid, x, inside, reach)
+    normal, right = np.zeros((6, 6)), np.zeros(6)
+    for view, (seen, left) in enumerate(zip(counts, rest, strict=True)):
+        left = left[seen].astype(np.float64)
+        trust = 1.0 / np.maximum(np.abs(left) / (1.345 * noise or 1.0), 1.0)
+        images = [_edges(A[view](slope)[0] * seen)[seen] for slope in slopes]
+        weighted = [image * trust for image in images]
+        # Sums of products without BLAS, whose threads change the last bits.
+        normal += np.array([[np.sum(a * b) for a in images] for b in weighted])
+        right += np.array([np.sum(a * left) for a in weighted])
     step = np.linalg.lstsq(normal, right, rcond=1e-6)[0]
     return step / np.repeat([1.0, reach], 3)
 
 
-def _edges(images: Singles) -> Singles:
-    """Images less their means over some pixels: what is truncated or hardened is smooth."""
-    return images - ndimage.gaussian_filter(images, (0, SMOOTH_PX, SMOOTH_PX))
+def _edges(image: Singles) -> Singles:
+    """An image less its means over some pixels: what is truncated or hardened is smooth."""
+    return image - ndimage.gaussian_filter(image, SMOOTH_PX)
 
 
 def _slopes(grid: VolumeGrid, x: Singles, inside: Mask, reach: float) -> list[Singles]:
