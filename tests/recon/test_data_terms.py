@@ -26,7 +26,10 @@ def test_huber_loss_bears_a_few_wrong_pixels(ball_scan):
     p = p + rng.normal(0, 0.01, p.shape).astype(np.float32)
     wrong = p + (rng.random(p.shape) < 1 / 200)
     settings = {"iterations": 8, "regularisation": 1e-4, "subsets": 2}
-    error = lambda x: float(np.sqrt(np.mean((x.array - 0.02)[inside] ** 2)))  # noqa: E731
+
+    def error(x):
+        return float(np.sqrt(np.mean((x.array - 0.02)[inside] ** 2)))
+
     clean = error(fista_tv(A, p, **settings))
     squares = error(fista_tv(A, wrong, **settings))
     robust = error(fista_tv(A, wrong, **settings, huber=0.03))
@@ -44,7 +47,10 @@ def test_photon_weights_bear_starved_rays(ball_scan, ellipsoid_integrals):
     x, y, _ = A.grid.axes()
     judged = inside & ((y**2)[:, None] + x**2 > 8**2)
     settings = {"iterations": 8, "regularisation": 1e-4, "subsets": 2}
-    error = lambda x: float(np.sqrt(np.mean((x.array - 0.02)[judged] ** 2)))  # noqa: E731
+
+    def error(x):
+        return float(np.sqrt(np.mean((x.array - 0.02)[judged] ** 2)))
+
     uniform = error(fista_tv(A, measured, **settings))
     weighted = error(fista_tv(A, measured, **settings, weights=np.maximum(counts, 0.5) / 1000))
     assert weighted < 0.4 * uniform

@@ -73,7 +73,10 @@ def test_reaches_the_minimum(problem, weighted):
     A, p, weights, M, b, w = problem
     w = w if weighted else np.ones_like(b)
     D = gradients(A.domain_shape, A.grid.voxel)
-    cost = lambda x: objective(x, M, b, w, D, 0.05, A.grid)  # noqa: E731
+
+    def cost(x):
+        return objective(x, M, b, w, D, 0.05, A.grid)
+
     least = cost(primal_dual(M, b, w, D, 0.05, A.grid))
     ours = fista_tv(
         A,

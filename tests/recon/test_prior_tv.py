@@ -70,7 +70,10 @@ def test_few_views_are_enough_and_what_is_new_survives(scan):
     settings = {"iterations": 10, "regularisation": 1e-4, "subsets": 2}
     plain = fista_tv(A, p, **settings).array
     ours = prior_tv(A, p, prior, **settings)
-    error = lambda x: float(np.sqrt(np.mean((x - truth) ** 2)))  # noqa: E731
+
+    def error(x):
+        return float(np.sqrt(np.mean((x - truth) ** 2)))
+
     assert error(ours.array) < 0.8 * error(plain)
     lesion = ball(A.grid, LESION[0], 3.0) > 0.99
     contrast = (ours.array - anatomy(A.grid))[lesion].mean() / (VALUE / 2)
@@ -134,7 +137,10 @@ def test_beside_the_prior_nothing_is_drawn_to_it(scan):
     settings = {"iterations": 10, "regularisation": 1e-4, "subsets": 2}
     ours = prior_tv(A, p, lower, **settings).array
     plain = fista_tv(A, p, **settings).array
-    error = lambda x, part: float(np.sqrt(np.mean((x - truth)[part] ** 2)))  # noqa: E731
+
+    def error(x, part):
+        return float(np.sqrt(np.mean((x - truth)[part] ** 2)))
+
     assert error(ours, np.s_[4:13]) < 0.8 * error(plain, np.s_[4:13])
     # The border makes no edge: above it the error is not larger than without a prior.
     assert error(ours, np.s_[14:24]) < 1.02 * error(plain, np.s_[14:24])

@@ -73,6 +73,7 @@ def test_a_scan_may_calibrate_itself(finished, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(finished.paths.path, folder)
     found = calibrate_self(folder, PosePrior(0.3, 0.1))
+    assert len(found.residuals) == 4 and found.residuals[-1] < found.residuals[0]
     scan = load_scan(folder)
     assert scan.derived["self"].made_by["sigma_mm"] == 0.3
     assert np.array_equal(

@@ -196,7 +196,10 @@ def test_preview_shows_the_face(skull, tmp_path):
     rows, columns, _ = picture.shape
     assert picture[0, 0] == pytest.approx([1, 1, 1])
     middle = columns / 2
-    at = lambda right, up: picture[int(rows / 2 - up), int(middle + right)].mean()  # noqa: E731
+
+    def at(right, up):
+        return picture[int(rows / 2 - up), int(middle + right)].mean()
+
     # Sockets are darker than the forehead: the picture is upright and shows the front.
     assert at(-33, 4) < 0.8 * at(0, 60) and at(33, 4) < 0.8 * at(0, 60)
     target = tmp_path / "skull.png"

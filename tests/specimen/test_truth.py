@@ -117,7 +117,10 @@ def test_grid_shifted_and_rotated_sees_the_specimen_where_it_stands():
     turned = VolumeGrid((20, 20, 20), 1.0, Pose.from_euler((30, -20, 10), (0, 0, 90)))
     along_world = built.truth(shifted, ENERGY) / mu
     along_box = built.truth(turned, ENERGY) / mu
-    extent = lambda a: [int(n) for n in np.ptp(np.argwhere(a > 0.5), axis=0) + 1]  # noqa: E731
+
+    def extent(a):
+        return [int(n) for n in np.ptp(np.argwhere(a > 0.5), axis=0) + 1]
+
     assert extent(along_world) == [16, 6, 10]
     assert extent(along_box) == [16, 10, 6]
     centre = np.argwhere(along_world > 0.5).mean(axis=0)

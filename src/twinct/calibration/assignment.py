@@ -25,7 +25,7 @@ def assigned(
 
     All shadows move by about the same when source or panel move: the commonest of all differences
     between spots and predictions is that shift. It takes a phantom that does not look like itself
-    shifted or mirrored, which the code in its gaps is for.
+    shifted, which the code in its gaps is for.
 
     Args:
         predicted: projected centres, (balls, 2), NaN for those out of sight.
@@ -37,7 +37,7 @@ def assigned(
         (balls,).
 
     Raises:
-        CalibrationError: less than half of the balls have a spot; mirrored, they would.
+        CalibrationError: less than half of the balls have a spot; whether mirrored they would.
     """
     found = _shifted(predicted, spots, radius_px, reach_px)
     sight = int(np.isfinite(predicted).all(axis=1).sum())

@@ -20,6 +20,7 @@ from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.progress import SILENT, Progress
 from twinct.recon import Projector, sart
 from twinct.recon.resolution import binned
+from twinct.recon.surroundings import coarse_grid
 
 STEP = np.array([0.3] * 6 + [0.004] * 3)
 """Of the differences that stand for derivatives, mm and rad: about a third of a pixel."""
@@ -78,6 +79,10 @@ class Round:
 ROUNDS = (*[Round(4)] * 4, *[Round(2)] * 4)
 
 
+FEW_PIXELS = (Round(1),) * 4
+"""Where none of the rounds asked for leaves enough."""
+
+
 @dataclass(frozen=True, eq=False)
 class SelfCalibration:
     """What a scan says of its own geometry.
@@ -117,7 +122,8 @@ def self_calibrated(
         believed: about where source and panel were.
         grid: that holds the specimen, at full resolution.
         prior: what is known of the errors.
-        rounds: from coarse to fine; those that leave hardly any pixels or voxels are left out.
+        rounds: from coarse to fine; those that leave hardly any pixels or voxels are
+            left out; where none is left, four at full resolution.
         relaxation: of SART.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
         progress: hears of each round.
@@ -125,19 +131,12 @@ def self_calibrated(
     change = np.zeros((len(believed), 9))
     precision = prior.precision(len(believed))
     residuals: list[float] = []
-    rounds = [
-        one
-        for one in rounds
-        if min(*grid.shape, *line_integrals.shape[1:]) // one.factor >= SMALLEST
-    ]
+    smallest = min(*grid.shape, *line_integrals.shape[1:])
+    rounds = [one for one in rounds if smallest // one.factor >= SMALLEST] or FEW_PIXELS
     with progress.stage("self-calibration", len(rounds)) as step:
         for one in rounds:
             p, counts = binned(line_integrals, mask, (one.factor, one.factor))
-            coarse = VolumeGrid(
-                tuple(n // one.factor for n in grid.shape),
-                tuple(grid.voxel * one.factor),
-                grid.world_from_grid,
-            )
+            coarse = coarse_grid(grid, 0.0, one.factor * grid.voxel)
             geometry = all_moved(believed, change)
             A = Projector(geometry.binned(one.factor, one.factor), coarse)
             x = sart(

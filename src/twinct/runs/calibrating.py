@@ -25,7 +25,7 @@ from twinct.runs.folder import Folder
 from twinct.runs.volumes import line_integrals
 from twinct.scan import OWN, NamedGeometry, Scan, checked_name
 from twinct.scan.named import poses_digest
-from twinct.scenario import BallHelix, GaussianSpread, Scenario
+from twinct.scenario import BallHelix, FileSpread, GaussianSpread, Scenario
 from twinct.specimen.balls import nominal_centres
 from twinct.views import PosePairs
 
@@ -80,6 +80,8 @@ def calibrate_beads(
         for folder in folders:
             stack.enter_context(sole_owner(folder.lock))
         panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
+        if isinstance(spread, FileSpread):
+            audience.say("detector.point_spread is of a file: shadows count as sharp", warning=True)
         found = calibrated(
             scan.transmission,
             scan.believed.geometry(panel),

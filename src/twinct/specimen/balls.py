@@ -16,8 +16,8 @@ WIDE_GAP = 1.5
 def nominal_centres(shape: BallHelix) -> Floats:
     """Where the balls of a helix about z shall be, in the part's frame, (balls, 3), mm.
 
-    Gaps are narrow or wide as a sequence of maximum length says: no run of six gaps comes twice,
-    forwards or mirrored about the helix' middle.
+    Gaps are narrow or wide as a sequence of maximum length says: up to 64 balls no run of six
+    gaps comes twice.
     """
     bits = max_len_seq(max(int(np.ceil(np.log2(shape.balls))), 2))[0]
     gaps = np.where(bits[: shape.balls - 1], WIDE_GAP, 1.0)
