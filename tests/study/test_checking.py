@@ -121,7 +121,7 @@ def test_trials_of_one_kind_take_alike(small) -> None:
         ),
         (
             "axes: [{key: uncertainty.seed, values: [1, 2, 1]}]",
-            r"trial 0 \(uncertainty.seed = 1\) and trial 2 \(uncertainty.seed = 1\) are the same",
+            r":2: trial 0 \(uncertainty.seed = 1\) and trial 2 \(uncertainty.seed = 1\) are",
         ),
         (
             "axes: [{key: uncertainty.seed, label: views, values: [1]}]",
@@ -130,12 +130,12 @@ def test_trials_of_one_kind_take_alike(small) -> None:
         (
             "max_trials: 5\naxes: [{key: uncertainty.seed, values: [1, 2]}]\n"
             "repetitions: {number: 3}",
-            r"more than 5 trials \(max_trials\)",
+            r":2: the study has more than 5 trials \(max_trials\)",
         ),
         (
             "max_trials: 5\nsearch: {figure: image.ssim, trials: 3, "
             "keys: [{key: seed, label: s, choices: [1]}]}\nrepetitions: {number: 2, key: motion.s}",
-            r"the search has 6 trials, more than max_trials 5",
+            r":2: the search has 6 trials, more than max_trials 5",
         ),
     ],
 )
@@ -158,12 +158,12 @@ def test_a_figure_that_some_trials_have_is_one(small) -> None:
 
 
 def test_progress_hears_of_each_trial(small) -> None:
-    from twinct.observers import Audience
+    from twinct.observers import audience_of
 
     heard: list[object] = []
-    audience = Audience([heard.append])
     design = load_study(small(axes=[axis(RELAXATION, 0.2, 0.5, 0.7)]))
-    Checker(design).checked(design.trials(), audience)
+    with audience_of([heard.append]) as audience:
+        Checker(design).checked(design.trials(), audience)
     assert heard
 
 

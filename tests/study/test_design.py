@@ -187,11 +187,11 @@ def test_set_changes_all_trials_and_an_axis_comes_after_it(small) -> None:
         ),
         (
             "max_trials: 9\naxes: [{key: a, range: {first: 0, last: 1, number: 1000000000000}}]",
-            "more than 9 trials .max_trials.: a has 1000000000000",
+            ":2: more than 9 trials .max_trials.: a has 1000000000000",
         ),
         (
             "repetitions: {number: 1000000000000}",
-            "more than 10000 trials .max_trials.: repetitions",
+            ":2: more than 10000 trials .max_trials.: repetitions",
         ),
         ("set:\n  seed.x: 1", ":3: seed: must be a whole number, but is"),
     ],

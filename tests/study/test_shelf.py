@@ -68,6 +68,13 @@ def test_things_are_made_once_and_come_back_the_same(tmp_path: Path) -> None:
     assert len(calls) == 3
 
 
+def test_a_thing_of_another_version_is_made_again(tmp_path: Path, monkeypatch) -> None:
+    shelf = Shelf(tmp_path)
+    assert shelf.thing("a", lambda: "old") == "old"
+    monkeypatch.setattr("twinct.study.shelf.__version__", "another")
+    assert shelf.thing("a", lambda: "new") == "new"
+
+
 def test_what_could_not_be_made_is_not_there_and_may_be_asked_for_again(tmp_path: Path) -> None:
     shelf = Shelf(tmp_path)
 

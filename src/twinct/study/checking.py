@@ -123,7 +123,10 @@ class Checker:
         for one in found:
             same = first.setdefault(one.key, one.trial)
             if same is not one.trial and not self.design.study.search:
-                raise InputError(f"{same} and {one.trial} are the same: a value stands twice")
+                place = self.design.at("axes", "repetitions")
+                raise InputError(
+                    f"{place}{same} and {one.trial} are the same: a value stands twice"
+                )
         return found
 
     def _unknown_figure(self, name: str, known: set[str]) -> str:

@@ -106,6 +106,11 @@ class Design:
             labels = dict.fromkeys(self.labels) | dict(choice.labels)
             yield Trial(number, labels, {**choice.changes, **seeds}, seed)
 
+    def at(self, *sections: str) -> str:
+        """Beginning of a message: the place of the first of these sections that the file has."""
+        found = next((self.places[name] for name in sections if name in self.places), "")
+        return found and f"{found}: "
+
     def scenario(self, trial: Trial) -> Scenario:
         """What a trial runs.
 
@@ -193,7 +198,10 @@ def _template(study: Study, draft: Draft) -> Template:
 
 
 def _places(study: Study, draft: Draft) -> dict[str, str]:
-    found = {key: place for key in ("figures",) if (place := draft.origin((key,)))}
+    sections = ("figures", "axes", "search", "repetitions", "max_trials")
+    found = {
+        key: place for key in sections if key in draft.data and (place := draft.origin((key,)))
+    }
     for index, axis in enumerate(study.axes):
         for inner, part in enumerate(axis.paired or (axis,)):
             where = ("axes", index, "paired", inner) if axis.paired else ("axes", index)
@@ -215,7 +223,8 @@ def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
     numbers = {part.name: span.number for part in parts if (span := part.range or part.draw)}
     numbers |= {"repetitions": study.repetitions.number} if study.repetitions else {}
     if many := [f"{name} has {n}" for name, n in numbers.items() if n > study.max_trials]:
-        yield f"more than {study.max_trials} trials (max_trials): {', '.join(many)}"
+        place = design.at("max_trials", "axes", "repetitions")
+        yield f"{place}more than {study.max_trials} trials (max_trials): {', '.join(many)}"
         return  # they would be made to be counted
     for index, axis in enumerate(study.axes):
         numbers = {part.name: len(list(_values(part))) for part in axis.paired or ()}

@@ -180,16 +180,19 @@ def dry_run(
 def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[Checked]:
     """All trials of the axes, checked; of a search, those that can be checked before."""
     study = design.study
+    place = design.at("max_trials", "axes", "search", "repetitions")
     if study.search is None:
         trials = list(itertools.islice(design.trials(), study.max_trials + 1))
         if len(trials) > study.max_trials:
             raise InputError(
-                f"the study has more than {study.max_trials} trials (max_trials): raise that, or "
-                "take fewer values"
+                f"{place}the study has more than {study.max_trials} trials (max_trials): raise "
+                "that, or take fewer values"
             )
         return checker.checked(trials, audience)
     if (number := study.search.trials * len(design.seeds)) > study.max_trials:
-        raise InputError(f"the search has {number} trials, more than max_trials {study.max_trials}")
+        raise InputError(
+            f"{place}the search has {number} trials, more than max_trials {study.max_trials}"
+        )
     return checker.checked(_repeated(design, asked(study.search, []), 0), audience)
 
 

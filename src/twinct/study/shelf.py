@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.version import __version__
+
 
 @dataclass(frozen=True)
 class Shelf:
@@ -49,12 +51,12 @@ class Shelf:
         return np.load(self.path("arrays", digest, save))
 
     def thing(self, digest: str, make: Callable[[], Any]) -> Any:
-        """Anything that can be pickled."""
+        """Anything that can be pickled; kept for this version, as another's code may differ."""
 
         def save(draft: Path) -> None:
             draft.write_bytes(pickle.dumps(make()))
 
-        return pickle.loads(self.path("things", digest, save).read_bytes())  # noqa: S301 - our own
+        return pickle.loads(self.path("things", f"{digest}-{__version__}", save).read_bytes())  # noqa: S301 - our own
 
     @contextlib.contextmanager
     def locked(self, kind: str, digest: str) -> Iterator[None]:
