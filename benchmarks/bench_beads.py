@@ -41,7 +41,8 @@ def scan_of(views, phantom, *, tolerance_mm=0.0, noisy=False, blurred=False):
     panel, trajectory = base.detector.panel, base.trajectory
     assert isinstance(trajectory, OrbitSettings)
     if noisy:
-        at_a_metre = PHOTONS / (panel.pitch_u * panel.pitch_v) * (trajectory.sdd_mm / 1000) ** 2
+        metres = float(trajectory.sdd_at(0.5)) / 1000
+        at_a_metre = PHOTONS / (panel.pitch_u * panel.pitch_v) * metres**2
         told.append(f"source.photons_per_mm2_mas={at_a_metre / base.source.mas}")
         told.append("detector.noise={kind: quantum}")
     if blurred:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
+from scipy.spatial import cKDTree
 
 from twinct.errors import TrajectoryError
 from twinct.geometry import Panel
@@ -39,7 +40,10 @@ def test_paper_path_has_its_length_and_ends() -> None:
     )
 
 
-@pytest.mark.parametrize("kind", ["sinusoid", "circle", "arc", "helix"])
+@pytest.mark.parametrize(
+    "kind",
+    ["sinusoid", "circle", "arc", "helix", "saddle", "spiral", "uniform", "circle_arc"],
+)
 def test_panel_faces_the_source_upright(kind: str) -> None:
     geometry = views(kind=kind, views=11, isocentre_mm=[5, -7, 9])
     beam = geometry.source - geometry.detector
@@ -66,6 +70,116 @@ def test_helix_rises_by_its_pitch_each_turn() -> None:
     helix = views(kind="helix", views=21, turns=2, pitch_mm=40)
     assert helix.source[10, 2] - helix.source[0, 2] == pytest.approx(40)
     np.testing.assert_allclose(helix.source[:, 2], helix.detector[:, 2])
+
+
+def angles(geometry):
+    """Longitudes and latitudes of the source, degrees."""
+    x, y, z = geometry.source.T
+    return np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
+def test_a_tilted_path_turns_about_its_axis_by_the_right_hand() -> None:
+    flat = views(kind="arc", views=9, longitude_range_deg=180, latitude_deg=10)
+    tilted = views(
+        kind="arc",
+        views=9,
+        longitude_range_deg=180,
+        latitude_deg=10,
+        tilt_deg=30,
+        tilt_axis_deg=90,
+    )
+    cos, sin = np.cos(np.radians(30)), np.sin(np.radians(30))
+    about_y = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    np.testing.assert_allclose(tilted.source, flat.source @ about_y.T, atol=1e-9)
+    circle = views(kind="circle", views=4, tilt_deg=20)
+    np.testing.assert_allclose(angles(circle)[1], [0, 20, 0, -20], atol=1e-9)
+
+
+def test_distances_may_change_along_the_path() -> None:
+    geometry = views(kind="arc", views=5, sod_mm=[300, 400, 300], sdd_mm=[600, 800])
+    sod = np.linalg.norm(geometry.source, axis=1)
+    np.testing.assert_allclose(sod, [300, 350, 400, 350, 300])
+    sdd = np.linalg.norm(geometry.source - geometry.detector, axis=1)
+    np.testing.assert_allclose(sdd, [600, 650, 700, 750, 800])
+    np.testing.assert_allclose(geometry.project([[0, 0, 0]])[:, 0], [[319.5, 239.5]] * 5)
+    for kind in ("sinusoid", "circle", "helix", "saddle", "spiral", "uniform", "circle_arc"):
+        geometry = views(kind=kind, views=7, sod_mm=[200, 300])
+        across = np.linalg.norm(geometry.source - [0, 0, 0], axis=1)
+        if kind == "helix":
+            across = np.hypot(*geometry.source[:, :2].T)
+        assert (np.diff(across) > 0).all() and 200 <= across.min() < across.max() <= 300
+
+
+def test_distances_that_cross_are_refused_where_they_do() -> None:
+    with pytest.raises(ValidationError, match=r"sdd_mm \(500\) must exceed sod_mm \(700\)"):
+        views(kind="arc", views=5, sod_mm=[300, 700, 300], sdd_mm=[500, 500])
+
+
+def test_several_turns_of_a_sinusoid_go_round() -> None:
+    geometry = views(kind="sinusoid", views=800, longitude_range_deg=720, periods=3, phase_deg=90)
+    longitude, latitude = angles(geometry)
+    longitude = np.degrees(np.unwrap(np.radians(longitude)))
+    assert np.ptp(longitude) == pytest.approx(720)
+    wave = 30 * np.cos(2 * np.pi * 3 * (longitude - longitude[0]) / 720)
+    np.testing.assert_allclose(latitude, wave, atol=1e-3)
+
+
+def test_a_saddle_closes_and_is_met_by_every_plane_near_the_middle() -> None:
+    saddle = views(kind="saddle", views=360, latitude_amplitude_deg=30, centre_longitude_deg=20)
+    longitude, latitude = angles(saddle)
+    np.testing.assert_allclose(latitude, 30 * np.cos(2 * np.radians(longitude - 20)), atol=1e-3)
+    step = np.linalg.norm(np.roll(saddle.source, -1, axis=0) - saddle.source, axis=1)
+    assert np.ptp(step) < 0.01  # the last step, back to the first view, included
+    rng = np.random.default_rng(1)
+    normals = rng.normal(size=(500, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    offsets = rng.uniform(-100, 100, 500)  # R sin(30 deg) is 150 mm; inside, every plane meets it
+    height = saddle.source @ normals.T - offsets
+    assert (np.ptp(np.sign(height), axis=0) == 2).all()
+    flat = views(kind="circle", views=360).source @ normals.T - offsets
+    assert not (np.ptp(np.sign(flat), axis=0) == 2).all()  # a circle misses some
+
+
+def test_a_spiral_has_equal_steps_and_equal_rises() -> None:
+    spiral = views(kind="spiral", views=500, turns=4, latitude_range_deg=[-60, 60])
+    step = np.linalg.norm(np.diff(spiral.source, axis=0), axis=1)
+    assert np.ptp(step) < 1e-3 * step.mean()
+    longitude, latitude = angles(spiral)
+    turned = np.degrees(np.unwrap(np.radians(longitude)))
+    np.testing.assert_allclose(latitude, -60 + (turned - turned[0]) / 12, atol=1e-2)
+    assert latitude[[0, -1]] == pytest.approx([-60, 60])
+
+
+def test_uniform_views_are_as_many_in_equal_areas() -> None:
+    geometry = views(kind="uniform", views=2000, latitude_range_deg=[-20, 60])
+    longitude, latitude = angles(geometry)
+    assert latitude.min() > -20 and latitude.max() < 60
+    low, high = np.sin(np.radians([-20, 60]))
+    rows = ((np.sin(np.radians(latitude)) - low) / (high - low) * 4).astype(int)
+    columns = ((longitude + 180) / 90).astype(int)
+    number = np.bincount(4 * rows + columns, minlength=16)
+    np.testing.assert_allclose(number, 125, atol=6)  # 11 at random
+    nearest = cKDTree(geometry.source).query(geometry.source, 2)[0][:, 1]
+    each = np.sqrt(2 * np.pi * (high - low) * 300**2 / 2000)
+    assert nearest.min() > 0.6 * each  # no two views near each other
+    part = angles(views(kind="uniform", views=50, longitude_range_deg=90))[0]
+    assert -45 <= part.min() < -35 and 35 < part.max() <= 45
+
+
+def test_circle_and_arc_share_the_views() -> None:
+    geometry = views(kind="circle_arc", views=20, arc_share=0.25, centre_longitude_deg=30)
+    longitude, latitude = angles(geometry)
+    np.testing.assert_allclose(latitude[:15], 0, atol=1e-9)
+    assert len(np.unique(longitude[:15].round(6))) == 15
+    np.testing.assert_allclose(longitude[15:], 30)
+    np.testing.assert_allclose(latitude[15:], [-30, -15, 0, 15, 30], atol=1e-9)
+    open_ = views(kind="circle_arc", views=2, longitude_range_deg=180)
+    assert len(open_) == 2
+
+
+def test_a_zone_upside_down_is_refused() -> None:
+    with pytest.raises(ValidationError, match=r"latitude_range_deg \(30, 10\)"):
+        views(kind="spiral", views=5, latitude_range_deg=[30, 10])
 
 
 def test_file_of_views_reads_back_the_same_numbers(tmp_path) -> None:

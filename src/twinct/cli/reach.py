@@ -54,10 +54,14 @@ def arms_of(scenario: Scenario) -> Cell:
 
 
 def _orbit(workshop: Workshop) -> tuple[float, float, np.ndarray]:
-    """SOD, ODD and isocentre, mm; of views from a file their means about the specimen."""
+    """SOD, ODD and isocentre, mm; of views from a file their means about the specimen.
+
+    Distances that change along the path are those in its middle.
+    """
     section = workshop.scenario.trajectory
     if isinstance(section, OrbitSettings):
-        return section.sod_mm, section.sdd_mm - section.sod_mm, np.array(section.isocentre_mm)
+        sod, sdd = float(section.sod_at(0.5)), float(section.sdd_at(0.5))
+        return sod, sdd - sod, np.array(section.isocentre_mm)
     centre = workshop.scenario.specimen.world_from_specimen.position
     views = workshop.asked
     far = [

@@ -2,22 +2,30 @@
 
 from twinct.trajectory.arc import ArcTrajectory
 from twinct.trajectory.circle import CircleTrajectory
+from twinct.trajectory.circle_arc import CircleArcTrajectory
 from twinct.trajectory.families import commanded_views, leaves_roll
 from twinct.trajectory.family import Family, TrajectorySettings
 from twinct.trajectory.helix import HelixTrajectory
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, panel_axes, stops
+from twinct.trajectory.saddle import SaddleTrajectory
 from twinct.trajectory.sinusoid import SinusoidTrajectory
+from twinct.trajectory.spiral import SpiralTrajectory
 from twinct.trajectory.table import FileTrajectory, write_views
+from twinct.trajectory.uniform import UniformTrajectory
 
 __all__ = [
     "ArcTrajectory",
+    "CircleArcTrajectory",
     "CircleTrajectory",
     "Family",
     "FileTrajectory",
     "HelixTrajectory",
     "OrbitSettings",
+    "SaddleTrajectory",
     "SinusoidTrajectory",
+    "SpiralTrajectory",
     "TrajectorySettings",
+    "UniformTrajectory",
     "commanded_views",
     "leaves_roll",
     "on_sphere",

@@ -10,10 +10,11 @@ from twinct.geometry import Panel, ScanGeometry
 from twinct.settings import setting
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
+from twinct.trajectory.tilt import Tilted, tilted
 
 
-class ArcTrajectory(OrbitSettings):
-    """Part of a circle of constant latitude, both ends included."""
+class ArcTrajectory(OrbitSettings, Tilted):
+    """Part of a circle of constant latitude, both ends included; it may be tilted as a whole."""
 
     kind: Literal["arc"]
     longitude_range_deg: float = setting(
@@ -23,10 +24,12 @@ class ArcTrajectory(OrbitSettings):
 
 
 def _views(section: ArcTrajectory, panel: Panel) -> ScanGeometry:
-    offset = section.longitude_range_deg * (stops(section.views) - 0.5)
+    share = stops(section.views)
+    offset = section.longitude_range_deg * (share - 0.5)
     longitude = np.radians(section.centre_longitude_deg + offset)
     latitude = np.full_like(longitude, np.radians(section.latitude_deg))
-    return orbit_views(section, panel, on_sphere(longitude, latitude, section.sod_mm))
+    sources = on_sphere(longitude, latitude, section.sod_at(share))
+    return orbit_views(section, panel, tilted(sources, section))
 
 
 ARC = Family(ArcTrajectory, _views)

@@ -8,12 +8,17 @@ from twinct.extensions import Offers, offers
 from twinct.geometry import Panel, ScanGeometry
 from twinct.trajectory.arc import ARC
 from twinct.trajectory.circle import CIRCLE
+from twinct.trajectory.circle_arc import CIRCLE_ARC
 from twinct.trajectory.family import Family, TrajectorySettings, name_in
 from twinct.trajectory.helix import HELIX
+from twinct.trajectory.saddle import SADDLE
 from twinct.trajectory.sinusoid import SINUSOID
+from twinct.trajectory.spiral import SPIRAL
 from twinct.trajectory.table import FILE
+from twinct.trajectory.uniform import UNIFORM
 
-BUILT_IN = {family.name: family for family in (SINUSOID, CIRCLE, ARC, HELIX, FILE)}
+_ALL = (SINUSOID, CIRCLE, ARC, CIRCLE_ARC, SADDLE, SPIRAL, UNIFORM, HELIX, FILE)
+BUILT_IN = {family.name: family for family in _ALL}
 
 
 @cache

@@ -21,11 +21,12 @@ class HelixTrajectory(OrbitSettings):
 
 
 def _views(section: HelixTrajectory, panel: Panel) -> ScanGeometry:
-    turn = section.turns * (stops(section.views) - 0.5)
+    share = stops(section.views)
+    turn = section.turns * (share - 0.5)
     angles = np.radians(section.centre_longitude_deg) + 2 * np.pi * turn
     centres = np.zeros((section.views, 3))
     centres[:, 2] = section.pitch_mm * turn
-    sources = on_sphere(angles, np.zeros_like(angles), section.sod_mm) + centres
+    sources = on_sphere(angles, np.zeros_like(angles), section.sod_at(share)) + centres
     return orbit_views(section, panel, sources, centres)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from twinct.errors import TrajectoryError
@@ -14,15 +17,24 @@ _STEEPEST_BEAM = 1e-9
 """Smallest horizontal share of a beam that still tells which way is horizontal."""
 
 
+Course = Annotated[tuple[Positive, ...], Field(min_length=2)]
+"""A distance that changes along the path: values at equal shares of it, linear between them."""
+
+
 class OrbitSettings(TrajectorySettings):
     """Keys of all families about an isocentre."""
 
     views: int = Field(ge=1, le=100_000, description="Number of projections.")
     isocentre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the orbit.")
-    sod_mm: Positive = setting(300.0, "Distance from source to isocentre.", source="the paper")
-    sdd_mm: Positive = setting(
+    sod_mm: Positive | Course = setting(
+        300.0,
+        "Distance from source to isocentre; or several, at equal shares of the path, and linear "
+        "between them.",
+        source="the paper",
+    )
+    sdd_mm: Positive | Course = setting(
         600.0,
-        "Distance from source to panel centre.",
+        "Distance from source to panel centre; or several, as ``sod_mm``.",
         source="the paper, as docs/paper.md reads it",
     )
     centre_longitude_deg: Finite = setting(
@@ -31,15 +43,30 @@ class OrbitSettings(TrajectorySettings):
 
     @model_validator(mode="after")
     def _isocentre_between(self) -> OrbitSettings:
-        if self.sdd_mm <= self.sod_mm:
-            wrong = f"sdd_mm ({self.sdd_mm:g}) must exceed sod_mm ({self.sod_mm:g})"
+        share = np.unique(np.concatenate([_knots(self.sod_mm), _knots(self.sdd_mm)]))
+        sod, sdd = self.sod_at(share), self.sdd_at(share)
+        if (sdd <= sod).any():
+            worst = int((sdd - sod).argmin())
+            wrong = f"sdd_mm ({sdd[worst]:g}) must exceed sod_mm ({sod[worst]:g})"
             message = f"{wrong}: the isocentre lies between source and panel"
             raise ConflictError(Conflict(message, ("sdd_mm", "sod_mm")))
         return self
 
+    def sod_at(self, share: ArrayLike) -> Floats:
+        """Distances from source to isocentre at shares of the path, 0 to 1, mm."""
+        return _course(self.sod_mm, share)
+
+    def sdd_at(self, share: ArrayLike) -> Floats:
+        """Distances from source to panel centre at shares of the path, 0 to 1, mm."""
+        return _course(self.sdd_mm, share)
+
 
 def orbit_views(
-    section: OrbitSettings, panel: Panel, sources: Floats, centres: Floats | None = None
+    section: OrbitSettings,
+    panel: Panel,
+    sources: Floats,
+    centres: Floats | None = None,
+    share: Floats | None = None,
 ) -> ScanGeometry:
     """The views of a path of the source.
 
@@ -48,13 +75,16 @@ def orbit_views(
     Args:
         section: distances, and where the isocentre is.
         panel: the pixel lattice.
-        sources: positions at ``sod_mm`` from their centres, (views, 3), mm.
+        sources: positions at ``sod_at(share)`` from their centres, (views, 3), mm.
         centres: what the beams go through, (views, 3), mm; without them the isocentre. Both are
             moved by ``isocentre_mm``.
+        share: of the path at which each view is, 0 to 1, (views,); without it ``stops``.
     """
     centres = np.zeros_like(sources) if centres is None else centres
-    directions = (sources - centres) / section.sod_mm
-    detectors = centres - (section.sdd_mm - section.sod_mm) * directions
+    share = stops(len(sources)) if share is None else share
+    sod, sdd = section.sod_at(share)[:, None], section.sdd_at(share)[:, None]
+    directions = (sources - centres) / sod
+    detectors = centres - (sdd - sod) * directions
     u, v = panel_axes(directions)
     shift = np.asarray(section.isocentre_mm)
     return ScanGeometry(sources + shift, detectors + shift, u, v, panel)
@@ -81,13 +111,23 @@ def panel_axes(towards_source: Floats) -> tuple[Floats, Floats]:
     return u, v / np.linalg.norm(v, axis=1)[:, None]
 
 
-def on_sphere(longitude: Floats, latitude: Floats, radius: float) -> Floats:
-    """Points (..., 3) of longitudes and latitudes in rad."""
+def on_sphere(longitude: Floats, latitude: Floats, radius: ArrayLike = 1.0) -> Floats:
+    """Points (..., 3) of longitudes and latitudes in rad, at one radius or one each."""
     cos = np.cos(latitude)
     points = [cos * np.cos(longitude), cos * np.sin(longitude), np.sin(latitude)]
-    return radius * np.stack(points, axis=-1)
+    return np.asarray(radius)[..., None] * np.stack(points, axis=-1)
 
 
 def stops(views: int) -> Floats:
     """Shares of the path at which views are taken; a single view stands in the middle."""
     return np.linspace(0.0, 1.0, views) if views > 1 else np.array([0.5])
+
+
+def _knots(distance: float | tuple[float, ...]) -> Floats:
+    return np.linspace(0.0, 1.0, len(distance)) if isinstance(distance, tuple) else np.zeros(1)
+
+
+def _course(distance: float | tuple[float, ...], share: ArrayLike) -> Floats:
+    if not isinstance(distance, tuple):
+        return np.full(np.shape(share), distance)
+    return np.interp(np.asarray(share, dtype=np.float64), _knots(distance), distance)

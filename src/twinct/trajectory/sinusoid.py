@@ -7,20 +7,25 @@ from typing import Literal
 import numpy as np
 
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.settings import Positive, setting
+from twinct.settings import Finite, Positive, setting
+from twinct.trajectory.even import even_shares
 from twinct.trajectory.family import Family
-from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
-
-_PATH_SAMPLES = 200_001
-"""Points on which arc length is summed; the paper's path of 1.2 m is then exact to 1e-7 mm."""
+from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views
 
 
 class SinusoidTrajectory(OrbitSettings):
-    """The paper's path: a sine of latitude over an arc of longitude, on a sphere."""
+    """The paper's path: a sine of latitude over an arc of longitude, on a sphere.
+
+    Over more than 360 degrees it goes round several times.
+    """
 
     kind: Literal["sinusoid"]
     longitude_range_deg: float = setting(
-        210.0, "Arc of longitude.", gt=0, le=360, source="the paper: 180 degrees and the fan"
+        210.0,
+        "Arc of longitude; 360 for each turn.",
+        gt=0,
+        le=36_000,
+        source="the paper: 180 degrees and the fan",
     )
     latitude_amplitude_deg: float = setting(
         30.0, "Amplitude of the sine of latitude.", ge=0, lt=90, source="the paper"
@@ -28,22 +33,21 @@ class SinusoidTrajectory(OrbitSettings):
     periods: Positive = setting(
         1.0, "Sine periods over the range.", source="the paper, as docs/paper.md reads it"
     )
+    phase_deg: Finite = setting(0.0, "Phase of the sine at the beginning.")
 
 
 def _views(section: SinusoidTrajectory, panel: Panel) -> ScanGeometry:
     """Longitude over its range, latitude a sine of it (Freiling et al.); both ends included."""
-    share: Floats = np.linspace(0.0, 1.0, _PATH_SAMPLES)
+    phase = np.radians(section.phase_deg)
 
     def position(t: Floats) -> Floats:
         longitude = section.centre_longitude_deg + section.longitude_range_deg * (t - 0.5)
-        wave = np.sin(2 * np.pi * section.periods * t)
+        wave = np.sin(2 * np.pi * section.periods * t + phase)
         latitude = np.radians(section.latitude_amplitude_deg) * wave
-        return on_sphere(np.radians(longitude), latitude, section.sod_mm)
+        return on_sphere(np.radians(longitude), latitude, section.sod_at(t))
 
-    steps = np.linalg.norm(np.diff(position(share), axis=0), axis=1)
-    length = np.concatenate([[0.0], np.cumsum(steps)])
-    at: Floats = np.interp(stops(section.views) * length[-1], length, share)
-    return orbit_views(section, panel, position(at))
+    share = even_shares(position, section.views)
+    return orbit_views(section, panel, position(share), share=share)
 
 
 SINUSOID = Family(SinusoidTrajectory, _views)
