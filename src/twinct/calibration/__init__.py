@@ -7,12 +7,14 @@ from twinct.calibration.consistency import (
     SelfCalibration,
     self_calibrated,
 )
+from twinct.calibration.modes import Aligned, aligned
 from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.resection import PARAMETERS, Resection, moved, resected
 from twinct.calibration.shadows import Shadows, measured, spots
 
 __all__ = [
     "PARAMETERS",
+    "Aligned",
     "BallCalibration",
     "BallPhantom",
     "PosePrior",
@@ -20,6 +22,7 @@ __all__ = [
     "Round",
     "SelfCalibration",
     "Shadows",
+    "aligned",
     "calibrated",
     "calibrated_view",
     "measured",

@@ -1,29 +1,37 @@
 """Geometry from the projections of the specimen alone: each view is moved until it agrees with all.
 
 In alternation a volume is reconstructed from what is known of the geometry, and each view's source
-and panel are moved so that the volume's line integrals become those that were measured
-(registration of projections to a volume, as in Ouadah et al., Phys. Med. Biol. 61 (2016) 2613, the
-volume being the scan's own). A rigid motion of everything and its scale change no projection: these
-seven cannot be seen, and the prior, errors about zero, keeps them where they were believed.
+and panel, or the patient between them, are moved so that the volume's line integrals become those
+that were measured (registration of projections to a volume, as in Ouadah et al., Phys. Med. Biol.
+61 (2016) 2613, the volume being the scan's own). A rigid motion of everything and its scale change
+no projection: these seven cannot be seen, and the prior, errors about zero, keeps them where they
+were believed. (Of a patient who moves, six: source and panel are as far apart as believed.)
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.calibration.resection import moved
-from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.progress import SILENT, Progress
 from twinct.recon import Projector, sart
 from twinct.recon.resolution import binned
 from twinct.recon.surroundings import coarse_grid
 
-STEP = np.array([0.3] * 6 + [0.004] * 3)
-"""Of the differences that stand for derivatives, mm and rad: about a third of a pixel."""
+What = Literal["arms", "patient"]
+"""What may have moved: source and panel, nine numbers a view, or the patient between, six."""
+
+SHIFTS = {"arms": 6, "patient": 3}
+"""How many of the numbers are shifts; three turns follow."""
+
+STEP_MM, STEP_RAD = 0.3, 0.004
+"""Of the differences that stand for derivatives: about a third of a pixel."""
 
 ROBUST = 1.5
 """Residuals above so many standard deviations pull with that of one there (Huber)."""
@@ -43,8 +51,8 @@ class PosePrior:
     """What is known of the errors beforehand.
 
     Attributes:
-        sigma_mm: of source and panel along each axis.
-        sigma_deg: of the panel about each axis.
+        sigma_mm: of source and panel, or of the patient, along each axis.
+        sigma_deg: of the panel, or of the patient, about each axis.
         correlation_views: over how many views errors stay alike (a Gaussian process); 0: each view
             has its own.
     """
@@ -53,9 +61,9 @@ class PosePrior:
     sigma_deg: float = 0.2
     correlation_views: float = 0.0
 
-    def precision(self, views: int) -> Floats:
-        """Inverse covariance of all errors, (views * 9, views * 9)."""
-        own = np.array([self.sigma_mm] * 6 + [np.radians(self.sigma_deg)] * 3)
+    def precision(self, views: int, what: What = "arms") -> Floats:
+        """Inverse covariance of all errors, (views * n, views * n)."""
+        own = np.array([self.sigma_mm] * SHIFTS[what] + [np.radians(self.sigma_deg)] * 3)
         over = np.eye(views)
         if self.correlation_views > 0:
             apart = np.subtract.outer(np.arange(views), np.arange(views)) / self.correlation_views
@@ -89,7 +97,9 @@ class SelfCalibration:
 
     Attributes:
         geometry: of all views.
-        change: against what was believed, (views, 9), as ``resection.PARAMETERS``.
+        change: against what was believed: of arms as ``resection.PARAMETERS``, (views, 9); of a
+            patient what source and panel moved by in the patient's frame, as a twist (v, w) about
+            the middle of the grid, world axes, (views, 6), mm and rad.
         residuals: spread of measured minus projected line integrals, before each round's step.
     """
 
@@ -98,10 +108,33 @@ class SelfCalibration:
     residuals: tuple[float, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class _Freedom:
+    """What may move, and how each view follows."""
+
+    what: What
+    middle: Floats
+
+    @property
+    def steps(self) -> Floats:
+        return np.array([STEP_MM] * SHIFTS[self.what] + [STEP_RAD] * 3)
+
+    def view(self, believed: ScanGeometry, change: Floats) -> ScanGeometry:
+        """One view, moved."""
+        if self.what == "arms":
+            return moved(believed, change)
+        about = Pose(self.middle, Pose.identity().quat)
+        return (about @ Pose.exp(change) @ about.inverse()) @ believed
+
+    def all(self, believed: ScanGeometry, change: Floats) -> ScanGeometry:
+        """Each view, moved by its own numbers, (views, n)."""
+        parts = [self.view(view, one) for view, one in zip(believed, change, strict=True)]
+        return ScanGeometry.joined(parts)
+
+
 def all_moved(believed: ScanGeometry, change: Floats) -> ScanGeometry:
-    """Each view moved by its own nine numbers, (views, 9)."""
-    parts = [moved(view, one) for view, one in zip(believed, change, strict=True)]
-    return ScanGeometry.joined(parts)
+    """Source and panel of each view moved by its own nine numbers, (views, 9)."""
+    return _Freedom("arms", np.zeros(3)).all(believed, change)
 
 
 def self_calibrated(
@@ -110,6 +143,7 @@ def self_calibrated(
     grid: VolumeGrid,
     prior: PosePrior,
     *,
+    what: What = "arms",
     rounds: Sequence[Round] = ROUNDS,
     relaxation: float = 0.3,
     mask: NDArray[np.bool_] | None = None,
@@ -122,14 +156,17 @@ def self_calibrated(
         believed: about where source and panel were.
         grid: that holds the specimen, at full resolution.
         prior: what is known of the errors.
+        what: may have moved; of a patient who does, the geometry found is relative to the patient.
         rounds: from coarse to fine; those that leave hardly any pixels or voxels are
             left out; where none is left, four at full resolution.
         relaxation: of SART.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
         progress: hears of each round.
     """
-    change = np.zeros((len(believed), 9))
-    precision = prior.precision(len(believed))
+    free = _Freedom(what, grid.world_from_grid.position)
+    size = len(free.steps)
+    change = np.zeros((len(believed), size))
+    precision = prior.precision(len(believed), what)
     residuals: list[float] = []
     smallest = min(*grid.shape, *line_integrals.shape[1:])
     rounds = [one for one in rounds if smallest // one.factor >= SMALLEST] or FEW_PIXELS
@@ -137,23 +174,23 @@ def self_calibrated(
         for one in rounds:
             p, counts = binned(line_integrals, mask, (one.factor, one.factor))
             coarse = coarse_grid(grid, 0.0, one.factor * grid.voxel)
-            geometry = all_moved(believed, change)
+            geometry = free.all(believed, change)
             A = Projector(geometry.binned(one.factor, one.factor), coarse)
             x = sart(
                 A, p, iterations=one.passes, relaxation=relaxation, nonnegative=True, mask=counts
             ).array
             normal, right, spread = _normal_equations(
-                x, p, counts, believed, change, coarse, one.factor
+                x, p, counts, believed, free, change, coarse, one.factor
             )
             residuals.append(spread)
             hessian = precision.copy()
             for view in range(len(believed)):
-                own = slice(9 * view, 9 * view + 9)
+                own = slice(size * view, size * view + size)
                 hessian[own, own] += normal[view]
             pull = right.ravel() - precision @ change.ravel()
             change = change + np.linalg.solve(hessian, pull).reshape(change.shape)
             step()
-    return SelfCalibration(all_moved(believed, change), change, tuple(residuals))
+    return SelfCalibration(free.all(believed, change), change, tuple(residuals))
 
 
 def _normal_equations(
@@ -161,19 +198,20 @@ def _normal_equations(
     p: NDArray[np.float32],
     counts: NDArray[np.bool_] | None,
     believed: ScanGeometry,
+    free: _Freedom,
     change: Floats,
     grid: VolumeGrid,
     factor: int,
 ) -> tuple[Floats, Floats, float]:
-    """Of all views, (views, 9, 9) and (views, 9), and the residuals' spread."""
+    """Of all views, (views, n, n) and (views, n), and the residuals' spread."""
+    steps = free.steps
     rests: list[Floats] = []
     slopes: list[Floats] = []
     for index, view in enumerate(believed):
         about = [change[index]]
-        for axis in range(9):
-            for sign in (1, -1):
-                about.append(change[index] + sign * STEP * (np.arange(9) == axis))
-        tried = ScanGeometry.joined([moved(view, one) for one in about])
+        for one in np.diag(steps):
+            about += [change[index] + one, change[index] - one]
+        tried = ScanGeometry.joined([free.view(view, one) for one in about])
         A = Projector(tried.binned(factor, factor), grid)
         images = A(x)
         seen = (A[0].chords()[0] > 0).ravel()
@@ -181,11 +219,12 @@ def _normal_equations(
             seen &= (counts if counts.ndim == 2 else counts[index]).ravel()
         flat = images.reshape(len(images), -1)[:, seen].astype(np.float64)
         rests.append(p[index].ravel()[seen] - flat[0])
-        slopes.append((flat[1::2] - flat[2::2]).T / (2 * STEP))
+        slopes.append((flat[1::2] - flat[2::2]).T / (2 * steps))
     pooled = np.concatenate(rests)
     spread = 1.4826 * float(np.median(np.abs(pooled)))
     spread = max(spread, 1e-9)
-    normal, right = np.empty((len(rests), 9, 9)), np.empty((len(rests), 9))
+    size = len(steps)
+    normal, right = np.empty((len(rests), size, size)), np.empty((len(rests), size))
     for index, (rest, slope) in enumerate(zip(rests, slopes, strict=True)):
         weight = 1 / np.maximum(np.abs(rest) / (ROBUST * spread), 1.0)
         weight /= ALIKE_PX * spread**2

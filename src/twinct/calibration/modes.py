@@ -1,0 +1,83 @@
+"""Seven modes that no image shows: a rigid motion of everything, and its scale.
+
+With pixels of a known size the scale is one of object and source: where both are s times as far
+from a point and the panel goes with the source, SDD unchanged, every image is the same and the
+attenuation 1/s times as large.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from twinct.geometry import Floats, Pose, ScanGeometry
+
+_TYPICAL = np.array([1.0] * 3 + [0.01] * 3 + [0.003])
+"""Sizes of a shift (mm), a turn (rad) and a scale that do about the same to an image."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """A geometry moved as a whole to where a reference lies.
+
+    Attributes:
+        geometry: the moved one.
+        motion: that moved it, in the world.
+        scale: that source and object were taken further by.
+        before_px: root mean square distance of the points' images before, rows and columns
+            together.
+        after_px: the same after: what can be seen.
+    """
+
+    geometry: ScanGeometry
+    motion: Pose
+    scale: float
+    before_px: float
+    after_px: float
+
+
+def aligned(geometry: ScanGeometry, reference: ScanGeometry, points: ArrayLike) -> Aligned:
+    """Move a geometry as a whole until points project to where they do in a reference.
+
+    Least squares over rigid motion and scale. What is left is what separates the two geometries;
+    before figures of volumes are compared, each geometry is moved so, never a volume resampled.
+
+    Args:
+        geometry: (views).
+        reference: of the same views, such as the executed one.
+        points: of the region that is looked at, at least four not in one plane, (n, 3), mm.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    middle = points.mean(axis=0)
+    target = reference.project(points)
+
+    def off(seven: Floats) -> Floats:
+        moved = _moved(geometry, seven * _TYPICAL, middle)
+        return (moved.project(points) - target).ravel()
+
+    found = least_squares(off, np.zeros(7), method="lm")
+    seven = found.x * _TYPICAL
+    count = target[..., 0].size
+    before, after = (float(np.sqrt((off(at) ** 2).sum() / count)) for at in (np.zeros(7), found.x))
+    motion = _about(middle, seven[:6])
+    return Aligned(_moved(geometry, seven, middle), motion, float(1 + seven[6]), before, after)
+
+
+def _moved(geometry: ScanGeometry, seven: Floats, middle: Floats) -> ScanGeometry:
+    further = seven[6] * (geometry.source - middle)
+    scaled = ScanGeometry(
+        geometry.source + further,
+        geometry.detector + further,
+        geometry.u,
+        geometry.v,
+        geometry.panel,
+    )
+    return _about(middle, seven[:6]) @ scaled
+
+
+def _about(middle: Floats, twist: Floats) -> Pose:
+    at = Pose(middle, Pose.identity().quat)
+    return at @ Pose.exp(twist) @ at.inverse()
