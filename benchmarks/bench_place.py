@@ -20,8 +20,8 @@ import trimesh
 
 import twinct.reach.place as search
 from twinct.cell import CellModel, build_cell
-from twinct.geometry import Floats, Pose
-from twinct.reach import Bounds, Holder, Poses, fibonacci_directions, place, poses_of
+from twinct.geometry import Floats, Pose, fibonacci_directions
+from twinct.reach import Bounds, Holder, Poses, place, poses_of
 from twinct.scenario import Cell, Detector, DetectorArm, Motion, SourceArm
 from twinct.trajectory import on_sphere
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from twinct.scenario import load_scenario
+from twinct.study import load_study
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "validation.md").read_text(encoding="utf-8")
@@ -78,8 +79,13 @@ def _make(arguments: list[str]) -> None:
 
 
 def _twinct(arguments: list[str]) -> None:
-    """The scenario is there and takes the keys."""
+    """The scenario is there and takes the keys; a study's trials are scenarios."""
     command, scenario, *rest = arguments
+    if command == "study":
+        assert not rest
+        design = load_study(ROOT / scenario)
+        design.scenario(next(iter(design.trials())))
+        return
     assert command in ("run", "check", "reach")
     rest = [word for word in rest if (command, word) != ("reach", "--connected")]
     load_scenario(ROOT / scenario, rest[1::2])

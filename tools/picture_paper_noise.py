@@ -97,8 +97,7 @@ def draw(table: pd.DataFrame) -> None:
             )
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-    for axes in panels[3:]:
-        axes.set_xlabel("noise of the believed positions, sigma / mm")
+    figure.supxlabel("noise of the believed positions along each axis, sigma / mm", fontsize=10)
     panels[0].legend(frameon=False)
     PICTURE.parent.mkdir(exist_ok=True)
     figure.savefig(PICTURE, dpi=110)

@@ -11,8 +11,8 @@ import trimesh
 
 from twinct.cell import CellModel, build_cell
 from twinct.errors import InputError
-from twinct.geometry import Pose
-from twinct.reach import Bounds, Holder, Placement, fibonacci_directions, place, poses_of
+from twinct.geometry import Pose, fibonacci_directions
+from twinct.reach import Bounds, Holder, Placement, place, poses_of
 from twinct.scenario import Cell, Detector, DetectorArm, Motion, SourceArm
 
 MOTION = Motion(trigger="settled")

@@ -13,11 +13,12 @@ from scipy.spatial import KDTree
 
 from twinct.cell import CellModel, Clearance
 from twinct.errors import InputError
+from twinct.geometry import fibonacci_directions
 from twinct.motion import Kinematics
 from twinct.motion.feasible import Feasible
 from twinct.motion.way import kept_mm
 from twinct.progress import SILENT
-from twinct.reach import Holder, Reach, fibonacci_directions, poses_of, reach
+from twinct.reach import Holder, Reach, poses_of, reach
 from twinct.reach.connected import joined
 from twinct.reach.results import draw_room, draw_sphere, write_tables
 from twinct.scenario import Motion

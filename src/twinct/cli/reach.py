@@ -14,11 +14,11 @@ from twinct.cli.progress import on_terminal, say
 from twinct.errors import InputError, TrajectoryError
 from twinct.extras import require
 from twinct.files.writing import check_folder, check_picture, storage_errors
+from twinct.geometry import fibonacci_directions
 from twinct.reach import (
     Bounds,
     Holder,
     Poses,
-    fibonacci_directions,
     place,
     poses_of,
     reach,

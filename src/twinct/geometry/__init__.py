@@ -12,6 +12,7 @@ and its x the nearest to u. Only ``to_*`` and ``from_*`` may reorder axes or cha
 
 from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, lock
 from twinct.geometry.chain import Chain, Misfit, exp_matrices
+from twinct.geometry.directions import fibonacci_directions
 from twinct.geometry.grid import VolumeGrid
 from twinct.geometry.panel import Panel
 from twinct.geometry.pose import MM_PER_M, Pose
@@ -28,5 +29,6 @@ __all__ = [
     "ScanGeometry",
     "VolumeGrid",
     "exp_matrices",
+    "fibonacci_directions",
     "lock",
 ]

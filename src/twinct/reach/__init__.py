@@ -2,7 +2,7 @@
 
 from twinct.reach.holding import Holder, Poses
 from twinct.reach.place import Bounds, Placement, place
-from twinct.reach.sphere import Reach, fibonacci_directions, poses_of, reach
+from twinct.reach.sphere import Reach, poses_of, reach
 from twinct.reach.why import View, reasons, shown
 
 __all__ = [
@@ -12,7 +12,6 @@ __all__ = [
     "Poses",
     "Reach",
     "View",
-    "fibonacci_directions",
     "place",
     "poses_of",
     "reach",

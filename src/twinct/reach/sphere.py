@@ -10,7 +10,7 @@ import numpy as np
 
 from twinct.cell import CellModel, Clearance
 from twinct.errors import InputError
-from twinct.geometry import Floats, Panel, ScanGeometry
+from twinct.geometry import Floats, Panel, ScanGeometry, fibonacci_directions
 from twinct.progress import SILENT, Progress
 from twinct.reach.connected import joined
 from twinct.reach.holding import Flags, Holder, Poses
@@ -57,15 +57,6 @@ class Reach:
         for array in vars(self).values():
             if isinstance(array, np.ndarray):
                 array.setflags(write=False)
-
-
-def fibonacci_directions(count: int) -> Floats:
-    """Unit vectors of about equal density, on a spiral in steps of the golden angle, (count, 3)."""
-    k = np.arange(count)
-    z = 1 - (2 * k + 1) / count
-    longitude = np.pi * (3 - np.sqrt(5)) * k
-    ring = np.sqrt(1 - z * z)
-    return np.stack([ring * np.cos(longitude), ring * np.sin(longitude), z], axis=1)
 
 
 def poses_of(

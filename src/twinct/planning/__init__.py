@@ -1,0 +1,15 @@
+"""Which views are worth taking: objectives over a region, and the choice among candidates."""
+
+from twinct.planning.completeness import crossed_planes, local_completeness, plane_normals
+from twinct.planning.selection import Choice, covered_share, exact_choice, exchanged, greedy_choice
+
+__all__ = [
+    "Choice",
+    "covered_share",
+    "crossed_planes",
+    "exact_choice",
+    "exchanged",
+    "greedy_choice",
+    "local_completeness",
+    "plane_normals",
+]

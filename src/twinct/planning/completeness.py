@@ -1,0 +1,108 @@
+"""Local completeness of cone-beam data: which planes through a point the source crosses.
+
+A point can be reconstructed exactly where every plane through it meets the path of the source
+(H. K. Tuy, SIAM J. Appl. Math. 43 (1983) 546); the share of planes that do is how complete the
+data are there. Only views that see the point count. On the axis of a full circle of radius R, h off
+its plane, the share that is missing is 1 - R / sqrt(R^2 + h^2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twinct.geometry import Floats, ScanGeometry, fibonacci_directions
+
+_AT_A_TIME = 2_000_000
+"""Distances of sources from planes that are held at once: 16 MB."""
+
+
+def plane_normals(count: int) -> Floats:
+    """Normals of planes of every direction, of equal density on half the sphere, (count, 3)."""
+    return fibonacci_directions(2 * count)[:count]
+
+
+def local_completeness(
+    geometry: ScanGeometry,
+    points: ArrayLike,
+    *,
+    within_deg: float | None = None,
+    closed: bool = False,
+    normals: int = 2000,
+) -> Floats:
+    """Share of the planes through each point that the source crosses, (points,), 0 to 1.
+
+    Of a path: between two views, one after the other, that both see the point and lie on different
+    sides of the plane, or on it. Of a free set of views: those within an angle of the plane, seen
+    from the point.
+
+    Args:
+        geometry: the views; a path in their order.
+        points: (points, 3), mm.
+        within_deg: the angle, for a free set; None: a path.
+        closed: the path ends where it begins.
+        normals: planes through each point.
+    """
+    points = np.atleast_2d(np.asarray(points, dtype=np.float64))
+    directions = plane_normals(normals)
+    sees = _sees(geometry, points)
+    found = np.empty(len(points))
+    for index, point in enumerate(points):
+        towards = geometry.source - point
+        towards /= np.linalg.norm(towards, axis=1)[:, None]
+        number = 0
+        for part in _parts(directions, len(geometry)):
+            heights = towards @ part.T
+            if within_deg is None:
+                crossed = _changes(heights, sees[:, index], closed)
+            else:
+                near = np.abs(heights) <= np.sin(np.radians(within_deg))
+                crossed = (near & sees[:, index, None]).any(axis=0)
+            number += int(crossed.sum())
+        found[index] = number / normals
+    return found
+
+
+def crossed_planes(
+    geometry: ScanGeometry, points: ArrayLike, within_deg: float, normals: int = 200
+) -> NDArray[np.bool_]:
+    """Which planes through which points each view of a free set crosses.
+
+    Returns:
+        (views, points * normals): what each candidate adds to a choice of views.
+    """
+    points = np.atleast_2d(np.asarray(points, dtype=np.float64))
+    directions, sees = plane_normals(normals), _sees(geometry, points)
+    found = np.empty((len(geometry), len(points), normals), np.bool_)
+    for index, point in enumerate(points):
+        towards = geometry.source - point
+        towards /= np.linalg.norm(towards, axis=1)[:, None]
+        near = np.abs(towards @ directions.T) <= np.sin(np.radians(within_deg))
+        found[:, index] = near & sees[:, index, None]
+    return found.reshape(len(geometry), -1)
+
+
+def _sees(geometry: ScanGeometry, points: Floats) -> NDArray[np.bool_]:
+    """Whether a point projects into the panel, in front of the source, (views, points)."""
+    column, row = np.moveaxis(geometry.project(points), -1, 0)
+    ahead = np.einsum("vpi,vi->vp", points - geometry.source[:, None], geometry.normal) < 0
+    panel = geometry.panel
+    inside = (np.abs(column - (panel.columns - 1) / 2) <= panel.columns / 2) & (
+        np.abs(row - (panel.rows - 1) / 2) <= panel.rows / 2
+    )
+    return inside & ahead
+
+
+def _changes(heights: Floats, seen: NDArray[np.bool_], closed: bool) -> NDArray[np.bool_]:
+    """Planes whose sides the views change between, of heights (views, planes)."""
+    if closed:
+        heights, seen = np.vstack([heights, heights[:1]]), np.append(seen, seen[0])
+    both = seen[1:] & seen[:-1]
+    if both.all():
+        return (heights.min(axis=0) <= 0) & (heights.max(axis=0) >= 0)
+    above = heights >= 0
+    return ((above[1:] != above[:-1]) & both[:, None]).any(axis=0)
+
+
+def _parts(normals: Floats, views: int) -> list[Floats]:
+    return np.array_split(normals, max(1, len(normals) * views // _AT_A_TIME))
