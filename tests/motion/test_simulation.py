@@ -17,7 +17,8 @@ from twinct.motion import MotionPlan, RobotSimulation, Shutter, plan_motion
 from twinct.motion.kinematics import Kinematics, site_pose
 from twinct.motion.simulation import SAMPLE_S, SATURATED
 from twinct.scenario import Cell, Detector, Motion
-from twinct.views import JointSample, Reached, Target
+from twinct.trajectory import ArcTrajectory, commanded_views
+from twinct.views import JointSample, PosePairs, Reached, Target
 
 SIDES = ("source", "detector")
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
@@ -100,6 +101,22 @@ def test_settled_is_at_rest_on_the_target(cell: CellModel, targets: list[Target]
         assert position.mean() <= 0.05
         assert rotation.mean() <= 0.02
     assert max(np.abs(r.velocity).max() for r in reached) < 1e-3
+
+
+def test_settled_views_within_the_tolerance_of_each_other_are_each_taken_at_their_own_place(
+    cell: CellModel,
+) -> None:
+    arc = ArcTrajectory(kind="arc", views=5, longitude_range_deg=0.4)  # 0.5 mm apart
+    near = PosePairs.from_geometry(commanded_views(arc, Detector().panel)).targets()
+    motion = Motion.model_validate({"scheme": "planned", "trigger": "settled", "ik": FINE_IK})
+    plan = plan_motion(cell, motion, near)
+    simulation = RobotSimulation(cell, motion, plan)
+    reached = [simulation.move(view, target) for view, target in enumerate(near)]
+    for joints, exposed_s, one in zip(plan.joints, plan.exposures_s, reached, strict=True):
+        assert np.degrees(np.abs(one.position - joints).max()) <= 0.02
+        assert 0 < one.time_s - exposed_s < 0.2
+    for side in SIDES:
+        assert errors(reached, near, side)[0].max() <= 0.05
 
 
 def test_clearance_is_the_minimum_over_all_pairs_at_every_step(

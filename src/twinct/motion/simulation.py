@@ -249,8 +249,12 @@ class RobotSimulation:
         steps = max(0, math.floor(armed_to_s / timestep) - taken)
         rows = plan.at((taken + np.arange(1, steps + self._open_steps + 2)) * timestep)
         rows[: len(lead)] = lead
+        settled = self._motion.trigger == "settled" if settled is None else settled
+        shut = len(lead)
+        if settled:  # at rest for the view before, arms may stand within the next one's tolerance
+            shut = max(shut, math.floor(exposures_s[view] / timestep) - taken)
         target, what = plan.targets[view], f"{name} was missed"
-        return self._run(rows.__getitem__, steps, target, what, on_step, len(lead), settled)
+        return self._run(rows.__getitem__, steps, target, what, on_step, shut, settled)
 
     def _plan_from(self, make: Callable[[Floats], MotionPlan]) -> Floats:
         """Make a plan from where the arms come to rest the one that is followed.
@@ -309,12 +313,12 @@ class RobotSimulation:
         target: Target,
         what: str,
         on_step: Callable[[mujoco.MjData], None] | None,
-        lead: int = 0,
+        shut: int = 0,
         settled: bool | None = None,
     ) -> Reached:
         """Follow a reference until the trigger fires, for so many steps at most.
 
-        It cannot fire within the first ``lead`` of them.
+        It cannot fire within the first ``shut`` of them.
         """
         model, data, motion, n = self._model, self._data, self._motion, self._n
         wanted = np.array([target.source_m[:3], target.detector_m[:3]])
@@ -343,7 +347,7 @@ class RobotSimulation:
             to_source, to_detector = spots[0] - wanted[0], spots[1] - wanted[1]
             near = max(to_source @ to_source, to_detector @ to_detector) < tolerance_m**2
             # What a move finds before its first step is the last one's doing.
-            opens = step > lead and near and (not settled or self._at_rest())
+            opens = step > shut and near and (not settled or self._at_rest())
             if instants or opens:
                 instants.append(self._instant(self._view))
                 if len(instants) > open_steps:
