@@ -8,7 +8,7 @@ from twinct.evaluate.depth import (
     region_depth,
     rmse_by_depth,
 )
-from twinct.evaluate.edges import edge_width
+from twinct.evaluate.edges import Edges, edge_width, edges_of
 from twinct.evaluate.image import ImageFigures, image_figures
 from twinct.evaluate.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluate.nps import Nps, detrended, noise_power_spectrum
@@ -23,6 +23,7 @@ __all__ = [
     "DEPTHS_MM",
     "ArmErrors",
     "Contrast",
+    "Edges",
     "ImageFigures",
     "Mtf",
     "Nps",
@@ -42,6 +43,7 @@ __all__ = [
     "edge_mtf",
     "edge_reach",
     "edge_width",
+    "edges_of",
     "image_figures",
     "noise_power_spectrum",
     "part_of",

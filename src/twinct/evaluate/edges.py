@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,35 @@ _BLOCK = 2000
 """Profiles that are interpolated at a time."""
 
 
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Profiles across a true surface, at which any number of volumes are looked at.
+
+    Attributes:
+        points: on the surface, voxel indices along z, y, x with fractions, (profiles, 3).
+        ways: outwards, voxels per mm, (profiles, 3).
+        along: places on a profile, inside first, mm.
+    """
+
+    points: Floats
+    ways: Floats
+    along: Floats
+
+    def width(self, volume: NDArray[np.floating]) -> float:
+        """Distance over which a volume rises from 10 to 90 %, median, mm; see ``edge_width``."""
+        if len(self.points) < LEAST_POINTS:
+            return math.nan
+        volume = np.ascontiguousarray(volume)
+        parts = math.ceil(len(self.points) / _BLOCK)
+        widths = [
+            _widths(_cubic(volume, _on(points, ways, self.along)), self.along)
+            for points, ways in zip(
+                np.array_split(self.points, parts), np.array_split(self.ways, parts), strict=True
+            )
+        ]
+        return float(np.median(np.concatenate(widths)))
+
+
 def edge_width(
     volume: NDArray[np.floating],
     truth: NDArray[np.floating],
@@ -65,35 +95,40 @@ def edge_width(
     Returns:
         NaN where fewer than ``LEAST_POINTS`` profiles count.
     """
-    volume, edges = np.ascontiguousarray(volume), grid.voxel[::-1]
+    return edges_of(truth, region, mu_reference, grid, seed).width(volume)
+
+
+def edges_of(
+    truth: NDArray[np.floating],
+    region: NDArray[np.bool_],
+    mu_reference: float,
+    grid: VolumeGrid,
+    seed: int = 0,
+) -> Edges:
+    """The profiles at which ``edge_width`` looks, which takes the same arguments."""
+    edges = grid.voxel[::-1]
     reach = max(REACH_MM, REACH_VOXELS * float(edges.max()))
     samples = STEPS * math.ceil(reach / float(edges.min()))
     along = np.linspace(-reach, reach, 2 * samples + 1)
     points = _surface_points(truth, region, mu_reference / 2, 3 * MOST_POINTS, seed)
     points, ways = _with_normals(points, truth, edges)
-
-    def on_profiles(of: NDArray[np.intp], s: Floats) -> Floats:
-        return points[of, None] + ways[of, None] * s[:, None]
-
-    chosen = np.arange(len(points))
-    ends = on_profiles(chosen, along[[0, -1]])
+    ends = _on(points, ways, along[[0, -1]])
     within = np.all((ends > 2) & (ends < np.array(truth.shape) - 3), axis=(1, 2))
     near = np.rint(ends[within]).astype(np.intp)
-    chosen = chosen[within][region[tuple(np.moveaxis(near, -1, 0))].all(axis=1)]
+    chosen = np.flatnonzero(within)[region[tuple(np.moveaxis(near, -1, 0))].all(axis=1)]
     beyond = np.linspace(_BLUR_VOXELS * float(edges.max()), reach, 9)
     for side in (-beyond, beyond):
-        at = np.moveaxis(on_profiles(chosen, side), -1, 0)
+        at = np.moveaxis(_on(points[chosen], ways[chosen], side), -1, 0)
         values = ndimage.map_coordinates(truth, at, order=1) / mu_reference
         right = values.max(axis=1) < 0.5 if side[0] > 0 else np.abs(values[:, 0] - 1) <= _PURE
         chosen = chosen[right & (np.ptp(values, axis=1) <= _PURE)]
     chosen = chosen[:MOST_POINTS]
-    if len(chosen) < LEAST_POINTS:
-        return math.nan
-    widths = [
-        _widths(_cubic(volume, on_profiles(part, along)), along)
-        for part in np.array_split(chosen, math.ceil(len(chosen) / _BLOCK))
-    ]
-    return float(np.median(np.concatenate(widths)))
+    return Edges(points[chosen], ways[chosen], along)
+
+
+def _on(points: Floats, ways: Floats, s: Floats) -> Floats:
+    """Places on profiles, (profiles, s, 3)."""
+    return points[:, None] + ways[:, None] * s[:, None]
 
 
 def _surface_points(

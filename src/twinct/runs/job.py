@@ -208,7 +208,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
     with storage_errors(folder.path), sole_owner(folder.lock), audience_of(observers) as audience:
         before = read_metrics(folder.metrics)
         truth = truth_of(now.scan, workshop, audience)
-        truth.write(folder.truth, now.scan)
+        truth.write(folder.truth)
         first = judge(now.scan, made.volume, truth, workshop.specimen)
         figures = {scenario.reconstruction.geometries[0]: first}
         for which, values in before.get("image_by_geometry", {}).items():
@@ -301,7 +301,7 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience
         scan = Run(scenario, folder).scan
         scan.reported.write(folder.geometries)
         truth = truth_of(scan, workshop, audience)
-        truth.write(folder.truth, scan)
+        truth.write(folder.truth)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}
     kept: Volume | None = None

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from numpy.typing import NDArray
 
 from twinct.errors import MissingExtraError
 from twinct.evaluate import (
+    Edges,
     ImageFigures,
-    edge_width,
+    RegionDepth,
+    edges_of,
     image_figures,
     pose_errors,
     region_depth,
@@ -26,6 +29,7 @@ from twinct.evaluate import (
     tool_speeds,
 )
 from twinct.files.writing import write_json
+from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.observers import Audience
 from twinct.report import (
     STAGES,
@@ -61,16 +65,29 @@ class Truth:
         volume: attenuation of the specimen, (z, y, x), 1/mm, float32.
         region: voxels that every view sees, (z, y, x), bool.
         mu_reference: attenuation to which figures are relative, 1/mm.
+        grid: the lattice of both.
+        executed: where the views were, relative to the specimen.
     """
 
     volume: NDArray[np.float32]
     region: NDArray[np.bool_]
     mu_reference: float
+    grid: VolumeGrid
+    executed: ScanGeometry
 
-    def write(self, path: Path, scan: Scan) -> None:
-        """Write the volume as NIfTI, on the grid of the scan's reconstruction."""
-        grid = scan.scenario.reconstruction.volume_grid
-        Volume(self.volume, grid).write(path, "twinct truth, 1/mm")
+    @cached_property
+    def depth(self) -> RegionDepth:
+        """How deep voxels lie in the region."""
+        return region_depth(self.executed, self.grid)
+
+    @cached_property
+    def edges(self) -> Edges:
+        """Profiles across the true surface."""
+        return edges_of(self.volume, self.region, self.mu_reference, self.grid)
+
+    def write(self, path: Path) -> None:
+        """Write the volume as NIfTI."""
+        Volume(self.volume, self.grid).write(path, "twinct truth, 1/mm")
 
 
 def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -> Truth:
@@ -83,9 +100,10 @@ def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -
     with (audience or Audience()).stage("truth", 2) as step:
         volume = workshop.specimen.truth(grid, energy, scan.stands)
         step()
-        region = region_of_interest(scan.relative.geometry(scenario.detector.panel), grid)
+        executed = scan.relative.geometry(scenario.detector.panel)
+        region = region_of_interest(executed, grid)
         step()
-    return Truth(volume, region, workshop.specimen.reference_mu(energy))
+    return Truth(volume, region, workshop.specimen.reference_mu(energy), grid, executed)
 
 
 def judge(
@@ -98,10 +116,9 @@ def judge(
     scenario, array = scan.scenario, volume.array
     grid, mu = scenario.reconstruction.volume_grid, truth.mu_reference
     figures = image_figures(array, truth.volume, truth.region, mu, grid)
-    depth = region_depth(scan.relative.geometry(scenario.detector.panel), grid)
     further: dict[str, Any] = {
-        "edge_width_mm": edge_width(array, truth.volume, truth.region, mu, grid),
-        "rmse_rel_by_depth": rmse_by_depth(array, truth.volume, truth.region, depth, mu),
+        "edge_width_mm": truth.edges.width(array),
+        "rmse_rel_by_depth": rmse_by_depth(array, truth.volume, truth.region, truth.depth, mu),
     }
     if scenario.evaluation is not None:
         built = specimen or build_specimen(scenario.specimen)

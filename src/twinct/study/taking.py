@@ -324,15 +324,21 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, shelf: Shelf) -> Truth:
     def truth() -> Any:
         return specimen.truth(section.volume_grid, energy, stands)
 
+    executed = scan.relative.geometry(scenario.detector.panel)
+
     def region() -> Any:
-        executed = scan.relative.geometry(scenario.detector.panel)
         return region_of_interest(executed, section.volume_grid)
 
-    return Truth(
-        _once("truth", of_truth, lambda: shelf.array(of_truth, truth)),
-        _once("region", of_region, lambda: shelf.array(of_region, region)),
-        specimen.reference_mu(energy),
-    )
+    def both() -> Truth:
+        return Truth(
+            shelf.array(of_truth, truth),
+            shelf.array(of_region, region),
+            specimen.reference_mu(energy),
+            section.volume_grid,
+            executed,
+        )
+
+    return _once("truth", f"{of_truth} {of_region}", both)
 
 
 _last: dict[str, tuple[str, Any]] = {}
