@@ -72,10 +72,23 @@ def test_what_cannot_be_calibrated_is_refused_before_anything_is_written(balls, 
 def test_a_scan_may_calibrate_itself(finished, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(finished.paths.path, folder)
-    found = calibrate_self(folder, PosePrior(0.3, 0.1))
+    told = calibrate_self(folder, PosePrior(0.3, 0.1))
+    found = told.found
     assert len(found.residuals) == 4 and found.residuals[-1] < found.residuals[0]
     scan = load_scan(folder)
     assert scan.derived["self"].made_by["sigma_mm"] == 0.3
     assert np.array_equal(
         scan.poses("self").geometry(found.geometry.panel).source, found.geometry.source
     )
+
+
+def test_what_is_found_of_a_patient_may_be_kept_where_the_executed_lies(finished, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(finished.paths.path, folder)
+    told = calibrate_self(folder, PosePrior(0.3, 0.1), what="patient", align=True, name="still")
+    assert told.found.change.shape[1] == 6
+    assert told.after.after_px <= told.after.before_px
+    scan = load_scan(folder)
+    kept = scan.poses("still").geometry(told.found.geometry.panel)
+    np.testing.assert_allclose(kept.source, told.after.geometry.source, atol=1e-9)
+    assert scan.derived["still"].made_by["what"] == "patient"

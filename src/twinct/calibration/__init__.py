@@ -5,6 +5,7 @@ from twinct.calibration.consistency import (
     PosePrior,
     Round,
     SelfCalibration,
+    What,
     self_calibrated,
 )
 from twinct.calibration.modes import Aligned, aligned
@@ -22,6 +23,7 @@ __all__ = [
     "Round",
     "SelfCalibration",
     "Shadows",
+    "What",
     "aligned",
     "calibrated",
     "calibrated_view",

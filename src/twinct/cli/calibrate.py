@@ -7,32 +7,42 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.calibration import PosePrior
+from twinct.calibration import PosePrior, What
 from twinct.cli.progress import on_terminal, say
 from twinct.errors import InputError
 from twinct.runs.calibrating import calibrate_beads, calibrate_self
 
 
 def self_command(
-    folder: Path, name: str | None, sigma_mm: float, sigma_deg: float, correlation_views: float
+    folder: Path, name: str | None, prior: PosePrior, what: What, *, align: bool
 ) -> None:
     """Calibrate by the scan itself, and say what was found."""
-    for key, value in (("--sigma-mm", sigma_mm), ("--sigma-deg", sigma_deg)):
+    for key, value in (("--sigma-mm", prior.sigma_mm), ("--sigma-deg", prior.sigma_deg)):
         if not value > 0:
             raise InputError(f"{key} {value:g}: more than 0 needed")
-    if not correlation_views >= 0:
-        raise InputError(f"--correlation-views {correlation_views:g}: 0 or more needed")
-    prior = PosePrior(sigma_mm, sigma_deg, correlation_views)
+    if not prior.correlation_views >= 0:
+        raise InputError(f"--correlation-views {prior.correlation_views:g}: 0 or more needed")
     with on_terminal() as audience:
-        found = calibrate_self(folder, prior, name=name or "self", observers=audience)
-    source, panel = (
-        float(np.sqrt((found.change[:, part] ** 2).sum(axis=1).mean()))
-        for part in (slice(0, 3), slice(3, 6))
+        told = calibrate_self(
+            folder, prior, what=what, align=align, name=name or "self", observers=audience
+        )
+    found = told.found
+
+    def rms(part: slice) -> float:
+        return float(np.sqrt((found.change[:, part] ** 2).sum(axis=1).mean()))
+
+    if what == "arms":
+        moved = f"source by {rms(slice(0, 3)):.3f} mm, panel by {rms(slice(3, 6)):.3f} mm"
+    else:
+        moved = f"patient by {rms(slice(0, 3)):.3f} mm, {np.degrees(rms(slice(3, 6))):.3f} deg"
+    say(
+        f"{name or 'self'}: {len(found.change)} views, {moved} (RMS); residuals "
+        f"{found.residuals[0]:.4g}, in the last round {found.residuals[-1]:.4g}"
     )
     say(
-        f"{name or 'self'}: {len(found.change)} views moved, source by {source:.3f} mm, panel by "
-        f"{panel:.3f} mm (RMS); residuals {found.residuals[0]:.4g}, in the last round "
-        f"{found.residuals[-1]:.4g}"
+        f"against the executed geometry: {told.believed.after_px:.3f} px believed, "
+        f"{told.after.after_px:.3f} px found (points of the grid, RMS, what no image shows taken "
+        f"out; scale {told.after.scale:.5f})"
     )
 
 

@@ -582,6 +582,8 @@ def calibrate(
     sigma_mm: float = 0.5,
     sigma_deg: float = 0.2,
     correlation_views: float = 0.0,
+    what: Literal["arms", "patient"] = "arms",
+    align: Flag = False,
 ) -> None:
     """Find where source and detector really were, and add that to a scan as a geometry.
 
@@ -593,10 +595,15 @@ def calibrate(
             alone, each view moved until they agree.
         as_: Name of the new geometry; that of the method unless given.
         to: Folders of scans of the same views that get the geometry, too (beads).
-        sigma_mm: What source and panel are off along each axis, as far as is known (self).
-        sigma_deg: The same of the panel's rotation about each axis (self).
+        sigma_mm: What source and panel, or the patient, are off along each axis, as far as is
+            known (self).
+        sigma_deg: The same of the rotation of panel or patient about each axis (self).
         correlation_views: Over how many views errors are alike; 0: each view's own (self).
+        what: What may have moved: source and panel, or the patient between them (self).
+        align: Keep what was found moved as a whole to where the executed geometry lies, for figures
+            that compare volumes (self).
     """
+    from twinct.calibration import PosePrior
     from twinct.cli.calibrate import beads_command, self_command
     from twinct.errors import InputError
 
@@ -605,7 +612,8 @@ def calibrate(
     else:
         if to:
             raise InputError(f"--to {to[0]}: what a scan finds of itself is of no other one")
-        self_command(folder, as_, sigma_mm, sigma_deg, correlation_views)
+        prior = PosePrior(sigma_mm, sigma_deg, correlation_views)
+        self_command(folder, as_, prior, what, align=align)
 
 
 def _say_result(run: Run) -> None:

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from twinct.calibration import (
+    Aligned,
     BallCalibration,
     BallPhantom,
     PosePrior,
     SelfCalibration,
+    What,
+    aligned,
     calibrated,
     self_calibrated,
 )
 from twinct.errors import CalibrationError, InputError, ScanExistsError
 from twinct.files.lock import sole_owner
+from twinct.geometry import Floats, VolumeGrid
 from twinct.observers import Observers, audience_of
 from twinct.runs.again import load_scan
 from twinct.runs.folder import Folder
@@ -31,6 +35,21 @@ from twinct.views import PosePairs
 
 SAME_MM = 1e-6
 """Views asked for within this are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCalibrated:
+    """What a scan found of itself, and how far that is from the truth of the simulation.
+
+    Attributes:
+        found: what was found.
+        believed: what was believed, moved as a whole to where the executed geometry lies.
+        after: what was found, moved so.
+    """
+
+    found: SelfCalibration
+    believed: Aligned
+    after: Aligned
 
 
 def phantom_of(scenario: Scenario) -> BallPhantom:
@@ -104,14 +123,19 @@ def calibrate_self(
     path: str | Path,
     prior: PosePrior | None = None,
     *,
+    what: What = "arms",
+    align: bool = False,
     name: str = "self",
     observers: Observers = (),
-) -> SelfCalibration:
+) -> SelfCalibrated:
     """Find the geometry of a scan from its own projections, and keep it beside the believed one.
 
     Args:
         path: folder of a run; the grid of its scenario should hold the whole specimen.
         prior: what is known of the errors; 0.5 mm and 0.2 deg, each view's own, unless given.
+        what: may have moved: source and panel, or the patient between them.
+        align: keep the geometry moved as a whole to where the executed one lies, by the seven modes
+            that no image shows: figures then compare volumes, not where they lie.
         name: of the geometry.
         observers: hear of each round.
 
@@ -123,26 +147,41 @@ def calibrate_self(
         raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
     scan = load_scan(folder.path)
     with audience_of(observers) as audience, sole_owner(folder.lock):
+        panel, grid = scan.scenario.detector.panel, scan.scenario.reconstruction.volume_grid
+        believed = scan.believed.geometry(panel)
         found = self_calibrated(
             line_integrals(scan.transmission),
-            scan.believed.geometry(scan.scenario.detector.panel),
-            scan.scenario.reconstruction.volume_grid,
+            believed,
+            grid,
             prior,
+            what=what,
             mask=None if scan.bad_pixels is None else ~scan.bad_pixels,
             progress=audience,
         )
+        executed, points = scan.relative.geometry(panel), _points_of(grid)
+        at_executed = aligned(found.geometry, executed, points)
+        kept = at_executed.geometry if align else found.geometry
         geometry = NamedGeometry(
             name,
-            PosePairs.from_geometry(found.geometry),
+            PosePairs.from_geometry(kept),
             {
                 "model": "self",
+                "what": what,
+                "aligned": align,
                 "executed": poses_digest(scan.executed),
                 "believed": scan.reported.digest,
                 **asdict(prior),
             },
         )
         _write(geometry, [(folder, scan)])
-    return found
+    return SelfCalibrated(found, aligned(believed, executed, points), at_executed)
+
+
+def _points_of(grid: VolumeGrid) -> Floats:
+    """The middle of a grid and four points about it, a sixth of its size away, mm."""
+    size = grid.voxel * np.array(grid.shape[::-1])
+    about = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1]])
+    return grid.world_from_grid.apply(size / 6 * about)
 
 
 def _write(geometry: NamedGeometry, where: list[tuple[Folder, Scan]]) -> None:
