@@ -44,3 +44,11 @@ def test_the_disk_is_known_after_one_trial(keep: str, warm, tmp_path: Path) -> N
     taken = bytes_below([tmp_path / "many"])
     assert said.measured and (said.trials, said.scans) == (6, 3)
     assert said.disk_bytes == pytest.approx(taken, rel=WITHIN)
+
+
+def test_a_file_with_two_names_takes_its_bytes_once(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"x" * 1000)
+    (tmp_path / "b").hardlink_to(tmp_path / "a")
+    (tmp_path / "c").write_bytes(b"y" * 10)
+    assert bytes_below([tmp_path]) == 1010
+    assert bytes_below([tmp_path / "a", tmp_path / "c"]) == 1010

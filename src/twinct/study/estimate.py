@@ -86,9 +86,10 @@ def page_parts(combinations: int) -> int:
 
 
 def bytes_below(paths: Iterable[Path]) -> int:
-    """Of all files in folders, and files."""
+    """Of all files in folders, and files; one with several names (hard links) counts once."""
     files = (file for path in paths for file in ([path] if path.is_file() else path.rglob("*")))
-    return sum(file.stat().st_size for file in files if file.is_file())
+    told = (file.stat() for file in files if file.is_file())
+    return sum({(one.st_dev, one.st_ino): one.st_size for one in told}.values())
 
 
 def _mean(book: Book, kind: str, otherwise: float) -> float:
