@@ -82,8 +82,8 @@ def test_a_problem_of_a_section_names_who_made_it(tmp_path: Path) -> None:
     assert problems(path=file).startswith(f"{file}:3: trajectory: sdd_mm (300)")
     text = problems("trajectory.sdd_mm=300")
     assert text.startswith("--set trajectory.sdd_mm=300: trajectory: sdd_mm (300)")
-    text = problems("trajectory.kind=spiral")
-    assert text.startswith("--set trajectory.kind=spiral: trajectory.kind: kind 'spiral'")
+    text = problems("trajectory.kind=corkscrew")
+    assert text.startswith("--set trajectory.kind=corkscrew: trajectory.kind: kind 'corkscrew'")
     assert "expected KEY=VALUE" in problems("detector..columns=3")
 
 

@@ -249,9 +249,9 @@ class RobotSimulation:
         steps = max(0, math.floor(armed_to_s / timestep) - taken)
         rows = plan.at((taken + np.arange(1, steps + self._open_steps + 2)) * timestep)
         rows[: len(lead)] = lead
-        settled = self._motion.trigger == "settled" if settled is None else settled
         shut = len(lead)
-        if settled:  # at rest for the view before, arms may stand within the next one's tolerance
+        if settled is None and self._motion.trigger == "settled":
+            # At rest for the view before, arms may stand within the next one's tolerance.
             shut = max(shut, math.floor(exposures_s[view] / timestep) - taken)
         target, what = plan.targets[view], f"{name} was missed"
         return self._run(rows.__getitem__, steps, target, what, on_step, shut, settled)
