@@ -1,5 +1,6 @@
 """Where source and detector really were: from balls at known places, or the scan itself."""
 
+from twinct.calibration.arms import CalibratedArms, Change, frames_of, require_same_arms
 from twinct.calibration.beads import BallCalibration, calibrated, calibrated_view
 from twinct.calibration.consistency import (
     PosePrior,
@@ -7,6 +8,13 @@ from twinct.calibration.consistency import (
     SelfCalibration,
     What,
     self_calibrated,
+)
+from twinct.calibration.kinematics import (
+    ArmPrior,
+    KinematicCalibration,
+    Seen,
+    Untold,
+    calibrated_arms,
 )
 from twinct.calibration.modes import Aligned, aligned
 from twinct.calibration.phantom import BallPhantom
@@ -16,19 +24,28 @@ from twinct.calibration.shadows import Shadows, measured, spots
 __all__ = [
     "PARAMETERS",
     "Aligned",
+    "ArmPrior",
     "BallCalibration",
     "BallPhantom",
+    "CalibratedArms",
+    "Change",
+    "KinematicCalibration",
     "PosePrior",
     "Resection",
     "Round",
+    "Seen",
     "SelfCalibration",
     "Shadows",
+    "Untold",
     "What",
     "aligned",
     "calibrated",
+    "calibrated_arms",
     "calibrated_view",
+    "frames_of",
     "measured",
     "moved",
+    "require_same_arms",
     "resected",
     "self_calibrated",
     "spots",

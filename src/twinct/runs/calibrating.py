@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from twinct.calibration import (
 from twinct.errors import CalibrationError, InputError, ScanExistsError
 from twinct.files.lock import sole_owner
 from twinct.geometry import Floats, VolumeGrid
-from twinct.observers import Observers, audience_of
+from twinct.observers import Audience, Observers, audience_of
 from twinct.runs.again import load_scan
 from twinct.runs.folder import Folder
 from twinct.runs.volumes import line_integrals
@@ -87,9 +87,8 @@ def calibrate_beads(
         CalibrationError: it is no phantom's scan, or no view can be told.
         InputError: a name that is taken, no scan, a scan of other views; nothing is written.
     """
+    refuse_own(name)
     folders = [Folder(Path(folder)) for folder in (path, *others)]
-    if checked_name(name) in OWN:
-        raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
     scans = [load_scan(folder.path) for folder in folders]
     scan = scans[0]
     for folder, other in zip(folders[1:], scans[1:], strict=True):
@@ -98,16 +97,7 @@ def calibrate_beads(
         audience = stack.enter_context(audience_of(observers))
         for folder in folders:
             stack.enter_context(sole_owner(folder.lock))
-        panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
-        if isinstance(spread, FileSpread):
-            audience.say("detector.point_spread is of a file: shadows count as sharp", warning=True)
-        found = calibrated(
-            scan.transmission,
-            scan.believed.geometry(panel),
-            phantom_of(scan.scenario),
-            blur_px=spread.sigma_mm / panel.pitch_u if isinstance(spread, GaussianSpread) else 0.0,
-            progress=audience,
-        )
+        found = balls_of(scan, audience)
         made_by = {
             "model": "beads",
             "scan": scan.scenario.name,
@@ -115,8 +105,26 @@ def calibrate_beads(
             "rms_px": round(float(np.nanmedian(found.rms_px)), 4),
         }
         geometry = NamedGeometry(name, PosePairs.from_geometry(found.geometry), made_by)
-        _write(geometry, list(zip(folders, scans, strict=True)))
+        keep([geometry] * len(folders), list(zip(folders, scans, strict=True)))
     return found
+
+
+def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
+    """What the shadows of a phantom's balls say of its scan, view by view.
+
+    Raises:
+        CalibrationError: it is no phantom's scan, or no view can be told.
+    """
+    panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
+    if isinstance(spread, FileSpread):
+        audience.say("detector.point_spread is of a file: shadows count as sharp", warning=True)
+    return calibrated(
+        scan.transmission,
+        scan.believed.geometry(panel),
+        phantom_of(scan.scenario),
+        blur_px=spread.sigma_mm / panel.pitch_u if isinstance(spread, GaussianSpread) else 0.0,
+        progress=audience,
+    )
 
 
 def calibrate_self(
@@ -142,9 +150,8 @@ def calibrate_self(
     Raises:
         InputError: a name that is taken, no scan; nothing is written.
     """
+    refuse_own(name)
     folder, prior = Folder(Path(path)), prior or PosePrior()
-    if checked_name(name) in OWN:
-        raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
     scan = load_scan(folder.path)
     with audience_of(observers) as audience, sole_owner(folder.lock):
         panel, grid = scan.scenario.detector.panel, scan.scenario.reconstruction.volume_grid
@@ -173,7 +180,7 @@ def calibrate_self(
                 **asdict(prior),
             },
         )
-        _write(geometry, [(folder, scan)])
+        keep([geometry], [(folder, scan)])
     return SelfCalibrated(found, aligned(believed, executed, points), at_executed)
 
 
@@ -184,17 +191,27 @@ def _points_of(grid: VolumeGrid) -> Floats:
     return grid.world_from_grid.apply(size / 6 * about)
 
 
-def _write(geometry: NamedGeometry, where: list[tuple[Folder, Scan]]) -> None:
-    """Keep a geometry beside scans.
+def refuse_own(name: str) -> None:
+    """Refuse the names that every scan has.
+
+    Raises:
+        InputError: it is one, or may not be a file's.
+    """
+    if checked_name(name) in OWN:
+        raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
+
+
+def keep(geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan]]) -> None:
+    """Keep a geometry beside each of some scans.
 
     Raises:
         ScanExistsError: another one has its name there; nothing is written.
     """
-    name = geometry.name
-    for folder, scan in where:
+    for geometry, (folder, scan) in zip(geometries, where, strict=True):
+        name = geometry.name
         if name in scan.derived and scan.derived[name].digest != geometry.digest:
             raise ScanExistsError(f"{folder.geometries / name}.json is another geometry: --as")
-    for folder, _ in where:
+    for geometry, (folder, _) in zip(geometries, where, strict=True):
         geometry.write(folder.geometries)
 
 

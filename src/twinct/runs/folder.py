@@ -31,6 +31,7 @@ class Folder:
         metrics: the figures.
         report: the report.
         geometries: derived from the scan, a file each.
+        arms: both of them, as the scan of a phantom told.
         reconstructions: others of the same scan, a folder each.
         checkpoints: reconstructions that are under way.
         scenario: as it was run, defaults included.
@@ -48,6 +49,7 @@ class Folder:
     metrics = Below("metrics.json")
     report = Below("report.html")
     geometries = Below("geometries")
+    arms = Below("arms.json")
     reconstructions = Below("reconstructions")
     checkpoints = Below("checkpoints")
     scenario = Below("scenario.yaml")

@@ -35,9 +35,7 @@ def evidence_of(
         return Evidence(scenario.cell, joint_names, joints, told)
     from twinct.cell import nominal_chains
 
-    if section.encoder_step_deg:
-        step = math.radians(section.encoder_step_deg)
-        joints = step * np.round(joints / step)
+    joints = encoders_of(scenario, joints)
     sides: list[tuple[Pose, ...]] = []
     first = 0
     for chain in nominal_chains(scenario.cell, scenario.detector.panel):
@@ -45,6 +43,12 @@ def evidence_of(
         sides.append(tuple(map(_pose, chain.tools(joints[:, own]))))
     source, detector = sides
     return Evidence(scenario.cell, joint_names, joints, PosePairs(source, detector))
+
+
+def encoders_of(scenario: Scenario, joints: Floats) -> Floats:
+    """What the encoders tell of where the joints stand, rad, in the same shape."""
+    step = math.radians(scenario.uncertainty.encoder_step_deg)
+    return step * np.round(joints / step) if step else joints
 
 
 def seen_from(stands: Pose, objects: tuple[Pose, ...], executed: PosePairs) -> PosePairs:

@@ -1,0 +1,177 @@
+"""How well arms calibrated by a phantom of balls tell where source and panel are at unseen poses.
+
+python benchmarks/bench_kinematics.py                    60 views, 50 unseen poses, several arms
+python benchmarks/bench_kinematics.py --views 20 40 60   by how many views
+
+Views and unseen poses are drawn over what both arms can hold, clear of the room and each other:
+directions all over the sphere, 260 to 400 mm from source and panel to a point about the isocentre,
+any roll, any configuration of the arms. The arms are those of the collaborative preset. No image is
+rendered: the shadows of the balls lie where the executed geometry projects them, off by SHADOW_PX,
+from balls off by TOLERANCE_MM; source and panel are told from them as from a scan's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from twinct.calibration import Seen, Shadows, calibrated_arms, resected
+from twinct.calibration.shadows import overlapping, shadow_radius_px
+from twinct.cell import chains_of
+from twinct.errors import CalibrationError
+from twinct.geometry import Pose, ScanGeometry
+from twinct.reach import Holder, Poses
+from twinct.runs.calibrating import phantom_of
+from twinct.runs.kinematics import arm_prior, view_covariance
+from twinct.scan import Workshop
+from twinct.scenario import Uncertainty, ViewErrors, load_scenario
+from twinct.trajectory import panel_axes
+from twinct.uncertainty import TrueCell
+from twinct.views import Instant, PosePairs, to_seven
+
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "balls.yaml"
+SHADOW_PX = 0.01
+"""What a shadow's place is off by along each axis; at 1e4 photons bench_beads.py finds less."""
+TOLERANCE_MM = 0.01
+RADII_MM = 260.0, 400.0
+ABOUT_MM = 15.0
+
+
+def drawn_joints(workshop, count, rng):
+    """So many configurations of both arms, rad, over what they can hold with the phantom seen."""
+    holder = Holder(workshop.cell, workshop.scenario.motion, rolls=4, seed=int(rng.integers(1e9)))
+    found = []
+    while len(found) < count:
+        directions = rng.normal(size=(4 * count, 3))
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        directions = directions[np.abs(directions[:, 2]) < 0.98]
+        size = len(directions), 1
+        u, v = panel_axes(directions)
+        roll = rng.uniform(0, 2 * np.pi, size)
+        u, v = np.cos(roll) * u + np.sin(roll) * v, np.cos(roll) * v - np.sin(roll) * u
+        middle = rng.normal(0, ABOUT_MM, (len(directions), 3))
+        geometry = ScanGeometry(
+            middle + rng.uniform(*RADII_MM, size) * directions,
+            middle - rng.uniform(*RADII_MM, size) * directions,
+            *(u, v, workshop.scenario.detector.panel),
+        )
+        poses = Poses.of(geometry.source_poses(), geometry.detector_poses())
+        of_arms = holder.alone(poses.source, 0), holder.alone(poses.detector, 1)
+        for view in range(len(poses)):
+            pairs = holder.pairs(*of_arms, view, 16)
+            if len(pairs):
+                found.append(pairs[rng.integers(len(pairs))])
+    return np.array(found[:count])
+
+
+def executed_of(true_cell, chains, joints, panel, first_view):
+    """Where true arms are at rest in these configurations."""
+    told = PosePairs(*(tuple(poses) for poses in nominal(chains, joints)))
+    pairs = []
+    for k, (source, detector) in enumerate(told):
+        at = Instant(to_seven(source), to_seven(Pose.identity()), to_seven(detector))
+        now = true_cell.at(at, first_view + k, 0.0, joints[k], np.zeros_like(joints[k]))
+        pairs.append((now.source, now.detector))
+    return PosePairs(*zip(*pairs, strict=True)).geometry(panel)
+
+
+def nominal(chains, joints):
+    """What the controllers make of encoders."""
+    first = len(chains[0])
+    for chain, own in zip(chains, (joints[:, :first], joints[:, first:]), strict=True):
+        yield [Pose.from_matrix(at[:3, 3], at[:3, :3]) for at in chain.tools(own)]
+
+
+def seen_in(executed, joints, phantom, uncertainty, rng):
+    """What the shadows of a phantom off by its tolerance tell of each view."""
+    centres = phantom.centres + rng.normal(0, TOLERANCE_MM, phantom.centres.shape)
+    known, kept = [], []
+    panel = executed.panel
+    for view in range(len(executed)):
+        one = executed[view]
+        pixels = one.project(centres)[0]
+        inside = ((pixels >= 8) & (pixels <= (panel.columns - 9, panel.rows - 9))).all(axis=1)
+        pixels[~inside] = np.nan
+        alone = inside & ~overlapping(pixels, shadow_radius_px(one, phantom))
+        balls = np.flatnonzero(alone)
+        seen = pixels[balls] + rng.normal(0, SHADOW_PX, (len(balls), 2))
+        spread = np.broadcast_to(SHADOW_PX**2 * np.eye(2), (len(balls), 2, 2))
+        try:
+            known.append(resected(phantom, Shadows(balls, seen, spread), one))
+        except CalibrationError:
+            continue
+        kept.append(view)
+    own = view_covariance(uncertainty)
+    covariance = np.stack([one.covariance + own for one in known])
+    return Seen(joints[kept], ScanGeometry.joined([one.geometry for one in known]), covariance)
+
+
+def off_mm(executed, source, detector):
+    """RMS distance of source and of panel centre."""
+    pairs = (executed.source, source), (executed.detector, detector)
+    return [float(np.sqrt(((a - b) ** 2).sum(axis=1).mean())) for a, b in pairs]
+
+
+def main() -> None:
+    """Print RMS errors at unseen poses, nominal and calibrated, of several arms."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--views", type=int, nargs="+", default=[60])
+    parser.add_argument("--unseen", type=int, default=50)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--preset", default="collaborative")
+    parser.add_argument("--untold", action="store_true", help="name what the views do not tell")
+    asked = parser.parse_args()
+    scenario = load_scenario(SCENARIO)
+    workshop, phantom = Workshop(scenario), phantom_of(scenario)
+    chains, panel = chains_of(workshop.cell), scenario.detector.panel
+    section = Uncertainty.model_validate({"preset": asked.preset})
+    quiet = section.model_copy(update={"views": ViewErrors()})
+    step = np.radians(section.encoder_step_deg)
+    priors = tuple(arm_prior(section, chain) for chain in chains)
+    errors = {views: [] for views in asked.views}
+    for seed in range(asked.seeds):
+        rng = np.random.default_rng(seed)
+        joints = drawn_joints(workshop, max(asked.views) + asked.unseen, rng)
+        encoders = step * np.round(joints / step)
+        new, read = joints[-asked.unseen :], encoders[-asked.unseen :]
+        cells = [TrueCell(one, seed, seed, chains) for one in (section, quiet)]
+        unseen = [executed_of(cell, chains, new, panel, 10_000) for cell in cells]
+        believed = [np.array([p.position for p in side]) for side in nominal(chains, read)]
+        for views in asked.views:
+            executed = executed_of(cells[0], chains, joints[:views], panel, 0)
+            begun = time.perf_counter()
+            seen = seen_in(executed, encoders[:views], phantom, section, rng)
+            half = time.perf_counter()
+            found = calibrated_arms(chains, seen, priors, gear_periods=section.arms.gear_periods)
+            seconds = half - begun, time.perf_counter() - half
+            places = [tools[:, :3, 3] for tools in found.arms.tools(read)]
+            before, after = off_mm(unseen[0], *believed), off_mm(unseen[0], *places)
+            mean = off_mm(unseen[1], *places)
+            errors[views].append((before, after, mean))
+            sys.stdout.write(
+                f"seed {seed}, {len(seen)} of {views} views: source, panel RMS "
+                f"{before[0]:.2f}, {before[1]:.2f} mm -> {after[0]:.3f}, {after[1]:.3f} mm "
+                f"(without repeatability {mean[0]:.3f}, {mean[1]:.3f}); told by the views left out "
+                f"{found.predicted_mm[0]:.3f}, {found.predicted_mm[1]:.3f}; misfit "
+                f"{found.misfit:.2f}, {len(found.untold)} combinations left to the prior; "
+                f"{seconds[0]:.1f} + {seconds[1]:.1f} s\n"
+            )
+            for one in found.untold if asked.untold else ():
+                sys.stdout.write(f"  {one.left:.3f}  {one}\n")
+            sys.stdout.flush()
+    for views, rows in errors.items():
+        before, after, mean = np.sqrt((np.array(rows) ** 2).mean(axis=0))
+        worst = np.array(rows)[:, 1].max(axis=0)
+        sys.stdout.write(
+            f"{views} views, {asked.seeds} arms: source, panel {before[0]:.2f}, {before[1]:.2f} mm "
+            f"-> {after[0]:.3f}, {after[1]:.3f} mm, at most {worst[0]:.3f}, {worst[1]:.3f} mm; "
+            f"without repeatability {mean[0]:.3f}, {mean[1]:.3f} mm\n"
+        )
+
+
+if __name__ == "__main__":
+    main()
