@@ -346,4 +346,4 @@ def _apart(loads: Floats) -> Floats:
     if not len(loads):
         return loads
     pivots = qr(loads, mode="r", pivoting=True)[-1][: len(loads)]
-    return np.linalg.solve(loads[:, pivots], loads)
+    return np.asarray(np.linalg.solve(loads[:, pivots], loads), np.float64)

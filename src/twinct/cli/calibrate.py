@@ -11,6 +11,8 @@ from twinct.calibration import PosePrior, What
 from twinct.cli.progress import on_terminal, say
 from twinct.errors import InputError
 from twinct.runs.calibrating import calibrate_beads, calibrate_self
+from twinct.runs.folder import Folder
+from twinct.runs.kinematics import apply_kinematics, calibrate_kinematics
 
 
 def self_command(
@@ -60,3 +62,26 @@ def beads_command(folder: Path, name: str | None, to: Sequence[Path]) -> None:
     )
     for view, problem in sorted(found.problems.items()):
         say(f"view {view} stays as it was believed: {problem}", warning=True)
+
+
+def kinematics_command(
+    folder: Path, name: str | None, to: Sequence[Path], arms: Path | None
+) -> None:
+    """Calibrate both arms, or take those that were, and say how well they predict."""
+    name = name or "kinematics"
+    if arms is not None:
+        with on_terminal() as audience:
+            for path in (folder, *to):
+                apply_kinematics(path, arms, name=name, observers=audience)
+        say(f"{name}: by the arms of {arms}")
+        return
+    with on_terminal() as audience:
+        found = calibrate_kinematics(folder, name=name, others=to, observers=audience)
+    say(
+        f"{name}: arms from {found.views} views; source off by {found.left_mm[0]:.3f} mm, panel by "
+        f"{found.left_mm[1]:.3f} mm (RMS), {found.predicted_mm[0]:.3f} and "
+        f"{found.predicted_mm[1]:.3f} mm in every fifth view predicted from the others; "
+        f"residuals {found.misfit:.1f} times their noise; kept in {Folder(folder).arms}"
+    )
+    for one in found.untold:
+        say(f"left to what was known before ({100 * one.left:.0f} % of its spread): {one}")

@@ -576,9 +576,10 @@ def geometry(
 def calibrate(
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
     *,
-    with_: Annotated[Literal["beads", "self"], tyro.conf.arg(name="with")] = "beads",
+    with_: Annotated[Literal["beads", "kinematics", "self"], tyro.conf.arg(name="with")] = "beads",
     as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
     to: Annotated[Sequence[Path], tyro.conf.arg(metavar="DIR")] = (),
+    from_: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None,
     sigma_mm: float = 0.5,
     sigma_deg: float = 0.2,
     correlation_views: float = 0.0,
@@ -590,11 +591,15 @@ def calibrate(
     ``twinct reconstruct DIR --geometry NAME`` reconstructs from it.
 
     Args:
-        folder: What ``twinct run --out`` wrote; for beads of a specimen with a ball_helix.
-        with_: beads: the balls of the specimen, whose places are known; self: the projections
-            alone, each view moved until they agree.
+        folder: What ``twinct run --out`` wrote; for beads and kinematics of a specimen with a
+            ball_helix.
+        with_: beads: the balls of the specimen, whose places are known; kinematics: both arms,
+            from all views of the balls, kept in DIR/arms.json; self: the projections alone, each
+            view moved until they agree.
         as_: Name of the new geometry; that of the method unless given.
-        to: Folders of scans of the same views that get the geometry, too (beads).
+        to: Folders of scans that get the geometry, too: of the same views (beads), or of the same
+            arms along any trajectory (kinematics).
+        from_: An arms.json; the scan then need not be of balls (kinematics).
         sigma_mm: What source and panel, or the patient, are off along each axis, as far as is
             known (self).
         sigma_deg: The same of the rotation of panel or patient about each axis (self).
@@ -604,10 +609,14 @@ def calibrate(
             that compare volumes (self).
     """
     from twinct.calibration import PosePrior
-    from twinct.cli.calibrate import beads_command, self_command
+    from twinct.cli.calibrate import beads_command, kinematics_command, self_command
     from twinct.errors import InputError
 
-    if with_ == "beads":
+    if from_ is not None and with_ != "kinematics":
+        raise InputError(f"--from {from_}: arms are of --with kinematics")
+    if with_ == "kinematics":
+        kinematics_command(folder, as_, to, from_)
+    elif with_ == "beads":
         beads_command(folder, as_, to)
     else:
         if to:

@@ -47,12 +47,16 @@ def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
     """Draw a scenario's errors so often, and give their covariances to first order beside them.
 
     Raises:
-        InputError: fewer than two draws.
+        InputError: fewer than two draws, or arms that were calibrated.
         TrajectoryError: views that cannot be reached, or would collide.
     """
     if draws < 2:
         raise InputError(f"draws ({draws}) must be at least 2: one has no spread")
     scenario = workshop.scenario
+    if file := scenario.uncertainty.calibration:
+        raise InputError(
+            f"uncertainty.calibration: {file} is of one pair of arms, and here others are drawn"
+        )
     return propagate(
         scenario.uncertainty,
         nominal_scan(workshop),

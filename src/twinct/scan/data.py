@@ -195,6 +195,7 @@ def reported(
     evidence = evidence_of(scenario, commanded, executed, joint_names, joints)
     uncertainty, seed = scenario.uncertainty, scenario.believed_seed
     model = "nominal kinematics" if uncertainty.moves else "repeatability"
+    model = "calibrated kinematics" if uncertainty.calibration else model
     made_by = {"model": model, **_told_of(uncertainty), "seed": seed}
     made_by["executed"] = poses_digest(executed)
     return NamedGeometry(name, reported_poses(evidence, uncertainty, seed), made_by)

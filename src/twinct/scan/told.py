@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.calibration import CalibratedArms
 from twinct.geometry import Floats, Pose
 from twinct.scenario import Cell, Scenario
 from twinct.uncertainty import Evidence
@@ -22,12 +23,15 @@ def evidence_of(
 ) -> Evidence:
     """What the controllers know of some views: encoders, and the nominal model's poses of them.
 
+    With ``uncertainty.calibration``, the calibrated arms' poses.
+
     Raises:
+        InputError: calibrated arms that are no such file, or of another cell.
         MissingExtraError: MuJoCo is not installed, and there are arms that are not as known.
         ScenarioError: an arm that cannot be built any more.
     """
     section = scenario.uncertainty
-    if not section.moves and not section.encoder_step_deg:
+    if not section.moves and not section.encoder_step_deg and not section.calibration:
         return Evidence(scenario.cell, joint_names, joints, executed)
     if not isinstance(scenario.cell, Cell):
         taken = slice(len(executed))
@@ -36,9 +40,13 @@ def evidence_of(
     from twinct.cell import nominal_chains
 
     joints = encoders_of(scenario, joints)
+    chains = nominal_chains(scenario.cell, scenario.detector.panel)
+    if section.calibration:
+        told = CalibratedArms.read(section.calibration, chains).poses(joints)
+        return Evidence(scenario.cell, joint_names, joints, told)
     sides: list[tuple[Pose, ...]] = []
     first = 0
-    for chain in nominal_chains(scenario.cell, scenario.detector.panel):
+    for chain in chains:
         own = slice(first, first := first + len(chain))
         sides.append(tuple(map(_pose, chain.tools(joints[:, own]))))
     source, detector = sides

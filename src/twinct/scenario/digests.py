@@ -83,7 +83,7 @@ STAGES: dict[StageName, _Stage] = {
         1,
         (
             *("uncertainty.source", "uncertainty.detector", "uncertainty.encoder_step_deg"),
-            *("uncertainty.seed", "seed"),
+            *("uncertainty.calibration", "uncertainty.seed", "seed"),
         ),
         on=("executed",),
     ),

@@ -122,6 +122,7 @@ class Scenario(Section):
         found = {
             "uncertainty.arms": any(self.uncertainty.arms.sizes),
             "uncertainty.encoder_step_deg": self.uncertainty.encoder_step_deg > 0,
+            "uncertainty.calibration": self.uncertainty.calibration is not None,
         }
         keys = tuple(key for key, asked in found.items() if asked)
         if not isinstance(self.cell, GantryCell) or not keys:

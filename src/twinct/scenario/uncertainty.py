@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal, cast
 
 from pydantic import model_validator
@@ -224,6 +225,11 @@ class Uncertainty(Section):
     views: ViewErrors = setting(ViewErrors(), "What differs from view to view.")
     patient: PatientMotion = setting(PatientMotion(), "How the specimen moves.")
     encoder_step_deg: NonNegative = setting(0.0, "Smallest step that the joints' encoders tell.")
+    calibration: Path | None = setting(
+        None,
+        "File of calibrated arms (twinct calibrate --with kinematics): believed poses are what "
+        "they make of the encoders. None: what the nominal arms do.",
+    )
     source: PoseNoise = setting(PoseNoise(), "Of the source as reported.", source="the paper")
     detector: PoseNoise = setting(PoseNoise(), "Of the panel as reported.", source="the paper")
     seed: int | None = setting(

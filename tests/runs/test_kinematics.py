@@ -1,0 +1,112 @@
+"""Arms calibrated by a phantom's scan: the files, and the geometry of scans along other paths."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct import run, simulate
+from twinct.cli import run_command
+from twinct.errors import CalibrationError, InputError
+from twinct.evaluate import pose_errors
+from twinct.runs import load_scan
+from twinct.runs.kinematics import apply_kinematics, calibrate_kinematics
+from twinct.runs.propagating import errors_of
+from twinct.scan import Workshop
+from twinct.scenario import load_scenario
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+KEYS = [
+    "detector={columns: 160, rows: 120, pixel_pitch_mm: 2.0, pixel_samples: 4}",
+    "reconstruction.grid={voxels: 20, voxel_mm: 8}",
+    "motion.trigger=settled",
+    "uncertainty={preset: collaborative, arms: {seed: 7}, source: {sigma_mm: 0}, "
+    "detector: {sigma_mm: 0}}",
+]
+BALLS = (
+    "specimen.parts.0.shape={kind: ball_helix, balls: 20, ball_radius_mm: 3, "
+    "radius_mm: 50, height_mm: 90, mesh_resolution_mm: 0.8}"
+)
+LATER = [
+    "trajectory={kind: arc, views: 6, centre_longitude_deg: 0}",
+    "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+    "seed=3",
+]
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory):
+    """A phantom's scan along the paper's path."""
+    scenario = load_scenario(SCENARIOS / "balls.yaml", [*KEYS, BALLS, "trajectory.views=14"])
+    return run(scenario, tmp_path_factory.mktemp("balls") / "out", link="local").paths.path
+
+
+@pytest.fixture(scope="module")
+def later(tmp_path_factory):
+    """A scan of something else along another path."""
+    scenario = load_scenario(SCENARIOS / "demo.yaml", [*KEYS, *LATER])
+    return run(scenario, tmp_path_factory.mktemp("later") / "out", link="local").paths.path
+
+
+@pytest.fixture(scope="module")
+def found(balls, later):
+    return calibrate_kinematics(balls, others=[later])
+
+
+def worst_mm(scan, name):
+    errors = pose_errors(scan.executed, scan.poses(name))
+    return max(arm.position_mm.max() for arm in (errors.source, errors.detector))
+
+
+def test_a_later_path_is_believed_where_it_was(found, later):
+    assert found.views == 14 and found.misfit < 2
+    scan = load_scan(later)
+    assert worst_mm(scan, "believed") > 1.0
+    assert worst_mm(scan, "kinematics") < 0.4 * worst_mm(scan, "believed")
+    assert scan.derived["kinematics"].made_by["model"] == "kinematics"
+
+
+def test_the_scenario_may_name_the_arms(found, balls, later):
+    """Believed poses then are the geometry that is added afterwards, to the last bit."""
+    keys = [*KEYS, *LATER, f"uncertainty.calibration={balls / 'arms.json'}"]
+    scenario = load_scenario(SCENARIOS / "demo.yaml", keys)
+    scan, before = simulate(scenario), load_scan(later)
+    assert np.array_equal(scan.joints, before.joints)
+    assert scan.reported.made_by["model"] == "calibrated kinematics"
+    for one, other in zip(scan.believed, before.poses("kinematics"), strict=True):
+        for mine, its in zip(one, other, strict=True):
+            np.testing.assert_array_equal(mine.position, its.position)
+            np.testing.assert_array_equal(mine.quat, its.quat)
+    with pytest.raises(InputError, match="uncertainty.calibration: .* others are drawn"):
+        errors_of(Workshop(scenario), draws=2)
+
+
+def test_arms_from_a_file_serve_later_scans(found, balls, later):
+    apply_kinematics(later, balls / "arms.json", name="again")
+    scan = load_scan(later)
+    again = scan.poses("again").source[2].position
+    assert np.array_equal(again, scan.poses("kinematics").source[2].position)
+
+
+def test_what_has_no_arms_or_others_is_refused(found, balls, later, tmp_path, capsys):
+    gantry = ["cell={kind: gantry}", "motion.scheme=reactive", "trajectory.views=2", KEYS[0]]
+    scenario = load_scenario(SCENARIOS / "demo.yaml", [*gantry, KEYS[1], LATER[1]])
+    folder = run(scenario, tmp_path / "gantry", link="local").paths.path
+    with pytest.raises(InputError, match="cell.kind: gantry: a scan without joints"):
+        apply_kinematics(folder, balls / "arms.json")
+    with pytest.raises(CalibrationError, match="none is a ball_helix"):
+        calibrate_kinematics(later, name="other")
+    with pytest.raises(InputError, match="every scan has"):
+        apply_kinematics(later, balls / "arms.json", name="believed")
+    told = json.loads((balls / "arms.json").read_text())
+    told["detector"]["nominal"][0][0][3] += 10
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(told))
+    arguments = ["calibrate", str(later), "--with", "kinematics", "--from", str(other)]
+    assert run_command(arguments) == 2
+    assert "is of another cell" in capsys.readouterr().err
+    assert run_command(["calibrate", str(later), "--from", str(other)]) == 2
+    assert "arms are of --with kinematics" in capsys.readouterr().err
