@@ -14,7 +14,7 @@ from twinct.calibration import CalibratedArms, KinematicCalibration, Seen, calib
 from twinct.calibration.kinematics import ArmPrior, minimal_from_full
 from twinct.cell import CellModel, chains_of
 from twinct.errors import CalibrationError, InputError
-from twinct.geometry import Chain, Floats, Misfit, Panel, ScanGeometry
+from twinct.geometry import Chain, Floats, Misfit, Panel, Pose, ScanGeometry
 from twinct.runs.kinematics import arm_prior
 from twinct.scenario import Uncertainty
 from twinct.uncertainty.arms import Moment, drawn, true_tools
@@ -118,6 +118,16 @@ def test_the_minimal_set_moves_tools_as_all_twists_do(arms: Arms) -> None:
     moved = np.abs(everything - chain.tools(joints))[:, :3, 3].max()
     assert np.abs(everything - few)[:, :3, 3].max() < 1e-3 * moved
     assert np.abs(everything - few)[:, :3, :3].max() < 1e-6
+
+
+def test_nobody_has_to_know_where_the_phantom_stands(arms: Arms) -> None:
+    """All is found in the phantom's frame."""
+    place = Pose.from_euler((200.0, -150.0, 90.0), (20.0, -10.0, 130.0))
+    exact = replace(seen(arms, FITTED), covariance=np.broadcast_to(1e-6 * COVARIANCE, (60, 9, 9)))
+    views = replace(exact, geometry=place @ exact.geometry)
+    found = calibrated_arms(arms.chains, views, arms.priors).arms.tools(arms.joints)
+    back = place.inverse().matrix
+    assert max(off_mm(arms, (back @ found[0], back @ found[1]), UNSEEN)) < 2e-3
 
 
 def test_views_without_noise_give_the_arms(arms: Arms) -> None:

@@ -56,16 +56,17 @@ def found(balls, later):
     return calibrate_kinematics(balls, others=[later])
 
 
-def worst_mm(scan, name):
+def rms_mm(scan, name):
     errors = pose_errors(scan.executed, scan.poses(name))
-    return max(arm.position_mm.max() for arm in (errors.source, errors.detector))
+    both = np.concatenate([errors.source.position_mm, errors.detector.position_mm])
+    return np.sqrt((both**2).mean())
 
 
 def test_a_later_path_is_believed_where_it_was(found, later):
     assert found.views == 14 and found.misfit < 2
     scan = load_scan(later)
-    assert worst_mm(scan, "believed") > 1.0
-    assert worst_mm(scan, "kinematics") < 0.4 * worst_mm(scan, "believed")
+    # A few coarse views of one path; what is left of many: benchmarks/bench_kinematics.py.
+    assert rms_mm(scan, "kinematics") < 0.3 < 0.9 < rms_mm(scan, "believed")
     assert scan.derived["kinematics"].made_by["model"] == "kinematics"
 
 
@@ -76,8 +77,9 @@ def test_the_scenario_may_name_the_arms(found, balls, later):
     scan, before = simulate(scenario), load_scan(later)
     assert np.array_equal(scan.joints, before.joints)
     assert scan.reported.made_by["model"] == "calibrated kinematics"
-    for one, other in zip(scan.believed, before.poses("kinematics"), strict=True):
-        for mine, its in zip(one, other, strict=True):
+    after = before.poses("kinematics")
+    for view in range(len(scan)):
+        for mine, its in zip(scan.believed[view], after[view], strict=True):
             np.testing.assert_array_equal(mine.position, its.position)
             np.testing.assert_array_equal(mine.quat, its.quat)
     with pytest.raises(InputError, match="uncertainty.calibration: .* others are drawn"):

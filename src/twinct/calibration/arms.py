@@ -69,12 +69,14 @@ class CalibratedArms:
         chains: nominal ones, source first.
         changes: of each arm.
         gear_periods: of the gear error in a turn of a joint.
+        phantom_from_room: where the room in which the arms stand is in the phantom's frame.
         made_by: what made them, as plain data.
     """
 
     chains: tuple[Chain, Chain]
     changes: tuple[Change, Change]
     gear_periods: int
+    phantom_from_room: Pose
     made_by: Mapping[str, Any]
 
     def __post_init__(self) -> None:
@@ -90,11 +92,11 @@ class CalibratedArms:
             joints: of both arms, source first, (views, joints), rad.
 
         Returns:
-            ``world_from_tool`` of each arm, (views, 4, 4), mm.
+            ``phantom_from_tool`` of each arm, (views, 4, 4), mm.
         """
         first = len(self.chains[0])
         source, detector = (
-            changed_tools(chain, change, self.gear_periods, own)
+            self.phantom_from_room.matrix @ changed_tools(chain, change, self.gear_periods, own)
             for chain, change, own in zip(
                 self.chains, self.changes, (joints[:, :first], joints[:, first:]), strict=True
             )
@@ -117,6 +119,8 @@ class CalibratedArms:
         """
         told: dict[str, Any] = {"format": FORMAT, "made_by": dict(self.made_by)}
         told["gear_periods"] = self.gear_periods
+        place = self.phantom_from_room
+        told["phantom_from_room"] = [*place.position.tolist(), *place.quat.tolist()]
         frames = frames_of(self.chains)
         for side, nominal, change in zip(SIDES, frames, self.changes, strict=True):
             numbers = {"nominal": nominal, **change._asdict()}
@@ -142,10 +146,12 @@ class CalibratedArms:
             changes = [_change(told[side], len(told[side]["nominal"]) - 2) for side in SIDES]
             nominal = [np.array(told[side]["nominal"], float) for side in SIDES]
             periods, made_by = int(told["gear_periods"]), dict(told["made_by"])
+            place = np.array(told["phantom_from_room"], float)
+            room = Pose(place[:3], place[3:])
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InputError(f"{path}: no calibrated arms: {error}") from None
         require_same_arms((nominal[0], nominal[1]), chains, str(path))
-        return cls(chains, (changes[0], changes[1]), periods, made_by)
+        return cls(chains, (changes[0], changes[1]), periods, room, made_by)
 
 
 def frames_of(chains: tuple[Chain, Chain]) -> tuple[Floats, Floats]:

@@ -12,7 +12,7 @@ this set, and holds what the views do not tell.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -238,6 +238,8 @@ def calibrated_arms(
         _Arm(side, chain, prior, gear_periods)
         for side, chain, prior in zip(SIDES, chains, priors, strict=True)
     ]
+    phantom_from_room = _registered(chains, seen)
+    seen = replace(seen, geometry=phantom_from_room.inverse() @ seen.geometry)
     z, jacobian, residuals = _fit(arms, seen)
     zs = np.split(z, [arms[0].factor.shape[1]])
     told = jacobian[: 9 * len(seen)]
@@ -262,7 +264,7 @@ def calibrated_arms(
         "misfit": round(float(misfit), 3),
     }
     return KinematicCalibration(
-        arms=CalibratedArms(chains, changes, gear_periods, made_by),
+        arms=CalibratedArms(chains, changes, gear_periods, phantom_from_room, made_by),
         names=tuple(f"{arm.side} {name}" for arm in arms for name in arm.names),
         parameters=parameters,
         covariance=factor @ spread @ factor.T,
@@ -272,6 +274,19 @@ def calibrated_arms(
         predicted_mm=_predicted(arms, seen),
         views=len(seen),
     )
+
+
+def _registered(chains: tuple[Chain, Chain], seen: Seen) -> Pose:
+    """About where the room is in the phantom's frame, by what nominal arms make of all views.
+
+    Nobody knows how the phantom was put there; to first order the rest is the bases' own.
+    """
+    own = np.split(seen.joints, [len(chains[0])], axis=1)
+    room = np.concatenate([c.tools(q)[:, :3, 3] for c, q in zip(chains, own, strict=True)])
+    phantom = np.concatenate([seen.geometry.source, seen.geometry.detector])
+    middles = room.mean(axis=0), phantom.mean(axis=0)
+    turn, _ = Rotation.align_vectors(phantom - middles[1], room - middles[0])
+    return Pose(middles[1] - turn.apply(middles[0]), turn.as_quat())
 
 
 def _fit(arms: Sequence[_Arm], seen: Seen) -> tuple[Floats, Floats, Floats]:

@@ -33,7 +33,7 @@ from twinct.uncertainty.arms import mean_compliance, spreads
 from twinct.uncertainty.executed import view_sigmas
 
 PLACED_MM, PLACED_DEG = 2.0, 1.0
-"""How well the phantom's place in the room is known, along and about each axis."""
+"""What is left of the phantom's place in the room once nominal arms have told it."""
 
 
 def arm_prior(uncertainty: Uncertainty, chain: Chain) -> ArmPrior:
