@@ -21,8 +21,8 @@ from twinct.uncertainty.arms import Moment, drawn, true_tools
 
 PANEL = Panel(240, 320, 1.0, 1.0)
 SECTION = Uncertainty.model_validate({"preset": "collaborative", "arms": {"drift_mm": 0}})
-COVARIANCE = np.diag([0.05] * 6 + [1e-4] * 3) ** 2
-"""Of each view's nine numbers, mm and rad: repeatability, mostly."""
+COVARIANCE = np.diag([0.02, 0.02, 0.1] * 2 + [2e-4, 2e-4, 2e-5]) ** 2
+"""Of each view's nine numbers, mm and rad: as balls tell them, other along the ray than across."""
 
 
 class Arms(NamedTuple):
@@ -123,11 +123,14 @@ def test_the_minimal_set_moves_tools_as_all_twists_do(arms: Arms) -> None:
 def test_nobody_has_to_know_where_the_phantom_stands(arms: Arms) -> None:
     """All is found in the phantom's frame."""
     place = Pose.from_euler((200.0, -150.0, 90.0), (20.0, -10.0, 130.0))
-    exact = replace(seen(arms, FITTED), covariance=np.broadcast_to(1e-6 * COVARIANCE, (60, 9, 9)))
-    views = replace(exact, geometry=place @ exact.geometry)
-    found = calibrated_arms(arms.chains, views, arms.priors).arms.tools(arms.joints)
-    back = place.inverse().matrix
-    assert max(off_mm(arms, (back @ found[0], back @ found[1]), UNSEEN)) < 2e-3
+    views = seen(arms, FITTED, np.random.default_rng(4))
+    elsewhere = replace(views, geometry=place @ views.geometry)
+    here, there = (
+        calibrated_arms(arms.chains, one, arms.priors).arms.tools(arms.joints)
+        for one in (views, elsewhere)
+    )
+    for one, other in zip(here, there, strict=True):
+        assert np.abs(place.matrix @ one - other)[:, :3, 3].max() < 1e-3, "mm"
 
 
 def test_views_without_noise_give_the_arms(arms: Arms) -> None:
@@ -146,17 +149,15 @@ def test_unseen_poses_are_predicted_and_the_spread_of_parameters_is_told(arms: A
     found = calibrated_arms(arms.chains, seen(arms, FITTED, np.random.default_rng(1)), arms.priors)
     assert max(off_mm(arms, found.arms.tools(arms.joints), UNSEEN)) < 0.12
     assert 0.85 < found.misfit < 1.15
-    true_compliance = np.concatenate(
-        [
-            drawn(SECTION.arms, chain, 5, side).compliance[0]
-            for chain, side in zip(arms.chains, ("source", "detector"), strict=True)
-        ]
-    )
-    where = [i for i, name in enumerate(found.names) if name.endswith("compliance")]
+    deviations = [
+        drawn(SECTION.arms, chain, 5, side)
+        for chain, side in zip(arms.chains, ("source", "detector"), strict=True)
+    ]
+    behind = [np.concatenate([one.compliance[0], one.gear[0].ravel()]) for one in deviations]
+    where = [i for i, name in enumerate(found.names) if "compliance" in name or "gear" in name]
     sigma = np.sqrt(np.diag(found.covariance)[where])
-    apart = (found.parameters[where] - true_compliance) / sigma
-    assert 0.5 < np.sqrt((apart**2).mean()) < 1.5
-    # Every fifth view was seen with its noise, 0.087 mm in space.
+    apart = (found.parameters[where] - np.concatenate(behind)) / sigma
+    assert 0.7 < np.sqrt((apart**2).mean()) < 1.3
     assert 0.06 < min(found.predicted_mm) and max(found.predicted_mm) < 0.25, found.predicted_mm
 
 
@@ -170,7 +171,8 @@ def test_combinations_that_no_view_can_tell_are_named(arms: Arms) -> None:
     for arm in ("source", "detector"):
         assert f"{arm} arm: +1.0 joint 1 compliance" in map(str, found.untold)
         assert "joint 2 compliance" not in names_of(found, arm)
-    assert {"joint 6 gear cos", "joint 6 gear sin"} <= names_of(found, "source")
+    for part in ("cos", "sin"):
+        assert f"source arm: +1.0 joint 6 gear {part}" in map(str, found.untold)
     assert not {"joint 6 gear cos", "joint 6 gear sin"} & names_of(found, "detector")
     assert all(0.7 < one.left <= 1 for one in found.untold)
 
@@ -187,6 +189,9 @@ def test_views_along_one_arc_leave_what_does_not_move_untold(arms: Arms) -> None
         more, few = ([one for one in of.untold if one.arm == arm] for of in (found, everywhere))
         assert len(more) > len(few) + 10
         assert {"joint 3 compliance", "joint 4 about x"} <= names_of(found, arm)
+        unseen = [set(one.parts) for one in more if one.left > 0.999]
+        for one in unseen:
+            assert one - set().union(*(other for other in unseen if other is not one))
     assert max(off_mm(arms, found.arms.tools(arms.joints), UNSEEN)) > 0.3
 
 
@@ -201,7 +206,7 @@ def test_joints_that_turn_the_other_way_are_refused(arms: Arms) -> None:
 def test_a_term_that_is_not_modelled_is_seen_in_what_is_left(arms: Arms) -> None:
     """Gears that err three times a turn, and a calibration that takes them for once a turn."""
     section = Uncertainty.model_validate(
-        {"preset": "collaborative", "arms": {"drift_mm": 0, "gear_deg": 0.03, "gear_periods": 3}}
+        {"preset": "collaborative", "arms": {"drift_mm": 0, "gear_deg": 0.015, "gear_periods": 3}}
     )
     bent = arms._replace(true=true(arms.chains, arms.joints, section))
     noise = np.random.default_rng(2)
@@ -212,7 +217,7 @@ def test_a_term_that_is_not_modelled_is_seen_in_what_is_left(arms: Arms) -> None
     wrong = calibrated_arms(arms.chains, views, known, gear_periods=1)
     assert wrong.misfit > 2 * right.misfit
     assert min(wrong.predicted_mm) > 2 * max(right.predicted_mm)
-    assert min(off_mm(bent, wrong.arms.tools(arms.joints), UNSEEN)) > 0.3
+    assert min(off_mm(bent, wrong.arms.tools(arms.joints), UNSEEN)) > 0.2
 
 
 def test_too_few_views_are_refused(arms: Arms) -> None:
