@@ -76,7 +76,8 @@ def executed_of(true_cell, chains, joints, panel, first_view):
     """Where true arms are at rest in these configurations."""
     told = PosePairs(*(tuple(poses) for poses in nominal(chains, joints)))
     pairs = []
-    for k, (source, detector) in enumerate(told):
+    for k in range(len(told)):
+        source, detector = told[k]
         at = Instant(to_seven(source), to_seven(Pose.identity()), to_seven(detector))
         now = true_cell.at(at, first_view + k, 0.0, joints[k], np.zeros_like(joints[k]))
         pairs.append((now.source, now.detector))
@@ -169,7 +170,8 @@ def main() -> None:
     section = Uncertainty.model_validate({"preset": asked.preset})
     quiet = section.model_copy(update={"views": ViewErrors()})
     step = np.radians(section.encoder_step_deg)
-    priors = tuple(arm_prior(section, chain) for chain in chains)
+    of_source, of_detector = (arm_prior(section, chain) for chain in chains)
+    priors = of_source, of_detector
     errors = {views: [] for views in asked.views}
     for seed in range(asked.seeds):
         rng = np.random.default_rng(seed)
