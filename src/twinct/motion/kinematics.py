@@ -111,6 +111,9 @@ class Kinematics:
             # More than half a radian at once leaves the range in which the linear model holds.
             step = velocity * min(1.0, 0.5 / max(float(np.abs(velocity).max()), 1e-12))
             self._configuration.integrate_inplace(step, 1.0)
+            inside = np.clip(self._configuration.q, ranges[:, 0], ranges[:, 1])
+            if (inside != self._configuration.q).any():  # the limits are kept but for rounding
+                self._configuration.update(inside)
         return best
 
     def _better(self, best: IkResult, other: IkResult, arms: np.ndarray) -> IkResult:
