@@ -24,11 +24,18 @@ _FOUND: dict[str, tuple[str, ...]] = {
     "xray": ("gvxrPython3",),
     "study": ("optuna",),
     "cluster": ("ray",),
+    "view": ("viser", "mjviser", "imageio_ffmpeg", "fast_simplification"),
 }
 """Modules that are only looked for: gVXR takes seconds and 2 GB, and belongs to one thread; Ray
 and Optuna take seconds, and Ray reads its environment then."""
 
-_CALLED = {"gvxrPython3": "gvxr", "itk": "itk-rtk", "mcap_ros2": "mcap-ros2-support"}
+_CALLED = {
+    "gvxrPython3": "gvxr",
+    "itk": "itk-rtk",
+    "mcap_ros2": "mcap-ros2-support",
+    "imageio_ffmpeg": "imageio-ffmpeg",
+    "fast_simplification": "fast-simplification",
+}
 """What pip calls a module, where the names differ."""
 
 _WAY_OUT = {"ros": "or use --link local", "rtk": "or use reconstruction.algorithm: sart"}

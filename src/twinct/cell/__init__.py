@@ -4,6 +4,7 @@ MuJoCo is imported when a cell is built, not when this package is.
 """
 
 from twinct.cell._mujoco import mujoco_module
+from twinct.cell.bodies import BodyPlaces
 from twinct.cell.chains import chains_of, nominal_chains
 from twinct.cell.clearance import Clearance, Gap
 from twinct.cell.frames import LinkFrames
@@ -12,6 +13,7 @@ from twinct.cell.scene import CellModel, GantryModel, build_cell, build_gantry
 from twinct.cell.urdf import OPTICAL, cell_urdf
 
 __all__ = [
+    "BodyPlaces",
     "LinkFrames",
     "OPTICAL",
     "CellModel",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +16,7 @@ from rich.table import Table
 from twinct.cli.ctsimu import ctsimu
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.study import study
+from twinct.cli.view import live_page, view_command
 from twinct.scenario import load_scenario, named_places, scenario_schema
 
 if TYPE_CHECKING:
@@ -47,6 +49,13 @@ Threads = Annotated[
     ),
 ]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
+
+LOOPBACK, PAGE_PORT = "127.0.0.1", 8080
+Host = Annotated[str, tyro.conf.arg(help="Address that the page listens on.")]
+Port = Annotated[int, tyro.conf.arg(help="Port of the page; 0: any that is free.")]
+Network = Annotated[
+    Flag, tyro.conf.arg(help="Let --host be another than loopback; the page has no password.")
+]
 
 
 @app.command
@@ -119,6 +128,10 @@ def run(
     link: Literal["ros2", "local"] = "ros2",
     resume: Flag = False,
     record: Flag = False,
+    view: Flag = False,
+    host: Host = LOOPBACK,
+    port: Port = PAGE_PORT,
+    allow_network: Network = False,
     threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
@@ -131,21 +144,55 @@ def run(
         link: ros2 starts both simulations as processes; local runs them in this one.
         resume: Go on with a scan that was interrupted.
         record: Write all messages of the scan to DIR/scan.mcap, which ROS tools read.
+        view: Show the run on a page while it goes on, see twinct view; the page stays when the run
+            is over, until Ctrl-C.
     """
     from twinct import runs
 
     loaded = load_scenario(scenario, set_)
-    with named_places(scenario, set_), on_terminal() as audience:
-        finished = runs.run(
-            loaded,
-            out,
-            link=link,
-            resume=resume,
-            record=record,
-            threads=threads,
-            observers=audience,
-        )
-    _say_result(finished)
+    with ExitStack() as page:
+        live = []
+        if view:
+            live = [page.enter_context(live_page(out, host, port, allow_network)).observer]
+        with named_places(scenario, set_), on_terminal(live) as audience:
+            finished = runs.run(
+                loaded,
+                out,
+                link=link,
+                resume=resume,
+                record=record,
+                threads=threads,
+                observers=audience,
+            )
+        _say_result(finished)
+
+
+@app.command
+def view(
+    targets: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(
+            metavar="SCENARIO|DIR",
+            help="Scenario file, or what twinct run --out wrote; two folders: side by side.",
+        ),
+    ],
+    *,
+    host: Host = LOOPBACK,
+    port: Port = PAGE_PORT,
+    allow_network: Network = False,
+    export: Annotated[Path | None, tyro.conf.arg(metavar="HTML")] = None,
+    movie: Annotated[Path | None, tyro.conf.arg(metavar="MP4")] = None,
+    set_: Overrides = (),
+) -> None:
+    """Look into a run with a browser: room, beam, images, volume, errors; also while it goes on.
+
+    Of a scenario that was not run: room, plan, reach of the path and field of view.
+
+    Args:
+        export: Write a page that needs no server instead: it plays all views, with a free camera.
+        movie: Write a film of the scan instead.
+    """
+    view_command(targets, host, port, allow_network, export, movie, set_)
 
 
 @app.command

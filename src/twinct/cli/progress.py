@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -26,10 +26,10 @@ _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False
 
 
 @contextmanager
-def on_terminal() -> Iterator[Audience]:
-    """An audience that shows how far work is."""
+def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
+    """An audience that shows how far work is; others may listen with it."""
     kinds = (StageBegan, StageStep, StageEnded, Said)
-    with audience_of([Observer(TerminalProgress(), kinds)]) as audience:
+    with audience_of([Observer(TerminalProgress(), kinds), *others]) as audience:
         yield audience
 
 

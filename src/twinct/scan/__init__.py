@@ -5,7 +5,7 @@ from twinct.scan.data import Scan, View, reported
 from twinct.scan.findings import frame_damage, unknown_files, view_damage
 from twinct.scan.named import OWN, RELATIVE, NamedGeometry, checked_name, named_geometries
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
-from twinct.scan.store import ScanStore, check_space, write_frame
+from twinct.scan.store import Readings, ScanStore, check_space, write_frame
 from twinct.scan.workshop import Workshop
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "RELATIVE",
     "LocalRig",
     "NamedGeometry",
+    "Readings",
     "Rig",
     "Scan",
     "ScanStore",

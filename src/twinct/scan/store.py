@@ -12,7 +12,7 @@ import logging
 import shutil
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 import zarr as _zarr
@@ -67,6 +67,24 @@ def check_space(folder: Path, scenario: Scenario, views: int) -> None:
     images = kept * views * scenario.detector.rows * scenario.detector.columns * 4
     volumes = 3 * int(np.prod(grid.shape)) * 4
     require_space(folder, images + volumes, "the scan and its volume need")
+
+
+class Readings(NamedTuple):
+    """What the robots had in some views of a scan, one after the other.
+
+    Attributes:
+        executed: poses of source and panel.
+        objects: ``world_from_object``.
+        joints: rad, (views, joints).
+        simulated_s: simulated time at exposure, (views,).
+        clearance_mm: smallest gap on the way there, (views,).
+    """
+
+    executed: PosePairs
+    objects: tuple[Pose, ...]
+    joints: NDArray[np.float64]
+    simulated_s: NDArray[np.float64]
+    clearance_mm: NDArray[np.float64]
 
 
 class ScanStore:
@@ -345,6 +363,20 @@ class ScanStore:
             bad_pixels=self.bad_pixels,
         )
 
+    def readings(self, first: int, stop: int) -> Readings:
+        """What the robots had in the views from ``first`` to before ``stop``, which are on disk."""
+
+        def poses(name: str) -> tuple[Pose, ...]:
+            columns = (self._array(f"executed/{name}{end}")[first:stop] for end in ("", "_quat"))
+            return tuple(map(Pose, *columns))
+
+        joints, simulated_s, clearance = (
+            np.asarray(self._array(name)[first:stop])
+            for name in ("joints", "simulated_s", "clearance_mm")
+        )
+        executed = PosePairs(poses("source"), poses("detector"))
+        return Readings(executed, poses("object"), joints, simulated_s, clearance)
+
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
         """Write one uncompressed chunk: its bytes are the values, as the Zarr 3 format says.
 
@@ -361,6 +393,12 @@ class ScanStore:
         draft = chunk.with_name(chunk.name + ".partial")
         draft.write_bytes(ACQUIRED)
         draft.replace(chunk)
+
+    @property
+    def commanded(self) -> PosePairs:
+        """The commanded poses of all views, those to come included."""
+        pairs = (self._poses(f"commanded/{body}", self.views) for body in ("source", "detector"))
+        return PosePairs(*pairs)
 
     def poses(self, which: str) -> PosePairs:
         """``commanded``, ``executed`` or ``believed`` poses of the views on disk."""

@@ -1,0 +1,149 @@
+"""The command ``twinct view``: the page of a run or of a scenario."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinct.cli.progress import say
+from twinct.errors import InputError
+from twinct.extras import require
+from twinct.scenario import load_scenario, named_places
+
+if TYPE_CHECKING:
+    import viser
+
+    from twinct.view.following import LivePage
+
+MOST_RUNS = 2
+
+
+def view_command(
+    targets: Sequence[Path],
+    host: str,
+    port: int,
+    allow_network: bool,
+    export: Path | None,
+    movie: Path | None,
+    set_: Sequence[str],
+) -> None:
+    """Show runs or a scenario until interrupted, or write them to files."""
+    if not 1 <= len(targets) <= MOST_RUNS:
+        raise InputError(f"{len(targets)} folders: the page shows one, or two side by side")
+    require("view", "robots")
+    folders = [target for target in targets if target.is_dir()]
+    if not folders and len(targets) == 1:
+        _view_scenario(targets[0], host, port, allow_network, export, movie, set_)
+        return
+    if set_:
+        raise InputError(f"--set {set_[0]}: a run is shown as it is; --set is for a scenario")
+    from twinct.view.folder import RunFolder
+
+    runs = [RunFolder(target) for target in targets]
+    shows = [run.look() for run in runs]
+    if export is not None or movie is not None:
+        if len(runs) > 1:
+            raise InputError("--export and --movie take one folder")
+        _write(shows[0], None, export, movie)
+        return
+    from twinct.view.filling import fill
+    from twinct.view.following import Follower
+    from twinct.view.page import Page
+
+    with serving(host, port, allow_network) as server, ExitStack() as stack:
+        page = stack.enter_context(closing(Page(server, len(runs), live=_goes_on(runs))))
+        for index, (run, show) in enumerate(zip(runs, shows, strict=True)):
+            fill(page, index, show)
+            stack.enter_context(closing(Follower(page, index, run, show)))
+            for problem in show.problems:
+                say(problem, warning=True)
+        _stay()
+
+
+def _goes_on(runs: Sequence[object]) -> bool:
+    from twinct.view.folder import RunFolder
+
+    return any(isinstance(run, RunFolder) and run.under_way for run in runs)
+
+
+def _view_scenario(
+    file: Path,
+    host: str,
+    port: int,
+    allow_network: bool,
+    export: Path | None,
+    movie: Path | None,
+    set_: Sequence[str],
+) -> None:
+    from twinct.scan import Workshop
+    from twinct.view.filling import fill
+    from twinct.view.page import Page
+    from twinct.view.planned import planned
+
+    workshop = Workshop(load_scenario(file, set_))
+    if export is not None or movie is not None:
+        with named_places(file, set_):
+            show = planned(workshop)
+        _write(show, workshop, export, movie)
+        return
+    with serving(host, port, allow_network) as server, closing(Page(server)) as page:
+        page.say("planning")
+        with named_places(file, set_):
+            show = planned(workshop)
+        for problem in show.problems:
+            say(problem, warning=True)
+        page.say("")
+        fill(page, 0, show, workshop)
+        _stay()
+
+
+@contextmanager
+def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserServer]:
+    """A server, and where it is found said."""
+    from twinct.view.server import address, by_ssh, close, is_loopback, serve
+
+    server = serve(host, port, allow_network=allow_network, label="twinct")
+    try:
+        say(f"page: {address(server)} (Ctrl-C ends it)")
+        if is_loopback(host):
+            say(f"from another machine: {by_ssh(server)}, then {address(server)} there")
+        else:
+            say(
+                f"--allow-network: there is no password: whoever reaches {host}:"
+                f"{server.get_port()} sees the page and moves its controls",
+                warning=True,
+            )
+        yield server
+    finally:
+        close(server)
+
+
+@contextmanager
+def live_page(out: Path, host: str, port: int, allow_network: bool) -> Iterator[LivePage]:
+    """A page that observes a run; it stays afterwards until interrupted, unless the run fails."""
+    require("view")
+    from twinct.view.following import LivePage
+    from twinct.view.page import Page
+
+    with serving(host, port, allow_network) as server:
+        with closing(Page(server, live=True)) as page:
+            live = LivePage(page, out)
+            yield live
+            live.close()
+            say("the run is over; the page stays until Ctrl-C")
+            _stay()
+
+
+def _stay() -> None:
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        return
+
+
+def _write(show: object, workshop: object, export: Path | None, movie: Path | None) -> None:
+    raise NotImplementedError

@@ -1,0 +1,1 @@
+"""The live page: a run, or a plan, to look into with a browser."""

@@ -1,0 +1,251 @@
+"""Reads what the page shows from the folder of a run, finished or going on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twinct.errors import InputError
+from twinct.geometry import Floats, Pose
+from twinct.observers import IterationDone
+from twinct.runs import Folder
+from twinct.scan import OWN, Readings, ScanStore, Workshop, named_geometries
+from twinct.scenario import Scenario
+from twinct.view.show import RECONSTRUCTION, TRUTH, Show
+from twinct.views import PosePairs
+from twinct.volume import Volume
+
+
+class RunFolder:
+    """A run's folder; each look reads only what is new."""
+
+    def __init__(self, path: Path) -> None:
+        """Of what ``twinct run --out`` wrote, or the scan.zarr in it.
+
+        Raises:
+            InputError: it is no folder of a run.
+        """
+        path = path.parent if path.name == "scan.zarr" else path
+        self.paths = Folder(path)
+        if not path.is_dir():
+            raise InputError(f"{path}: there is no such folder")
+        if not self.paths.scan.is_dir() and not self.paths.scenario.is_file():
+            raise InputError(
+                f"{path} is no folder of a run: it holds neither scan.zarr nor scenario.yaml; "
+                "'twinct run SCENARIO --out DIR' makes one"
+            )
+        self._store: ScanStore | None = None
+        self._commanded: PosePairs | None = None
+        self._read: list[Readings] = []
+        self._known: dict[Path, tuple[object, Any]] = {}
+        self._reported: tuple[int, PosePairs | None] = 0, None
+        self._show: Show | None = None
+        self._told: IterationDone | None = None
+        self._course: dict[str, list[float]] = {}
+
+    @property
+    def under_way(self) -> bool:
+        """Whether the run is not finished: more may come."""
+        return not all(path.exists() for path in self.paths.results)
+
+    def iterated(self, event: IterationDone) -> None:
+        """An iteration of a reconstruction in this process: its volume need not be read."""
+        course = self._course.setdefault(event.geometry, [])
+        if len(course) == event.iteration - 1:
+            course.append(event.residual)
+        self._told = event
+
+    def look(self) -> Show:
+        """The run as far as it is now.
+
+        Raises:
+            InputError: the folder is gone, or damaged.
+        """
+        needed = self.paths.path if self._store is None else self.paths.scan
+        if not needed.is_dir():
+            raise InputError(f"{needed} is gone: what is shown is what was there before")
+        try:
+            if self._store is None and self.paths.scan.is_dir():
+                self._store = ScanStore(self.paths.scan)
+            self._show = self._of_scenario() if self._store is None else self._of_store(self._store)
+        except FileNotFoundError as error:
+            raise InputError(
+                f"{error.filename} is gone: what is shown is what was there before"
+            ) from None
+        return self._show
+
+    def _of_scenario(self) -> Show:
+        """A run that has not stored a view yet."""
+        scenario = self.paths.scenario_of_run(planned=True)
+        commanded = PosePairs.from_geometry(Workshop(scenario).asked)
+        return Show(self.paths.path.name, scenario, commanded, state="no view is stored yet")
+
+    def _of_store(self, store: ScanStore) -> Show:
+        before = self._show
+        acquired, read = store.acquired, sum(len(part.joints) for part in self._read)
+        if acquired > read:
+            self._read.append(store.readings(read, acquired))
+        if before is None or not before.poses:
+            scenario = self._scenario(store)
+            base = Show(
+                self.paths.path.name,
+                scenario,
+                self._commanded_of(store),
+                plan=store.plan,
+                transmission=store.transmission,
+            )
+        else:
+            base = before
+        executed, objects, joints, clearance = self._joined(store)
+        volumes, waiting = self._volumes()
+        residuals = self._residuals()
+        state, problems = self._said(store, acquired, volumes, waiting)
+        return replace(
+            base,
+            poses=self._poses(store, executed, acquired),
+            objects=objects,
+            joints=joints,
+            clearance_mm=clearance,
+            volumes=volumes,
+            residuals=residuals,
+            state=state,
+            problems=problems,
+        )
+
+    def _scenario(self, store: ScanStore) -> Scenario:
+        if self.paths.scenario.is_file():
+            return self.paths.scenario_of_run(planned=store.plan is not None)
+        return store.scenario
+
+    def _commanded_of(self, store: ScanStore) -> PosePairs:
+        if self._commanded is None:
+            self._commanded = store.commanded
+        return self._commanded
+
+    def _joined(self, store: ScanStore) -> tuple[PosePairs, tuple[Pose, ...], Floats, Floats]:
+        parts = self._read
+        source = tuple(pose for part in parts for pose in part.executed.source)
+        detector = tuple(pose for part in parts for pose in part.executed.detector)
+        objects = tuple(pose for part in parts for pose in part.objects)
+        joints = [part.joints for part in parts] or [np.zeros((0, len(store.joint_names)))]
+        clearance = [part.clearance_mm for part in parts] or [np.zeros(0)]
+        poses = PosePairs(source, detector)
+        return poses, objects, np.concatenate(joints), np.concatenate(clearance)
+
+    def _poses(self, store: ScanStore, executed: PosePairs, acquired: int) -> dict[str, PosePairs]:
+        """Executed, believed, and what was derived; the believed ones are made where not kept."""
+        found = {"executed": executed}
+        derived = {
+            name: kept.poses
+            for name, kept in self._cached(self.paths.geometries, named_geometries, {}).items()
+            if len(kept.poses) == acquired
+        }
+        if "believed" in derived:
+            found["believed"] = derived["believed"]
+        elif acquired:
+            views, poses = self._reported
+            # Making them takes longer with each view: while a scan goes on, not after each.
+            if views < acquired and (acquired == store.views or acquired >= 1.1 * views):
+                poses = store.reported.poses
+                self._reported = acquired, poses
+            if poses is not None and self._reported[0] <= acquired:
+                found["believed"] = poses
+        return found | {name: poses for name, poses in derived.items() if name not in OWN}
+
+    def _volumes(self) -> tuple[dict[str, Volume], bool]:
+        """All volumes that there are, and whether the run's own is still to come."""
+        files = {RECONSTRUCTION: self.paths.volume}
+        if self.paths.reconstructions.is_dir():
+            for kept in sorted(self.paths.reconstructions.glob("*/volume.nii")):
+                files[kept.parent.name] = kept
+        files[TRUTH] = self.paths.truth
+        found = {
+            name: volume
+            for name, file in files.items()
+            if (volume := self._cached(file, Volume.read, None)) is not None
+        }
+        if RECONSTRUCTION not in found and (under_way := self._checkpoint()) is not None:
+            found = {RECONSTRUCTION: under_way[0], **found}
+        return found, not self.paths.volume.exists()
+
+    def _checkpoint(self) -> tuple[Volume, str, int, tuple[float, ...]] | None:
+        """The newest iteration of a reconstruction that is under way, with its residuals."""
+        if (told := self._told) is not None:
+            course = tuple(self._course[told.geometry])
+            return told.volume, told.geometry, told.iteration, course
+        files = sorted(self.paths.checkpoints.glob("*.npz"), key=lambda f: f.name)
+        if not files:
+            return None
+        grid = self._scenario_now().reconstruction.volume_grid
+
+        def read(file: Path) -> tuple[Volume, str, int, tuple[float, ...]] | None:
+            with np.load(file) as kept:
+                array, residuals = kept["volume"], json.loads(str(kept["residuals"]))
+            if array.shape != grid.shape:
+                return None
+            which, _, number = file.stem.rpartition("-")
+            return Volume(array, grid), which.rpartition("-")[0], int(number), tuple(residuals)
+
+        try:
+            return self._cached(files[-1], read, None)
+        except (OSError, ValueError, KeyError):
+            return None  # it has just been replaced by the next
+
+    def _scenario_now(self) -> Scenario:
+        assert self._store is not None
+        return self._show.scenario if self._show else self._scenario(self._store)
+
+    def _residuals(self) -> Mapping[str, tuple[float, ...]]:
+        told = self._cached(self.paths.metrics, _read_json, {}).get("residuals", {})
+        found = {name: tuple(values) for name, values in told.items()}
+        if not found and (under_way := self._checkpoint()) is not None:
+            found = {under_way[1]: under_way[3]}
+        return found
+
+    def _said(
+        self, store: ScanStore, acquired: int, volumes: Mapping[str, Volume], waiting: bool
+    ) -> tuple[str, tuple[str, ...]]:
+        """The state in a line, and what is missing."""
+        state = f"{acquired} of {store.views} views"
+        under_way = self._checkpoint() if waiting else None
+        if under_way is not None:
+            return f"{state}; reconstruction, iteration {under_way[2]}", ()
+        if RECONSTRUCTION in volumes:
+            return state, ()
+        way = (
+            "the scan is not whole" if acquired < store.views else "the reconstruction is not done"
+        )
+        return state, (
+            f"{self.paths.volume} is not there yet, {way}: no slices and no surface of it",
+        )
+
+    def _cached(self, path: Path, read: Any, otherwise: Any) -> Any:
+        """What was read from a file or folder, read again where that has changed."""
+        try:
+            stat = path.stat()
+        except FileNotFoundError:
+            return otherwise
+        mark = stat.st_mtime_ns, stat.st_size, stat.st_ino
+        known = self._known.get(path)
+        if known is None or known[0] != mark:
+            if path.parent == self.paths.checkpoints:
+                self._known = {
+                    file: kept
+                    for file, kept in self._known.items()
+                    if file.parent != self.paths.checkpoints
+                }
+            self._known[path] = known = mark, read(path)
+        return known[1]
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not readable figures of a run: {error}") from None
+    return found if isinstance(found, dict) else {}

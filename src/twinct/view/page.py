@@ -1,0 +1,473 @@
+"""The page: controls, curves and pictures beside the scene; one thread paints, whoever asks.
+
+Callbacks of browsers and events of a run only say what is wanted. The painter takes the newest
+wish, so that a slider that is dragged, a run that goes fast or a browser that is slow leave out
+views and never queue them.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from threading import Condition, Thread
+from typing import Any
+
+import numpy as np
+import viser
+
+from twinct.geometry import Floats
+from twinct.view.curves import Curve, curves
+from twinct.view.numbers import (
+    nearest_view,
+    of_joints,
+    of_pixel,
+    of_point,
+    of_view,
+    of_voxel,
+    on_surface,
+)
+from twinct.view.room import Room
+from twinct.view.show import RECONSTRUCTION, TRUTH, Show
+from twinct.view.slices import AXES
+from twinct.view.stage import DIFFERENCE, IN_FRONT_MM, NOTHING, Look, Stage, colour_of
+from twinct.view.surface import dense_surface
+from twinct.view.tiles import slices_beside
+
+log = logging.getLogger(__name__)
+
+APART_M = 3.2
+"""Between the isocentres of two runs side by side."""
+
+FASTEST_HZ = 30.0
+"""Paintings a second, at most."""
+
+SURFACE_SHARE = 0.5
+"""Level of the bone surface at first: this share of the densest material in the window."""
+
+
+@dataclass
+class _Wishes:
+    """What has come since the last painting."""
+
+    shows: dict[int, Show] = field(default_factory=dict)
+    rooms: dict[int, Room] = field(default_factory=dict)
+    specimens: dict[int, Any] = field(default_factory=dict)
+    fields: dict[int, Any] = field(default_factory=dict)
+    joints: dict[int, Floats] = field(default_factory=dict)
+    look: bool = False
+    said: str | None = None
+    ended: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(
+            self.shows or self.rooms or self.specimens or self.fields or self.joints
+        ) or self.look or self.said is not None or self.ended  # fmt: skip
+
+
+class Page:
+    """What all browsers see."""
+
+    def __init__(self, server: viser.ViserServer, runs: int = 1, *, live: bool = False) -> None:
+        """An empty page for one run or two; ``live`` follows the newest view at first."""
+        self.server = server
+        self._changed = Condition()
+        self._wishes = _Wishes()
+        self._shows: list[Show | None] = [None] * runs
+        half = APART_M * (runs - 1) / 2
+        self.stages = [
+            Stage(server, f"run{k}", np.array([0.0, APART_M * k - half, 0.0])) for k in range(runs)
+        ]
+        for k, stage in enumerate(self.stages):
+            stage.clicked = lambda *told, k=k: self._select(k, *told)
+        self._look = Look()
+        self._painted: Look | None = None
+        self._selected: tuple[int, str] | None = None
+        self._surface: tuple[Any, ...] = ()
+        self._tiles: tuple[Any, ...] = ()
+        self._curves: list[tuple[Curve, Any]] = []
+        self._busy = False
+        self._playing = False
+        self._mute = False
+        self._build(live)
+        self._thread = Thread(target=self._paint_on, name="page", daemon=True)
+        self._thread.start()
+
+    # What the run tells; each returns at once.
+
+    def put(self, run: int, show: Show) -> None:
+        """A run as it is now."""
+        self._wish(lambda wishes: wishes.shows.__setitem__(run, show))
+
+    def put_room(self, run: int, room: Room) -> None:
+        """The bodies of its room."""
+        self._wish(lambda wishes: wishes.rooms.__setitem__(run, room))
+
+    def put_specimen(self, run: int, mesh: Any) -> None:
+        """Its specimen as it looks, mm, in its own frame."""
+        self._wish(lambda wishes: wishes.specimens.__setitem__(run, mesh))
+
+    def put_field(self, run: int, mesh: Any) -> None:
+        """What every view sees, mm."""
+        self._wish(lambda wishes: wishes.fields.__setitem__(run, mesh))
+
+    def move(self, run: int, joints: Floats) -> None:
+        """Its arms, while they move."""
+        self._wish(lambda wishes: wishes.joints.__setitem__(run, joints))
+
+    def say(self, text: str) -> None:
+        """A line about what goes on."""
+        self._wish(lambda wishes: setattr(wishes, "said", text))
+
+    def show_view(self, view: int) -> None:
+        """Go to a view, as by the slider."""
+        self._view.value = int(np.clip(view, 0, self._view.max))
+
+    def settle(self, timeout_s: float = 30.0) -> bool:
+        """Wait until all that was wanted is painted; whether it was in time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._wishes and not self._busy, timeout_s)
+
+    def close(self) -> None:
+        """Paint no more."""
+        self._wish(lambda wishes: setattr(wishes, "ended", True))
+        self._thread.join(5.0)
+
+    @property
+    def look(self) -> Look:
+        """What is looked at."""
+        return self._look
+
+    @property
+    def shows(self) -> Sequence[Show]:
+        """The runs that are on the page."""
+        return [show for show in self._shows if show is not None]
+
+    def _wish(self, wish: Callable[[_Wishes], Any]) -> None:
+        with self._changed:
+            wish(self._wishes)
+            self._changed.notify_all()
+
+    # The controls.
+
+    def _build(self, live: bool) -> None:
+        gui, scene = self.server.gui, self.server.scene
+        scene.configure_environment_map(None)
+        scene.add_light_hemisphere(
+            "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 155), intensity=1.6
+        )
+        scene.add_light_directional(
+            "/light/sun",
+            color=(255, 250, 240),
+            intensity=1.4,
+            position=(1.5, -3.0, 4.0),
+            cast_shadow=False,
+        )
+        scene.configure_default_lights(False)
+        camera = self.server.initial_camera
+        span = 1.0 + 0.45 * (len(self.stages) - 1)
+        camera.position = (0.25 * span, -1.6 * span, 0.3 * span)
+        camera.look_at = (0.0, 0.0, -0.05)
+
+        self._head = gui.add_markdown("")
+        with gui.add_folder("View"):
+            self._view = gui.add_slider("view", 0, 1, 1, 0)
+            self._buttons = gui.add_button_group("", ("play", "pause", "back", "on"))
+            self._rate = gui.add_number("views a second", 10.0, min=0.5, max=FASTEST_HZ, step=0.5)
+            self._follow = gui.add_checkbox("follow the scan", live, visible=live)
+        with gui.add_folder("Geometry"):
+            self._geometry: Any = gui.add_dropdown("beam and panel", ("executed",))
+            self._factor = gui.add_slider(
+                "differences, times", 1, 200, 1, 1, hint="Magnified about the executed geometry."
+            )
+            self._beam = gui.add_checkbox("beam", True)
+            self._paths = gui.add_checkbox("paths of the source", True)
+            self._specimen = gui.add_checkbox("specimen", True)
+        self._volume = gui.add_folder("Volume", visible=False)
+        with self._volume:
+            self._shown: Any = gui.add_dropdown("slices of", (RECONSTRUCTION,))
+            self._planes = tuple(gui.add_slider(axis, 0, 1, 1, 0) for axis in AXES)
+            self._window = gui.add_multi_slider("window, 1/mm", 0.0, 1.0, 0.001, (0.0, 1.0))
+            self._surface_of: Any = gui.add_dropdown("bone surface", (NOTHING,))
+            self._level = gui.add_number("at, 1/mm", 0.02, min=0.0, step=0.001)
+        with gui.add_folder("Selected"):
+            self._numbers = gui.add_markdown("*Click a path, the panel, a slice or an arm.*")
+        self._side = gui.add_panel()
+        self._slices_tab = self._side.add_tab("Slices")
+        self._curves_tab = self._side.add_tab("Curves")
+        self._side.dock_left()
+        self._side.set_width(430)
+        gui.main_panel.dock_right()
+        with self._slices_tab:
+            self._sheet = gui.add_image(np.full((8, 8, 3), 255, np.uint8), visible=False)
+            self._no_slices = gui.add_markdown("*No volume yet.*")
+
+        for handle in (
+            *(self._view, self._geometry, self._factor, self._beam, self._paths, self._specimen),
+            *(self._shown, *self._planes, self._window, self._surface_of, self._level),
+        ):
+            handle.on_update(lambda _: self._look_again())
+
+        @self._buttons.on_click
+        def _(_: Any) -> None:
+            self._press(str(self._buttons.value))
+
+    def _press(self, button: str) -> None:
+        if button in ("play", "pause"):
+            with self._changed:
+                self._playing = button == "play"
+                self._changed.notify_all()
+        else:
+            self._step(1 if button == "on" else -1)
+
+    def _step(self, by: int) -> None:
+        views = int(self._view.max) + 1
+        self._view.value = (int(self._view.value) + by) % views
+
+    def _look_again(self) -> None:
+        if not self._mute:
+            self._wish(lambda wishes: setattr(wishes, "look", True))
+
+    def _read_controls(self) -> Look:
+        low, high = self._window.value
+        x, y, z = (int(plane.value) for plane in self._planes)
+        return Look(
+            view=int(self._view.value),
+            geometry=str(self._geometry.value),
+            factor=float(self._factor.value),
+            beam=bool(self._beam.value),
+            paths=bool(self._paths.value),
+            specimen=bool(self._specimen.value),
+            shown=str(self._shown.value),
+            slices=(x, y, z),
+            window=(float(low), float(high)),
+            surface=str(self._surface_of.value),
+            level=float(self._level.value),
+        )
+
+    # The painter.
+
+    def _paint_on(self) -> None:
+        while True:
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                beat = 1.0 / max(float(self._rate.value), 0.1) if self._playing else None
+                self._changed.wait_for(lambda: self._wishes, beat)
+                wishes, self._wishes = self._wishes, _Wishes()
+                self._busy = True
+                if self._playing and not wishes:
+                    wishes.look = True
+                    step = True
+                else:
+                    step = False
+            if wishes.ended:
+                with self._changed:
+                    self._busy = False
+                    self._changed.notify_all()
+                return
+            start = time.monotonic()
+            try:
+                if step:
+                    self._mute = True
+                    self._step(1)
+                    self._mute = False
+                self._paint(wishes)
+            except Exception as error:
+                self._mute = False
+                log.exception("the page could not be painted")
+                self._complain(f"could not be drawn: {error}")
+            rest = 1.0 / FASTEST_HZ - (time.monotonic() - start)
+            if rest > 0:
+                time.sleep(rest)
+
+    def _complain(self, text: str) -> None:
+        self._head.content = f"{self._head.content}\n\n**{text}**"
+
+    def _paint(self, wishes: _Wishes) -> None:
+        with self.server.atomic():
+            anew = self._take(wishes)
+            self._look = self._read_controls()
+            before = None if anew else self._painted
+            if self.shows:
+                for stage, show in zip(self.stages, self._shows, strict=True):
+                    if show is not None:
+                        stage.draw(show, self._look, before)
+                self._painted = self._look
+                self._mark_curves(anew)
+            for run, joints in wishes.joints.items():
+                self.stages[run].move(joints)
+        if self.shows:
+            self._paint_sheet()
+            self._paint_surfaces()
+            self._paint_numbers(anew)
+
+    def _take(self, wishes: _Wishes) -> bool:
+        """Take over what came; whether all is to be drawn anew."""
+        for run, show in wishes.shows.items():
+            before, self._shows[run] = self._shows[run], show
+            self._fit_controls(show, before)
+        for run, room in wishes.rooms.items():
+            if (show := self._shows[run]) is not None:
+                self.stages[run].set_room(show, room)
+        for run, mesh in wishes.specimens.items():
+            self.stages[run].set_specimen(mesh)
+        for run, mesh in wishes.fields.items():
+            self.stages[run].set_field_of_view(mesh)
+        if wishes.said is not None or wishes.shows:
+            lines = [f"### {show.name}\n{show.state}" for show in self.shows]
+            problems = [f"**{p}**" for show in self.shows for p in show.problems]
+            told = [wishes.said] if wishes.said else []
+            self._head.content = "\n\n".join([*lines, *told, *problems])
+        return bool(wishes.shows or wishes.rooms or wishes.specimens)
+
+    def _fit_controls(self, show: Show, before: Show | None) -> None:
+        """Let the controls offer what there is."""
+        self._mute = True
+        views = max(len(one) for one in self.shows)
+        self._view.max = max(views - 1, 1)
+        names = tuple(dict.fromkeys(n for one in self.shows for n in one.geometries))
+        if self._geometry.options != names:
+            wanted = self._geometry.value
+            self._geometry.options = names
+            best = wanted if wanted in names else names[-1]
+            self._geometry.value = "executed" if "executed" in names and before is None else best
+        if self._follow.value and show.acquired > (before.acquired if before else 0):
+            self._view.value = show.acquired - 1
+        volumes = tuple(dict.fromkeys(n for one in self.shows for n in one.volumes))
+        old = tuple(before.volumes) if before else ()
+        if volumes and set(volumes) - set(old):
+            self._offer_volumes(show, volumes)
+        self._mute = False
+
+    def _offer_volumes(self, show: Show, names: tuple[str, ...]) -> None:
+        first = not self._volume.visible
+        self._volume.visible = True
+        both = RECONSTRUCTION in names and TRUTH in names
+        self._shown.options = (*names, *((DIFFERENCE,) if both else ()), NOTHING)
+        self._surface_of.options = (NOTHING, *names)
+        if RECONSTRUCTION in names and self._shown.value not in (RECONSTRUCTION, DIFFERENCE):
+            self._shown.value = RECONSTRUCTION
+        elif first:
+            self._shown.value = names[0]
+        grid = next(iter(show.volumes.values())).grid
+        for plane, n in zip(self._planes, grid.shape_xyz, strict=True):
+            if plane.max != n - 1:
+                plane.max = n - 1
+                plane.value = n // 2
+        if first:  # it would hide the slices
+            self._specimen.value = False
+        if first or TRUTH in names:
+            low, high = show.window()
+            self._window.max = round(2 * high, 4)
+            self._window.min = round(4 * low, 4)
+            self._window.value = (round(low, 3), round(high, 3))
+            self._level.value = round(SURFACE_SHARE * high / 1.3, 4)
+
+    def _paint_sheet(self) -> None:
+        look = self._look
+        volumes = [id(v) for show in self.shows for v in show.volumes.values()]
+        wanted = (look.slices, look.window, volumes)
+        if wanted == self._tiles:
+            return
+        self._tiles = wanted
+        sheet = slices_beside(self.shows, look)
+        if sheet is not None:
+            self._sheet.image = sheet
+            self._sheet.visible, self._no_slices.visible = True, False
+
+    def _paint_surfaces(self) -> None:
+        look = self._look
+        volumes = [show.volumes.get(look.surface) for show in self.shows]
+        wanted = (look.surface, look.level, [id(volume) for volume in volumes])
+        if wanted == self._surface:
+            return
+        self._surface = wanted
+        for stage, show in zip(self.stages, self._shows, strict=True):
+            volume = show.volumes.get(look.surface) if show is not None else None
+            mesh = volume and dense_surface(volume.array, volume.grid, look.level)
+            stage.set_surface(mesh or None)
+
+    def _mark_curves(self, anew: bool) -> None:
+        if anew:
+            self._lay_curves(curves(self.shows))
+        for curve, plot in self._curves:
+            if curve.over_views:
+                plot.data = (curve.x, *curve.series.values(), curve.marked(self._look.view))
+
+    def _lay_curves(self, found: list[Curve]) -> None:
+        """Plots of the curves; one that has the series it had keeps its place."""
+        known = [(c.title, tuple(c.series)) for c, _ in self._curves]
+        if known == [(c.title, tuple(c.series)) for c in found]:
+            self._curves = [(c, plot) for c, (_, plot) in zip(found, self._curves, strict=True)]
+            for curve, plot in self._curves:
+                if not curve.over_views:
+                    plot.data = (curve.x, *curve.series.values())
+            return
+        for _, plot in self._curves:
+            plot.remove()
+        with self._curves_tab:
+            self._curves = [(curve, self._plot(curve)) for curve in found]
+
+    def _plot(self, curve: Curve) -> Any:
+        series: list[Any] = [{"label": "view" if curve.over_views else "iteration"}]
+        for name in curve.series:
+            shade = _ink(colour_of(name.partition(":")[2].strip().split(",")[0], self.shows[0])) \
+                if ":" in name else _ink(colour_of(name.split(",")[0], self.shows[0]))  # fmt: skip
+            dash = (4, 3) if name.endswith("panel") else ()
+            series.append({"label": name, "stroke": shade, "width": 1.5, "dash": dash})
+        data = (curve.x, *curve.series.values())
+        if curve.over_views:
+            points = {"show": True, "size": 9, "fill": "#c4501b"}
+            series.append({"label": "shown", "stroke": "#c4501b", "width": 0, "points": points})
+            data = (*data, curve.marked(self._look.view))
+        return self.server.gui.add_uplot(
+            data=data, series=tuple(series), title=curve.title, aspect=1.7,
+            scales={"x": {"time": False}},
+        )  # fmt: skip
+
+    # What a click selects.
+
+    def _select(self, run: int, kind: str, detail: str, origin: Floats, along: Floats) -> None:
+        """Say what was clicked; called in a thread of viser's."""
+        show = self._shows[run]
+        if show is None:
+            return
+        look, stage = self._look, self.stages[run]
+        view = min(look.view, len(show) - 1)
+        told: str | None = None
+        if kind == "path":
+            found = nearest_view(show, detail, origin, along)
+            if found is not None:
+                self._selected = run, "view"
+                self.show_view(found)
+                return
+        elif kind == "projection":
+            _, drawn, _ = stage.shown_geometry(show, look, view)
+            told = of_pixel(show, drawn, view, origin, along, IN_FRONT_MM)
+        elif kind == "slice":
+            axis = AXES.index(detail)
+            told = of_voxel(show, axis, look.slices[axis], origin, along)
+        elif kind == "surface":
+            point = on_surface(show, look.surface, look.level, origin, along)
+            told = None if point is None else of_point(show, point, "surface")
+        elif kind == "specimen":
+            point = on_surface(show, TRUTH, 0.5 * show.window()[1] / 1.3, origin, along)
+            told = "**specimen**" if point is None else of_point(show, point, "specimen")
+        else:
+            told = of_joints(show, view, detail)
+        if told is not None:
+            self._selected = run, "else"
+            self._numbers.content = told
+
+    def _paint_numbers(self, anew: bool) -> None:
+        """The numbers of the view, where nothing else was selected."""
+        run, kind = self._selected or (0, "view")
+        show = self._shows[run]
+        if kind == "view" and show is not None:
+            self._numbers.content = of_view(show, min(self._look.view, len(show) - 1))
+
+
+def _ink(colour: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)

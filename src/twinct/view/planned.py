@@ -1,0 +1,68 @@
+"""What the page shows of a scenario that was not run: plan, reach of the path, field of view."""
+
+from __future__ import annotations
+
+import trimesh
+
+from twinct.errors import TrajectoryError
+from twinct.evaluate import region_of_interest
+from twinct.extras import require
+from twinct.geometry import VolumeGrid
+from twinct.reach import Holder, Poses
+from twinct.scan import Workshop
+from twinct.scenario import Cell
+from twinct.view.show import Show
+from twinct.view.surface import dense_surface
+
+COARSE_VOXELS = 64
+"""Voxels along each axis for the field of view: it is convex, few are enough."""
+
+
+def planned(workshop: Workshop) -> Show:
+    """The plan of a scenario; where there is none, which views the arms cannot have.
+
+    Raises:
+        InputError: whatever keeps the scenario from being planned, but views that cannot be had.
+    """
+    scenario = workshop.scenario
+    if isinstance(scenario.cell, Cell):
+        require("robots")
+    try:
+        plan, problems, refused = workshop.plan, (), ()
+    except TrajectoryError as error:
+        plan, problems = None, error.problems
+        poses = Poses.of(workshop.asked.source_poses(), workshop.asked.detector_poses())
+        holder = Holder(workshop.cell, scenario.motion, roll_free=workshop.roll_free)
+        refused = tuple(view for view, held in enumerate(holder.held(poses)) if not held)
+    views = len(workshop.asked)
+    if scenario.cell.kind == "gantry":
+        state = f"not run; {views} views, which a gantry goes to as they are asked for"
+    elif plan is None:
+        state = f"not run; {views - len(refused)} of {views} views can be held, there is no plan"
+    else:
+        state = f"not run; {views} views planned"
+    if plan is None and workshop.plan_chooses:
+        from twinct.views import PosePairs
+
+        commanded = PosePairs.from_geometry(workshop.asked)
+    else:
+        commanded = workshop.commanded_poses
+    return Show(
+        scenario.name,
+        scenario,
+        commanded,
+        plan=plan,
+        refused=refused,
+        state=state,
+        problems=problems,
+    )
+
+
+def field_of_view(show: Show) -> trimesh.Trimesh | None:
+    """Surface of what every view sees, by the commanded poses, mm; None where that is nothing."""
+    whole = show.scenario.reconstruction.volume_grid
+    shape = tuple(min(n, COARSE_VOXELS) for n in whole.shape)
+    voxel = [size / n for size, n in zip(whole.size_mm, shape[::-1], strict=True)]
+    grid = VolumeGrid(shape, voxel, whole.world_from_grid)
+    seen = region_of_interest(show.geometries["commanded"], grid)
+    return dense_surface(seen.astype("float32"), grid, 0.5, triangles=4000)

@@ -1,0 +1,87 @@
+"""Planes of a volume: which voxels they hold, where they lie, and as pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Floats, Pose, VolumeGrid
+
+Bytes = NDArray[np.uint8]
+
+AXES = ("x", "y", "z")
+"""A plane is named after the axis of the grid that it is across."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A plane of voxels.
+
+    Attributes:
+        axis: 0, 1, 2: across x, y or z of the grid.
+        index: of the voxels along that axis.
+        at_mm: their place along it, in the grid's own frame.
+        size_mm: width and height of the plane.
+        world_from_plane: its middle; x along the columns of ``values``, y along the rows.
+    """
+
+    axis: int
+    index: int
+    at_mm: float
+    size_mm: tuple[float, float]
+    world_from_plane: Pose
+
+    @classmethod
+    def of(cls, grid: VolumeGrid, axis: int, index: int) -> Plane:
+        """One plane of a grid, the nearest where there is none of this index."""
+        index = int(np.clip(index, 0, grid.shape_xyz[axis] - 1))
+        across, along = _in_plane(axis)
+        at = float(grid.axes()[axis][index])
+        place = np.zeros(3)
+        place[axis] = at
+        turn = np.zeros((3, 3))
+        turn[across, 0] = turn[along, 1] = 1.0
+        turn[:, 2] = np.cross(turn[:, 0], turn[:, 1])
+        size = grid.size_mm
+        pose = grid.world_from_grid @ Pose.from_matrix(place, turn)
+        return cls(axis, index, at, (float(size[across]), float(size[along])), pose)
+
+    def values(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Its voxels, (rows, columns); only they are read from what is memory-mapped."""
+        picked: list[slice | int] = [slice(None)] * 3
+        picked[2 - self.axis] = self.index
+        return np.asarray(array[tuple(picked)])
+
+
+def _in_plane(axis: int) -> tuple[int, int]:
+    """The axes along columns and rows of the plane across an axis."""
+    across, along = (k for k in range(3) if k != axis)
+    return across, along
+
+
+def greys(values: Floats | NDArray[np.float32], window: tuple[float, float]) -> Bytes:
+    """Values in a window as grey, (rows, columns, 3)."""
+    low, high = window
+    scale = 255.0 / max(high - low, 1e-12)
+    grey = np.clip((np.asarray(values, np.float32) - low) * scale, 0, 255).astype(np.uint8)
+    return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+def differences(values: NDArray[np.float32], half: float) -> Bytes:
+    """Differences as blue (below), white and red (above), full at ``half``."""
+    t = np.clip(np.asarray(values, np.float32) / max(half, 1e-12), -1, 1)
+    fade = 255 * (1 - np.abs(t))
+    red, blue = np.where(t > 0, 255, fade), np.where(t < 0, 255, fade)
+    return np.stack([red, fade, blue], axis=2).astype(np.uint8)
+
+
+def index_at(grid: VolumeGrid, point_mm: Floats) -> tuple[int, int, int] | None:
+    """Index (k, j, i) of the voxel that holds a point of the world; None outside the grid."""
+    local = grid.world_from_grid.inverse().apply(np.asarray(point_mm)[None])[0]
+    found = np.rint((local - grid.first_voxel_mm) / grid.voxel).astype(int)
+    if (found < 0).any() or (found >= grid.shape_xyz).any():
+        return None
+    i, j, k = found.tolist()
+    return k, j, i
