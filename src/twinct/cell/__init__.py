@@ -8,7 +8,14 @@ from twinct.cell.bodies import BodyPlaces
 from twinct.cell.chains import chains_of, nominal_chains
 from twinct.cell.clearance import Clearance, Gap
 from twinct.cell.frames import LinkFrames
-from twinct.cell.render import Marks, check_drawing, check_picture_size, render_cell
+from twinct.cell.render import (
+    Marks,
+    Moment,
+    check_drawing,
+    check_picture_size,
+    render_cell,
+    room_pictures,
+)
 from twinct.cell.scene import CellModel, GantryModel, build_cell, build_gantry
 from twinct.cell.urdf import OPTICAL, cell_urdf
 
@@ -21,6 +28,7 @@ __all__ = [
     "GantryModel",
     "Gap",
     "Marks",
+    "Moment",
     "build_cell",
     "build_gantry",
     "cell_urdf",
@@ -30,4 +38,5 @@ __all__ = [
     "mujoco_module",
     "nominal_chains",
     "render_cell",
+    "room_pictures",
 ]

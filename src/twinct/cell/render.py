@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinct.cell._mujoco import mujoco_module
 from twinct.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
@@ -23,6 +24,8 @@ MOST_SHOWN = 10_000
 """Geoms and balls that one picture holds."""
 
 RED = (0.90, 0.08, 0.08)
+BEAM_RGBA = (0.96, 0.78, 0.31, 0.8)
+LINE_RADIUS_MM = 1.5
 GHOST_RGBA = (0.15, 0.45, 0.95, 0.35)
 
 
@@ -37,6 +40,8 @@ class Marks:
         points: small balls: positions, (p, 3), mm.
         colours: of the balls, red, green, blue and opacity in [0, 1], (p, 4).
         radius_mm: of the balls.
+        lines: thin rods: their ends, (l, 2, 3), mm.
+        line_rgba: colour of the rods.
     """
 
     red: tuple[str, ...] = ()
@@ -44,6 +49,24 @@ class Marks:
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     colours: Floats = field(default_factory=lambda: np.zeros((0, 4)))
     radius_mm: float = 8.0
+    lines: Floats = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    line_rgba: tuple[float, float, float, float] = BEAM_RGBA
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What one picture of several shows.
+
+    Attributes:
+        joints: joint positions, source arm first, rad; zeros, or no arms, where None.
+        marks: what is shown beside the room.
+        places: ``world_from_body`` of bodies that no joint moves and that stand elsewhere than in
+            the model, by name.
+    """
+
+    joints: Floats | None = None
+    marks: Marks = field(default_factory=Marks)
+    places: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
 
 
 def check_drawing() -> None:
@@ -95,15 +118,28 @@ def render_cell(
     Raises:
         StorageError: the file cannot be written.
     """
-    mujoco = mujoco_module()
     from PIL import Image
 
-    marks = marks or Marks()
-    model = _reddened(cell_model.model, marks.red) if marks.red else cell_model.model
+    at = None if joints is None else np.asarray(joints, dtype=np.float64)
+    moment = Moment(at, marks or Marks())
+    pixels = next(room_pictures(cell_model, [moment], width, height))
+    try:
+        Image.fromarray(pixels).save(path_png, format="PNG")
+    except OSError as error:
+        raise StorageError(f"{path_png}: {error.strerror or error}") from error
+
+
+def room_pictures(
+    cell_model: CellModel | GantryModel, moments: Iterable[Moment], width: int, height: int
+) -> Iterator[NDArray[np.uint8]]:
+    """Pictures of the whole cell, one for each moment, (height, width, 3).
+
+    Raises:
+        InputError: MuJoCo cannot draw here.
+    """
+    mujoco = mujoco_module()
+    model = copy.copy(cell_model.model)
     data = mujoco.MjData(model)
-    if joints is not None:
-        data.qpos[:] = np.asarray(joints, dtype=np.float64)
-    mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = (0.0, 0.0, -0.30)
@@ -113,23 +149,41 @@ def render_cell(
     option = mujoco.MjvOption()
     option.geomgroup[:] = (1, 1, 1, 0, 0, 0)
     option.sitegroup[:] = 0
+    red: tuple[str, ...] = ()
+    renderer: Any = None
     try:
-        drawing = mujoco.Renderer(model, height, width, max_geom=MOST_SHOWN)
+        for moment in moments:
+            if renderer is None or moment.marks.red != red:
+                red = moment.marks.red
+                model = _reddened(cell_model.model, red)
+                data = mujoco.MjData(model)
+                if renderer is not None:
+                    renderer.close()
+                renderer = _renderer(model, width, height)
+            if moment.joints is not None:
+                data.qpos[:] = moment.joints
+            for name, pose in moment.places.items():
+                position, quat = pose.to_metres()
+                model.body(name).pos, model.body(name).quat = position, np.roll(quat, 1)
+            mujoco.mj_forward(model, data)
+            renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
+            renderer.update_scene(data, camera, option)
+            _add(renderer.scene, model, data, moment.marks)
+            yield renderer.render()
+    finally:
+        if renderer is not None:
+            renderer.close()
+
+
+def _renderer(model: Any, width: int, height: int) -> Any:
+    try:
+        return mujoco_module().Renderer(model, height, width, max_geom=MOST_SHOWN)
     except Exception as error:  # MuJoCo's FatalError, and what EGL's and OSMesa's loaders raise
         chosen = os.environ.get("MUJOCO_GL", "")
         raise InputError(
             f"MuJoCo cannot draw with MUJOCO_GL={chosen} ({str(error).strip() or 'no context'}): "
             f"{_ADVICE}"
         ) from error
-    with drawing as renderer:
-        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
-        renderer.update_scene(data, camera, option)
-        _add(renderer.scene, model, data, marks)
-        pixels = renderer.render()
-    try:
-        Image.fromarray(pixels).save(path_png, format="PNG")
-    except OSError as error:
-        raise StorageError(f"{path_png}: {error.strerror or error}") from error
 
 
 def _reddened(model: Any, bodies: tuple[str, ...]) -> Any:
@@ -163,6 +217,11 @@ def _add(scene: Any, model: Any, data: Any, marks: Marks) -> None:
             position = moved.apply(data.geom_xpos[geom] * MM_PER_M) / MM_PER_M
             turned = moved.rotation @ data.geom_xmat[geom].reshape(3, 3)
             add(model.geom_type[geom], model.geom_size[geom], position, turned.ravel(), GHOST_RGBA)
+    for start, end in marks.lines / MM_PER_M:
+        if scene.ngeom < scene.maxgeom:
+            geom, capsule = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+            add(capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), marks.line_rgba)
+            mujoco.mjv_connector(geom, capsule, LINE_RADIUS_MM / MM_PER_M, start, end)
     size = np.full(3, marks.radius_mm / MM_PER_M)
     for position, rgba in zip(marks.points / MM_PER_M, marks.colours, strict=True):
         add(mujoco.mjtGeom.mjGEOM_SPHERE, size, position, np.eye(3).ravel(), rgba)

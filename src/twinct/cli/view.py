@@ -8,7 +8,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twinct.cli.progress import say
+from twinct.cli.progress import on_terminal, say
 from twinct.errors import InputError
 from twinct.extras import require
 from twinct.scenario import load_scenario, named_places
@@ -16,7 +16,9 @@ from twinct.scenario import load_scenario, named_places
 if TYPE_CHECKING:
     import viser
 
+    from twinct.scan import Workshop
     from twinct.view.following import LivePage
+    from twinct.view.show import Show
 
 MOST_RUNS = 2
 
@@ -40,6 +42,7 @@ def view_command(
         return
     if set_:
         raise InputError(f"--set {set_[0]}: a run is shown as it is; --set is for a scenario")
+    from twinct.scan import Workshop
     from twinct.view.folder import RunFolder
 
     runs = [RunFolder(target) for target in targets]
@@ -47,7 +50,8 @@ def view_command(
     if export is not None or movie is not None:
         if len(runs) > 1:
             raise InputError("--export and --movie take one folder")
-        _write(shows[0], None, export, movie)
+        show = shows[0]
+        _write(show, Workshop(show.scenario, show.plan), export, movie)
         return
     from twinct.view.filling import fill
     from twinct.view.following import Follower
@@ -145,5 +149,23 @@ def _stay() -> None:
         return
 
 
-def _write(show: object, workshop: object, export: Path | None, movie: Path | None) -> None:
-    raise NotImplementedError
+def _write(show: Show, workshop: Workshop, export: Path | None, movie: Path | None) -> None:
+    """Write the page, the film, or both."""
+    from twinct.files.writing import check_film, check_page
+
+    if export is not None:
+        check_page(export, "--export")
+    if movie is not None:
+        check_film(movie, "--movie")
+    with on_terminal() as audience:
+        if export is not None:
+            from twinct.view.export import export_page
+
+            export_page(show, workshop, export, audience)
+        if movie is not None:
+            from twinct.view.movie import write_movie
+
+            write_movie(show, workshop, movie, audience)
+    for path in (export, movie):
+        if path is not None:
+            say(f"wrote {path}: {path.stat().st_size / 1e6:.1f} MB")

@@ -109,22 +109,27 @@ def check_picture(path: Path) -> None:
     _check_file(path, "a PNG file", "a picture", ".png")
 
 
-def check_page(path: Path) -> None:
-    """The same for an HTML file."""
-    _check_file(path, "an HTML file", "a page", ".html")
+def check_page(path: Path, option: str = "--out") -> None:
+    """The same for an HTML file, which another ``option`` may name."""
+    _check_file(path, "an HTML file", "a page", ".html", option)
 
 
-def _check_file(path: Path, kind: str, what: str, suffix: str) -> None:
+def check_film(path: Path, option: str = "--out") -> None:
+    """The same for an MP4 file."""
+    _check_file(path, "an MP4 file", "a film", ".mp4", option)
+
+
+def _check_file(path: Path, kind: str, what: str, suffix: str, option: str = "--out") -> None:
     if path.is_dir():
-        raise InputError(f"--out {path}: this is a folder; the name of {kind} is needed")
+        raise InputError(f"{option} {path}: this is a folder; the name of {kind} is needed")
     if path.suffix.lower() != suffix:
-        raise InputError(f"--out {path}: {what} is {kind}: name it {path.stem}{suffix}")
-    _check_parents(path)
+        raise InputError(f"{option} {path}: {what} is {kind}: name it {path.stem}{suffix}")
+    _check_parents(path, option)
 
 
-def _check_parents(path: Path) -> None:
+def _check_parents(path: Path, option: str = "--out") -> None:
     nearest = next(p for p in (path, *path.absolute().parents) if os.path.lexists(p))
     if nearest != path and not nearest.is_dir():
-        raise StorageError(f"--out {path}: cannot be written: {nearest} is no folder")
+        raise StorageError(f"{option} {path}: cannot be written: {nearest} is no folder")
     if not os.access(nearest, os.W_OK | (os.X_OK if nearest.is_dir() else 0)):
-        raise StorageError(f"--out {path}: cannot be written: no permission to write {nearest}")
+        raise StorageError(f"{option} {path}: cannot be written: no permission to write {nearest}")

@@ -24,14 +24,14 @@ from twinct.volume import Volume
 class RunFolder:
     """A run's folder; each look reads only what is new."""
 
-    def __init__(self, path: Path) -> None:
-        """Of what ``twinct run --out`` wrote, or the scan.zarr in it.
+    def __init__(self, path: Path, *, live: bool = False) -> None:
+        """Of what ``twinct run --out`` wrote, or the scan.zarr in it; ``live``: by this process.
 
         Raises:
             InputError: it is no folder of a run.
         """
         path = path.parent if path.name == "scan.zarr" else path
-        self.paths = Folder(path)
+        self.paths, self._live = Folder(path), live
         if not path.is_dir():
             raise InputError(f"{path}: there is no such folder")
         if not self.paths.scan.is_dir() and not self.paths.scenario.is_file():
@@ -215,7 +215,7 @@ class RunFolder:
         under_way = self._checkpoint() if waiting else None
         if under_way is not None:
             return f"{state}; reconstruction, iteration {under_way[2]}", ()
-        if RECONSTRUCTION in volumes:
+        if RECONSTRUCTION in volumes or self._live:
             return state, ()
         way = (
             "the scan is not whole" if acquired < store.views else "the reconstruction is not done"

@@ -143,7 +143,7 @@ class LivePage:
     def _look(self) -> None:
         if self._follower is None:
             try:
-                folder = RunFolder(self._out)
+                folder = RunFolder(self._out, live=True)
                 shown = folder.look()
             except InputError:
                 return  # nothing is stored yet

@@ -29,6 +29,7 @@ from twinct.view.numbers import (
     on_surface,
 )
 from twinct.view.room import Room
+from twinct.view.scenery import set_lights
 from twinct.view.show import RECONSTRUCTION, TRUTH, Show
 from twinct.view.slices import AXES
 from twinct.view.stage import DIFFERENCE, IN_FRONT_MM, NOTHING, Look, Stage, colour_of
@@ -152,23 +153,8 @@ class Page:
     # The controls.
 
     def _build(self, live: bool) -> None:
-        gui, scene = self.server.gui, self.server.scene
-        scene.configure_environment_map(None)
-        scene.add_light_hemisphere(
-            "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 155), intensity=1.6
-        )
-        scene.add_light_directional(
-            "/light/sun",
-            color=(255, 250, 240),
-            intensity=1.4,
-            position=(1.5, -3.0, 4.0),
-            cast_shadow=False,
-        )
-        scene.configure_default_lights(False)
-        camera = self.server.initial_camera
-        span = 1.0 + 0.45 * (len(self.stages) - 1)
-        camera.position = (0.25 * span, -1.6 * span, 0.3 * span)
-        camera.look_at = (0.0, 0.0, -0.05)
+        gui = self.server.gui
+        set_lights(self.server, len(self.stages))
 
         self._head = gui.add_markdown("")
         with gui.add_folder("View"):
@@ -329,10 +315,11 @@ class Page:
         self._view.max = max(views - 1, 1)
         names = tuple(dict.fromkeys(n for one in self.shows for n in one.geometries))
         if self._geometry.options != names:
-            wanted = self._geometry.value
+            known, wanted = self._geometry.options, self._geometry.value
             self._geometry.options = names
-            best = wanted if wanted in names else names[-1]
-            self._geometry.value = "executed" if "executed" in names and before is None else best
+            taken = "executed" in names and (before is None or "executed" not in known)
+            kept = wanted if wanted in names else names[-1]
+            self._geometry.value = "executed" if taken else kept
         if self._follow.value and show.acquired > (before.acquired if before else 0):
             self._view.value = show.acquired - 1
         volumes = tuple(dict.fromkeys(n for one in self.shows for n in one.volumes))
@@ -390,25 +377,26 @@ class Page:
             stage.set_surface(mesh or None)
 
     def _mark_curves(self, anew: bool) -> None:
-        if anew:
-            self._lay_curves(curves(self.shows))
+        if anew and self._lay_curves(curves(self.shows)):
+            return
         for curve, plot in self._curves:
             if curve.over_views:
                 plot.data = (curve.x, *curve.series.values(), curve.marked(self._look.view))
 
-    def _lay_curves(self, found: list[Curve]) -> None:
-        """Plots of the curves; one that has the series it had keeps its place."""
+    def _lay_curves(self, found: list[Curve]) -> bool:
+        """Plots of the curves, which stay where they have the series that they had; else True."""
         known = [(c.title, tuple(c.series)) for c, _ in self._curves]
         if known == [(c.title, tuple(c.series)) for c in found]:
             self._curves = [(c, plot) for c, (_, plot) in zip(found, self._curves, strict=True)]
             for curve, plot in self._curves:
                 if not curve.over_views:
                     plot.data = (curve.x, *curve.series.values())
-            return
+            return False
         for _, plot in self._curves:
             plot.remove()
         with self._curves_tab:
             self._curves = [(curve, self._plot(curve)) for curve in found]
+        return True
 
     def _plot(self, curve: Curve) -> Any:
         series: list[Any] = [{"label": "view" if curve.over_views else "iteration"}]

@@ -99,12 +99,11 @@ class Show:
         executed = self.poses.get("executed")
         if executed is None or not len(executed):
             return {}
-        views = len(executed)
-        commanded = PosePairs(self.commanded.source[:views], self.commanded.detector[:views])
         found: dict[str, Floats] = {}
-        for name, poses in {"commanded": commanded, **self.poses}.items():
-            if name != "executed" and len(poses) == views:
-                errors = pose_errors(poses, executed)
+        for name, poses in {"commanded": self.commanded, **self.poses}.items():
+            views = min(len(poses), len(executed))  # while a scan goes on not all have the newest
+            if name != "executed" and views:
+                errors = pose_errors(_first(poses, views), _first(executed, views))
                 found[f"{name}, source"] = errors.source.position_mm
                 found[f"{name}, panel"] = errors.detector.position_mm
         return found
@@ -116,3 +115,7 @@ class Show:
             return 0.0, 1.0
         top = float(np.percentile(judged.array[::4, ::4, ::4], 99.5))
         return -0.1 * top, 1.3 * max(top, 1e-6)
+
+
+def _first(poses: PosePairs, views: int) -> PosePairs:
+    return PosePairs(poses.source[:views], poses.detector[:views])

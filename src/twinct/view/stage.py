@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twinct.geometry import MM_PER_M, Floats, Pose, ScanGeometry
 from twinct.view.magnified import corners, magnified
+from twinct.view.projection import Projections
 from twinct.view.room import GantryPlaces, Room
 from twinct.view.show import RECONSTRUCTION, TRUTH, Show
 from twinct.view.slices import AXES, Plane, differences, greys
@@ -44,9 +45,6 @@ _OCTAHEDRON = (
 DIFFERENCE, NOTHING = "difference", "nothing"
 
 FLOOR_M = 4.0
-
-DARKEST = 1e-4
-"""Transmission shown for anything darker."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,8 @@ class Stage:
         self._room: Room | None = None
         self._gantry: GantryPlaces | None = None
         self._nodes: dict[str, Any] = {}
-        self._window = 0.0
+        self._projections: Projections | None = None
+        self._named = 0
         self.clicked: Any = None
         """Called with the name of what was clicked, its details, and the ray of the click."""
 
@@ -106,8 +105,8 @@ class Stage:
         is_gantry = show.scenario.cell.kind == "gantry"
         self._gantry = GantryPlaces(room, *show.commanded[0]) if is_gantry else None
         self._bodies = []
-        for index, body in enumerate(room.bodies):
-            node = self._scene.add_mesh_trimesh(f"{self._root}/room/{index}", body.mesh)
+        for body in room.bodies:
+            node = self._scene.add_mesh_trimesh(self._fresh(f"room/{body.name}"), body.mesh)
             self._clickable(node, "body", body.name)
             self._bodies.append(node)
         if "floor" not in self._nodes:
@@ -155,12 +154,12 @@ class Stage:
             if moved or changed("shown", "window"):
                 self._draw_slice(show, look, axis)
 
-    def set_surface(self, mesh: trimesh.Trimesh | None) -> None:
+    def set_surface(self, mesh: trimesh.Trimesh | None, opacity: float | None = None) -> None:
         """Surface of a volume, world mm; none where None."""
         if mesh is None:
             self._remove("surface")
             return
-        self._mesh("surface", mesh, BONE, None)
+        self._mesh("surface", mesh, BONE, opacity)
 
     def _draw_arms(self, show: Show, view: int) -> None:
         if self._room is not None:
@@ -223,7 +222,10 @@ class Stage:
         self._draw_projection(show, one, view)
 
     def _draw_projection(self, show: Show, one: ScanGeometry, view: int) -> None:
-        picture = self.projection(show, view)
+        if self._projections is None:
+            self._projections = Projections(show)
+        self._projections.show = show
+        picture = self._projections.at(view)
         pose = one.detector_poses()[0]
         front = pose.position + IN_FRONT_MM * one.normal[0]
         placed = Pose(front, pose.quat)
@@ -237,16 +239,6 @@ class Stage:
         else:
             self._nodes["projection"].image = picture
         _place(self._nodes["projection"], placed)
-
-    def projection(self, show: Show, view: int) -> NDArray[np.uint8]:
-        """The image of a view, dense is bright; a dark panel where there is none yet."""
-        if show.transmission is None or view >= show.acquired:
-            return np.full((8, 8, 3), (28, 52, 84), np.uint8)
-        image = show.transmission(view)
-        integrals = -np.log(np.maximum(image, DARKEST))
-        if not self._window:  # one window for all views
-            self._window = 1.25 * float(np.percentile(integrals, 99.5)) or 1.0
-        return greys(integrals, (0.0, self._window))
 
     def _draw_paths(self, show: Show, look: Look) -> None:
         executed = show.geometries.get("executed")
@@ -289,7 +281,7 @@ class Stage:
             return
         self._remove(key)
         self._nodes[key] = self._scene.add_batched_meshes_simple(
-            f"{self._root}/paths/{name}/views", *_OCTAHEDRON,
+            self._fresh(f"paths/{name}/views"), *_OCTAHEDRON,
             batched_wxyzs=still, batched_positions=points, batched_colors=colour_of(name, show),
             flat_shading=True, lod="off", cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
@@ -305,7 +297,7 @@ class Stage:
             _, one, _ = self.shown_geometry(show, Look(view, name, look.factor), view)
             if key not in self._nodes:
                 self._nodes[key] = self._scene.add_icosphere(
-                    f"{self._root}/balls/{name}",
+                    self._fresh(f"balls/{name}"),
                     radius=0.006,
                     color=colour_of(name, show),
                     subdivisions=2,
@@ -326,7 +318,7 @@ class Stage:
         width, height = (edge * MM for edge in plane.size_mm)
         if key not in self._nodes:
             self._nodes[key] = self._scene.add_image(
-                f"{self._root}/slices/{AXES[axis]}", picture, width, height,
+                self._fresh(f"slices/{AXES[axis]}"), picture, width, height,
                 format="jpeg", jpeg_quality=85,
             )  # fmt: skip
             self._clickable(self._nodes[key], "slice", AXES[axis])
@@ -337,7 +329,7 @@ class Stage:
     def _mesh(self, key: str, mesh: trimesh.Trimesh, colour: Any, opacity: float | None) -> None:
         self._remove(key)
         node = self._scene.add_mesh_simple(
-            f"{self._root}/{key.replace(' ', '_')}",
+            self._fresh(key),
             np.asarray(mesh.vertices, np.float32) * np.float32(MM),
             np.asarray(mesh.faces, np.uint32),
             color=colour, opacity=opacity, side="double",
@@ -345,6 +337,11 @@ class Stage:
         self._nodes[key] = node
         if opacity is None:
             self._clickable(node, key, "")
+
+    def _fresh(self, name: str) -> str:
+        """A name in the scene that was never used: browsers mix up what is soon called the same."""
+        self._named += 1
+        return f"{self._root}/{name.replace(' ', '_')}/{self._named}"
 
     def _clickable(self, node: Any, kind: str, detail: str) -> None:
         @node.on_click

@@ -1,0 +1,36 @@
+"""The image of a view as a picture, all views in one window."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.view.show import Show
+from twinct.view.slices import greys
+
+DARKEST = 1e-4
+"""Transmission shown for anything darker."""
+
+EMPTY_RGB = (28, 52, 84)
+"""Of the panel in a view that was not taken."""
+
+HEADROOM = 1.25
+"""The window goes so far beyond what the first image has."""
+
+
+class Projections:
+    """Pictures of the views of a run."""
+
+    def __init__(self, show: Show, window: float = 0.0) -> None:
+        """``window``: of line integrals, from 0; 0: as the first image that is asked for needs."""
+        self.show, self.window = show, window
+
+    def at(self, view: int) -> NDArray[np.uint8]:
+        """Line integrals, dense is bright, (rows, columns, 3); plain where there is no image."""
+        show = self.show
+        if show.transmission is None or view >= show.acquired:
+            return np.full((8, 8, 3), EMPTY_RGB, np.uint8)
+        integrals = -np.log(np.maximum(show.transmission(view), DARKEST))
+        if not self.window:
+            self.window = HEADROOM * float(np.percentile(integrals, 99.5)) or 1.0
+        return greys(integrals, (0.0, self.window))
