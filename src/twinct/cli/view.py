@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from twinct.cli.progress import on_terminal, say
 from twinct.errors import InputError
 from twinct.extras import require
+from twinct.files.writing import check_film, check_page
 from twinct.scenario import load_scenario, named_places
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ def view_command(
     """Show runs or a scenario until interrupted, or write them to files."""
     if not 1 <= len(targets) <= MOST_RUNS:
         raise InputError(f"{len(targets)} folders: the page shows one, or two side by side")
+    if export is not None:
+        check_page(export, "--export")
+    if movie is not None:
+        check_film(movie, "--movie")
     require("view", "robots")
     folders = [target for target in targets if target.is_dir()]
     if not folders and len(targets) == 1:
@@ -151,12 +156,6 @@ def _stay() -> None:
 
 def _write(show: Show, workshop: Workshop, export: Path | None, movie: Path | None) -> None:
     """Write the page, the film, or both."""
-    from twinct.files.writing import check_film, check_page
-
-    if export is not None:
-        check_page(export, "--export")
-    if movie is not None:
-        check_film(movie, "--movie")
     with on_terminal() as audience:
         if export is not None:
             from twinct.view.export import export_page

@@ -159,7 +159,7 @@ class Page:
         self._head = gui.add_markdown("")
         with gui.add_folder("View"):
             self._view = gui.add_slider("view", 0, 1, 1, 0)
-            self._buttons = gui.add_button_group("", ("play", "pause", "back", "on"))
+            self._buttons = gui.add_button_group("", ("play", "pause", "previous", "next"))
             self._rate = gui.add_number("views a second", 10.0, min=0.5, max=FASTEST_HZ, step=0.5)
             self._follow = gui.add_checkbox("follow the scan", live, visible=live)
         with gui.add_folder("Geometry"):
@@ -205,7 +205,7 @@ class Page:
                 self._playing = button == "play"
                 self._changed.notify_all()
         else:
-            self._step(1 if button == "on" else -1)
+            self._step(1 if button == "next" else -1)
 
     def _step(self, by: int) -> None:
         views = int(self._view.max) + 1
@@ -239,8 +239,11 @@ class Page:
             with self._changed:
                 self._busy = False
                 self._changed.notify_all()
-                beat = 1.0 / max(float(self._rate.value), 0.1) if self._playing else None
-                self._changed.wait_for(lambda: self._wishes, beat)
+                while not self._wishes and not self._playing:
+                    self._changed.wait()
+                if self._playing:
+                    beat = 1.0 / max(float(self._rate.value), 0.1)
+                    self._changed.wait_for(lambda: self._wishes, beat)
                 wishes, self._wishes = self._wishes, _Wishes()
                 self._busy = True
                 if self._playing and not wishes:

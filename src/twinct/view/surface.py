@@ -39,7 +39,7 @@ def dense_surface(
     if not padded.min() < level < padded.max():
         return None
     points, faces, _, _ = marching_cubes(padded, level)
-    mesh = trimesh.Trimesh(_placed(points - 1, grid, step), faces[:, ::-1], process=False)
+    mesh = trimesh.Trimesh(_placed(points - 1, grid, step), faces, process=False)
     if len(mesh.faces) > triangles:
         mesh = mesh.simplify_quadric_decimation(face_count=triangles)
     return mesh

@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import viser
+
+from twinct import run
+from twinct.runs import Run
+from twinct.scenario import Scenario, load_scenario
+from twinct.view.server import LOOPBACK, close, serve
+
+HERE = Path(__file__).parent
+DEMO = HERE.parents[1] / "scenarios" / "demo.yaml"
+
+if str(HERE) not in sys.path:  # the listener is shared with benchmarks
+    sys.path.insert(0, str(HERE))
+
+KEYS = (
+    "trajectory.views=8",
+    "detector={columns: 48, rows: 32, pixel_pitch_mm: 6}",
+    # Nothing about it is the same from two sides.
+    "specimen.parts=[{shape: {kind: sphere, radius_mm: 35}}, "
+    "{name: bump, shape: {kind: sphere, radius_mm: 22}, position_mm: [40, 30, 35]}]",
+    "reconstruction.grid={voxels: [20, 24, 28], voxel_mm: 6}",
+    "reconstruction.iterations=2",
+)
+
+
+@pytest.fixture(scope="session")
+def scenario() -> Scenario:
+    """Of seconds."""
+    return load_scenario(DEMO, KEYS)
+
+
+@pytest.fixture(scope="session")
+def finished(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of it; its folder must stay as it is."""
+    return run(scenario, tmp_path_factory.mktemp("view") / "out", link="local")
+
+
+@pytest.fixture
+def server() -> Iterator[viser.ViserServer]:
+    """On any port."""
+    made = serve(LOOPBACK, 0)
+    yield made
+    close(made)
