@@ -35,6 +35,7 @@ test: lint ## Check style and types, run the tests; PYTEST_ARGS="-k sart" choose
 	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "not ($(LONG))" $(PYTEST_ARGS)
 
 test-all: test ## The same, then what takes long: a browser, a cluster, tutorials, the built package
+	@tools/system-libraries browser
 	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "$(LONG)" $(PYTEST_ARGS)
 
 lint: setup ## Check style, formatting, types and layers only

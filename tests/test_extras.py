@@ -18,7 +18,8 @@ DEMO = Path(__file__).parents[1] / "scenarios" / "demo.yaml"
 @pytest.mark.parametrize(
     ("module", "extra"),
     [("mujoco", "robots"), ("mink", "robots"), ("gvxrPython3", "xray"), ("itk", "rtk")]
-    + [("rclpy", "ros"), ("sensor_msgs.msg", "ros"), ("pandas", "study"), ("ray", "cluster")],
+    + [("rclpy", "ros"), ("sensor_msgs.msg", "ros"), ("pandas", "study"), ("ray", "cluster")]
+    + [("viser", "view"), ("mjviser", "view")],
 )
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, module: str, extra: str) -> None:
     monkeypatch.setitem(sys.modules, module, None)
