@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Pose, VolumeGrid
-from twinct.view.slices import Plane, differences, greys, index_at
+from twinct.view.slices import Plane, differences, greys, index_at, release
+from twinct.volume import Volume
 
 GRID = VolumeGrid(
     (5, 7, 9),
@@ -34,6 +37,27 @@ def test_a_plane_lies_where_its_voxels_are(axis: int) -> None:
         y = ((row + 0.5) / rows - 0.5) * height
         world = plane.world_from_plane.apply(np.array([[x, y, 0.0]]))[0]
         assert world @ (1, 100, 10000) == pytest.approx(values[row, column], abs=1e-6)
+
+
+def test_what_is_read_of_a_file_does_not_stay_in_memory(tmp_path: Path) -> None:
+    file = tmp_path / "volume.nii"
+    Volume(
+        np.random.default_rng(0).normal(size=(64, 512, 512)), VolumeGrid((64, 512, 512), 1.0)
+    ).write(file)
+    volume = Volume.read(file)
+    before = mapped_kb()
+    values = Plane.of(volume.grid, 0, 100).values(volume.array)
+    assert np.array_equal(values, np.asarray(volume.array)[:, :, 100])  # which maps it again
+    assert mapped_kb() - before > 30_000  # else this test says nothing
+    release(volume.array)
+    assert mapped_kb() - before < 5_000
+    assert np.array_equal(values, np.asarray(volume.array)[:, :, 100])
+
+
+def mapped_kb() -> int:
+    """Memory of this process that stands for files."""
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return int(status.partition("RssFile:")[2].split()[0])
 
 
 def test_an_index_beyond_the_grid_is_its_last_plane() -> None:

@@ -13,6 +13,7 @@ from twinct.evaluate import pose_errors
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.motion import MotionPlan
 from twinct.scenario import Scenario
+from twinct.view.slices import release
 from twinct.views import PosePairs
 from twinct.volume import Volume
 
@@ -114,6 +115,7 @@ class Show:
         if judged is None:
             return 0.0, 1.0
         top = float(np.percentile(judged.array[::4, ::4, ::4], 99.5))
+        release(judged.array)
         return -0.1 * top, 1.3 * max(top, 1e-6)
 
 

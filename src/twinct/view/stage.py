@@ -15,7 +15,7 @@ from twinct.view.magnified import corners, magnified
 from twinct.view.projection import Projections
 from twinct.view.room import GantryPlaces, Room
 from twinct.view.show import RECONSTRUCTION, TRUTH, Show
-from twinct.view.slices import AXES, Plane, differences, greys
+from twinct.view.slices import AXES, Plane, differences, greys, values_of
 
 MM = 1 / MM_PER_M
 
@@ -368,9 +368,9 @@ def slice_picture(
 ) -> NDArray[np.uint8]:
     """A plane of a volume, or of its difference to the truth."""
     if shown != DIFFERENCE:
-        return greys(plane.values(show.volumes[shown].array), window)
+        return greys(values_of(show.volumes[shown], plane), window)
     volume, truth = show.volumes[RECONSTRUCTION], show.volumes[TRUTH]
-    values = plane.values(volume.array) - plane.values(truth.array)
+    values = values_of(volume, plane) - values_of(truth, plane)
     return differences(values, (window[1] - window[0]) / 2)
 
 

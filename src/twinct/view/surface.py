@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
 from twinct.geometry import Floats, VolumeGrid
+from twinct.view.slices import release
 
 MOST_VOXELS = 160
 """Along an axis; what has more is averaged before its surface is looked for."""
@@ -54,6 +55,7 @@ def averaged(array: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     for k in range(nz):
         slab = array[k * step : (k + 1) * step, : ny * step, : nx * step]
         found[k] = slab.reshape(step, ny, step, nx, step).mean(axis=(0, 2, 4), dtype=np.float32)
+    release(array)
     return found
 
 
