@@ -70,16 +70,19 @@ def say(found: dict) -> None:
 
 
 def viewing(folder: Path) -> subprocess.Popen:
+    """The command, when it has said where the page is."""
     words = ["view", str(folder), "--port", str(PORT)]
-    return subprocess.Popen(
-        [sys.executable, "-m", "twinct", *words], stdout=subprocess.DEVNULL, text=True
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "twinct", *words], stdout=subprocess.PIPE, text=True
     )
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("page: ")
+    return process
 
 
 def drawn(folder: Path) -> dict:
     """Seconds from the command until the room is in the picture, of three."""
     from browser import Browser
-    from selenium.common.exceptions import WebDriverException
 
     seconds = []
     with closing(Browser()) as browser:
@@ -88,12 +91,7 @@ def drawn(folder: Path) -> dict:
             start = time.monotonic()
             process = viewing(folder)
             try:
-                while True:
-                    try:
-                        browser.open(PORT)
-                        break
-                    except (WebDriverException, AssertionError):
-                        time.sleep(0.05)
+                browser.open(PORT)
                 seconds.append(time.monotonic() - start)
                 browser.leave()
             finally:
@@ -196,7 +194,8 @@ def live(out: Path) -> dict:
     stored: dict[int, float] = {}
     server = serve(LOOPBACK, 0)
     with closing(Page(server, live=True)) as page, closing(Listener(server.get_port())) as browser:
-        live_page = LivePage(page, out)
+        workshop = Workshop(scenario)
+        live_page = LivePage(page, out, workshop)
         off = False
 
         def hear(event: Event) -> None:
@@ -213,7 +212,7 @@ def live(out: Path) -> dict:
             Observer(hear, joints_hz=10.0, waiting=64),
             Observer(note, (ViewStored,), lossless=True),
         ]
-        run_scan(scenario, out, observers)
+        run_scan(workshop, out, observers)
         page.settle()
         time.sleep(1)
         sent = first_sent(browser.heard)
@@ -244,11 +243,11 @@ def heard(view: int) -> bool:
     return view // BLOCK % 2 == 0
 
 
-def run_scan(scenario, out: Path, observers: list[Observer]) -> None:
+def run_scan(workshop: Workshop, out: Path, observers: list[Observer]) -> None:
     """Acquire into a store, as a run does."""
     out.mkdir()
-    folder, workshop = Folder(out), Workshop(scenario)
-    write_text(folder.scenario, as_yaml(scenario))
+    folder = Folder(out)
+    write_text(folder.scenario, as_yaml(workshop.scenario))
     with (
         audience_of(observers) as audience,
         rig_factory("ros2", folder.logs, audience) as make_rig,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import threading
 import time
@@ -14,6 +15,20 @@ import viser
 import websockets.sync.client
 import zstandard
 from PIL import Image
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (0.0, -2.0, 0.0),
+    "fov": 1.0,
+    "image_height": 600,
+    "image_width": 800,
+    "near": 0.01,
+    "far": 100.0,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+"""Where it looks from: who has not said so is not heard."""
 
 
 class Listener:
@@ -32,21 +47,8 @@ class Listener:
             compression=None,
             **headers,
         )
-        # Who has not said where it looks from is not heard.
-        self.send(
-            {
-                "type": "ViewerCameraMessage",
-                "wxyz": (1.0, 0.0, 0.0, 0.0),
-                "position": (0.0, -2.0, 0.0),
-                "fov": 1.0,
-                "image_height": 600,
-                "image_width": 800,
-                "near": 0.01,
-                "far": 100.0,
-                "look_at": (0.0, 0.0, 0.0),
-                "up_direction": (0.0, 0.0, 1.0),
-            }
-        )
+        with contextlib.suppress(websockets.ConnectionClosed):  # who is refused
+            self.send(CAMERA)
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
 

@@ -198,6 +198,14 @@ def test_a_click_on_the_panel_says_the_pixel(page: Page, show: Show) -> None:
     assert "column 11, row 20" in page._numbers.content
 
 
+def test_a_click_on_a_path_goes_to_its_view(page: Page, show: Show) -> None:
+    eye = np.array([100.0, -1700.0, 500.0])
+    page._select(0, "path", "executed", eye, show.geometries["executed"].source[5] - eye)
+    assert page.settle()
+    assert page.look.view == 5
+    assert page._numbers.content.startswith("**View 5** of 8")
+
+
 def test_two_runs_stand_side_by_side(server: viser.ViserServer, show: Show) -> None:
     with closing(Page(server, 2)) as page:
         for run in (0, 1):

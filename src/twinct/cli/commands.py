@@ -148,12 +148,15 @@ def run(
             is over, until Ctrl-C.
     """
     from twinct import runs
+    from twinct.scan import Workshop
 
     loaded = load_scenario(scenario, set_)
     with ExitStack() as page:
-        live = []
+        live, workshop = [], None
         if view:
-            live = [page.enter_context(live_page(out, host, port, allow_network)).observer]
+            workshop = Workshop(loaded)  # what the run builds the page need not build again
+            told = live_page(out, workshop, host, port, allow_network)
+            live = [page.enter_context(told).observer]
         with named_places(scenario, set_), on_terminal(live) as audience:
             finished = runs.run(
                 loaded,
@@ -162,6 +165,7 @@ def run(
                 resume=resume,
                 record=record,
                 threads=threads,
+                workshop=workshop,
                 observers=audience,
             )
         _say_result(finished)

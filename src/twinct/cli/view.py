@@ -13,6 +13,7 @@ from twinct.errors import InputError
 from twinct.extras import require
 from twinct.files.writing import check_film, check_page
 from twinct.scenario import load_scenario, named_places
+from twinct.view.found import folder_of_run
 
 if TYPE_CHECKING:
     import viser
@@ -41,41 +42,39 @@ def view_command(
     if movie is not None:
         check_film(movie, "--movie")
     require("view", "robots")
-    folders = [target for target in targets if target.is_dir()]
-    if not folders and len(targets) == 1:
+    if len(targets) == 1 and not targets[0].is_dir():
         _view_scenario(targets[0], host, port, allow_network, export, movie, set_)
         return
     if set_:
         raise InputError(f"--set {set_[0]}: a run is shown as it is; --set is for a scenario")
-    from twinct.scan import Workshop
-    from twinct.view.folder import RunFolder
-
-    runs = [RunFolder(target) for target in targets]
-    shows = [run.look() for run in runs]
+    folders = [folder_of_run(target) for target in targets]
     if export is not None or movie is not None:
-        if len(runs) > 1:
+        if len(folders) > 1:
             raise InputError("--export and --movie take one folder")
-        show = shows[0]
+        from twinct.scan import Workshop
+        from twinct.view.folder import RunFolder
+
+        show = RunFolder(folders[0]).look()
         _write(show, Workshop(show.scenario, show.plan), export, movie)
         return
-    from twinct.view.filling import fill
-    from twinct.view.following import Follower
-    from twinct.view.page import Page
+    # A browser loads the page while what reads the run is imported.
+    with serving(host, port, allow_network) as server:
+        from twinct.view.filling import fill
+        from twinct.view.folder import RunFolder
+        from twinct.view.following import Follower
+        from twinct.view.page import Page
 
-    with serving(host, port, allow_network) as server, ExitStack() as stack:
-        page = stack.enter_context(closing(Page(server, len(runs), live=_goes_on(runs))))
-        for index, (run, show) in enumerate(zip(runs, shows, strict=True)):
-            fill(page, index, show)
-            stack.enter_context(closing(Follower(page, index, run, show)))
-            for problem in show.problems:
-                say(problem, warning=True)
-        _stay()
-
-
-def _goes_on(runs: Sequence[object]) -> bool:
-    from twinct.view.folder import RunFolder
-
-    return any(isinstance(run, RunFolder) and run.under_way for run in runs)
+        runs = [RunFolder(folder) for folder in folders]
+        live = any(run.under_way for run in runs)
+        with ExitStack() as stack:
+            page = stack.enter_context(closing(Page(server, len(runs), live=live)))
+            for index, run in enumerate(runs):
+                show = run.look()
+                fill(page, index, show)
+                stack.enter_context(closing(Follower(page, index, run, show)))
+                for problem in show.problems:
+                    say(problem, warning=True)
+            _stay()
 
 
 def _view_scenario(
@@ -131,7 +130,9 @@ def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserSe
 
 
 @contextmanager
-def live_page(out: Path, host: str, port: int, allow_network: bool) -> Iterator[LivePage]:
+def live_page(
+    out: Path, workshop: Workshop, host: str, port: int, allow_network: bool
+) -> Iterator[LivePage]:
     """A page that observes a run; it stays afterwards until interrupted, unless the run fails."""
     require("view")
     from twinct.view.following import LivePage
@@ -139,7 +140,7 @@ def live_page(out: Path, host: str, port: int, allow_network: bool) -> Iterator[
 
     with serving(host, port, allow_network) as server:
         with closing(Page(server, live=True)) as page:
-            live = LivePage(page, out)
+            live = LivePage(page, out, workshop)
             yield live
             live.close()
             say("the run is over; the page stays until Ctrl-C")

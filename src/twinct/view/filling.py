@@ -60,6 +60,7 @@ def fill(page: Page, run: int, show: Show, workshop: Workshop | None = None) -> 
 
 
 def _fill_up(page: Page, run: int, show: Show, workshop: Workshop | None) -> None:
+    page.let_draw()
     workshop = workshop or Workshop(show.scenario, show.plan)
     try:
         page.put_room(run, whole_room(show, workshop))

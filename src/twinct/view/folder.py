@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from twinct.errors import InputError
-from twinct.geometry import Floats, Pose
+from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.observers import IterationDone
 from twinct.runs import Folder
 from twinct.scan import OWN, Readings, ScanStore, Workshop, named_geometries
 from twinct.scenario import Scenario
+from twinct.view.found import folder_of_run
 from twinct.view.show import RECONSTRUCTION, TRUTH, Show
 from twinct.views import PosePairs
 from twinct.volume import Volume
@@ -30,15 +31,7 @@ class RunFolder:
         Raises:
             InputError: it is no folder of a run.
         """
-        path = path.parent if path.name == "scan.zarr" else path
-        self.paths, self._live = Folder(path), live
-        if not path.is_dir():
-            raise InputError(f"{path}: there is no such folder")
-        if not self.paths.scan.is_dir() and not self.paths.scenario.is_file():
-            raise InputError(
-                f"{path} is no folder of a run: it holds neither scan.zarr nor scenario.yaml; "
-                "'twinct run SCENARIO --out DIR' makes one"
-            )
+        self.paths, self._live = Folder(folder_of_run(path)), live
         self._store: ScanStore | None = None
         self._commanded: PosePairs | None = None
         self._read: list[Readings] = []
@@ -102,12 +95,15 @@ class RunFolder:
         else:
             base = before
         executed, objects, joints, clearance = self._joined(store)
+        poses = self._poses(store, executed, acquired)
+        made = self._made(base, poses)
         volumes, waiting = self._volumes()
         residuals = self._residuals()
         state, problems = self._said(store, acquired, volumes, waiting)
         return replace(
             base,
-            poses=self._poses(store, executed, acquired),
+            poses=poses,
+            made=made,
             objects=objects,
             joints=joints,
             clearance_mm=clearance,
@@ -156,6 +152,23 @@ class RunFolder:
             if poses is not None and self._reported[0] <= acquired:
                 found["believed"] = poses
         return found | {name: poses for name, poses in derived.items() if name not in OWN}
+
+    def _made(self, base: Show, poses: Mapping[str, PosePairs]) -> dict[str, ScanGeometry]:
+        """Geometries of these poses; of executed ones only those of new views are made."""
+        panel, before = base.scenario.detector.panel, base.made
+        made = {"commanded": before.get("commanded") or base.commanded.geometry(panel)}
+        for name, now in poses.items():
+            old = before.get(name)
+            if not len(now):
+                continue
+            if old is None or (name != "executed" and now is not base.poses.get(name)):
+                made[name] = now.geometry(panel)
+            elif len(old) < len(now):
+                rest = PosePairs(now.source[len(old) :], now.detector[len(old) :])
+                made[name] = ScanGeometry.joined([old, rest.geometry(panel)])
+            else:
+                made[name] = old
+        return made
 
     def _volumes(self) -> tuple[dict[str, Volume], bool]:
         """All volumes that there are, and whether the run's own is still to come."""

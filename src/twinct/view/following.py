@@ -21,6 +21,7 @@ from twinct.observers import (
     StageStep,
     ViewStored,
 )
+from twinct.scan import Workshop
 from twinct.view.filling import fill
 from twinct.view.folder import RunFolder
 from twinct.view.page import Page
@@ -96,9 +97,9 @@ def mark(show: Show) -> tuple[object, ...]:
 class LivePage:
     """A page as an observer of a run in this process."""
 
-    def __init__(self, page: Page, out: Path) -> None:
-        """``out`` is the run's folder, which need not be there yet."""
-        self._page, self._out = page, out
+    def __init__(self, page: Page, out: Path, workshop: Workshop | None = None) -> None:
+        """``out`` is the run's folder, which need not be there yet; the workshop is the run's."""
+        self._page, self._out, self._workshop = page, out, workshop
         self._follower: Follower | None = None
         self._shown: Show | None = None
         page.say("planning")
@@ -116,7 +117,7 @@ class LivePage:
             case PlanMade(scenario, commanded, plan):
                 name = self._out.name
                 self._shown = Show(name, scenario, commanded, plan=plan, state="planned")
-                fill(self._page, 0, self._shown)
+                fill(self._page, 0, self._shown, self._workshop)
             case JointSample():
                 self._page.move(0, event.position)
             case ViewStored() | Missed() | StageEnded():
@@ -150,7 +151,7 @@ class LivePage:
             if not shown.poses:
                 return
             if self._shown is None:
-                fill(self._page, 0, shown)
+                fill(self._page, 0, shown, self._workshop)
             else:
                 self._page.put(0, shown)
             self._shown = shown

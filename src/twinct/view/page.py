@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Condition, Thread
+from threading import Event as Signal
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,9 @@ APART_M = 3.2
 
 FASTEST_HZ = 30.0
 """Paintings a second, at most."""
+
+BROWSER_COMES_S, BROWSER_DRAWS_S = 2.0, 2.0
+"""How long a first browser may take to come, and then to draw, before heavy work begins."""
 
 SURFACE_SHARE = 0.5
 """Level of the bone surface at first: this share of the densest material in the window."""
@@ -84,13 +88,15 @@ class Page:
             stage.clicked = lambda *told, k=k: self._select(k, *told)
         self._look = Look()
         self._painted: Look | None = None
-        self._selected: tuple[int, str] | None = None
+        self._selected = 0
         self._surface: tuple[Any, ...] = ()
         self._tiles: tuple[Any, ...] = ()
         self._curves: list[tuple[Curve, Any]] = []
         self._busy = False
         self._playing = False
         self._mute = False
+        self._opened = Signal()
+        server.on_client_connect(lambda _: self._opened.set())
         self._build(live)
         self._thread = Thread(target=self._paint_on, name="page", daemon=True)
         self._thread.start()
@@ -129,6 +135,11 @@ class Page:
         """Wait until all that was wanted is painted; whether it was in time."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._wishes and not self._busy, timeout_s)
+
+    def let_draw(self) -> None:
+        """Wait while a browser may draw for the first time, which work here would hold up."""
+        if self._opened.wait(BROWSER_COMES_S):
+            time.sleep(BROWSER_DRAWS_S)
 
     def close(self) -> None:
         """Paint no more."""
@@ -279,18 +290,21 @@ class Page:
             anew = self._take(wishes)
             self._look = self._read_controls()
             before = None if anew else self._painted
+            other_view = before is None or before.view != self._look.view
             if self.shows:
                 for stage, show in zip(self.stages, self._shows, strict=True):
                     if show is not None:
                         stage.draw(show, self._look, before)
                 self._painted = self._look
-                self._mark_curves(anew)
+                if other_view:
+                    self._mark_curves(anew)
             for run, joints in wishes.joints.items():
                 self.stages[run].move(joints)
         if self.shows:
             self._paint_sheet()
             self._paint_surfaces()
-            self._paint_numbers(anew)
+            if other_view:
+                self._paint_numbers()
 
     def _take(self, wishes: _Wishes) -> bool:
         """Take over what came; whether all is to be drawn anew."""
@@ -431,9 +445,9 @@ class Page:
         if kind == "path":
             found = nearest_view(show, detail, origin, along)
             if found is not None:
-                self._selected = run, "view"
+                self._selected = run
                 self.show_view(found)
-                return
+                told = of_view(show, found)
         elif kind == "projection":
             _, drawn, _ = stage.shown_geometry(show, look, view)
             told = of_pixel(show, drawn, view, origin, along, IN_FRONT_MM)
@@ -449,14 +463,12 @@ class Page:
         else:
             told = of_joints(show, view, detail)
         if told is not None:
-            self._selected = run, "else"
             self._numbers.content = told
 
-    def _paint_numbers(self, anew: bool) -> None:
-        """The numbers of the view, where nothing else was selected."""
-        run, kind = self._selected or (0, "view")
-        show = self._shows[run]
-        if kind == "view" and show is not None:
+    def _paint_numbers(self) -> None:
+        """The numbers of the view, of the run in which one was clicked."""
+        show = self._shows[self._selected]
+        if show is not None:
             self._numbers.content = of_view(show, min(self._look.view, len(show) - 1))
 
 

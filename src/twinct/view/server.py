@@ -53,6 +53,8 @@ def serve(
     _require_free(host, port)
     with _quiet():
         server = viser.ViserServer(host=host, port=port, verbose=False, label=label)
+    # Whoever only knocks at the port is none of the user's business.
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     if port and server.get_port() != port:  # somebody was faster: viser took the next one
         close(server)
         raise InputError(_in_use(port))

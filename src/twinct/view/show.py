@@ -41,6 +41,7 @@ class Show:
         volumes: by name; ``reconstruction`` is the run's own, others bear the name they were given,
             ``truth`` is what they are judged against. Memory-mapped.
         residuals: of each iteration, by geometry.
+        made: geometries of these poses that are made already, by name.
         refused: views that the arms cannot have, where there is no plan.
         state: in one line for people.
         problems: what a user should know, a sentence each.
@@ -57,6 +58,7 @@ class Show:
     transmission: Callable[[int], Image] | None = None
     volumes: Mapping[str, Volume] = field(default_factory=dict[str, Volume])
     residuals: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
+    made: Mapping[str, ScanGeometry] = field(default_factory=dict[str, ScanGeometry])
     refused: tuple[int, ...] = ()
     state: str = ""
     problems: tuple[str, ...] = ()
@@ -73,10 +75,11 @@ class Show:
     @cached_property
     def geometries(self) -> Mapping[str, ScanGeometry]:
         """All geometries by name: ``commanded`` of all views, the others of those on disk."""
-        panel = self.scenario.detector.panel
-        found = {"commanded": self.commanded.geometry(panel)}
-        return found | {
-            name: poses.geometry(panel) for name, poses in self.poses.items() if len(poses)
+        panel, made = self.scenario.detector.panel, self.made
+        return {
+            name: made[name] if name in made else poses.geometry(panel)
+            for name, poses in {"commanded": self.commanded, **self.poses}.items()
+            if len(poses)
         }
 
     def geometry(self, name: str, view: int) -> tuple[str, ScanGeometry]:

@@ -1,0 +1,26 @@
+"""Whether there is a run to show: known before anything large is imported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from twinct.errors import InputError
+
+SCAN, SCENARIO = "scan.zarr", "scenario.yaml"
+
+
+def folder_of_run(path: Path) -> Path:
+    """The folder that a path means: what ``twinct run --out`` wrote, or the scan.zarr in it.
+
+    Raises:
+        InputError: it is no folder of a run.
+    """
+    path = path.parent if path.name == SCAN else path
+    if not path.is_dir():
+        raise InputError(f"{path}: there is no such folder")
+    if not (path / SCAN).is_dir() and not (path / SCENARIO).is_file():
+        raise InputError(
+            f"{path} is no folder of a run: it holds neither {SCAN} nor {SCENARIO}; "
+            "'twinct run SCENARIO --out DIR' makes one"
+        )
+    return path
