@@ -15,6 +15,7 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webelement import WebElement
 
 WIDTH, HEIGHT = 1200, 760
 
@@ -117,8 +118,13 @@ class Browser:
         path = f"//*[normalize-space(text())='{label}']/following::input[not(@type='hidden')][1]"
         self._driver.find_element(By.XPATH, path).click()
         choice = f"//*[@role='option'][normalize-space(.)='{option}']"
-        self.wait(lambda: self._driver.find_elements(By.XPATH, choice), f"no option {option}")
-        self._driver.find_element(By.XPATH, choice).click()
+
+        def offered() -> list[WebElement]:  # those of other drop-downs are there, too, but hidden
+            found = self._driver.find_elements(By.XPATH, choice)
+            return [element for element in found if element.is_displayed()]
+
+        self.wait(offered, f"no option {option}")
+        offered()[0].click()
 
     def press(self, button: str) -> None:
         self._driver.find_element(By.XPATH, f"//button[normalize-space(.)='{button}']").click()

@@ -10,6 +10,7 @@ import viser
 from twinct import run
 from twinct.runs import Run
 from twinct.scenario import Scenario, load_scenario
+from twinct.view import page
 from twinct.view.server import LOOPBACK, close, serve
 
 HERE = Path(__file__).parent
@@ -47,3 +48,9 @@ def server() -> Iterator[viser.ViserServer]:
     made = serve(LOOPBACK, 0)
     yield made
     close(made)
+
+
+@pytest.fixture(autouse=True)
+def _no_browser_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "BROWSER_COMES_S", 0.0)
+    monkeypatch.setattr(page, "BROWSER_DRAWS_S", 0.0)

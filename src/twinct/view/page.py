@@ -39,7 +39,7 @@ from twinct.view.tiles import slices_beside
 
 log = logging.getLogger(__name__)
 
-APART_M = 3.2
+APART_M = 2.8
 """Between the isocentres of two runs side by side."""
 
 FASTEST_HZ = 30.0
@@ -82,7 +82,7 @@ class Page:
         self._shows: list[Show | None] = [None] * runs
         half = APART_M * (runs - 1) / 2
         self.stages = [
-            Stage(server, f"run{k}", np.array([0.0, APART_M * k - half, 0.0])) for k in range(runs)
+            Stage(server, f"run{k}", np.array([APART_M * k - half, 0.0, 0.0])) for k in range(runs)
         ]
         for k, stage in enumerate(self.stages):
             stage.clicked = lambda *told, k=k: self._select(k, *told)
@@ -170,7 +170,7 @@ class Page:
         self._head = gui.add_markdown("")
         with gui.add_folder("View"):
             self._view = gui.add_slider("view", 0, 1, 1, 0)
-            self._buttons = gui.add_button_group("", ("play", "pause", "previous", "next"))
+            self._buttons = gui.add_button_group("", ("play", "pause", "back", "next"))
             self._rate = gui.add_number("views a second", 10.0, min=0.5, max=FASTEST_HZ, step=0.5)
             self._follow = gui.add_checkbox("follow the scan", live, visible=live)
         with gui.add_folder("Geometry"):

@@ -18,6 +18,6 @@ def set_lights(server: viser.ViserServer, runs: int = 1) -> None:
         "/light/sun", color=(255, 250, 240), intensity=1.2, position=(1.5, -3.0, 4.0),
         cast_shadow=False,
     )  # fmt: skip
-    span = 1.0 + 0.6 * (runs - 1)
-    camera.position = (0.5 * span, -1.75 * span, 0.5 * span)
+    span = 1.0 + 0.9 * (runs - 1)
+    camera.position = (0.42 if runs == 1 else 0.0, -1.5 * span, 0.42 * span)
     camera.look_at = (0.0, 0.0, -0.1)
