@@ -9,7 +9,7 @@ import pytest
 
 BLOCKED = (
     *("mujoco", "mink", "ruckig", "ompl", "gvxrPython3", "spekpy", "rclpy", "sensor_msgs", "itk"),
-    *("ctsimu", "ray", "pandas", "pyarrow", "optuna"),
+    *("ctsimu", "ray", "pandas", "pyarrow", "optuna", "viser", "mjviser", "imageio_ffmpeg"),
 )
 MODULES = (
     "twinct",
@@ -34,6 +34,7 @@ MODULES = (
     "twinct.study.results",
     "twinct.trajectory",
     "twinct.uncertainty",
+    "twinct.view.found",
     "twinct.xray",
 )
 
