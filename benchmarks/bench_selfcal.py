@@ -24,8 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.calibration import PosePrior, aligned, self_calibrated
-from twinct.calibration.consistency import all_moved
+from twinct.calibration import PosePrior, Round, aligned, self_calibrated
+from twinct.calibration.consistency import ROUNDS, all_moved
 from twinct.evaluate import image_figures, region_of_interest
 from twinct.geometry import Pose, ScanGeometry
 from twinct.recon import Projector, sart
@@ -137,6 +137,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", nargs="+", type=int, default=(1, 2, 3))
     parser.add_argument("--factor", type=int, default=1)
+    parser.add_argument("--rounds", nargs="+", type=int, help="how much larger pixels are in each")
     parser.add_argument("--out", type=Path, default=Path("out/selfcal"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -172,7 +173,8 @@ def main() -> None:
             }[errors]
             start = time.perf_counter()
             what = "patient" if errors == "nod" else "arms"
-            found = self_calibrated(p, believed, grid, prior, what=what)
+            rounds = [Round(one) for one in options.rounds] if options.rounds else ROUNDS
+            found = self_calibrated(p, believed, grid, prior, what=what, rounds=rounds)
             seconds = time.perf_counter() - start
             case: dict = {"errors": errors, "seed": seed, "seconds": round(seconds)}
             for name, geometry in (("believed", believed), ("found", found.geometry)):
