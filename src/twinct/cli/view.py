@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,7 +58,7 @@ def view_command(
         _write(show, Workshop(show.scenario, show.plan), export, movie)
         return
     # A browser loads the page while what reads the run is imported.
-    with serving(host, port, allow_network) as server:
+    with suppress(KeyboardInterrupt), serving(host, port, allow_network) as server:
         from twinct.view.filling import fill
         from twinct.view.folder import RunFolder
         from twinct.view.following import Follower
@@ -97,7 +97,11 @@ def _view_scenario(
             show = planned(workshop)
         _write(show, workshop, export, movie)
         return
-    with serving(host, port, allow_network) as server, closing(Page(server)) as page:
+    with (
+        suppress(KeyboardInterrupt),
+        serving(host, port, allow_network) as server,
+        closing(Page(server)) as page,
+    ):
         page.say("planning")
         with named_places(file, set_):
             show = planned(workshop)
