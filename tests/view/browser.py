@@ -34,6 +34,9 @@ KNOWN = ("THREE.Clock: This module", "KHR_parallel_shader_compile", "GPU stall d
 CHANGED = 12
 """Difference of grey values by which a pixel counts as another; what is drawn anew is the same."""
 
+REST_S = 2.0
+"""A machine with other work draws now and then: what came late must not count as a change."""
+
 
 class Browser:
     """One Chromium for a whole test run; a page is opened in place of the one before."""
@@ -85,22 +88,24 @@ class Browser:
         return grey[rows // 5 : rows * 9 // 10, columns * 2 // 5 : columns * 7 // 10]
 
     def still(self) -> np.ndarray:
-        """The picture when it does not change any more."""
-        before = self.picture()
+        """The picture when it has not changed for ``REST_S``."""
+        before, since = self.picture(), time.monotonic()
 
         def settled() -> bool:
-            nonlocal before
+            nonlocal before, since
             before, last = self.picture(), before
-            return different(before, last) == 0
+            if different(before, last) > 0:
+                since = time.monotonic()
+            return time.monotonic() - since >= REST_S
 
-        self.wait(settled, "the picture does not come to rest")
+        self.wait(settled, "the picture does not come to rest", 120.0)
         return before
 
     def changes(self, before: np.ndarray, least: int = 40) -> None:
         """Wait until so many pixels are others."""
         self.wait(lambda: different(self.picture(), before) >= least, "the picture stays as it was")
 
-    def wait(self, done: Callable[[], object], problem: str, timeout_s: float = 25.0) -> None:
+    def wait(self, done: Callable[[], object], problem: str, timeout_s: float = 60.0) -> None:
         end = time.monotonic() + timeout_s
         while not done():
             assert time.monotonic() < end, problem
