@@ -40,7 +40,7 @@ LATER = [
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory):
     """A phantom's scan along the paper's path."""
-    scenario = load_scenario(SCENARIOS / "balls.yaml", [*KEYS, BALLS, "trajectory.views=14"])
+    scenario = load_scenario(SCENARIOS / "balls.yaml", [*KEYS, BALLS, "trajectory.views=20"])
     return run(scenario, tmp_path_factory.mktemp("balls") / "out", link="local").paths.path
 
 
@@ -63,10 +63,10 @@ def rms_mm(scan, name):
 
 
 def test_a_later_path_is_believed_where_it_was(found, later):
-    assert found.views >= 12 and found.misfit < 2  # some see too few of so few balls
+    assert found.views >= 16 and found.misfit < 2  # some see too few of so few balls
     scan = load_scan(later)
     # A few coarse views of one path; what is left of many: benchmarks/bench_kinematics.py.
-    assert rms_mm(scan, "kinematics") < 0.3 < 0.9 < rms_mm(scan, "believed")
+    assert rms_mm(scan, "kinematics") < 0.4 < 0.9 < rms_mm(scan, "believed")
     assert scan.derived["kinematics"].made_by["model"] == "kinematics"
 
 
