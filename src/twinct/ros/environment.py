@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import random
 import socket
 import sys
 import sysconfig
@@ -21,7 +22,7 @@ DOMAINS = range(1, 101)
 """Domains to choose from: their UDP ports stay below the range the kernel hands out."""
 LARGEST_DOMAIN = 232
 _YOUNG_S = 1.0
-_PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT = 7400, 250, 10
+_PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT, _LAST_PROBED = 7400, 250, 10, 50
 
 
 def require_ros() -> None:
@@ -108,12 +109,12 @@ def roomy_shared_memory(size: int) -> Iterator[None]:
 class Domain:
     """A ROS domain that no other scan on this machine uses, held until ``close``.
 
-    The hold is a locked file, inherited by the nodes: it ends with the last process that has it,
-    however that process ends.
+    The hold is the name of a socket, inherited by the nodes: it ends with the last process that has
+    it, however that process ends. All who share a network share such names, containers and other
+    users too, whatever folders they see.
 
     Attributes:
         id: the number for ``ROS_DOMAIN_ID``.
-        hold: descriptor of the locked file, for child processes to inherit.
     """
 
     def __init__(self, wanted: int | None = None) -> None:
@@ -132,56 +133,50 @@ class Domain:
         if wanted is not None:
             if not 0 <= wanted <= LARGEST_DOMAIN:
                 raise InputError(f"{origin}={wanted} is not a number from 0 to {LARGEST_DOMAIN}")
-            hold = _lock(wanted)
+            hold = _hold(wanted)
             if hold is None:
                 taken = f"{origin}={wanted}: another scan on this machine uses this domain"
                 raise InputError(f"{taken}; choose another, or none for a free one")
-            self.id, self.hold = wanted, hold
+            self.id, self._hold = wanted, hold
             return
-        start = os.getpid() % len(DOMAINS)
-        for number in (*DOMAINS[start:], *DOMAINS[:start]):
-            hold = _lock(number)
+        # By chance: two containers that start alike have equal process ids too.
+        for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+            hold = _hold(number)
             if hold is None:
                 continue
             if _silent(number):
-                self.id, self.hold = number, hold
+                self.id, self._hold = number, hold
                 return
-            os.close(hold)
+            hold.close()
         all_ = f"all ROS domains from {DOMAINS[0]} to {DOMAINS[-1]}"
         raise LinkError(f"{all_} are in use on this machine")
 
+    @property
+    def hold(self) -> int:
+        """Descriptor of the hold, for child processes to inherit."""
+        return self._hold.fileno()
+
     def close(self) -> None:
         """Give the domain back; a second call does nothing."""
-        if self.hold >= 0:
-            os.close(self.hold)
-            self.hold = -1
+        self._hold.close()
 
 
-def _lock(domain: int) -> int | None:
-    """Descriptor of the domain's locked file, or None when somebody else holds it."""
-    # One folder for all users: a scan of somebody else must be seen too.
-    path = Path(tempfile.gettempdir()) / f"twinct-ros-domain-{domain}.lock"
+def _hold(domain: int) -> socket.socket | None:
+    """The socket whose name is the domain's, or None when somebody else has it."""
+    held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
-    except PermissionError:
-        try:
-            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-        except OSError:
-            return None
-    with suppress(OSError):
-        os.fchmod(descriptor, 0o666)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        held.bind(f"\0twinct-ros-domain-{domain}")  # a name without a file
     except OSError:
-        os.close(descriptor)
+        held.close()
         return None
-    return descriptor
+    return held
 
 
 def _silent(domain: int) -> bool:
     """Whether no ROS participant of this machine listens on the domain's ports."""
     base = _PORT_BASE + _PORTS_PER_DOMAIN * domain
-    for port in (base, base + _FIRST_PARTICIPANT, base + _FIRST_PARTICIPANT + 1):
+    # Two ports a participant: whoever came first may be gone while others stay.
+    for port in (base, *range(base + _FIRST_PARTICIPANT, base + _LAST_PROBED)):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
                 probe.bind(("", port))

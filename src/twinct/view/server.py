@@ -24,7 +24,6 @@ from twinct.errors import InputError
 log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
-DEFAULT_PORT = 8080
 LOCAL_NAMES = ("localhost", LOOPBACK, "::1")
 
 
