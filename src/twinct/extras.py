@@ -23,6 +23,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
 _FOUND: dict[str, tuple[str, ...]] = {
     "xray": ("gvxrPython3",),
     "study": ("optuna",),
+    "planning": ("cmaes",),
     "cluster": ("ray",),
     "view": ("viser", "mjviser", "imageio_ffmpeg", "fast_simplification"),
 }
