@@ -216,6 +216,27 @@ def test_the_nearest_bodies_are_named(report, undrawn) -> None:
     assert "nearest are table and source_forearm" in render_report(named)
 
 
+def test_known_implants_are_told_of_each_reconstruction(report, undrawn) -> None:
+    screw = {
+        "name": "jaw screw",
+        "position_mm": [-31.256, 45, -76],
+        "position_sigma_mm": [0.021, 0.02, 0.02],
+        "rotation_deg": [88, 0, -25],
+        "moved_mm": 1.234,
+        "turned_deg": 4.321,
+        "density_rel": 0.912,
+        "slack_mm": 0.07,
+    }
+    kept = {"sart-2": {"implants": [screw | {"moved_mm": 1.5}]}}
+    metrics = report.metrics | {"implants": [screw], "reconstructions": kept}
+    text = render_report(replace(report, metrics=metrics), undrawn)
+    table = text[text.index("Known implants") :]
+    for part in ("jaw screw", "the run&#39;s own", "-31.26 (0.02)", "1.23", "4.32", "0.912"):
+        assert part in table or part.replace("-", "−") in table, part
+    assert table.count("jaw screw") == 2 and "<td>sart-2</td>" in table and "1.50" in table
+    assert "Known implants" not in render_report(report, undrawn)
+
+
 def test_how_fast_the_tools_move_is_said(report, undrawn) -> None:
     speeds = {"source": {"mean": 80.0, "max": 125.2}, "detector": {"mean": 70.0, "max": 90.0}}
     told = replace(report, metrics={**report.metrics, "tool_speed_mm_s": speeds})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,21 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
     assert (again.name, again.digest, again.seconds) == (made.name, made.digest, made.seconds)
     with pytest.raises(ScanExistsError, match="cgls-executed is another reconstruction"):
         reconstruct_again(folder, geometry="executed", name="cgls-executed")
+
+
+def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> None:
+    keys = ["reconstruction.iterations=1"]
+    made = reconstruct_again(folder, keys, geometry="executed", name="one")
+    assert made.implants == ()
+    screw = {"name": "screw", "position_mm": [1.0, 2.0, 3.0]}
+    known = replace(made, name="two", path=made.path.with_name("two"), implants=[screw])
+    known.keep(made.volume)
+    assert Reconstruction.read(known.path).implants == [screw]
+    # Those of before this was told of have none.
+    told = json.loads((known.path / "reconstruction.json").read_text())
+    del told["implants"]
+    (known.path / "reconstruction.json").write_text(json.dumps(told))
+    assert Reconstruction.read(known.path).implants == ()
 
 
 @pytest.mark.tutorial

@@ -5,8 +5,9 @@ import pytest
 
 from twinct.errors import InputError
 from twinct.geometry import Pose
+from twinct.recon.known import FoundImplant
 from twinct.runs import reconstruct, require_feasible
-from twinct.runs.implants import check_implants, known_implants
+from twinct.runs.implants import TakenOut, check_implants, known_implants
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Scan
 from twinct.scenario import parse_scenario
@@ -94,6 +95,19 @@ def test_an_implant_is_found_and_put_back(scan):
     # The screw's own volume is in the voxels, beside that of the ball.
     metal = volume.array[volume.array > 3 * TISSUE].sum() * 4**3
     assert metal == pytest.approx(mu * np.pi * 9 * 30, rel=0.2)
+
+
+def test_standard_deviations_of_positions_are_along_the_specimens_axes():
+    turned = dict(BELIEVED, rotation_deg=[0, 0, 90])
+    scenario = settings(metal=KNOWN | {"implants": [turned]})
+    known = known_implants(scenario, scenario.reconstruction.metal)
+    own = np.diag(np.square([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]))
+    found = FoundImplant(known[0].implant.world_from_implant, own, 1.0, np.zeros((2, 3)))
+    stands = Pose.from_euler((1, 2, 3), (0, 0, 90))
+    for of, expected in ((Pose.identity(), [0.2, 0.1, 0.3]), (stands, [0.1, 0.2, 0.3])):
+        (told,) = TakenOut(np.empty(0, np.float32), known, [found], of, 80.0).told()
+        np.testing.assert_allclose(told["position_sigma_mm"], expected, atol=1e-12)
+        np.testing.assert_allclose(np.radians(told["rotation_sigma_deg"]), [0.01, 0.02, 0.03])
 
 
 def test_a_reconstruction_goes_on_and_is_found_finished(scan, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,6 +131,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         ],
         measured_columns=[*columns],
         measured_rows=measured_rows(columns, report.reference),
+        implants=_implants(metrics),
         others=[(f"slices {other.name}", other) for other in report.others],
         stages=_stages(metrics["seconds"]),
         nearest=" and ".join(report.nearest),
@@ -138,6 +140,12 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         tolerance_mm=scenario.motion.tolerance_mm,
         scenario_yaml=report.scenario_yaml,
     )
+
+
+def _implants(metrics: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Known implants that were found, each with the reconstruction that found it."""
+    of_all = {"the run's own": metrics} | dict(metrics.get("reconstructions", {}))
+    return [(name, one) for name, told in of_all.items() for one in told.get("implants", ())]
 
 
 def stage_title(name: str) -> str:

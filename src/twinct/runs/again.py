@@ -167,6 +167,7 @@ def _made(
         seconds=seconds,
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),
         path=folder.reconstructions / name,
+        implants=volume.extras.get("implants", ()),
     )
     return found, volume
 

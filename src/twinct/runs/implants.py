@@ -85,13 +85,19 @@ class TakenOut:
         return Volume(array, volume.grid, extras)
 
     def told(self) -> list[dict[str, Any]]:
-        """Poses in the specimen's frame as the scenario has them, and what separates them."""
+        """Poses in the specimen's frame as the scenario has them, and what separates them.
+
+        Standard deviations of positions are along the specimen's axes, of rotations about the
+        implant's own.
+        """
         specimen_from_world = self.world_from_specimen.inverse()
         told: list[dict[str, Any]] = []
         for one, found in zip(self.known, self.found, strict=True):
             pose, believed = found.world_from_implant, one.implant.world_from_implant
             of_specimen = specimen_from_world @ pose
-            sigma = np.sqrt(np.diag(found.covariance))
+            turn = of_specimen.rotation  # a covariance is of the implant's own axes
+            along = np.diag(turn @ found.covariance[:3, :3] @ turn.T)
+            about = np.diag(found.covariance)[3:]
             told.append(
                 {
                     "name": one.name,
@@ -101,8 +107,8 @@ class TakenOut:
                     .tolist(),
                     "moved_mm": pose.distance_mm(believed),
                     "turned_deg": pose.angle_deg(believed),
-                    "position_sigma_mm": sigma[:3].tolist(),
-                    "rotation_sigma_deg": np.degrees(sigma[3:]).tolist(),
+                    "position_sigma_mm": np.sqrt(along).tolist(),
+                    "rotation_sigma_deg": np.degrees(np.sqrt(about)).tolist(),
                     "density_rel": found.density,
                     "slack_mm": float(np.sqrt(np.square(found.slack).sum(axis=1).mean())),
                 }

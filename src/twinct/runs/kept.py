@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ class Reconstruction:
         seconds: that it took.
         slices: cross-sections, see ``twinct.report.cross_sections``.
         path: its folder; the voxels are in ``volume.nii`` there.
+        implants: that it knew and found, as ``TakenOut.told`` has them.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Reconstruction:
     seconds: float
     slices: Mapping[str, CrossSection]
     path: Path
+    implants: Sequence[Mapping[str, Any]] = ()
 
     @property
     def volume(self) -> Volume:

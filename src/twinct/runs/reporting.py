@@ -174,6 +174,7 @@ def write_results(
                 "digest": kept.digest,
                 "image": kept.figures.as_dict(),
                 "seconds": kept.seconds,
+                **({"implants": kept.implants} if kept.implants else {}),
             }
             for kept in others.values()
         },
