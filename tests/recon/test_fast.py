@@ -114,7 +114,7 @@ def test_slabs_are_the_whole(ball, monkeypatch):
     _, noisy = ball
     whole, slabs, grid = noisy.copy(), noisy.copy(), VolumeGrid(noisy.shape, 1.0)
     lower_variation(whole, grid, kernels(), 0.1, 0.0)
-    monkeypatch.setattr("twinct.recon.denoise.SLAB_PLANES", 4)
+    monkeypatch.setattr("twinct.recon.denoise.FEWEST_PLANES", 4)
     lower_variation(slabs, grid, kernels(), 0.1, 0.0)
     np.testing.assert_array_equal(slabs, whole)
     assert whole.min() == 0

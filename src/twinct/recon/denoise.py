@@ -20,8 +20,9 @@ STEPS = 15
 STEP = 1.8
 """Of the dual iteration, which ceases to converge at 2."""
 
-SLAB_PLANES = 32
-"""Planes denoised at a time."""
+FEWEST_PLANES, SLAB_SHARE = 32, 0.3
+"""Planes denoised at a time: so many at least, and such a share of the volume with those around
+them, of which the iteration holds six."""
 
 SHARE = 0.75
 """Strength per noise and voxel edge; from skulls with 0 to 1e3 photons a pixel, 25 to 399 views."""
@@ -45,8 +46,9 @@ def lower_variation(
     around = STEPS + 2
     inverse = 1.0 / grid.voxel
     below = x[:0].copy()
-    for first in range(0, len(x), SLAB_PLANES):
-        last = min(first + SLAB_PLANES, len(x))
+    planes = max(FEWEST_PLANES, int(SLAB_SHARE * len(x)) - 2 * around)
+    for first in range(0, len(x), planes):
+        last = min(first + planes, len(x))
         slab = np.concatenate([below, x[first : min(last + around, len(x))]])
         lowered = np.empty_like(slab)
         weight = np.ones_like(slab)
