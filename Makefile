@@ -6,6 +6,9 @@ PYTHON ?= python3
 JOBS ?= 2
 PYTEST_ARGS ?=
 LOCK_ARGS ?=
+# Of each kind of broken input.
+MINUTES ?= 10
+SEED ?= 0
 VENV := .venv/bin
 # Markers of what test-all runs beside test.
 LONG := browser or cluster or tutorial or package
@@ -14,7 +17,7 @@ LONG := browser or cluster or tutorial or package
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test test-all lint format bench qualify docs lock clean
+.PHONY: help setup demo paper test test-all lint format bench fuzz qualify docs lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -52,6 +55,9 @@ bench: setup ## Time the parts of the simulation (benchmarks/)
 	@shopt -s nullglob; scripts=(benchmarks/*.py); \
 	[ $${#scripts[@]} -gt 0 ] || { echo "No benchmarks yet: put scripts into benchmarks/"; exit 0; }; \
 	for script in "$${scripts[@]}"; do echo "== $$script"; $(VENV)/python "$$script" || exit 1; done
+
+fuzz: setup ## Try broken inputs of all kinds, each for MINUTES=10; SEED=1 tries others
+	@$(VENV)/python tools/fuzz all --minutes $(MINUTES) --seed $(SEED)
 
 qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; 20 minutes)
 	@$(VENV)/twinct ctsimu qualify --out out/qualify

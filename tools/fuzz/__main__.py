@@ -1,0 +1,62 @@
+"""Fuzzing: thousands of broken inputs, each of which must give a right result or a clear message.
+
+    python tools/fuzz scenarios --minutes 10 --seed 1
+    python tools/fuzz files --count 2000 --seed 2
+    python tools/fuzz scenarios --seed 1 --only 4711
+
+A case is known by kind, seed and number. It fails by anything else than a result or an
+``InputError``, by taking too long or by taking too much memory; its files are kept below --out.
+Exit code 1: something was found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import sys
+import time
+from pathlib import Path
+
+from driver import fuzz
+
+KINDS = ("scenarios",)
+"""Each is a module beside this one, with a class ``Kind``."""
+
+
+def main() -> int:
+    """Parse, run, report."""
+    parser = argparse.ArgumentParser(
+        prog="tools/fuzz", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    names = f"{', '.join(KINDS)}, or all"
+    parser.add_argument("kinds", nargs="+", choices=(*KINDS, "all"), metavar="KIND", help=names)
+    parser.add_argument("--minutes", type=float, help="for each kind (default: 1, or by --count)")
+    parser.add_argument("--count", type=int, help="cases of each kind at most")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=int, help="number of the one case to try")
+    parser.add_argument("--out", type=Path, default=Path("out/fuzz"))
+    arguments = parser.parse_args()
+    minutes = arguments.minutes or (1 if arguments.count is None else math.inf)
+    failed = False
+    for kind in KINDS if "all" in arguments.kinds else arguments.kinds:
+        every = itertools.islice(itertools.count(), arguments.count)
+        chosen = every if arguments.only is None else [arguments.only]
+        before = time.monotonic()
+        place = arguments.out.absolute() / kind
+        found = fuzz(kind, arguments.seed, chosen, 60 * minutes, place)
+        words = ", ".join(f"{number} {word}" for word, number in found.words.most_common())
+        sys.stdout.write(
+            f"{kind}, seed {arguments.seed}: {found.words.total()} cases in "
+            f"{time.monotonic() - before:.0f} s: {words}; slowest {found.slowest[0]:.2f} s "
+            f"(case {found.slowest[1]}), most memory {found.largest[0] / 2**20:.0f} MB "
+            f"(case {found.largest[1]}); {len(found.failures)} failures\n"
+        )
+        if arguments.only is not None:
+            sys.stdout.write(f"its files: {place / 'case'}\n")
+        failed = failed or bool(found.failures)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""Lets a worker try case after case, ends it where it hangs, and keeps what is found."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+START_SECONDS = 120.0
+"""In which a worker has its libraries and its material."""
+
+GRACE_SECONDS = 5.0
+"""Beyond the time of a case, on a busy machine, before its worker is ended."""
+
+CASES_A_WORKER = 20_000
+"""Then a fresh one: what a library keeps of each case is not of the next."""
+
+
+@dataclass
+class Outcome:
+    """What came of many cases.
+
+    Attributes:
+        words: how often each outcome was.
+        failures: lines that tell of each failure.
+        slowest: seconds, and the case.
+        largest: bytes at the peak, and the case.
+    """
+
+    words: Counter[str] = field(default_factory=Counter[str])
+    failures: list[str] = field(default_factory=list[str])
+    slowest: tuple[float, int] = (0.0, -1)
+    largest: tuple[int, int] = (0, -1)
+
+
+class Worker:
+    """A process that tries cases; it is started anew after each that ended it."""
+
+    def __init__(self, kind: str, seed: int, place: Path) -> None:
+        """Files go to ``place``: the material, and the folder of the case that is tried."""
+        self.folder = place / "case"
+        own = [kind, str(seed), str(place), str(self.folder)]
+        script = Path(__file__).with_name("worker.py")
+        self._command = [sys.executable, str(script), *own]
+        self._process: subprocess.Popen[bytes] | None = None
+        self._rest = b""
+        self._seconds = 0.0
+        self._left = 0
+
+    def __enter__(self) -> Worker:
+        """It is started by the first case."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self._end()
+
+    def tried(self, number: int) -> dict[str, Any]:
+        """What the worker says of a case; ``hung`` or ``died`` where it says nothing."""
+        if self._process is None or self._left == 0:
+            self._start()
+        assert self._process is not None and self._process.stdin is not None
+        self._left -= 1
+        before = time.monotonic()
+        self._process.stdin.write(f"{number}\n".encode())
+        self._process.stdin.flush()
+        line = self._line(self._seconds + GRACE_SECONDS)
+        if line:
+            return json.loads(line)
+        code = self._process.poll()
+        word = "hung" if code is None else f"died ({code})"
+        self._end()
+        seconds = time.monotonic() - before
+        told = "the worker says nothing; --only shows more"
+        return {"word": word, "ok": False, "told": told, "trace": "", "seconds": seconds} | {
+            "memory_bytes": 0
+        }
+
+    def _start(self) -> None:
+        self._end()
+        self._process = subprocess.Popen(
+            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+        )
+        self._rest, self._left = b"", CASES_A_WORKER
+        limits = self._line(START_SECONDS)
+        if not limits:
+            raise SystemExit(f"the worker does not start: see {self.folder.parent}/worker.log")
+        self._seconds = json.loads(limits)["seconds"]
+
+    def _line(self, seconds: float) -> bytes:
+        """The next line of the worker; empty where none comes in time, or it has ended."""
+        assert self._process is not None and self._process.stdout is not None
+        end = time.monotonic() + seconds
+        while b"\n" not in self._rest:
+            left = max(end - time.monotonic(), 0)
+            if not select.select([self._process.stdout], [], [], left)[0]:
+                return b""
+            chunk = os.read(self._process.stdout.fileno(), 65536)
+            if not chunk:
+                self._process.wait()
+                return b""
+            self._rest += chunk
+        line, _, self._rest = self._rest.partition(b"\n")
+        return line
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+
+def fuzz(kind: str, seed: int, numbers: Iterable[int], seconds: float, place: Path) -> Outcome:
+    """Try cases until they or the time end; each failure is kept in a folder below ``place``."""
+    found, end, last = Outcome(), time.monotonic() + seconds, time.monotonic()
+    with Worker(kind, seed, place) as worker:
+        for number in numbers:
+            if time.monotonic() > end:
+                break
+            told = worker.tried(number)
+            found.words[told["word"]] += 1
+            found.slowest = max(found.slowest, (told["seconds"], number))
+            found.largest = max(found.largest, (told["memory_bytes"], number))
+            if not told["ok"]:
+                found.failures.append(_kept(told, kind, seed, number, worker.folder, place))
+                sys.stdout.write(f"{found.failures[-1]}\n")
+            if time.monotonic() > last + 30:
+                last = time.monotonic()
+                sys.stderr.write(f"{found.words.total()} cases, {len(found.failures)} failures\n")
+    return found
+
+
+def _kept(
+    told: dict[str, Any], kind: str, seed: int, number: int, folder: Path, place: Path
+) -> str:
+    kept = place / f"{seed}-{number}"
+    shutil.rmtree(kept, ignore_errors=True)
+    shutil.copytree(folder, kept, symlinks=True, copy_function=_copied)
+    words = [f"{told['word']}: {told['told']}", told["trace"].strip().rpartition("\n")[2]]
+    (kept / "failure.txt").write_text(f"{words[0]}\n\n{told['trace']}", encoding="utf-8")
+    return f"{kind} --seed {seed} --only {number}: " + " | ".join(word for word in words if word)
+
+
+def _copied(source: str, target: str) -> None:
+    """A copy of what is a file; pipes and the like have no content."""
+    if Path(source).is_file():
+        shutil.copy2(source, target)

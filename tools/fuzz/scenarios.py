@@ -1,0 +1,174 @@
+"""Scenario files and overrides: each a scenario that can be weighed, or a clear message."""
+
+from __future__ import annotations
+
+import copy
+import json
+import random
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from cases import Case
+from mutations import NASTY_TEXTS, broken, nasty, number_near
+from schema import Schema
+
+from twinct.runs import needs
+from twinct.scenario import load_scenario, parse_scenario, scenario_schema
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+
+ROUND_TRIPS = 0.1
+"""Share of the cases in which a scenario is written and read again."""
+
+Key = tuple[str | int, ...]
+
+
+class Kind:
+    """Mutants of the scenarios in the repository, and scenarios made from the schema."""
+
+    seconds = 2.0
+    memory_bytes = 2**30
+
+    def __init__(self, material: Path) -> None:
+        """Copy the scenarios, and make what they name."""
+        self._material = material
+        (material / "data").mkdir(exist_ok=True)
+        np.savetxt(material / "data" / "table.csv", np.arange(24).reshape(4, 6), delimiter=",")
+        (material / "data" / "curve.txt").write_text("0 1\n1 0.5\n200 0.1\n")
+        self._schema = Schema(scenario_schema())
+        self._texts: list[str] = []
+        self._data: list[dict[str, Any]] = []
+        for file in sorted(SCENARIOS.glob("*.yaml")):
+            shutil.copy(file, material)
+            self._texts.append(file.read_text(encoding="utf-8"))
+            own = yaml.safe_load(self._texts[-1])
+            self._data.append(own)
+            if "extends" in own:
+                try:
+                    whole = load_scenario(material / file.name)
+                except Exception as error:  # its data are not in the repository
+                    if "no file at" not in str(error):
+                        raise
+                    continue
+                self._data.append(json.loads(whole.resolved()))
+
+    def case(self, rng: random.Random, folder: Path) -> Case:
+        """Bytes, lines, values, overrides, or something from the schema."""
+        path, overrides = folder / "mutant.yaml", ()
+        made = rng.choices(
+            (self._bytes, self._lines, self._values, self._of_schema), (15, 20, 45, 20)
+        )[0]
+        text, told = made(rng)
+        if rng.random() < 0.15:
+            overrides = tuple(self._override(rng) for _ in range(rng.randint(1, 3)))
+            (folder / "overrides.txt").write_text("\n".join(map(repr, overrides)))
+        for file in self._material.iterdir():
+            (folder / file.name).symlink_to(file)
+        path.write_bytes(text)
+        again = rng.random() < ROUND_TRIPS
+        return Case(f"{told} {overrides or ''}", lambda: _weighed(path, overrides, again))
+
+    def _bytes(self, rng: random.Random) -> tuple[bytes, str]:
+        return broken(rng, rng.choice(self._texts).encode())
+
+    def _lines(self, rng: random.Random) -> tuple[bytes, str]:
+        lines = rng.choice(self._texts).splitlines()
+        told: list[str] = []
+        for _ in range(rng.randint(1, 3)):
+            at = rng.randrange(len(lines))
+            key, colon, _ = lines[at].partition(":")
+            match rng.choice(("value", "value", "value", "out", "twice", "in", "move", "text")):
+                case "value" if colon:
+                    lines[at] = f"{key}: {rng.choice(NASTY_TEXTS)}"
+                case "out" if len(lines) > 1:
+                    del lines[at]
+                case "twice":
+                    lines.insert(at, lines[at])
+                case "in":
+                    lines[at] = " " * rng.randint(1, 8) + lines[at].lstrip()
+                case "move":
+                    lines.insert(rng.randrange(len(lines)), lines.pop(at))
+                case _:
+                    lines.insert(at, rng.choice(NASTY_TEXTS))
+            told.append(f"line {at + 1} changed")
+        end = rng.choice(("\n", "\n", "\n", "\r\n", "\r"))
+        text = end.join(lines)
+        return text.encode(
+            rng.choice(("utf-8",) * 18 + ("utf-16", "latin-1")), "replace"
+        ), ", ".join(told)
+
+    def _values(self, rng: random.Random) -> tuple[bytes, str]:
+        data = copy.deepcopy(rng.choice(self._data))
+        told: list[str] = []
+        for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
+            keys = list(_keys(data))
+            if not keys:
+                break
+            key = rng.choice(keys)
+            here: Any = data
+            for step in key[:-1]:
+                here = here[step]
+            old = here[key[-1]]
+            match rng.choice(("nasty", "near", "schema", "schema", "out", "add", "rename", "swap")):
+                case "nasty":
+                    here[key[-1]] = nasty(rng)
+                case "near" if isinstance(old, int | float) and not isinstance(old, bool):
+                    here[key[-1]] = number_near(rng, old)
+                case "schema" if key and isinstance(key[0], str):
+                    here[key[-1]] = self._schema.value_at(rng, key)
+                case "out":
+                    del here[key[-1]]
+                case "add" if isinstance(old, dict):
+                    old[rng.choice(("x", "kind", "path", "", "1", "a.b"))] = nasty(rng)
+                case "rename" if isinstance(here, dict):
+                    here[f"{key[-1]}x"] = here.pop(key[-1])
+                case "swap":
+                    other = rng.choice(self._data)
+                    here[key[-1]] = copy.deepcopy(other[rng.choice(list(other))])
+                case _:
+                    here[key[-1]] = nasty(rng)
+            told.append(".".join(map(str, key)))
+        return _text(data), "values: " + ", ".join(told)
+
+    def _of_schema(self, rng: random.Random) -> tuple[bytes, str]:
+        data = copy.deepcopy(rng.choice(self._data))
+        sections = list(self._schema.sections)
+        chosen = [rng.choice(sections) for _ in range(rng.choice((1, 1, 2, 4)))]
+        for name in chosen:
+            data[name] = self._schema.value_at(rng, (name,))
+        return _text(data), f"from the schema: {', '.join(chosen)}"
+
+    def _override(self, rng: random.Random) -> str:
+        if rng.random() < 0.1:
+            return rng.choice(("", "=", "a", ".=1", "a.=1", "detector..x=1", "[0]=1", "\0=\0"))
+        key = rng.choice(list(_keys(rng.choice(self._data))))
+        dotted = ".".join(map(str, key[: rng.randint(1, len(key))]))
+        pick = rng.random()
+        value = rng.choice(NASTY_TEXTS)
+        if pick < 0.5:
+            value = json.dumps(self._schema.value_at(rng, key))
+        return f"{dotted}{rng.choice(('', '', '', '.0', '.x', '.'))}={value}"
+
+
+def _text(data: Any) -> bytes:
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True).encode("utf-8", "replace")
+
+
+def _keys(data: Any, key: Key = ()) -> Iterator[Key]:
+    inner = data.items() if isinstance(data, dict) else enumerate(data)
+    for name, value in inner:
+        yield (*key, name)
+        if isinstance(value, dict | list):
+            yield from _keys(value, (*key, name))
+
+
+def _weighed(path: Path, overrides: tuple[str, ...], again: bool) -> str:
+    scenario = load_scenario(path, overrides)
+    if again and parse_scenario(json.loads(scenario.resolved())) != scenario:
+        raise AssertionError("not the same scenario when it is read again")
+    needs(scenario)
+    return "scenario"

@@ -1,0 +1,90 @@
+"""Tries cases, each by its number, in a process of its own with a limit on its memory.
+
+Reads numbers from its input, a line each, and answers each with a line of JSON.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+import os
+import random
+import resource
+import shutil
+import sys
+import time
+import traceback
+from pathlib import Path
+from typing import TextIO
+
+from cases import Case, Kind
+
+from twinct.errors import InputError
+
+FRESH_BYTES = 64 * 2**20
+"""Of address space beside what a case may hold: libraries map more than they touch."""
+
+
+def main() -> None:
+    """Serve until the input ends."""
+    name, seed, place, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]), Path(sys.argv[4])
+    answers = _own_output(place / "worker.log")
+    material = place / "material"
+    material.mkdir(parents=True, exist_ok=True)
+    kind: Kind = importlib.import_module(name).Kind(material)
+    limit = kind.memory_bytes + FRESH_BYTES + _status("VmSize") - _status("VmRSS")
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    limits = {"seconds": kind.seconds, "memory_bytes": kind.memory_bytes}
+    answers.write(json.dumps(limits) + "\n")
+    answers.flush()
+    for line in sys.stdin:
+        answers.write(json.dumps(tried(kind, name, seed, int(line), folder)) + "\n")
+        answers.flush()
+
+
+def tried(kind: Kind, name: str, seed: int, number: int, folder: Path) -> dict[str, object]:
+    """What came of a case: its ``word``, ``told``, ``seconds``, ``memory_bytes``, ``trace``."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    case, trace = Case("cannot be made", lambda: ""), ""
+    Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+    before = time.perf_counter()
+    try:
+        case = kind.case(random.Random(f"{name} {seed} {number}"), folder)
+        before = time.perf_counter()
+        word = case.act()
+    except InputError as error:
+        word, trace = "refused", "\n".join(error.problems)
+    except BaseException as error:
+        word, trace = f"{type(error).__name__}", traceback.format_exc()
+    seconds = time.perf_counter() - before
+    ok = word == "refused" or not trace
+    if ok and seconds > kind.seconds:
+        word, ok = "too slow", False
+    if ok and (peak := _status("VmHWM")) > kind.memory_bytes:
+        word, ok = f"{peak / 2**20:.0f} MB", False
+    return {
+        **{"word": word, "ok": ok, "told": case.told, "trace": trace, "seconds": seconds},
+        "memory_bytes": _status("VmHWM"),
+    }
+
+
+def _own_output(log: Path) -> TextIO:
+    """A stream to who started this process; what libraries print goes to a log."""
+    answers = os.fdopen(os.dup(1), "w")
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a") as stream:
+        os.dup2(stream.fileno(), 1)
+        os.dup2(stream.fileno(), 2)
+    return answers
+
+
+def _status(name: str) -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(KeyboardInterrupt):
+        main()
