@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-import yaml
-
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.below import Below, names_below
+from twinct.files.plain_yaml import read_file, written
 from twinct.files.writing import check_folder, draft_of
 from twinct.record import recordings
 from twinct.scan import OWN, named_geometries
@@ -83,7 +82,8 @@ class Folder:
         """Whether the figures of a finished run are those that a scenario asks for."""
         if not self.scenario.is_file():
             return True
-        told = yaml.safe_load(self.scenario.read_text(encoding="utf-8")).get("evaluation")
+        told = read_file(self.scenario, "scenario").value
+        told = cast("dict[str, Any]", told).get("evaluation") if isinstance(told, dict) else None
         asked = scenario.evaluation
         return told == (asked and asked.model_dump(mode="json"))
 
@@ -130,7 +130,7 @@ def refuse_other_keys(overrides: Iterable[str], section: str) -> None:
 
 def as_yaml(scenario: Scenario) -> str:
     """The resolved scenario, defaults included."""
-    return yaml.safe_dump(json.loads(scenario.resolved()), sort_keys=False)
+    return written(json.loads(scenario.resolved()))
 
 
 def read_metrics(path: Path) -> dict[str, Any]:

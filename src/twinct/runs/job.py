@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from twinct.cell import check_drawing
 from twinct.errors import InputError
 from twinct.evaluate import ImageFigures
 from twinct.files.lock import sole_owner
+from twinct.files.plain_yaml import read_file
 from twinct.files.writing import storage_errors, write_text
 from twinct.observers import Audience, Observers, audience_of
 from twinct.record import recorder_of
@@ -338,7 +338,7 @@ def _note_of_0_1(store: ScanStore, folder: Folder) -> str | None:
     """The same of a run of version 0.1, which had another digest; None of a later one."""
     if store.digest_0_1 is None:
         return None
-    told = yaml.safe_load(folder.scenario.read_text(encoding="utf-8"))
+    told = read_file(folder.scenario, "scenario").value
     return f"twinct {volume_digest(store.digest_0_1, told['reconstruction'])[:32]}"
 
 

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from twinct.errors import InputError, ScenarioError
+from twinct.files.boundary import no_file
+from twinct.files.plain_yaml import written
 from twinct.files.writing import write_text
 from twinct.scenario.messages import place, problems
 from twinct.scenario.reading import Draft, drafted, key_of, varied
@@ -80,12 +81,17 @@ class Template:
 
 def _checked(draft: Draft) -> Scenario:
     scenario = _validate(draft)
-    missing = {key: file for key, file in scenario.files().items() if not file.exists()}
-    if missing:
-        raise ScenarioError(
-            f"{place(draft, key_of(key))}no file at {file}" for key, file in missing.items()
-        )
+    problems = [
+        place(draft, key_of(key)) + (f"no file at {file}" if why == _MISSING else f"{file} {why}")
+        for key, file in scenario.files().items()
+        if (why := no_file(file, folder=True))
+    ]
+    if problems:
+        raise ScenarioError(problems)
     return scenario
+
+
+_MISSING = "does not exist"
 
 
 def write_scenario(
@@ -95,8 +101,7 @@ def write_scenario(
 
     The other arguments are those of ``load_scenario``; files that it names become absolute.
     """
-    text = yaml.safe_dump(drafted(source, overrides).data, sort_keys=False, allow_unicode=True)
-    write_text(path, text)
+    write_text(path, written(drafted(source, overrides).data))
 
 
 @contextmanager
@@ -158,7 +163,11 @@ def _with_keys_left_out(part: dict[str, Any]) -> dict[str, Any]:
 
 def _validate(draft: Draft) -> Scenario:
     try:
+        text = json.dumps(draft.data, default=str)
+    except (TypeError, ValueError, RecursionError) as error:  # of data that came in no file
+        raise ScenarioError(f"a scenario is plain data: {error}") from None
+    try:
         # JSON mode is the strict one that still takes lists for tuples and text for paths.
-        return Scenario.model_validate_json(json.dumps(draft.data, default=str), strict=True)
+        return Scenario.model_validate_json(text, strict=True)
     except ValidationError as error:
         raise ScenarioError(problems(draft, error)) from None

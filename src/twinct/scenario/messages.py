@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 import typing
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
+from twinct.files.boundary import shortened
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
 from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
@@ -20,6 +22,9 @@ _BROKEN: dict[Key, dict[str, str]] = {
     ("trajectory", "kind"): families().broken,
 }
 
+MOST_PROBLEMS = 50
+"""That are told; who has more of them has another kind of file."""
+
 
 def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scenario) -> list[str]:
     """One sentence a problem: of a union's branches only those that the value could have meant.
@@ -29,7 +34,8 @@ def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scena
     found: dict[Key, list[tuple[bool, str]]] = {}
     conflicts: list[str] = []
     in_conflict: list[Key] = []
-    for detail in error.errors():
+    details = error.errors(include_url=False)
+    for detail in details[:MOST_PROBLEMS]:
         key, model, others = _plain_key(detail["loc"], draft.data, root)
         cause = detail.get("ctx", {}).get("error")
         if isinstance(cause, ConflictError):
@@ -50,7 +56,8 @@ def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scena
             meant = [text for _, text in parts]
         if meant:
             sentences.append(place(draft, key) + " or ".join(dict.fromkeys(meant)))
-    return sentences + conflicts
+    left = [f"and {len(details) - MOST_PROBLEMS} more"] if len(details) > MOST_PROBLEMS else []
+    return sentences + conflicts + left
 
 
 def _blamed(draft: Draft, section: Key, conflict: Conflict) -> str:
@@ -66,6 +73,12 @@ def place(draft: Draft, key: Key) -> str:
 
 def _prefix(origin: str, key: Key) -> str:
     return (f"{origin}: " if origin else "") + (".".join(map(str, key)) + ": " if key else "")
+
+
+def shown(value: Any) -> str:
+    """A value in a message, cut off where it is long."""
+    text = repr(value) if isinstance(value, (str, int, float)) else reprlib.repr(value)
+    return shortened(text, 80)
 
 
 _PLAIN = {
@@ -122,16 +135,16 @@ def _sentence(
             return broken[given]
         near = difflib.get_close_matches(given, allowed.replace("'", "").split(", "), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        return f"{key[-1]} {given!r} is not one of {allowed}{hint}"
+        return f"{key[-1]} {shown(given)} is not one of {allowed}{hint}"
     if kind in ("too_short", "too_long"):
         limit = detail["ctx"].get("min_length", detail["ctx"].get("max_length"))
         side = "at least" if kind == "too_short" else "at most"
         has = len(given) if is_list(given) else detail["ctx"]["actual_length"]
         return f"must have {side} {limit} {'entry' if limit == 1 else 'entries'}, but has {has}"
     if kind in _PLAIN:
-        return f"{_PLAIN[kind]}, but is {'empty' if given is None else repr(given)}"
+        return f"{_PLAIN[kind]}, but is {'empty' if given is None else shown(given)}"
     message = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-    return message if kind == "value_error" else f"{message}, but is {given!r}"
+    return message if kind == "value_error" else f"{message}, but is {shown(given)}"
 
 
 def _plain_key(location: tuple[str | int, ...], data: Any, root: type[BaseModel]) -> _Place:

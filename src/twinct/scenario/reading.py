@@ -3,42 +3,26 @@
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard
 
-import yaml
-
 from twinct.errors import ScenarioError
+from twinct.files.boundary import absolute, no_file, shortened
+from twinct.files.plain_yaml import Key, read_file, read_value
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
 from twinct.scenario.version_0_1 import upgraded
 from twinct.settings import FILE_KEYS
 
-Key = tuple[str | int, ...]
-
-DEEPEST = 20
-"""Levels that a scenario may be nested; its own sections need six."""
-
+LONGEST_CHAIN = 16
+"""Files that extend one another."""
 
 KIND_KEYS = ("kind", "method")
 """Keys that say which of several sections one is."""
 DEFAULT_KINDS: dict[Key, str] = {("cell",): DEFAULT_KIND}
 """Of sections that may leave out their ``kind``."""
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML as scientists write it: 1e-3 is a number too, which YAML 1.1 takes for text."""
-
-
-_resolvers: Any = _Loader
-_resolvers.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
 
 
 @dataclass
@@ -90,7 +74,9 @@ def drafted(source: str | Path | Mapping[str, Any], overrides: Iterable[str] = (
         ScenarioError: what cannot be read, or an override that leads nowhere.
     """
     given = isinstance(source, Mapping)
-    draft = Draft(upgraded(_absolute_paths(dict(source)))) if given else _read(Path(source), ())
+    draft = (
+        Draft(upgraded(_absolute_paths(dict(source), Path()))) if given else _read(Path(source), ())
+    )
     for override in overrides:
         _apply_override(draft, override)
     return draft
@@ -123,28 +109,13 @@ def read_yaml(path: Path, what: str) -> Draft:
     Raises:
         ScenarioError: it cannot be read, or is no mapping.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise ScenarioError(f"{path}: cannot read the {what}: {reason}") from None
-    try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f":{mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "not valid YAML"
-        raise ScenarioError(f"{path}{line}: not valid YAML: {problem}") from None
-    except RecursionError:
-        raise ScenarioError(_too_deep(path, what)) from None
-    if node is None:
+    read = read_file(path, what)
+    if read.value is None:
         raise ScenarioError(f"{path}: the {what} is empty")
-    if not isinstance(node, yaml.MappingNode):
+    if not is_mapping(read.value):
         raise ScenarioError(f"{path}: a {what} is a mapping of keys to values")
-    own = Draft()
-    own.data = _construct(loader, node, (), path, what, own.origins)
-    return own
+    places = {key: f"{path}:{line}" for key, line in read.lines.items()}
+    return Draft(_absolute_paths(read.value, path.parent, places), places)
 
 
 def key_of(dotted: str) -> Key:
@@ -163,9 +134,15 @@ def is_list(data: object) -> TypeGuard[list[Any]]:
 
 
 def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
+    try:
+        seen = absolute(Path(), str(path))
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
     path = path.expanduser()
-    if path.resolve() in chain:
+    if seen in chain:
         raise ScenarioError(f"{path}: extends itself: " + " -> ".join(p.name for p in chain))
+    if len(chain) >= LONGEST_CHAIN:
+        raise ScenarioError(f"{path}: the last of {LONGEST_CHAIN} files that extend one another")
     own = read_yaml(path, "scenario")
     own.data = upgraded(own.data)
     parent = own.data.pop("extends", None)
@@ -173,40 +150,13 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
         return own
     place = f"{own.origin(('extends',))}: extends: "
     if not isinstance(parent, str):
-        raise ScenarioError(f"{place}{parent!r} is not a file name")
-    if not (path.parent / parent).is_file():
-        raise ScenarioError(f"{place}no file at {path.parent / parent}")
-    base = _read(path.parent / parent, (*chain, path.resolve()))
+        raise ScenarioError(f"{place}{shortened(repr(parent))} is not a file name")
+    if why := no_file(path.parent / parent):
+        none = f"no file at {path.parent / parent}"
+        raise ScenarioError(f"{place}{none if why == 'does not exist' else f'{parent} {why}'}")
+    base = _read(path.parent / parent, (*chain, seen))
     _merge(base, own.data, own.origins, ())
     return base
-
-
-def _construct(
-    loader: Any, node: yaml.Node, key: Key, path: Path, what: str, origins: dict[Key, str]
-) -> Any:
-    """Plain data of a node; notes the line of each key and makes each file absolute."""
-    origins[key] = place = f"{path}:{node.start_mark.line + 1}"
-    if len(key) > DEEPEST:
-        raise ScenarioError(_too_deep(place, what))
-    if isinstance(node, yaml.MappingNode):
-        data: dict[Any, Any] = {}
-        for key_node, value_node in node.value:
-            name: Any = loader.construct_object(key_node, deep=True)
-            if name in data:
-                line = key_node.start_mark.line + 1
-                raise ScenarioError(f"{path}:{line}: the key {name!r} stands twice")
-            data[name] = _construct(loader, value_node, (*key, name), path, what, origins)
-            if name in FILE_KEYS and isinstance(data[name], str):
-                data[name] = str((path.parent / Path(data[name]).expanduser()).resolve())
-        return data
-    if isinstance(node, yaml.SequenceNode):
-        items = enumerate(node.value)
-        return [_construct(loader, item, (*key, i), path, what, origins) for i, item in items]
-    return loader.construct_object(node, deep=True)
-
-
-def _too_deep(place: object, what: str = "scenario") -> str:
-    return f"{place}: nested too deep: a {what} has at most {DEEPEST} levels"
 
 
 def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key) -> None:
@@ -230,17 +180,13 @@ def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key)
 
 def _apply_override(draft: Draft, override: str) -> None:
     key_text, equals, value_text = override.partition("=")
-    place = f"--set {override}"
+    place = f"--set {shortened(override, 100)}"
     steps = key_text.strip().split(".")
     if not equals or not all(step.strip() for step in steps):
         raise ScenarioError(f"{place}: expected KEY=VALUE, such as detector.columns=320")
-    try:
-        value = yaml.load(value_text, _Loader)  # noqa: S506 - a SafeLoader
-    except yaml.YAMLError:
-        raise ScenarioError(f"{place}: {value_text!r} is not a YAML value") from None
-    except RecursionError:
-        raise ScenarioError(_too_deep(f"--set {key_text}")) from None
-    _apply(draft, key_text.strip(), _absolute_paths({steps[-1]: value})[steps[-1]], place)
+    name = steps[-1]
+    value = _absolute_paths({name: read_value(value_text, place)}, Path(), {(): place})[name]
+    _apply(draft, key_text.strip(), value, place)
 
 
 def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
@@ -300,13 +246,29 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
             draft.forget((*key, name))
 
 
-def _absolute_paths(data: Any) -> Any:
-    """Make each file of an override absolute: it is relative to where the command runs."""
-    if is_mapping(data):
-        return {
-            key: str(Path(value).expanduser().resolve())
-            if key in FILE_KEYS and isinstance(value, str)
-            else _absolute_paths(value)
-            for key, value in data.items()
-        }
-    return [_absolute_paths(item) for item in data] if is_list(data) else data
+def _absolute_paths(
+    data: Any, folder: Path, places: Mapping[Key, str] | None = None, key: Key = ()
+) -> Any:
+    """Plain data in which each file is absolute: it is relative to a folder.
+
+    Raises:
+        ScenarioError: a name that no file can have.
+    """
+    if is_list(data):
+        items = enumerate(data)
+        return [_absolute_paths(item, folder, places, (*key, i)) for i, item in items]
+    if not is_mapping(data):
+        return data
+    found: dict[str, Any] = {}
+    for name, value in data.items():
+        inner = (*key, name)
+        if name in FILE_KEYS and isinstance(value, str):
+            try:
+                found[name] = str(absolute(folder, value))
+            except ValueError as error:
+                at = (places or {}).get(inner) or (places or {}).get((), "")
+                told = ".".join(map(str, inner))
+                raise ScenarioError(f"{at + ': ' if at else ''}{told}: {error}") from None
+        else:
+            found[name] = _absolute_paths(value, folder, places, inner)
+    return found

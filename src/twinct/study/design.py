@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from twinct.draws import view_rng
 from twinct.errors import InputError, ScenarioError
+from twinct.files.boundary import absolute
 from twinct.scenario import Scenario, Template
 from twinct.scenario.messages import problems
 from twinct.scenario.reading import Draft, is_list, is_mapping, key_of, read_yaml
@@ -169,7 +170,7 @@ def load_study(source: str | Path | Mapping[str, Any]) -> Design:
         draft, folder = read_yaml(path, "study"), path.absolute().parent
         text = path.read_text(encoding="utf-8")
     if isinstance(file := draft.data.get("scenario"), (str, Path)):
-        draft.data["scenario"] = str((folder / Path(file).expanduser()).resolve())
+        draft.data["scenario"] = _named(folder, str(file))
     try:
         study = Study.model_validate_json(json.dumps(draft.data, default=str), strict=True)
     except ValidationError as error:
@@ -294,6 +295,13 @@ def _told(value: Any) -> Any:
     return json.dumps(value) if isinstance(value, (list, dict)) else value
 
 
+def _named(folder: Path, name: str) -> str:
+    try:
+        return str(absolute(folder, name))
+    except ValueError as error:
+        raise InputError(f"{folder}: {error}") from None
+
+
 def _absolute(key: str, value: Any, folder: Path) -> Any:
     """Files of the study are relative to it."""
     if is_mapping(value):
@@ -301,7 +309,7 @@ def _absolute(key: str, value: Any, folder: Path) -> Any:
     if is_list(value):
         return [_absolute("", inner, folder) for inner in value]
     if key.rpartition(".")[2] in FILE_KEYS and isinstance(value, str):
-        return str((folder / Path(value).expanduser()).resolve())
+        return _named(folder, value)
     return value
 
 
