@@ -4,14 +4,31 @@ from __future__ import annotations
 
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector = tuple[Finite, Finite, Finite]
-Lengths = tuple[Positive, Positive, Positive]
-Pair = tuple[Positive, Positive]
+
+def _sane(least: float, most: float) -> AfterValidator:
+    """Refuses numbers whose squares and quotients no arithmetic holds, nor anybody means."""
+
+    def sane(value: float) -> float:
+        if abs(value) > most:
+            raise ValueError(f"must be at most {most:g} in size, but is {value!r}")
+        if 0 < abs(value) < least:
+            raise ValueError(f"must be at least {least:g} in size, but is {value!r}")
+        return value
+
+    return AfterValidator(sane)
+
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), _sane(1e-30, 1e15)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), _sane(1e-30, 1e15)]
+Finite = Annotated[float, Field(allow_inf_nan=False), _sane(1e-30, 1e15)]
+Length = Annotated[float, Field(gt=0, allow_inf_nan=False), _sane(1e-6, 1e6)]
+"""A nanometre to a kilometre, in mm."""
+Coordinate = Annotated[float, Field(allow_inf_nan=False), _sane(1e-30, 1e6)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+Lengths = tuple[Length, Length, Length]
+Pair = tuple[Length, Length]
 
 
 def facts(*, unit: str = "", source: str = "") -> dict[str, JsonValue]:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from driver import fuzz
 
-KINDS = ("scenarios",)
+KINDS = ("scenarios", "bodies")
 """Each is a module beside this one, with a class ``Kind``."""
 
 

@@ -16,7 +16,9 @@ from cases import Case
 from mutations import NASTY_TEXTS, broken, nasty, number_near
 from schema import Schema
 
-from twinct.runs import needs
+from twinct.errors import MemoryShortageError
+from twinct.files.plain_yaml import read_file, written
+from twinct.runs import needs, require_memory
 from twinct.scenario import load_scenario, parse_scenario, scenario_schema
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -142,6 +144,27 @@ class Kind:
             data[name] = self._schema.value_at(rng, (name,))
         return _text(data), f"from the schema: {', '.join(chosen)}"
 
+    def valid_with(self, rng: random.Random, path: Path, key: Key) -> str:
+        """Write a valid scenario of which a section, or a few values in it, are others."""
+        data = copy.deepcopy(rng.choice([d for d in self._data if "specimen" in d]))
+        for file in self._material.iterdir():
+            (path.parent / file.name).symlink_to(file)
+        here: Any = data
+        for step in key[:-1]:
+            here = here[step]
+        if rng.random() < 0.4 and isinstance(here, dict):
+            here[key[-1]] = self._schema.value_at(rng, key)
+            told = ["all"]
+        else:
+            section = here.get(key[-1], {}) if isinstance(here, dict) else here[key[-1]]
+            numbers = [k for k in _keys(section) if isinstance(_at(section, k), int | float)]
+            told = []
+            for inner in rng.sample(numbers, min(len(numbers), rng.choice((1, 1, 2, 3)))):
+                _at(section, inner[:-1])[inner[-1]] = number_near(rng, _at(section, inner))
+                told.append(".".join(map(str, inner)))
+        path.write_bytes(_text(data))
+        return f"{'.'.join(map(str, key))}: {', '.join(told)}"
+
     def _override(self, rng: random.Random) -> str:
         if rng.random() < 0.1:
             return rng.choice(("", "=", "a", ".=1", "a.=1", "detector..x=1", "[0]=1", "\0=\0"))
@@ -166,9 +189,24 @@ def _keys(data: Any, key: Key = ()) -> Iterator[Key]:
             yield from _keys(value, (*key, name))
 
 
+def _at(data: Any, key: Key) -> Any:
+    for step in key:
+        data = data[step]
+    return data
+
+
 def _weighed(path: Path, overrides: tuple[str, ...], again: bool) -> str:
     scenario = load_scenario(path, overrides)
-    if again and parse_scenario(json.loads(scenario.resolved())) != scenario:
-        raise AssertionError("not the same scenario when it is read again")
+    if again:
+        plain = json.loads(scenario.resolved())
+        path.with_name("again.yaml").write_text(written(plain), encoding="utf-8")
+        if read_file(path.with_name("again.yaml"), "scenario").value != plain:
+            raise AssertionError("not the same YAML when it is read again")
+        if parse_scenario(plain) != scenario:
+            raise AssertionError("not the same scenario when it is read again")
     needs(scenario)
+    try:
+        require_memory(scenario)
+    except MemoryShortageError:
+        return "scenario too large for this process"
     return "scenario"

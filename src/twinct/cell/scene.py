@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from importlib.resources import files
 from itertools import combinations, product
@@ -177,7 +178,7 @@ def build_gantry(
         tool(spec.worldbody.add_body(name=side, pos=position, quat=np.roll(quat, 1)), arm, panel)
     spec.stat.center = (world_from_source.position + world_from_detector.position) / 2 * MM
     spec.stat.extent = (world_from_source.distance_mm(world_from_detector) + TOOLS_MM) * MM
-    return GantryModel(spec.compile())
+    return GantryModel(_compile(spec))
 
 
 def _room(floor_z_mm: float) -> mujoco.MjSpec:
@@ -412,10 +413,31 @@ def _link_of(body: Any) -> Any:
     return body
 
 
+_KEYS = {
+    "source": "cell.source_arm",
+    "detector": "cell.detector_arm",
+    "specimen": "specimen.parts",
+    "table": "cell.table",
+    "holder": "cell.table",
+    "zone": "cell.zones",
+}
+"""What made a part of the model, by how its name begins."""
+
+
+def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except (ValueError, mujoco_module().FatalError) as error:
+        told = " ".join(str(error).split()).removeprefix("Error: ")
+        named = re.search(r"name '([a-z]+)", told)
+        key = _KEYS.get(named[1], "cell") if named else "cell"
+        raise ScenarioError(f"{key}: MuJoCo cannot build this: {told}") from None
+
+
 def _compiled(
     spec: mujoco.MjSpec, cell: Cell, panel: Panel, arms: list[ArmModel], names: tuple[str, ...]
 ) -> CellModel:
-    model = spec.compile()
+    model = _compile(spec)
     if tuple(model.joint(i).name for i in range(model.njnt)) != names:
         raise AssertionError("joints are not in the order source arm, detector arm")
     counts = [len(arm.joint_names) for arm in arms]

@@ -83,6 +83,7 @@ def check(
         findings,
         require_extras,
         require_feasible,
+        require_memory,
     )
     from twinct.scan import Workshop
 
@@ -90,6 +91,7 @@ def check(
     require_extras(loaded)
     workshop = Workshop(loaded)
     with named_places(scenario, set_):
+        require_memory(loaded)
         check_geometries(loaded)
         if workshop.plan_chooses:  # else what the views see is known without a plan
             with explained(workshop, picture):

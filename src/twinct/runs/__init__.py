@@ -14,7 +14,7 @@ from twinct.runs.folder import Folder
 from twinct.runs.importing import import_scan
 from twinct.runs.job import Run, report_again, run
 from twinct.runs.kept import Reconstruction
-from twinct.runs.needs import Need, needs
+from twinct.runs.needs import Need, needs, require_memory
 from twinct.runs.reporting import Truth, judge, truth_of
 from twinct.runs.verify import Verdict, verify
 from twinct.runs.volumes import line_integrals, reconstruct, require_feasible
@@ -39,6 +39,7 @@ __all__ = [
     "load_scan",
     "machine_frames",
     "needs",
+    "require_memory",
     "reconstruct",
     "reconstruct_again",
     "report_again",

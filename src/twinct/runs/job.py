@@ -35,6 +35,7 @@ from twinct.runs.folder import Folder, as_yaml, read_metrics, refuse_other_keys
 from twinct.runs.kept import kept_reconstructions
 from twinct.runs.mending import resumable
 from twinct.runs.named import OF_KIND
+from twinct.runs.needs import require_memory
 from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
@@ -120,6 +121,7 @@ def run(
     if store:
         store.refuse_other(scenario)
     require_extras(scenario)
+    require_memory(scenario)
     check_geometries(scenario, folder.geometries if store else None)
     check_drawing()
     if store and folder.finished(scenario) and not store.damage:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from twinct.errors import MemoryShortageError
+from twinct.memory import available_bytes
 from twinct.runs.acquisition import Link
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Workshop
-from twinct.scenario import Brain, CtVolume, Head, MeshFile, Scenario, Skull
+from twinct.scenario import Brain, CtVolume, Head, MeshFile, Scenario, Shape, Skull
+from twinct.specimen.shapes import triangles
 from twinct.threads import threads
 
 PROCESS_BYTES = 400 * 2**20
@@ -28,6 +31,9 @@ HEAD_MM = 320.0
 
 FILE_FACTOR = 24
 """Bytes in memory for each byte of a mesh or a compressed CT volume, at the peak."""
+
+BYTES_PER_TRIANGLE = 200
+"""Of a body that is made, with what its library keeps of it; measured with ``ball_helix``."""
 
 REPORT_BYTES = 300 * 2**20
 
@@ -81,15 +87,46 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
     }
 
 
+def require_memory(scenario: Scenario) -> None:
+    """Refuse what this process could not hold even if it held nothing else, by its keys.
+
+    A run needs more: ``needs`` estimates that from above, this tells of each thing from below.
+
+    Raises:
+        MemoryShortageError: one sentence for each thing that is too large.
+    """
+    available, limit = available_bytes()
+    panel, views = scenario.detector.panel, len(Workshop(scenario).asked)
+    pixels, grid = math.prod(panel.shape), scenario.reconstruction.volume_grid
+    zoomed = scenario.reconstruction.zoom is not None
+    told = {
+        f"specimen.parts.{i}.shape: part {part.label!r}": _part_bytes(part.shape)
+        for i, part in enumerate(scenario.specimen.parts)
+    }
+    told |= {
+        f"detector.columns and detector.rows: images of {panel.columns} x {panel.rows} pixels": 16
+        * pixels,
+        f"trajectory: {views} views of {panel.columns} x {panel.rows} pixels": 8 * pixels * views,
+        f"reconstruction.{'zoom' if zoomed else 'grid'}: {' x '.join(map(str, grid.shape_xyz))} "
+        "voxels": 9 * math.prod(grid.shape),
+    }
+    if short := {what: size for what, size in told.items() if size > available}:
+        raise MemoryShortageError(
+            f"{what}: {size / 2**30:.3g} GiB of memory are needed at least, and "
+            f"{available / 2**30:.2f} GiB are available ({limit})"
+            for what, size in short.items()
+        )
+
+
 def _specimen_bytes(scenario: Scenario) -> int:
-    found = 0
-    for part in scenario.specimen.parts:
-        shape = part.shape
-        if isinstance(shape, Skull | Head | Brain):
-            edge = HEAD_MM if isinstance(shape, Head) else SKULL_MM
-            cells = (edge * shape.scale / shape.mesh_resolution_mm) ** 3
-            found += int(SKULL_BYTES_PER_CELL * cells)
-        elif isinstance(shape, MeshFile | CtVolume):
-            files = shape.path.rglob("*") if shape.path.is_dir() else [shape.path]
-            found += FILE_FACTOR * sum(file.stat().st_size for file in files if file.is_file())
-    return found
+    return sum(_part_bytes(part.shape) for part in scenario.specimen.parts)
+
+
+def _part_bytes(shape: Shape) -> int:
+    if isinstance(shape, Skull | Head | Brain):
+        edge = HEAD_MM if isinstance(shape, Head) else SKULL_MM
+        return int(SKULL_BYTES_PER_CELL * (edge * shape.scale / shape.mesh_resolution_mm) ** 3)
+    if isinstance(shape, MeshFile | CtVolume):
+        files = shape.path.rglob("*") if shape.path.is_dir() else [shape.path]
+        return FILE_FACTOR * sum(file.stat().st_size for file in files if file.is_file())
+    return BYTES_PER_TRIANGLE * triangles(shape)

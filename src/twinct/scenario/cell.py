@@ -14,7 +14,9 @@ from twinct.scenario.specimen import Box, Cylinder, Sphere
 from twinct.settings import (
     Conflict,
     ConflictError,
+    Coordinate,
     Finite,
+    Length,
     Lengths,
     Positive,
     Section,
@@ -60,7 +62,7 @@ class Arm(Section):
     base_rotation_deg: Vector = setting(
         (0.0, 0.0, 0.0), "Extrinsic rotations of the base about x, y, z."
     )
-    standoff_mm: Positive = setting(
+    standoff_mm: Length = setting(
         100.0, "From flange to focal spot, or to panel centre, along the flange axis."
     )
     tool_rotation_deg: Finite = setting(
@@ -147,16 +149,16 @@ class Table(Section):
 
     present: bool = setting(True, "Whether there is a table.")
     size_mm: Lengths = setting((500.0, 900.0, 50.0), "Top plate along x, y, z.")
-    top_z_mm: Finite = setting(-450.0, "Height of the upper face of the plate.")
-    holder_radius_mm: Positive = setting(30.0, "Radius of the specimen holder's post.")
+    top_z_mm: Coordinate = setting(-450.0, "Height of the upper face of the plate.")
+    holder_radius_mm: Length = setting(30.0, "Radius of the specimen holder's post.")
 
 
 class Capsule(Section):
     """A cylinder with round ends along the zone's z axis, centred."""
 
     kind: Literal["capsule"]
-    radius_mm: Positive = Field(description="Radius.")
-    length_mm: Positive = Field(description="Between the centres of the round ends.")
+    radius_mm: Length = Field(description="Radius.")
+    length_mm: Length = Field(description="Between the centres of the round ends.")
 
 
 class Zone(Section):
@@ -185,7 +187,7 @@ class Cell(Section):
     source_arm: SourceArm = setting(SourceArm(), "The arm with the X-ray source.")
     detector_arm: DetectorArm = setting(DetectorArm(), "The arm with the panel.")
     table: Table = setting(Table(), "The table.")
-    floor_z_mm: Finite = setting(-1200.0, "Height of the floor.")
+    floor_z_mm: Coordinate = setting(-1200.0, "Height of the floor.")
     timestep_ms: float = setting(2.0, "Step of the dynamic simulation.", gt=0, le=10)
     zones: tuple[Zone, ...] = setting(
         (), "Forbidden zones: the arms keep clear of them; no image shows them."
@@ -212,7 +214,7 @@ class GantryCell(Section):
         ge=1e-6,
         allow_inf_nan=False,
     )
-    floor_z_mm: Finite = setting(-1200.0, "Height of the floor, for pictures only.")
+    floor_z_mm: Coordinate = setting(-1200.0, "Height of the floor, for pictures only.")
 
 
 def _kind(value: Any) -> str:

@@ -13,6 +13,7 @@ from twinct.scenario.composition import Composition
 from twinct.settings import (
     Conflict,
     ConflictError,
+    Length,
     NonNegative,
     Pair,
     Positive,
@@ -41,7 +42,7 @@ class ScintillatorResponse(Section):
     material: Literal["CsI", "Gd2O2S"] | Composition = setting(
         "CsI", "Scintillator. CsI has 4.51, Gd2O2S 7.32 g/cm^3.", source="attenuation: xraylib"
     )
-    thickness_mm: Positive = Field(
+    thickness_mm: Length = Field(
         description="Its thickness: the share 1 - exp(-mu t) of the photons is absorbed.",
         json_schema_extra=facts(source="Beer-Lambert"),
     )
@@ -67,7 +68,7 @@ class GaussianSpread(Section):
     """A Gaussian point spread."""
 
     kind: Literal["gaussian"]
-    sigma_mm: Positive = Field(
+    sigma_mm: Length = Field(
         description="Standard deviation: the basic spatial resolution of ISO 19232-5 over 1.41.",
         json_schema_extra=facts(source="ISO 19232-5"),
     )
@@ -198,7 +199,7 @@ class Detector(Section):
 
     columns: int = setting(640, "Pixels along u.", ge=1, le=8192, unit="px", source="the paper")
     rows: int = setting(480, "Pixels along v.", ge=1, le=8192, unit="px", source="the paper")
-    pixel_pitch_mm: Positive | Pair = setting(
+    pixel_pitch_mm: Length | Pair = setting(
         0.5, "Pixel pitch; two numbers for (u, v).", source="the paper"
     )
     response: Response = setting(IntegratingResponse(), "What the detector makes of a photon.")

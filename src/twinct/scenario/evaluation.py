@@ -10,7 +10,15 @@ from pydantic import Field, model_validator
 
 from twinct.geometry import Pose
 from twinct.scenario.specimen import Box, Cylinder, Specimen, Sphere
-from twinct.settings import Conflict, Finite, NonNegative, Positive, Section, Vector, setting
+from twinct.settings import (
+    Conflict,
+    Finite,
+    Length,
+    NonNegative,
+    Section,
+    Vector,
+    setting,
+)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 """Part of a figure's dotted name."""
@@ -22,7 +30,7 @@ class Shell(Section):
     kind: Literal["shell"]
     part: str = Field(description="Name of the part.")
     from_mm: NonNegative = setting(0.0, "Distance from the part at which it begins.")
-    to_mm: Positive = Field(description="Distance from the part at which it ends.")
+    to_mm: Length = Field(description="Distance from the part at which it ends.")
 
     @model_validator(mode="after")
     def _outwards(self) -> Shell:
@@ -88,7 +96,7 @@ class SphereSignal(Section):
     """A ball of one contrast."""
 
     kind: Literal["sphere"]
-    radius_mm: Positive = Field(description="Radius.")
+    radius_mm: Length = Field(description="Radius.")
     contrast_rel: Finite = Field(description="Of mu(reference).", json_schema_extra={"x-unit": "1"})
 
 
@@ -96,7 +104,7 @@ class GaussianSignal(Section):
     """A contrast that falls off as a Gaussian."""
 
     kind: Literal["gaussian"]
-    sigma_mm: Positive = Field(description="Sigma.")
+    sigma_mm: Length = Field(description="Sigma.")
     contrast_rel: Finite = Field(
         description="In its middle, of mu(reference).", json_schema_extra={"x-unit": "1"}
     )
@@ -125,7 +133,7 @@ class Streaks(Section):
 
     part: str = Field(description="Name of the part, such as an implant.")
     from_mm: NonNegative = setting(2.0, "Distance from the part at which the shell begins.")
-    to_mm: Positive = setting(15.0, "Distance from the part at which the shell ends.")
+    to_mm: Length = setting(15.0, "Distance from the part at which the shell ends.")
 
     @model_validator(mode="after")
     def _outwards(self) -> Streaks:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from twinct.settings import NonNegative, Positive, Section, setting
+from twinct.settings import Length, NonNegative, Positive, Section, setting
 
 
 class InverseKinematics(Section):
     """When a joint configuration counts as solved."""
 
-    position_tolerance_mm: Positive = setting(
+    position_tolerance_mm: Length = setting(
         0.1,
         "Distance from the target at which an end-effector counts as there.",
         source="the paper",
@@ -32,7 +32,7 @@ class Motion(Section):
         "moving; settled: at rest.",
         source="the paper",
     )
-    tolerance_mm: Positive = setting(
+    tolerance_mm: Length = setting(
         1.0, "Distance at which a target counts as reached.", source="the paper"
     )
     clearance_mm: NonNegative = setting(10.0, "Smallest gap between bodies that a plan may have.")

@@ -14,7 +14,7 @@ from twinct.recon.algorithm import Algorithm
 from twinct.recon.algorithms import algorithms
 from twinct.scenario.beam_hardening import BeamHardening
 from twinct.scenario.metal import Metal
-from twinct.settings import Lengths, Positive, Section, Vector, facts, setting
+from twinct.settings import Length, Lengths, Section, Vector, facts, setting
 
 log = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ class Grid(Section):
     voxels: Annotated[int, Field(ge=2, le=4096)] | tuple[int, int, int] = setting(
         512, "Voxels along each axis; three numbers for (x, y, z).", source="the paper"
     )
-    voxel_mm: Positive | Lengths = setting(
+    voxel_mm: Length | Lengths = setting(
         0.31, "Voxel edge; three for (x, y, z).", source="the paper"
     )
     centre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the grid in the world.")
@@ -56,12 +56,12 @@ GeometryName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 class Surroundings(Section):
     """A coarse reconstruction of more than the grid, to take out what lies around the grid."""
 
-    margin_mm: Positive = Field(
+    margin_mm: Length = Field(
         description="By how much the coarse grid is larger on each side; the specimen should end "
         "inside of it.",
         json_schema_extra=facts(source="Ziegler, Nielsen and Grass, Med. Phys. 35 (2008)"),
     )
-    voxel_mm: Positive = Field(description="Coarse voxel edge, such as four times the grid's.")
+    voxel_mm: Length = Field(description="Coarse voxel edge, such as four times the grid's.")
     iterations: int = setting(5, "Of a coarse SART.", ge=1, le=10_000)
     relaxation: float = setting(0.3, "Of the coarse SART.", gt=0, lt=2)
 
@@ -70,8 +70,8 @@ class Zoom(Section):
     """A region with finer voxels, reconstructed in place of the grid; its axes are the grid's."""
 
     centre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the region in the world.")
-    size_mm: Positive | Lengths = Field(description="Edges of the region; three for (x, y, z).")
-    voxel_mm: Positive = Field(description="Voxel edge; changed a little to fit the region.")
+    size_mm: Length | Lengths = Field(description="Edges of the region; three for (x, y, z).")
+    voxel_mm: Length = Field(description="Voxel edge; changed a little to fit the region.")
     iterations: int = setting(
         5,
         "Of a SART on the whole grid: what of it lies around the region is taken out.",

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twinct.scenario.composition import Composition
-from twinct.settings import Conflict, ConflictError, Pair, Positive, Section, facts, setting
+from twinct.settings import Conflict, ConflictError, Length, Pair, Positive, Section, facts, setting
 
 MOST_KV = 50.0
 """Highest tube voltage for which SpekPy knows molybdenum and rhodium."""
@@ -20,7 +20,7 @@ class Filter(Section):
     material: str | Composition = setting(
         "aluminium", "Material of the plate.", source="attenuation: xraylib"
     )
-    thickness_mm: Positive = Field(description="Its thickness.")
+    thickness_mm: Length = Field(description="Its thickness.")
 
 
 class TubeSpectrum(Section):
@@ -77,7 +77,7 @@ class GaussianSpot(_Spot):
     """A focal spot of Gaussian intensity."""
 
     kind: Literal["gaussian"]
-    sigma_mm: Positive | Pair = Field(
+    sigma_mm: Length | Pair = Field(
         description="Standard deviation; two numbers for (x, y). 4 sigma are at most a quarter of "
         "the distance to the panel."
     )
@@ -87,7 +87,7 @@ class SquareSpot(_Spot):
     """A rectangle of constant intensity."""
 
     kind: Literal["square"]
-    size_mm: Positive | Pair = Field(
+    size_mm: Length | Pair = Field(
         description="Edge; two numbers for (x, y). At most a quarter of the distance to the panel."
     )
 
@@ -97,7 +97,7 @@ class ImageSpot(_Spot):
 
     kind: Literal["image"]
     path: Path = Field(description="Intensity as .npy, or an image; row 0 at the lowest y.")
-    size_mm: Positive | Pair = Field(
+    size_mm: Length | Pair = Field(
         description="Edge of the image; two numbers for (x, y). At most a quarter of the distance "
         "to the panel."
     )

@@ -13,6 +13,7 @@ from twinct.settings import (
     Conflict,
     ConflictError,
     Finite,
+    Length,
     Lengths,
     NonNegative,
     Positive,
@@ -21,13 +22,15 @@ from twinct.settings import (
     setting,
 )
 
+Scale = Annotated[float, Field(gt=0, le=1000)]
+
 
 class Skull(Section):
     """The built-in adult skull from implicit surfaces."""
 
     kind: Literal["skull"]
-    scale: Positive = setting(1.0, "1 is adult size.")
-    mesh_resolution_mm: Positive = setting(
+    scale: Scale = setting(1.0, "1 is adult size.")
+    mesh_resolution_mm: Length = setting(
         1.0, "Cell of the lattice on which the surface mesh is extracted."
     )
 
@@ -36,8 +39,8 @@ class Head(Section):
     """The soft tissue about the built-in skull at the same place, down to the chin; airways too."""
 
     kind: Literal["head"]
-    scale: Positive = setting(1.0, "1 is adult size.")
-    mesh_resolution_mm: Positive = setting(
+    scale: Scale = setting(1.0, "1 is adult size.")
+    mesh_resolution_mm: Length = setting(
         2.0, "Cell of the lattice on which the surface mesh is extracted."
     )
 
@@ -46,8 +49,8 @@ class Brain(Section):
     """What fills the braincase of the built-in skull at the same place; the skull comes later."""
 
     kind: Literal["brain"]
-    scale: Positive = setting(1.0, "1 is adult size.")
-    mesh_resolution_mm: Positive = setting(
+    scale: Scale = setting(1.0, "1 is adult size.")
+    mesh_resolution_mm: Length = setting(
         2.0, "Cell of the lattice on which the surface mesh is extracted."
     )
 
@@ -59,8 +62,8 @@ class Sphere(Section):
     """A sphere about the part's origin."""
 
     kind: Literal["sphere"]
-    radius_mm: Positive = Field(description="Radius.")
-    mesh_resolution_mm: Positive | None = setting(None, ROUND_MESH)
+    radius_mm: Length = Field(description="Radius.")
+    mesh_resolution_mm: Length | None = setting(None, ROUND_MESH)
 
 
 class Ellipsoid(Section):
@@ -68,15 +71,15 @@ class Ellipsoid(Section):
 
     kind: Literal["ellipsoid"]
     semi_axes_mm: Lengths = Field(description="Semi-axes along x, y, z.")
-    mesh_resolution_mm: Positive | None = setting(None, ROUND_MESH)
+    mesh_resolution_mm: Length | None = setting(None, ROUND_MESH)
 
 
 class Cylinder(Section):
     """A cylinder along the part's z axis, centred."""
 
     kind: Literal["cylinder"]
-    radius_mm: Positive = Field(description="Radius.")
-    height_mm: Positive = Field(description="Height.")
+    radius_mm: Length = Field(description="Radius.")
+    height_mm: Length = Field(description="Height.")
 
 
 class Box(Section):
@@ -91,16 +94,16 @@ class BallHelix(Section):
 
     kind: Literal["ball_helix"]
     balls: int = setting(64, "How many.", ge=8, le=1000)
-    ball_radius_mm: Positive = setting(1.5, "Radius of each.")
-    radius_mm: Positive = setting(70.0, "Of the helix.")
-    height_mm: Positive = setting(140.0, "From the first ball's centre to the last one's.")
+    ball_radius_mm: Length = setting(1.5, "Radius of each.")
+    radius_mm: Length = setting(70.0, "Of the helix.")
+    height_mm: Length = setting(140.0, "From the first ball's centre to the last one's.")
     turns: Positive = setting(4.3, "Of the helix; a whole number would put balls on one another.")
     tolerance_mm: NonNegative = setting(
         0.0,
         "Standard deviation of each centre along each axis; a calibration knows nominal places.",
     )
     tolerance_seed: int = setting(0, "Another seed is another phantom.", ge=0, lt=2**63)
-    mesh_resolution_mm: Positive = setting(0.2, "Longest edge of a ball's triangles.")
+    mesh_resolution_mm: Length = setting(0.2, "Longest edge of a ball's triangles.")
 
 
 class MeshFile(Section):
@@ -108,7 +111,7 @@ class MeshFile(Section):
 
     kind: Literal["mesh"]
     path: Path = Field(description="Mesh file.")
-    unit_mm: Positive = setting(1.0, "Length of the file's unit.")
+    unit_mm: Length = setting(1.0, "Length of the file's unit.")
     centre: bool = setting(False, "Move the middle of its bounds to the part's origin.")
 
 

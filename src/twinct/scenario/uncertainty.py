@@ -12,6 +12,7 @@ from twinct.settings import (
     Conflict,
     ConflictError,
     Finite,
+    Length,
     NonNegative,
     Positive,
     Section,
@@ -27,7 +28,7 @@ class PoseNoise(Section):
     """Normal noise of the poses that are reported, for each axis."""
 
     sigma_mm: NonNegative = setting(0.1, "Standard deviation for each axis.", source="the paper")
-    cutoff_mm: Positive | None = setting(
+    cutoff_mm: Length | None = setting(
         0.15,
         "Largest deviation on each axis, beyond which it is drawn again; null: none.",
         source="the paper: repeatability",

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from twinct import scenario
 from twinct.errors import SpecimenError
@@ -20,6 +20,13 @@ from twinct.specimen.voxels import volume_fractions
 
 HULL_DIRECTIONS = 4000
 """Directions in which the collision hull touches the specimen, about 3 degrees apart."""
+
+
+FARTHEST_MM = 1e7
+SMALLEST_MM = 1e-5
+"""Of coordinates and edges of a part: single precision renders neither more nor less."""
+FLATTEST = 1e-7
+"""Least edge of a part beside its largest: what is flatter is no body to the modellers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +86,13 @@ class BuiltSpecimen:
         small where a surface is round; a skull sticks out of it by 0.4 mm at most.
         """
         points = np.concatenate([part.mesh.vertices for part in self.parts])
-        points = points[ConvexHull(points).vertices]
+        try:
+            points = points[ConvexHull(points).vertices]
+        except QhullError:
+            edges = " x ".join(f"{edge:g}" for edge in np.ptp(points, axis=0))
+            raise SpecimenError(
+                f"specimen.parts: all of them together measure {edges} mm: too flat for a body"
+            ) from None
         blocks = np.array_split(_sphere_directions(HULL_DIRECTIONS), 40)
         outermost = np.unique(np.concatenate([(points @ b.T).argmax(axis=0) for b in blocks]))
         return trimesh.convex.convex_hull(points[outermost])
@@ -132,10 +145,26 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
             continue
         if substance is not None:
             placed = surface(part.specimen_from_part.apply(mesh.vertices), mesh.faces)
+            if why := _no_body(placed):
+                problems.append(f"specimen.parts.{i}.shape: part {part.label!r} {why}")
+                continue
             built.append(BuiltPart(part.label, substance, placed))
     if problems:
         raise SpecimenError(problems)
     return BuiltSpecimen(_disjoint(built), section.world_from_specimen, section.reference)
+
+
+def _no_body(mesh: trimesh.Trimesh) -> str:
+    """Why no simulation could hold a part; empty if it can."""
+    if not len(mesh.faces):
+        return "has no surface"
+    edges = np.ptp(mesh.bounds, axis=0)
+    told = " x ".join(f"{edge:g}" for edge in edges)
+    if not np.abs(mesh.bounds).max() <= FARTHEST_MM:
+        return f"reaches beyond {FARTHEST_MM:g} mm: it measures {told} mm"
+    if not edges.min() >= max(SMALLEST_MM, FLATTEST * edges.max()):
+        return f"is too small or too flat: it measures {told} mm"
+    return ""
 
 
 def _sphere_directions(count: int) -> Floats:

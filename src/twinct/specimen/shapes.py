@@ -72,12 +72,31 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
     raise AssertionError(f"no surface for {shape!r}")
 
 
+def triangles(shape: Shape) -> int:
+    """How many triangles a body of balls has; 0 of other bodies, which have few or are measured."""
+    match shape:
+        case scenario.Sphere():
+            size = shape.radius_mm
+        case scenario.Ellipsoid():
+            size = max(shape.semi_axes_mm)
+        case scenario.BallHelix():
+            size = shape.ball_radius_mm
+        case _:
+            return 0
+    number = shape.balls if isinstance(shape, scenario.BallHelix) else 1
+    return 20 * 4 ** _subdivisions(size, shape.mesh_resolution_mm) * number
+
+
 def _ball(semi_axes: tuple[float, float, float], edge_mm: float | None) -> trimesh.Trimesh:
     # Corners a little outside of the sphere: the polyhedron then has the sphere's own volume.
-    subdivisions = SPHERE_SUBDIVISIONS
-    if edge_mm is not None:  # each halves the edges
-        halvings = math.log2(ICOSAHEDRON_EDGE * max(semi_axes) / edge_mm)
-        subdivisions = min(max(math.ceil(halvings), 2), SPHERE_SUBDIVISIONS)
-    ball = trimesh.creation.icosphere(subdivisions=subdivisions)
+    ball = trimesh.creation.icosphere(subdivisions=_subdivisions(max(semi_axes), edge_mm))
     fit = (4 / 3 * math.pi / ball.volume) ** (1 / 3)
     return surface(ball.vertices * np.array(semi_axes) * fit, ball.faces)
+
+
+def _subdivisions(radius_mm: float, edge_mm: float | None) -> int:
+    """How often the edges of an icosahedron are halved."""
+    if edge_mm is None:
+        return SPHERE_SUBDIVISIONS
+    halvings = math.log2(ICOSAHEDRON_EDGE * radius_mm / edge_mm)
+    return min(max(math.ceil(halvings), 2), SPHERE_SUBDIVISIONS)

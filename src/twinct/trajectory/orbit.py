@@ -10,14 +10,14 @@ from pydantic import Field, model_validator
 
 from twinct.errors import TrajectoryError
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.settings import Conflict, ConflictError, Finite, Positive, Vector, setting
+from twinct.settings import Conflict, ConflictError, Finite, Length, Vector, setting
 from twinct.trajectory.family import TrajectorySettings
 
 _STEEPEST_BEAM = 1e-9
 """Smallest horizontal share of a beam that still tells which way is horizontal."""
 
 
-Course = Annotated[tuple[Positive, ...], Field(min_length=2)]
+Course = Annotated[tuple[Length, ...], Field(min_length=2, max_length=10_000)]
 """A distance that changes along the path: values at equal shares of it, linear between them."""
 
 
@@ -26,13 +26,13 @@ class OrbitSettings(TrajectorySettings):
 
     views: int = Field(ge=1, le=100_000, description="Number of projections.")
     isocentre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the orbit.")
-    sod_mm: Positive | Course = setting(
+    sod_mm: Length | Course = setting(
         300.0,
         "Distance from source to isocentre; or several, at equal shares of the path, and linear "
         "between them.",
         source="the paper",
     )
-    sdd_mm: Positive | Course = setting(
+    sdd_mm: Length | Course = setting(
         600.0,
         "Distance from source to panel centre; or several, as ``sod_mm``.",
         source="the paper, as docs/paper.md reads it",

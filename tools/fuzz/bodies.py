@@ -1,0 +1,48 @@
+"""Scenarios whose specimen and room are built: each is built, or refused with its key."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import numpy as np
+import scenarios
+from cases import Case
+
+from twinct.errors import InputError
+from twinct.geometry import Panel
+from twinct.runs import require_memory
+from twinct.scan import Workshop
+from twinct.scenario import Cell, load_scenario
+
+SECTIONS = (("specimen", "parts", 0, "shape"), ("specimen",), ("cell",), ("detector",))
+
+
+class Kind(scenarios.Kind):
+    """Scenarios with other bodies and other rooms, built as far as the engines see them."""
+
+    seconds = 30.0
+    memory_bytes = 2 * 2**30
+
+    def case(self, rng: random.Random, folder: Path) -> Case:
+        """Sections from the schema, or values of a valid one changed."""
+        key = rng.choice(SECTIONS)
+        told = self.valid_with(rng, folder / "mutant.yaml", key)
+        return Case(told, lambda: _built(folder / "mutant.yaml"))
+
+
+def _built(path: Path) -> str:
+    scenario = load_scenario(path)
+    require_memory(scenario)
+    workshop = Workshop(scenario)
+    hull = workshop.hull
+    if not np.isfinite(hull.vertices).all():
+        raise AssertionError("a hull that is not finite")
+    if isinstance(scenario.cell, Cell):
+        assert isinstance(scenario.detector.panel, Panel)
+        _ = workshop.cell
+    try:
+        _ = workshop.asked
+    except InputError:
+        return "specimen and room"
+    return "all"
