@@ -1,7 +1,7 @@
 """Fuzzing: thousands of broken inputs, each of which must give a right result or a clear message.
 
     python tools/fuzz scenarios --minutes 10 --seed 1
-    python tools/fuzz files --count 2000 --seed 2
+    python tools/fuzz files bodies --count 2000 --seed 2
     python tools/fuzz scenarios --seed 1 --only 4711
 
 A case is known by kind, seed and number. It fails by anything else than a result or an
@@ -20,8 +20,8 @@ from pathlib import Path
 
 from driver import fuzz
 
-KINDS = ("scenarios", "bodies")
-"""Each is a module beside this one, with a class ``Kind``."""
+KINDS = {"scenarios": "scenario_files", "bodies": "bodies", "files": "input_files"}
+"""Each is a module beside this one, which has a class ``Kind``."""
 
 
 def main() -> int:
@@ -44,7 +44,7 @@ def main() -> int:
         chosen = every if arguments.only is None else [arguments.only]
         before = time.monotonic()
         place = arguments.out.absolute() / kind
-        found = fuzz(kind, arguments.seed, chosen, 60 * minutes, place)
+        found = fuzz(KINDS[kind], arguments.seed, chosen, 60 * minutes, place)
         words = ", ".join(f"{number} {word}" for word, number in found.words.most_common())
         sys.stdout.write(
             f"{kind}, seed {arguments.seed}: {found.words.total()} cases in "

@@ -6,8 +6,8 @@ import random
 from pathlib import Path
 
 import numpy as np
-import scenarios
 from cases import Case
+from scenario_files import Kind as ScenarioFiles
 
 from twinct.errors import InputError
 from twinct.geometry import Panel
@@ -18,7 +18,7 @@ from twinct.scenario import Cell, load_scenario
 SECTIONS = (("specimen", "parts", 0, "shape"), ("specimen",), ("cell",), ("detector",))
 
 
-class Kind(scenarios.Kind):
+class Kind(ScenarioFiles):
     """Scenarios with other bodies and other rooms, built as far as the engines see them."""
 
     seconds = 30.0

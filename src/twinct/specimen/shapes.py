@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 
 from twinct import scenario
+from twinct.errors import SpecimenError
 from twinct.files.meshes import read_mesh
 from twinct.scenario import Shape
 from twinct.specimen.balls import true_centres
@@ -35,12 +36,16 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
             exceeds; the message names the part.
     """
     match shape:
-        case scenario.Skull():
-            return skull_surface(shape.scale, shape.mesh_resolution_mm)
-        case scenario.Head():
-            return head_surface(shape.scale, shape.mesh_resolution_mm)
-        case scenario.Brain():
-            return brain_surface(shape.scale, shape.mesh_resolution_mm)
+        case scenario.Skull() | scenario.Head() | scenario.Brain():
+            make = {"skull": skull_surface, "head": head_surface, "brain": brain_surface}
+            edge = shape.mesh_resolution_mm
+            try:
+                return make[shape.kind](shape.scale, edge)
+            except (ValueError, IndexError):  # no corner of the lattice lies in it
+                raise SpecimenError(
+                    f"part {name!r}: mesh_resolution_mm {edge:g} is too coarse for a {shape.kind} "
+                    f"of scale {shape.scale:g}"
+                ) from None
         case scenario.Sphere():
             return _ball(
                 (shape.radius_mm, shape.radius_mm, shape.radius_mm), shape.mesh_resolution_mm

@@ -149,6 +149,9 @@ class Kind:
         data = copy.deepcopy(rng.choice([d for d in self._data if "specimen" in d]))
         for file in self._material.iterdir():
             (path.parent / file.name).symlink_to(file)
+        for part in data["specimen"]["parts"]:
+            if part["shape"]["kind"] in ("skull", "head", "brain"):
+                part["shape"]["mesh_resolution_mm"] = 6.0  # quickly built
         here: Any = data
         for step in key[:-1]:
             here = here[step]
