@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
+from twinct.files.nifti import read_nifti
 from twinct.files.writing import complete
 from twinct.geometry import Floats, Pose, VolumeGrid
 
@@ -117,16 +118,12 @@ class Volume:
         Raises:
             InputError: no readable NIfTI file, or one without a grid of voxels.
         """
-        import nibabel
-        from nibabel.filebasedimages import ImageFileError
-        from nibabel.wrapstruct import WrapStructError
-
+        voxels, image = read_nifti(path, f"{path}: not a readable NIfTI volume: it")
         try:
-            image: Any = nibabel.Nifti1Image.from_filename(path)
             note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")
-            array = np.asarray(image.dataobj, dtype=np.float32).T
+            array = voxels.T
             grid = _grid_of(array.shape, np.asarray(image.affine, dtype=np.float64))
-        except (OSError, ValueError, ImageFileError, WrapStructError) as error:
+        except (ValueError, KeyError) as error:
             raise InputError(f"{path}: not a readable NIfTI volume: {error}") from None
         return cls(array, grid, {"note": note})
 
@@ -139,7 +136,7 @@ def _borders(centres: Floats) -> tuple[float, float]:
 def _grid_of(shape: tuple[int, ...], affine: Floats) -> VolumeGrid:
     """The grid whose ``affine`` this is; raises ValueError where there is none."""
     linear, edges = affine[:3, :3], np.linalg.norm(affine[:3, :3], axis=0)
-    if len(shape) != 3 or np.linalg.det(linear) <= 0:
+    if len(shape) != 3 or not np.linalg.det(linear) > 0 or not np.isfinite(affine).all():
         raise ValueError(f"{len(shape)} axes with the matrix {linear.tolist()}")
     middle = affine @ [*((np.array(shape[::-1]) - 1) / 2), 1.0]
     return VolumeGrid(shape, edges, Pose.from_matrix(middle[:3], linear / edges))

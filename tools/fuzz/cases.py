@@ -27,7 +27,7 @@ class Kind(Protocol):
     """A kind of input. Its module has a class ``Kind``, which ``__main__`` finds by its name.
 
     Attributes:
-        seconds: that a case may take.
+        seconds: of the processor that a case may take.
         memory_bytes: that the process may hold at a case's peak.
     """
 

@@ -18,8 +18,8 @@ from typing import Any
 START_SECONDS = 120.0
 """In which a worker has its libraries and its material."""
 
-GRACE_SECONDS = 5.0
-"""Beyond the time of a case, on a busy machine, before its worker is ended."""
+GRACE = 10.0
+"""Times as long by the clock, on a busy machine, and a worker hangs and is ended."""
 
 CASES_A_WORKER = 20_000
 """Then a fresh one: what a library keeps of each case is not of the next."""
@@ -73,7 +73,7 @@ class Worker:
         before = time.monotonic()
         self._process.stdin.write(f"{number}\n".encode())
         self._process.stdin.flush()
-        line = self._line(self._seconds + GRACE_SECONDS)
+        line = self._line(GRACE * self._seconds)
         if line:
             return json.loads(line)
         code = self._process.poll()

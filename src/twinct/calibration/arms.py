@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twinct.errors import InputError
+from twinct.files.boundary import read_text, shortened
 from twinct.files.writing import storage_errors, write_text
 from twinct.geometry import Chain, Floats, Misfit, Pose
 from twinct.views import PosePairs
@@ -18,6 +19,8 @@ from twinct.views import PosePairs
 FORMAT = "twinct arms 1"
 
 SIDES = ("source", "detector")
+
+LARGEST_BYTES = 16 * 2**20
 
 SAME_MM = 1e-6
 """Nominal frames of two cells that differ by less are those of one."""
@@ -139,8 +142,9 @@ class CalibratedArms:
         Raises:
             InputError: it is no such file, or of another cell.
         """
+        text = read_text(path, f"{path}: no calibrated arms: the file", LARGEST_BYTES)
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
+            told = json.loads(text)
             if told["format"] != FORMAT:
                 raise ValueError(f"format {told['format']!r}, this twinct reads {FORMAT!r}")
             changes = [_change(told[side], len(told[side]["nominal"]) - 2) for side in SIDES]
@@ -148,8 +152,9 @@ class CalibratedArms:
             periods, made_by = int(told["gear_periods"]), dict(told["made_by"])
             place = np.array(told["phantom_from_room"], float)
             room = Pose(place[:3], place[3:])
-        except (OSError, ValueError, TypeError, KeyError) as error:
-            raise InputError(f"{path}: no calibrated arms: {error}") from None
+        except Exception as error:  # JSON of any kind and depth
+            why = shortened(f"{type(error).__name__}: {error}")
+            raise InputError(f"{path}: no calibrated arms: {why}") from None
         require_same_arms((nominal[0], nominal[1]), chains, str(path))
         return cls(chains, (changes[0], changes[1]), periods, room, made_by)
 
@@ -181,7 +186,7 @@ def require_same_arms(
                 f"{where} is of another cell: {len(one) - 2} and {len(other) - 2} joints in the "
                 f"{side} arms"
             )
-        if (off := float(np.abs(one - other).max())) > SAME_MM:
+        if not (off := float(np.abs(one - other).max())) <= SAME_MM:
             raise InputError(
                 f"{where} is of another cell: frames of the nominal {side} arms lie up to "
                 f"{off:.3g} mm apart"

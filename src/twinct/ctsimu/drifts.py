@@ -8,7 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from twinct.files.reading import reason
+from twinct.errors import InputError
+from twinct.files.boundary import read_text
+
+LARGEST_BYTES = 16 * 2**20
+"""Of one file: a million moments."""
 
 
 def drift_values(drift: Mapping[str, Any], folder: Path, *, as_text: bool) -> list[Any]:
@@ -32,10 +36,10 @@ def _column(file: object, folder: Path, as_text: bool) -> list[Any]:
         raise ValueError(f"{short(file)} is no name of a file")
     path = folder / file.replace("\\", "/")
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, "it", LARGEST_BYTES).splitlines()
         cells = [row[0].strip() for row in csv.reader(lines) if row]
-    except (OSError, ValueError, csv.Error) as error:
-        raise ValueError(f"{path} cannot be read: {reason(error)}") from None
+    except (InputError, csv.Error) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from None
     if not cells:
         raise ValueError(f"{path} holds no values")
     if as_text:

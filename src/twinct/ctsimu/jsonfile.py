@@ -7,8 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from twinct.errors import ScenarioError
-from twinct.files.reading import reason
+from twinct.errors import InputError, ScenarioError
+from twinct.files.boundary import read_text, shortened
+
+LARGEST_BYTES = 16 * 2**20
+"""Of one file; the largest of BAM's suite has 0.02 MB."""
 
 
 class _Object(dict[str, Any]):
@@ -24,9 +27,9 @@ def read_json(path: Path, skipped: str) -> dict[str, Any]:
         ScenarioError: not readable, no JSON object, or keys given twice; says where.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"{path}: cannot read the scenario: {reason(error)}") from None
+        text = read_text(path, "it", LARGEST_BYTES)
+    except InputError as error:
+        raise ScenarioError(f"{path}: cannot read the scenario: {error}") from None
     if not text.strip():
         raise ScenarioError(f"{path}: the file is empty")
     try:
@@ -37,7 +40,7 @@ def read_json(path: Path, skipped: str) -> dict[str, Any]:
             f"{path}:{error.lineno}: not valid JSON: {what} at column {error.colno}"
         ) from None
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, deep nesting
-        raise ScenarioError(f"{path}: not valid JSON: {error}") from None
+        raise ScenarioError(f"{path}: not valid JSON: {shortened(str(error))}") from None
     if not isinstance(data, dict):
         raise ScenarioError(f"{path}: a CTSimU scenario is a JSON object")
     repeated = list(_repeated(data, "", skipped))

@@ -185,7 +185,7 @@ class JsonSection:
             if path.is_file():
                 return path
             what = "is a folder, not a file" if path.is_dir() else ""
-        except (OSError, ValueError):  # a name that no file can have
+        except (OSError, RuntimeError, ValueError):  # a name that no file can have
             what = ""
         self.problem(key, f"{path} {what}" if what else f"no file at {path}")
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +11,12 @@ import tifffile
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
-from twinct.files.reading import reason
+from twinct.files.arrays import read_npy
+from twinct.files.boundary import file_bytes, read_bytes, require_memory
 from twinct.files.writing import complete
+
+PICTURES = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF")
+"""Formats that are read, by their names in Pillow."""
 
 
 @dataclass(frozen=True)
@@ -49,28 +54,49 @@ def read_image(
 
 
 def _raw(file: RawImage, shape: tuple[int, int]) -> NDArray[np.float64]:
-    try:
-        data = file.path.read_bytes()[file.header :]
-        return np.frombuffer(data, dtype=file.kind).reshape(shape).astype(np.float64)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file.path}: cannot be read as an image: {reason(error)}") from None
+    where = f"{file.path}: the image"
+    expected = file.header + math.prod(shape) * np.dtype(file.kind).itemsize
+    if (size := file_bytes(file.path, where)) != expected:
+        raise InputError(
+            f"{file.path}: cannot be read as an image: {size} bytes, and {expected} are needed for "
+            f"{shape} pixels"
+        )
+    require_memory(where, 3 * 8 * math.prod(shape))
+    data = read_bytes(file.path, where, expected)[file.header :]
+    return np.frombuffer(data, dtype=file.kind).reshape(shape).astype(np.float64)
 
 
 def _picture(path: Path, what: str) -> NDArray[np.float64]:
+    where = f"{path}: cannot be read as the image of {what}: it"
+    file_bytes(path, where)
     try:
         if path.suffix == ".npy":
-            image = np.load(path, allow_pickle=False)
+            image = read_npy(path, where)
         else:
             from skimage import io
 
+            require_memory(where, 40.0 * _pixels(path))
             image = io.imread(path, as_gray=True)
         if image.dtype.kind not in "biuf":
             raise ValueError
         return np.asarray(image, dtype=float)
+    except InputError:
+        raise
     except Exception as error:  # readers of pictures raise what they like, and speak of themselves
         kind = "array of numbers as numpy.save writes it" if path.suffix == ".npy" else "picture"
         cause = getattr(error, "strerror", None) or f"it holds no {kind}"
         raise InputError(f"{path}: cannot be read as the image of {what}: {cause}") from None
+
+
+def _pixels(path: Path) -> int:
+    """How many pixels the header of a picture tells of."""
+    if path.suffix.lower() in (".tif", ".tiff"):
+        with tifffile.TiffFile(path) as file:
+            return sum(math.prod(series.shape) for series in file.series)
+    from PIL import Image
+
+    with Image.open(path, formats=PICTURES) as picture:
+        return math.prod(picture.size)
 
 
 def write_tiff(path: Path, pixels: NDArray[np.generic]) -> None:

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import io
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 
 from twinct.errors import SpecimenError
+from twinct.files.boundary import no_file, read_bytes, require_memory, shortened
 
 _KNOWN = "STL, PLY and OBJ files are known"
+_KINDS = ("stl", "ply", "obj", "off")
+
+LARGEST_BYTES = 2**30
+"""Of one file: 20 million triangles of binary STL."""
+
+MEMORY_FACTOR = 8
+"""Bytes in memory for each byte of a file while it is read; text has fewer."""
 
 
 def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
@@ -18,22 +29,39 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
     Raises:
         SpecimenError: the file cannot be read, or holds no triangles of finite corners.
     """
-    if path.is_dir():
-        raise SpecimenError(f"{where} is a folder; the name of one file is needed")
-    if not path.is_file():
-        raise SpecimenError(f"{where} does not exist")
+    if why := no_file(path):
+        raise SpecimenError(f"{where} {why}")
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in _KINDS:
+        raise SpecimenError(f"{where} is no mesh: {_KNOWN}")
+    data = read_bytes(path, where, LARGEST_BYTES, SpecimenError)
+    require_memory(where, MEMORY_FACTOR * len(data), SpecimenError)
+    if kind == "ply":
+        _check_ply(data, where)
     try:
-        mesh = trimesh.load(path, force="mesh")
+        # From memory: what else a file names, textures say, is not looked for.
+        mesh: Any = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh")
     except ImportError:  # trimesh looks for a guesser of encodings where text is none it knows
         raise SpecimenError(f"{where} is no mesh: {_KNOWN}") from None
     except Exception as error:  # trimesh's readers raise whatever their format brings
-        why = f"{type(error).__name__}: {error}"
+        why = shortened(f"{type(error).__name__}: {error}")
         raise SpecimenError(f"{where} cannot be read ({why}); {_KNOWN}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise SpecimenError(f"{where} holds no triangles")
     if not np.isfinite(mesh.vertices).all():
         raise SpecimenError(f"{where} holds vertices that are not finite")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise SpecimenError(f"{where} holds triangles of corners that it has not")
     return mesh
+
+
+def _check_ply(data: bytes, where: str) -> None:
+    """Refuse a header of PLY that tells of more elements than there are bytes."""
+    header = data[: max(data.find(b"end_header"), 0)]
+    for number in re.findall(rb"^element\s+\S+\s+(\S+)", header, re.MULTILINE):
+        if not number.isdigit() or len(number) > 18 or int(number) > len(data):
+            told = shortened(number.decode(errors="replace"), 30)
+            raise SpecimenError(f"{where} is cut off: its header tells of {told} elements")
 
 
 def read_mesh(path: Path, where: str) -> trimesh.Trimesh:

@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
-from twinct.files.reading import reason
+from twinct.files.boundary import read_text, shortened
+
+LARGEST_BYTES = 16 * 2**20
+"""Of one file: half a million rows."""
 
 
 def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.float64]:
@@ -22,9 +25,9 @@ def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.
     """
     wanted = f"not {columns} columns of numbers"
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {wanted}: {reason(error)}") from None
+        text = read_text(path, "it", LARGEST_BYTES)
+    except InputError as error:
+        raise InputError(f"{path}: {wanted}: {error}") from None
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
@@ -33,11 +36,13 @@ def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.
         try:
             row = [float(word) for word in (words[:columns] if more else words)]
         except ValueError as error:
-            raise InputError(f"{path}:{number}: {wanted}: {error}") from None
+            raise InputError(f"{path}:{number}: {wanted}: {shortened(str(error), 120)}") from None
         if len(row) != columns:
             raise InputError(f"{path}:{number}: columns: {len(row)}, not {columns}")
         if not np.isfinite(row).all():
-            raise InputError(f"{path}:{number}: {line.strip()!r}: the numbers must be finite")
+            raise InputError(
+                f"{path}:{number}: {shortened(line, 70)!r}: the numbers must be finite"
+            )
         rows.append(row)
     if not rows:
         raise InputError(f"{path}: the file holds no numbers")

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
+from twinct.files.arrays import read_npz
+from twinct.files.boundary import library_errors
 from twinct.files.writing import complete, storage_errors
 from twinct.motion.plan import MotionPlan
 from twinct.views import Target
@@ -21,7 +23,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Time of each member of a file, so that the same plan gives the same bytes."""
 
 LARGEST_BYTES = 2**30
-"""Of one array in a file; the plan of 10,000 views has a tenth of that."""
+"""Of all arrays in a file; the plan of 10,000 views has a tenth of that."""
 
 
 def plan_arrays(plan: MotionPlan) -> dict[str, NDArray[Any]]:
@@ -117,12 +119,6 @@ def load_plan(path: Path) -> MotionPlan:
     Raises:
         InputError: it is no such file, or damaged.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            large = [member for member in archive.infolist() if member.file_size > LARGEST_BYTES]
-        if large:
-            raise InputError(f"{path}: no plan: {large[0].filename} has {large[0].file_size} bytes")
-        with np.load(path, allow_pickle=False) as file:
-            return plan_of_arrays(dict(file), str(path))
-    except (OSError, EOFError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: no plan: {error}") from None
+    arrays = read_npz(path, f"{path}: no plan: the file", LARGEST_BYTES)
+    with library_errors(f"{path}: no plan: its content"):  # arrays of any kind and shape
+        return plan_of_arrays(arrays, str(path))

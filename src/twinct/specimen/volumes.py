@@ -19,14 +19,25 @@ from scipy import ndimage
 
 from twinct import scenario
 from twinct.errors import SpecimenError
+from twinct.files.boundary import file_bytes, library_errors, require_memory, shortened
+from twinct.files.nifti import read_nifti
 from twinct.geometry import Floats
 from twinct.specimen.surface import isosurface, simplified, surface
+
+FARTHEST_MM = 1e6
+"""Of the numbers in an affine."""
 
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 """DICOM speaks of left, posterior, superior."""
 
 SLICE_TOLERANCE = 0.02
 """Slices count as evenly spaced if their gaps agree within this share: headers are rounded."""
+
+LARGEST_ARCHIVE = 4 * 2**30
+"""Bytes that an InVesalius project may unpack to: a volume of 1,000 slices and its masks."""
+
+DICOM_SUFFIXES = (".dcm", ".ima", ".dicom")
+"""What is called so and is no DICOM file is damaged."""
 
 DIRECTION_TOLERANCE = 1e-4
 """Largest difference between the direction cosines of one series: headers are rounded."""
@@ -56,6 +67,8 @@ def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
     values = image.values
     if shape.smoothing_mm > 0:
         sigma = tuple(shape.smoothing_mm / image.voxel_mm)
+        if max(sigma) > max(values.shape):
+            raise SpecimenError(f"{where}: smoothing_mm {shape.smoothing_mm:g} exceeds the volume")
         values = np.asarray(ndimage.gaussian_filter(values, sigma), dtype=np.float32)
     low, high = float(values.min()), float(values.max())
     if not low < shape.threshold_hu < high:
@@ -99,6 +112,8 @@ def read_ct(path: Path, where: str) -> CtImage:
         )
     if min(image.values.shape) < 2:
         raise SpecimenError(f"{where} has {image.values.shape} voxels: no volume")
+    if not np.isfinite(image.affine).all() or not np.abs(image.affine).max() < FARTHEST_MM:
+        raise SpecimenError(f"{where}: its place in the patient is none: {image.affine.tolist()}")
     if not np.isfinite(image.values).all():
         raise SpecimenError(f"{where} holds values that are not finite")
     if abs(np.linalg.det(image.affine[:3, :3])) < 1e-9:
@@ -126,14 +141,9 @@ def _without_small_parts(
 
 
 def _read_nifti(path: Path, where: str) -> CtImage:
-    import nibabel
-
-    try:
-        image: Any = nibabel.load(path)
-        values = np.asarray(image.dataobj, dtype=np.float32)
+    values, image = read_nifti(path, where, SpecimenError)
+    with library_errors(where, SpecimenError):
         unit = image.header.get_xyzt_units()[0]
-    except Exception as error:  # nibabel raises what zlib, struct and its own readers bring
-        raise SpecimenError(f"{where} cannot be read ({type(error).__name__}: {error})") from None
     if values.ndim > 3:
         values = values.reshape(values.shape[:3] + tuple(n for n in values.shape[3:] if n != 1))
     if values.ndim != 3:
@@ -143,18 +153,40 @@ def _read_nifti(path: Path, where: str) -> CtImage:
     return CtImage(values, affine)
 
 
-def _read_dicom(folder: Path, where: str) -> CtImage:
+def _dicom_slices(folder: Path, where: str) -> list[Any]:
+    """Of all files of a folder those that hold an image; what is no DICOM at all is passed over."""
     import pydicom
     from pydicom.errors import InvalidDicomError
+    from pydicom.filereader import read_file_meta_info
+    from pydicom.uid import DeflatedExplicitVRLittleEndian
 
-    slices = []
-    for file in sorted(p for p in folder.iterdir() if p.is_file()):
-        try:
+    slices: list[Any] = []
+    with library_errors(where, SpecimenError):
+        files = sorted(p for p in folder.iterdir() if p.is_file())
+        require_memory(where, 8 * sum(file.stat().st_size for file in files), SpecimenError)
+    for file in files:
+        with library_errors(f"{where}: {file.name}", SpecimenError):
+            try:
+                meta = read_file_meta_info(file)
+            except (InvalidDicomError, EOFError):
+                if file.suffix.lower() in DICOM_SUFFIXES:
+                    raise SpecimenError(f"{where}: {file.name} is no DICOM file") from None
+                continue
+            if meta.get("TransferSyntaxUID") == DeflatedExplicitVRLittleEndian:
+                raise SpecimenError(f"{where}: {file.name} is deflated; decompress the series")
             data = pydicom.dcmread(file)
-        except (InvalidDicomError, OSError):
-            continue
-        if "PixelData" in data:
-            slices.append(data)
+            if "PixelData" in data:
+                slices.append(data)
+    return slices
+
+
+def _read_dicom(folder: Path, where: str) -> CtImage:
+    slices = _dicom_slices(folder, where)
+    with library_errors(f"{where}: the header of an image", SpecimenError):
+        return _dicom_volume(slices, where)
+
+
+def _dicom_volume(slices: list[Any], where: str) -> CtImage:
     if not slices:
         raise SpecimenError(f"{where}: the folder holds no DICOM image")
     uids = [str(data.get("SeriesInstanceUID", "")) for data in slices]
@@ -198,6 +230,8 @@ def _read_dicom(folder: Path, where: str) -> CtImage:
             f"{where}: slices are not evenly spaced: {gaps[worst]:.4g} mm between slice {worst} "
             f"and {worst + 1}, {gap:.4g} mm elsewhere; is a slice missing or doubled?"
         )
+    rows, columns = next(iter(sizes))
+    require_memory(where, 12 * rows * columns * len(slices), SpecimenError)
     try:
         images = [
             data.pixel_array.astype(np.float32) * np.float32(data.get("RescaleSlope", 1))
@@ -205,10 +239,13 @@ def _read_dicom(folder: Path, where: str) -> CtImage:
             for data in slices
         ]
     except Exception as error:  # decoders of compressed pixel data raise their own kinds
+        why = shortened(f"{type(error).__name__}: {error}")
         raise SpecimenError(
-            f"{where}: pixel data cannot be read ({type(error).__name__}: {error}); "
+            f"{where}: pixel data cannot be read ({why}); "
             "decompress the series, with gdcmconv --raw say"
         ) from None
+    if {image.shape for image in images} != {(rows, columns)}:
+        raise SpecimenError(f"{where}: images of more than one sample a pixel; a CT has one")
     affine = np.eye(4)
     affine[:3, 0] = along_column * spacing[0, 1]
     affine[:3, 1] = along_row * spacing[0, 0]
@@ -224,15 +261,23 @@ def _read_inv3(path: Path, where: str) -> CtImage:
     Slices run upwards, rows to the front (VTK's origin is at the lower left), columns to the
     patient's left as in DICOM.
     """
+    file_bytes(path, where, kind=SpecimenError)
     try:
-        with tarfile.open(path) as archive:
-            files = {PurePosixPath(m.name).name: m for m in archive.getmembers() if m.isfile()}
-            main = plistlib.loads(_extract(archive, files, "main.plist"))
+        with path.open("rb") as stream:
+            mode = "r:gz" if stream.read(2) == b"\x1f\x8b" else "r:"
+        with tarfile.open(path, mode) as archive:
+            files = _members(archive, where)
+            main = plistlib.loads(_extract(archive, files, "main.plist", where))
             matrix = main["matrix"]
-            raw = _extract(archive, files, PurePosixPath(matrix["filename"]).name)
+            raw = _extract(archive, files, PurePosixPath(matrix["filename"]).name, where)
         shape = tuple(int(n) for n in matrix["shape"])
         spacing = np.array(main["spacing"], dtype=np.float64)
-        values = np.frombuffer(raw, dtype=np.dtype(matrix["dtype"])).reshape(shape)
+        dtype = np.dtype(matrix["dtype"])
+        if dtype.kind not in "iuf" or min(shape, default=0) < 1:
+            raise ValueError(f"shape {shape} of {dtype} is no volume")
+        values = np.frombuffer(raw, dtype=dtype).reshape(shape)
+    except SpecimenError:
+        raise
     except KeyError as error:
         raise SpecimenError(
             f"{where} is no complete InVesalius project: {error.args[0]} is missing"
@@ -241,17 +286,34 @@ def _read_inv3(path: Path, where: str) -> CtImage:
         raise SpecimenError(
             f"{where} is no InVesalius project: that is a tar archive, plain or gzipped"
         ) from None
-    except (OSError, tarfile.TarError, EOFError, ValueError, TypeError) as error:
-        raise SpecimenError(
-            f"{where} cannot be read as an InVesalius project ({type(error).__name__}: {error})"
-        ) from None
+    except Exception as error:  # gzip, tar, property lists and arrays raise what they like
+        why = shortened(f"{type(error).__name__}: {error}")
+        raise SpecimenError(f"{where} cannot be read as an InVesalius project ({why})") from None
     if values.ndim != 3 or spacing.shape != (3,):
         raise SpecimenError(f"{where}: shape {shape} and spacing {spacing.tolist()} make no volume")
     affine = np.diag([-spacing[0], spacing[1], spacing[2], 1.0])
     return CtImage(values.transpose(2, 1, 0).astype(np.float32), affine)
 
 
-def _extract(archive: tarfile.TarFile, files: dict[str, tarfile.TarInfo], name: str) -> bytes:
+def _members(archive: tarfile.TarFile, where: str) -> dict[str, tarfile.TarInfo]:
+    """Regular files of an archive by name, links and devices left out; large ones are not read."""
+    found: dict[str, tarfile.TarInfo] = {}
+    whole = 0
+    for member in archive:  # one header after the other: the next is reached by unpacking this one
+        whole += 512 + member.size
+        if whole > LARGEST_ARCHIVE:
+            raise SpecimenError(
+                f"{where} holds more than the {LARGEST_ARCHIVE} bytes that are read"
+            )
+        if member.isfile():
+            found[PurePosixPath(member.name).name] = member
+    return found
+
+
+def _extract(
+    archive: tarfile.TarFile, files: dict[str, tarfile.TarInfo], name: str, where: str
+) -> bytes:
+    require_memory(where, 5 * files[name].size, SpecimenError)
     stream = archive.extractfile(files[name])
     if stream is None:
         raise KeyError(name)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import io
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -10,9 +12,16 @@ import numpy as np
 from pydantic import Field
 
 from twinct.errors import TrajectoryError
+from twinct.files.boundary import read_text, shortened
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.family import Family, TrajectorySettings
 from twinct.trajectory.orbit import panel_axes
+
+LARGEST_BYTES = 64 * 2**20
+MOST_VIEWS = 100_000
+"""As of all other trajectories."""
+MOST_PROBLEMS = 20
+"""That are told of a file."""
 
 _COLUMNS = [f"{name}_{axis}" for name in ("source", "detector", "u", "v") for axis in "xyz"]
 
@@ -39,24 +48,29 @@ def _table(path: Path) -> tuple[Floats, list[int]]:
     rows: list[list[float]] = []
     numbers: list[int] = []
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row]
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path, "it", LARGEST_BYTES, TrajectoryError)
+        read = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
+        lines = list(islice(((n, row) for n, row in read if row), MOST_VIEWS + MOST_PROBLEMS))
+    except (TrajectoryError, csv.Error) as error:
         raise TrajectoryError(f"{path}: cannot read the views: {error}") from None
     lines = [(n, row) for n, row in lines if not row[0].lstrip().startswith("#")]
     for position, (number, row) in enumerate(lines):
+        if len(problems) >= MOST_PROBLEMS:
+            break
         try:
             rows.append([float(cell) for cell in row])
         except ValueError:
             if position > 0 or any(map(_is_number, row)):
-                problems.append(f"{path}:{number}: {','.join(row)!r} holds something not a number")
+                problems.append(f"{path}:{number}: {_told(row)} holds something not a number")
             continue
         numbers.append(number)
         if len(row) not in (6, 12):
             forms = "a view is 6 numbers (S, D) or 12 (S, D, u, v), mm"
             problems.append(f"{path}:{number}: {forms}; this line has {len(row)}")
         elif not np.isfinite(rows[-1]).all():
-            problems.append(f"{path}:{number}: {','.join(row)!r} holds a number that is not finite")
+            problems.append(f"{path}:{number}: {_told(row)} holds a number that is not finite")
+    if len(rows) > MOST_VIEWS:
+        problems.append(f"{path}: more than the {MOST_VIEWS} views that a scan may have")
     if not problems and not rows:
         problems.append(f"{path}: holds no view")
     if not problems and len({len(row) for row in rows}) > 1:
@@ -64,6 +78,10 @@ def _table(path: Path) -> tuple[Floats, list[int]]:
     if problems:
         raise TrajectoryError(problems)
     return np.array(rows), numbers
+
+
+def _told(row: list[str]) -> str:
+    return repr(shortened(",".join(row), 200))
 
 
 def _is_number(cell: str) -> bool:
@@ -80,13 +98,15 @@ def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
     try:
         return _geometry(table, panel)
     except (ValueError, TrajectoryError):
-        problems = []
+        problems: list[str] = []
         for row, line in zip(table, lines, strict=True):
             try:
                 _geometry(row[None], panel)
             except (ValueError, TrajectoryError) as error:
                 what = str(error).removeprefix("view 0: ").replace(" of view 0", "")
                 problems.append(f"{section.path}:{line}: {what}")
+                if len(problems) >= MOST_PROBLEMS:
+                    break
         raise TrajectoryError(problems) from None
 
 

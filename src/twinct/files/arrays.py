@@ -1,0 +1,65 @@
+"""NumPy arrays in files of others: the header bounds what is read."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import InputError
+from twinct.files.boundary import file_bytes, library_errors, require_memory
+
+_HEADERS: Any = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+
+
+def read_npy(path: Path, where: str, kind: type[InputError] = InputError) -> NDArray[Any]:
+    """The array of numbers that ``numpy.save`` wrote.
+
+    Raises:
+        InputError: of this ``kind``; no such array, or too large for the memory.
+    """
+    size = file_bytes(path, where, kind=kind)
+    with library_errors(where, kind), path.open("rb") as stream:
+        return _read(stream, size, where, kind)
+
+
+def read_npz(
+    path: Path, where: str, most: int, kind: type[InputError] = InputError
+) -> dict[str, NDArray[Any]]:
+    """The arrays that ``numpy.savez`` wrote, by name, of at most so many bytes together.
+
+    Raises:
+        InputError: of this ``kind``; no such file, arrays that are cut off, larger ones.
+    """
+    file_bytes(path, where, kind=kind)
+    with library_errors(where, kind), zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        if (whole := sum(member.file_size for member in members)) > most:
+            raise kind(f"{where} holds {whole} bytes; at most {most} are read")
+        require_memory(where, 2 * whole, kind)
+        arrays: dict[str, NDArray[Any]] = {}
+        for member in members:
+            with archive.open(member) as stream:
+                name = member.filename.removesuffix(".npy")
+                arrays[name] = _read(stream, member.file_size, where, kind)
+        return arrays
+
+
+def _read(stream: IO[bytes], size: int, where: str, kind: type[InputError]) -> NDArray[Any]:
+    version = np.lib.format.read_magic(stream)
+    shape, _, dtype = _HEADERS[min(version, (2, 0))](stream)  # 3.0 differs in names of fields alone
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which are never read")
+    told = math.prod(shape) * dtype.itemsize
+    if min((0, *shape)) < 0 or told > size:
+        raise ValueError(f"its header tells of {told} bytes, there are {size}")
+    require_memory(where, 2 * told, kind)
+    stream.seek(0)
+    return np.lib.format.read_array(stream, allow_pickle=False)

@@ -1,0 +1,42 @@
+"""NIfTI files of others: the header first, which bounds what is read, then the numbers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import InputError
+from twinct.files.boundary import file_bytes, library_errors, require_memory
+
+DENSEST = 1100
+"""Bytes that a byte of gzip can hold at most: 1032 (RFC 1951), and some for the last block."""
+
+
+def read_nifti(
+    path: Path, where: str, kind: type[InputError] = InputError
+) -> tuple[NDArray[np.float32], Any]:
+    """The voxels of a NIfTI file, in its order of axes, and the image with header and affine.
+
+    Raises:
+        InputError: of this ``kind``; no such file, a header that promises more than the file holds,
+            too large for the memory, damaged.
+    """
+    import nibabel
+
+    size = file_bytes(path, where, kind=kind)
+    with library_errors(where, kind):
+        image: Any = nibabel.load(path)
+        voxels = math.prod(map(int, image.shape))
+        item = int(image.get_data_dtype().itemsize)
+        there = size * DENSEST if path.suffix.lower() == ".gz" else size
+        if voxels * item > there:
+            raise kind(
+                f"{where} is cut off: its header tells of {voxels * item} bytes of voxels, the "
+                f"file has {size}"
+            )
+        require_memory(where, (item + 16) * voxels, kind)  # scaled in double precision
+        return np.asarray(image.dataobj, dtype=np.float32), image
