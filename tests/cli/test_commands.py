@@ -192,7 +192,9 @@ def test_bad_scenarios_get_one_line_a_problem(capfd, tmp_path: Path) -> None:
     stderr = bad(capfd, "check", DEMO, *keys, "--set", "trajectory.views=0")
     assert len(stderr.strip().splitlines()) == 3
     assert "did you mean 'columns'" in stderr
-    assert "cannot read the scenario" in bad(capfd, "check", str(tmp_path / "none.yaml"))
+    assert "none.yaml: the scenario does not exist" in bad(
+        capfd, "check", str(tmp_path / "none.yaml")
+    )
     assert "SCENARIO" in bad(capfd, "run", "--out", "x")
 
 

@@ -109,7 +109,7 @@ def test_a_folder_of_other_things_and_no_file_are_one_message(study, tmp_path, c
     assert study("") == 2
     assert "notes.txt" in capfd.readouterr().err
     assert run_command(["study", str(tmp_path / "none.yaml"), "--out", str(tmp_path / "o")]) == 2
-    assert "none.yaml: cannot read the study" in capfd.readouterr().err
+    assert "none.yaml: the study does not exist" in capfd.readouterr().err
 
 
 def test_its_help(capfd) -> None:

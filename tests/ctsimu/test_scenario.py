@@ -254,7 +254,7 @@ WRONG = [
     ("geometry.stage.center.z", mm(1, *2 * [{"value": 1e308}]), "center.z: inf mm must be from"),
     ("samples.0.position.center.u", mm(1, *2 * [{"value": 1e308}]), "center.u: inf mm must be"),
     ("samples.0.material_id", "x" * 999, "xxx... is not among the materials: Al, Fe"),
-    ("geometry.stage.center.z", mm(1, {"file": "d"}), "No such file or directory"),
+    ("geometry.stage.center.z", mm(1, {"file": "d"}), "does not exist"),
     ("geometry.stage.center.z", mm(1, {"file": "."}), "it is a folder"),
     ("geometry.stage.center.z", mm(None, {"value": 1}), "has drifts, but no value"),
     ("detector", None, "detector: is missing"),
@@ -421,5 +421,5 @@ def test_broken_file_is_named(tmp_path, text, words):
 
 def test_file_that_is_no_text_is_named(tmp_path):
     (tmp_path / "latin.json").write_bytes('{"name": "Röhre"}'.encode("latin-1"))
-    with pytest.raises(ScenarioError, match=r"latin.json: cannot read the scenario: not UTF-8"):
+    with pytest.raises(ScenarioError, match=r"latin.json: the scenario cannot be read: not UTF-8"):
         load_ctsimu(tmp_path / "latin.json")

@@ -306,7 +306,7 @@ def test_open_mesh_is_refused_with_its_open_edges(tmp_path):
         ("none.stl", None, ["does not exist"]),
         ("empty.stl", b"solid a\nendsolid a\n", []),
         ("text.ply", b"hello", ["cannot be read"]),
-        ("mesh.foo", b"hello", ["cannot be read", "STL"]),
+        ("mesh.foo", b"hello", ["is no mesh", "STL"]),
     ],
 )
 def test_mesh_file_without_a_mesh_is_named(tmp_path, name, content, words):

@@ -114,7 +114,7 @@ def test_no_study_is_one_message(tmp_path, text: str, said: str) -> None:
     with pytest.raises(InputError, match=f"study.yaml:? ?{said}") as caught:
         load_study(tmp_path / "study.yaml")
     assert len(caught.value.problems) == 1
-    with pytest.raises(InputError, match=r"none\.yaml: cannot read the study: it does not exist"):
+    with pytest.raises(InputError, match=r"none\.yaml: the study does not exist"):
         load_study(tmp_path / "none.yaml")
 
 

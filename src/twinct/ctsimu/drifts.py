@@ -36,9 +36,11 @@ def _column(file: object, folder: Path, as_text: bool) -> list[Any]:
         raise ValueError(f"{short(file)} is no name of a file")
     path = folder / file.replace("\\", "/")
     try:
-        lines = read_text(path, "it", LARGEST_BYTES).splitlines()
+        lines = read_text(path, str(path), LARGEST_BYTES).splitlines()
         cells = [row[0].strip() for row in csv.reader(lines) if row]
-    except (InputError, csv.Error) as error:
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    except csv.Error as error:
         raise ValueError(f"{path} cannot be read: {error}") from None
     if not cells:
         raise ValueError(f"{path} holds no values")

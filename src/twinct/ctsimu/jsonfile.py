@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from twinct.errors import InputError, ScenarioError
+from twinct.errors import ScenarioError
 from twinct.files.boundary import read_text, shortened
 
 LARGEST_BYTES = 16 * 2**20
@@ -26,10 +26,7 @@ def read_json(path: Path, skipped: str) -> dict[str, Any]:
     Raises:
         ScenarioError: not readable, no JSON object, or keys given twice; says where.
     """
-    try:
-        text = read_text(path, "it", LARGEST_BYTES)
-    except InputError as error:
-        raise ScenarioError(f"{path}: cannot read the scenario: {error}") from None
+    text = read_text(path, f"{path}: the scenario", LARGEST_BYTES, ScenarioError)
     if not text.strip():
         raise ScenarioError(f"{path}: the file is empty")
     try:

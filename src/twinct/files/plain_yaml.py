@@ -68,10 +68,7 @@ def read_file(path: Path, what: str) -> PlainYaml:
     Raises:
         ScenarioError: it cannot be read, or says more than plain data; names file and line.
     """
-    try:
-        text = read_text(path, "", LARGEST_BYTES, ScenarioError)
-    except ScenarioError as error:
-        raise ScenarioError(f"{path}: cannot read the {what}: it{error}") from None
+    text = read_text(path, f"{path}: the {what}", LARGEST_BYTES, ScenarioError)
     return _Reader(text, path, what, lines=True).read()
 
 

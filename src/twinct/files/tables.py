@@ -24,10 +24,7 @@ def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.
         InputError: it cannot be read; names the file.
     """
     wanted = f"not {columns} columns of numbers"
-    try:
-        text = read_text(path, "it", LARGEST_BYTES)
-    except InputError as error:
-        raise InputError(f"{path}: {wanted}: {error}") from None
+    text = read_text(path, f"{path}: {wanted}: it", LARGEST_BYTES)
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()

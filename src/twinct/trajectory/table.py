@@ -48,10 +48,10 @@ def _table(path: Path) -> tuple[Floats, list[int]]:
     rows: list[list[float]] = []
     numbers: list[int] = []
     try:
-        text = read_text(path, "it", LARGEST_BYTES, TrajectoryError)
+        text = read_text(path, f"{path}: the table of views", LARGEST_BYTES, TrajectoryError)
         read = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
         lines = list(islice(((n, row) for n, row in read if row), MOST_VIEWS + MOST_PROBLEMS))
-    except (TrajectoryError, csv.Error) as error:
+    except csv.Error as error:
         raise TrajectoryError(f"{path}: cannot read the views: {error}") from None
     lines = [(n, row) for n, row in lines if not row[0].lstrip().startswith("#")]
     for position, (number, row) in enumerate(lines):
