@@ -81,6 +81,28 @@ def test_a_node_that_dies_ends_the_scan(scan, gone, victim):
     assert sorted(path.name for path in running.log_dir.iterdir()) == ["robots.log", "xray.log"]
 
 
+@pytest.mark.parametrize("victim", [pytest.param("robots", marks=pytest.mark.tutorial), "xray"])
+def test_a_node_that_hangs_ends_the_scan(scan, gone, victim):
+    running = scan()
+    running.views(3)
+    os.kill(getattr(running, victim), signal.SIGSTOP)
+    assert gone([running.pid, running.robots, running.xray], END_S)
+    code, complaint = running.end()
+    assert code == 1
+    assert complaint.startswith(f"LinkError: the {victim} node hung, or was stopped: nothing was")
+
+
+def test_a_scan_that_is_stopped_loses_its_nodes_and_says_so(scan, gone):
+    running = scan()
+    running.views(3)
+    os.kill(running.pid, signal.SIGSTOP)
+    assert gone([running.robots, running.xray], END_S)
+    os.kill(running.pid, signal.SIGCONT)
+    code, complaint = running.end()
+    assert code == 1
+    assert "nothing was heard for 6 s of the process that started it" in complaint
+
+
 def test_a_node_that_dies_takes_the_other_with_it_while_nobody_asks(scenario, fake_command, gone):
     with closing(RosRig(scenario, node_command=fake_command)) as rig:
         robots, xray = (node.pid for node in rig._nodes)

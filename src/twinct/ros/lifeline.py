@@ -1,30 +1,42 @@
-"""When a node has to end: on a signal, or when the process that started it is gone."""
+"""When a node has to end: on a signal, or when the process that started it is gone or stopped."""
 
 from __future__ import annotations
 
 import os
 import select
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable
 
+from twinct.ros import pulse
+from twinct.ros.pulse import LOOK_S, Pulse, cut
+
 GRACE_S = 1.5
 """A node told to end does so by itself in this time, or is ended: an engine may be at work."""
-_LOOK_S = 0.5
 
 
 class Lifeline:
     """Watches for the end from a thread of its own, so that a busy engine does not hide it.
 
     SIGINT and SIGTERM ask for the end. So does, with ``parent``, the end of the process that holds
-    the other end of stdin, even when it is killed.
+    the other end of stdin, a socket, even when it is killed, or its silence.
+
+    Attributes:
+        ended: whether to end.
     """
 
-    def __init__(self, *, parent: bool, on_end: Callable[[], None]) -> None:
-        """Start watching; only the main thread may. ``on_end`` is called from another one, once."""
+    def __init__(self, *, parent: bool, on_end: Callable[[str], None]) -> None:
+        """Start watching; only the main thread may.
+
+        Args:
+            parent: watch who started this process too.
+            on_end: called with the reason from another thread, once.
+        """
         self.ended = False
-        self._parent = os.getppid() if parent else None
+        self._parent = os.getppid()
+        self._pulse = Pulse(socket.socket(fileno=os.dup(0)), self._parent) if parent else None
         self._on_end = on_end
         self._closed = threading.Event()
         self._read, self._write = os.pipe()
@@ -39,19 +51,26 @@ class Lifeline:
         self._thread.start()
 
     def _watch(self) -> None:
-        watched = [self._read] + ([0] if self._parent is not None else [])
-        while not self._closed.is_set():
-            ready, _, _ = select.select(watched, [], [], _LOOK_S)
+        watched = select.poll()
+        watched.register(self._read, select.POLLIN)
+        if self._pulse is not None:
+            watched.register(self._pulse, select.POLLRDHUP)  # not what comes in: a look is a time
+        why = ""
+        while not why:
+            ready = dict(watched.poll(1000 * LOOK_S))
             if self._closed.is_set():
                 return
-            numbers = os.read(self._read, 64) if self._read in ready else b""
-            signalled = signal.SIGINT in numbers or signal.SIGTERM in numbers
-            orphaned = self._parent is not None and os.getppid() != self._parent
-            cut = 0 in ready and not os.read(0, 64)
-            if signalled or orphaned or cut:
-                break
+            numbers = os.read(self._read, 64) if ready.pop(self._read, 0) else b""
+            if signal.SIGINT in numbers or signal.SIGTERM in numbers:
+                why = "it was told to"
+            elif self._pulse is not None:
+                if any(map(cut, ready.values())) or os.getppid() != self._parent:
+                    why = "the process that started it has ended"
+                elif not self._pulse.look():
+                    parent = "the process that started it"
+                    why = f"nothing was heard for {pulse.SILENCE_S:.0f} s of {parent}"
         self.ended = True
-        self._on_end()
+        self._on_end(why)
         if not self._closed.wait(GRACE_S):
             sys.stdout.flush()
             sys.stderr.flush()
@@ -67,3 +86,5 @@ class Lifeline:
         self._thread.join()
         os.close(self._read)
         os.close(self._write)
+        if self._pulse is not None:
+            self._pulse.close()

@@ -144,7 +144,8 @@ def run_node(
     """
     station: Station | None = None
 
-    def end() -> None:
+    def end(why: str) -> None:
+        say(f"{name} is to end: {why}")
         if station is not None:
             station.wake()
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+
+from twinct.ros import pulse
+from twinct.ros.pulse import LOOK_S, Pulse
 
 TERM_S, KILL_S = 3.0, 10.0
 """A node ends by itself in 1.5 s; one that a long call holds, such as gVXR's import, by force."""
@@ -19,7 +23,8 @@ class NodeProcess:
     """A child in a session of its own, which ends when its stdin does.
 
     Ctrl-C in the terminal reaches the parent only, which then stops its nodes. The parent holds the
-    other end of their stdin: however it dies, they notice.
+    other end of their stdin, a socket: however it dies, they notice, and each notices when the
+    other hangs.
     """
 
     def __init__(
@@ -30,6 +35,7 @@ class NodeProcess:
         *,
         environment: Mapping[str, str],
         inherit: Sequence[int] = (),
+        beats: bool = False,
         on_end: Callable[[NodeProcess], None],
     ) -> None:
         """Start it.
@@ -40,14 +46,16 @@ class NodeProcess:
             log: file to append its output to.
             environment: of the process.
             inherit: descriptors it shall hold.
+            beats: it shows that it lives, and is ended when it does not: see ``Pulse``.
             on_end: called with it from a thread when it has ended, for whatever reason.
         """
         self.name, self.log = name, log
-        with log.open("ab") as output:
+        own, its = socket.socketpair()
+        with log.open("ab") as output, its:
             self._start_of_log = output.tell()
             self._process = subprocess.Popen(
                 command,
-                stdin=subprocess.PIPE,
+                stdin=its,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=dict(environment),
@@ -56,13 +64,26 @@ class NodeProcess:
             )
         self._on_end = on_end
         self._ended = threading.Event()
-        self._watch = threading.Thread(target=self._wait, name=f"watch {name}", daemon=True)
-        self._watch.start()
+        self._silent = False
+        self._pulse = Pulse(own, self.pid)
+        self._threads = [
+            threading.Thread(target=watch, name=f"{watch.__name__} {name}", daemon=True)
+            for watch in (self._wait, *([self._listen] if beats else []))
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def _wait(self) -> None:
         self._process.wait()
         self._ended.set()
         self._on_end(self)
+
+    def _listen(self) -> None:
+        while not self._ended.wait(LOOK_S):
+            if not self._pulse.look():
+                self._silent = True
+                self._kill()
+                return
 
     @property
     def pid(self) -> int:
@@ -78,7 +99,12 @@ class NodeProcess:
         """How it ended, with the last lines it printed."""
         code = self.exit_code
         how = f"ended with exit code {code}"
-        if code is not None and code < 0:
+        if self._silent:
+            how = (
+                "hung, or was stopped: nothing was heard of it for "
+                f"{pulse.SILENCE_S:.0f} s, in which it did not work either; it was ended"
+            )
+        elif code is not None and code < 0:
             with suppress(ValueError):
                 how = f"was ended by {signal.Signals(-code).name}"
         with self.log.open("rb") as log:
@@ -90,9 +116,7 @@ class NodeProcess:
 
     def request_stop(self) -> None:
         """Ask it to end."""
-        if self._process.stdin is not None:
-            with suppress(OSError):
-                self._process.stdin.close()
+        self._pulse.close()
         if not self._ended.is_set():
             with suppress(ProcessLookupError):
                 self._process.send_signal(signal.SIGTERM)
@@ -101,7 +125,11 @@ class NodeProcess:
         """End it, by force if it does not listen, and wait for that."""
         self.request_stop()
         if not self._ended.wait(TERM_S):
-            with suppress(ProcessLookupError):
-                os.killpg(self.pid, signal.SIGKILL)
+            self._kill()
             self._ended.wait(KILL_S)
-        self._watch.join(KILL_S)
+        for thread in self._threads:
+            thread.join(KILL_S)
+
+    def _kill(self) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)

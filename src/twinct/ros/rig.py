@@ -58,7 +58,7 @@ NODE_COMMAND = (sys.executable, "-m", "twinct.ros")
 START_S = 900.0
 """Time for both nodes to build their simulations."""
 ANSWER_S = 600.0
-"""Time for one answer. A node that dies is noticed at once; this is for one that hangs."""
+"""Time for one answer. A node that dies or hangs is noticed; this is for one at work for ever."""
 FIRST_REPEAT_S, LONGEST_REPEAT_S = 2.0, 60.0
 """A target is sent again after this silence, then after twice as long, and so on."""
 
@@ -198,6 +198,7 @@ class RosRig:
                 self.log_dir / f"{name}.log",
                 environment=variables,
                 inherit=[domain.hold],
+                beats=True,
                 on_end=self._on_node_end,
             )
             self._nodes.append(process)
