@@ -55,7 +55,7 @@ class NodeProcess:
             self._start_of_log = output.tell()
             self._process = subprocess.Popen(
                 command,
-                stdin=its,
+                stdin=its.fileno(),
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=dict(environment),

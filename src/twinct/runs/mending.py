@@ -11,7 +11,7 @@ from twinct.files.lock import sole_owner
 from twinct.files.writing import storage_errors
 from twinct.runs.folder import Folder
 from twinct.scan import ScanStore, Workshop, write_frame
-from twinct.scan.findings import root_digest
+from twinct.scan.findings import make_way, root_digest
 from twinct.scan.manifest import FRAME_FILE, ROOT, compared, read_frame_manifest
 from twinct.scenario import Scenario
 
@@ -41,6 +41,7 @@ def mend_frame(path: Path, workshop: Workshop, error: DamagedError) -> None:
     Raises:
         DamagedError: that is not what was there; nothing has been changed.
     """
+    make_way(path, error.found)
     scenario, draft = workshop.scenario, path.with_name(f"{path.name}.new")
     reached = workshop.robots().move(0, workshop.targets[0])
     robots = reached.joint_names, len(reached.state), workshop.followed

@@ -36,7 +36,7 @@ def verify(path: str | Path) -> Verdict:
         path: folder of a run, or a scan store.
 
     Raises:
-        InputError: there is neither, or a store of a newer format.
+        InputError: there is neither.
     """
     folder = Folder(Path(path))
     store = folder.scan if folder.scan.is_dir() else folder.path
@@ -45,11 +45,17 @@ def verify(path: str | Path) -> Verdict:
     of_all, of_views = frame_damage(store), view_damage(store)
     problems = [f"{store}: {damage}" for damage in (*of_all, *of_views)]
     looked_at = "its views"
+    scan = None
     if not of_all:
-        scan = ScanStore(store)
-        missing = sum(len(views) for views in scan.missing)
-        looked_at = f"{scan.views - missing} of {scan.views} views"
-        if not of_views and missing:
+        try:
+            scan = ScanStore(store)
+            _ = scan.scenario, scan.plan, scan.commanded
+        except InputError as error:
+            problems += (p if str(store) in p else f"{store}: {p}" for p in error.problems)
+    if scan is not None:
+        taken = len(views_taken(store))
+        looked_at = f"{taken} of {scan.views} views"
+        if not of_views and taken < scan.views:
             problems.append(f"{store}: {looked_at}: the scan is not finished")
         if not scan.vouched:
             looked_at += (

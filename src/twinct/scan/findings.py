@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +46,8 @@ def view_damage(path: Path) -> list[Damage]:
         if view not in taken:
             found.append(Damage(_status(view), "missing", view))
             continue
-        if (path / _status(view)).read_bytes() != ACQUIRED:
+        status = path / _status(view)
+        if not status.is_file() or status.read_bytes() != ACQUIRED:
             found.append(Damage(_status(view), "changed", view))
         found += _by_row(path, view) if sizes is None else _by_size(path, view, sizes)
     return found
@@ -69,6 +72,8 @@ def unknown_files(path: Path) -> list[str]:
     if frame is None:
         return []
     known = {FRAME_FILE, *frame}
+    arrays = {file.removesuffix("/zarr.json") for file in frame}
+    views = _number_of_views(path)
     whole: set[int] = set()
     for view in views_taken(path):
         try:
@@ -76,8 +81,47 @@ def unknown_files(path: Path) -> list[str]:
             whole.add(view)
         except DamagedError:  # there may be what there should not
             continue
-    files = (str(f.relative_to(path)) for f in path.rglob("*") if f.is_file())
-    return sorted(f for f in files if f not in known and view_of(f) in (None, *whole))
+
+    def expected(file: str) -> bool:
+        """Whether it may be of a view that was not taken, or is damaged."""
+        view, array = view_of(file), file.rpartition("/")[0]
+        return view is not None and view < views and view not in whole and array in arrays
+
+    there = (f for f in path.rglob("*") if f.is_symlink() or not f.is_dir())
+    files = (str(f.relative_to(path)) for f in there)
+    return sorted(file for file in files if file not in known and not expected(file))
+
+
+def make_way(path: Path, found: Iterable[Damage]) -> None:
+    """Remove what is no file, such as a link, from where files will be written again.
+
+    Raises:
+        DamagedError: a folder is in the way, or a file where a folder has to be: whoever put it
+            there may need it. Nothing has been changed.
+    """
+    places = [path / damage.file for damage in found]
+    obstacles = [
+        there
+        for place in places
+        for there in (place, *place.parents)
+        if there.is_relative_to(path)
+        and os.path.lexists(there)
+        and there.is_dir() == (there == place)
+    ]
+    if obstacles:
+        told = (f"{there}: stands in the way of the store: move it" for there in obstacles)
+        raise DamagedError(dict.fromkeys(told), found)
+    for place in places:
+        if place.is_symlink() or not place.is_file():
+            place.unlink(missing_ok=True)
+
+
+def _number_of_views(path: Path) -> int:
+    try:
+        told = json.loads((path / "status" / "zarr.json").read_text(encoding="utf-8"))
+        return int(told["shape"][0])
+    except (OSError, ValueError, TypeError, LookupError):
+        return 0
 
 
 def _status(view: int) -> str:
@@ -96,12 +140,16 @@ def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
     """Of the arrays with a chunk a view: dimensions of one, and bytes unless compressed."""
     found: dict[str, tuple[int, int | None]] = {}
     for file in path.rglob("zarr.json"):
-        told = json.loads(file.read_text(encoding="utf-8"))
-        if told.get("chunk_key_encoding", {}).get("configuration", {}).get("separator") == ".":
-            shape, plain = told["shape"][1:], len(told["codecs"]) == 1
-            size = math.prod(shape) * np.dtype(told["data_type"]).itemsize
-            name = str(file.parent.relative_to(path))
-            found[name] = len(shape), size if plain else None
+        try:
+            told = json.loads(file.read_text(encoding="utf-8"))
+            encoding = told.get("chunk_key_encoding", {}).get("configuration", {})
+            if encoding.get("separator") == ".":
+                shape, plain = told["shape"][1:], len(told["codecs"]) == 1
+                size = math.prod(shape) * np.dtype(told["data_type"]).itemsize
+                name = str(file.parent.relative_to(path))
+                found[name] = len(shape), size if plain else None
+        except (OSError, ValueError, TypeError, LookupError, AttributeError):
+            continue  # opening the store tells of it
     found.pop("status", None)
     return found
 
@@ -124,4 +172,5 @@ def root_digest(path: Path) -> str:
             return read_row(path, view)[ROOT]
         except DamagedError:
             continue
-    return digest_of((path / ROOT).read_bytes())
+    root = path / ROOT
+    return digest_of(root.read_bytes()) if root.is_file() else ""

@@ -9,7 +9,9 @@ from __future__ import annotations
 import errno
 import json
 import logging
+import os
 import shutil
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -23,7 +25,7 @@ from twinct.errors import InputError, ScanExistsError
 from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.scan.data import Scan, View, bad_pixels_of, reported
-from twinct.scan.findings import frame_damage, view_damage
+from twinct.scan.findings import frame_damage, make_way, view_damage
 from twinct.scan.manifest import (
     ACQUIRED,
     BY_VIEW,
@@ -35,6 +37,14 @@ from twinct.scan.manifest import (
     damaged,
     view_of,
     write_frame_manifest,
+)
+from twinct.scan.metadata import (
+    BAD_PIXELS,
+    EXPOSURE,
+    FRAMES,
+    check_arrays,
+    check_attributes,
+    readable,
 )
 from twinct.scan.named import NamedGeometry
 from twinct.scenario import Scenario, parse_scenario, stage_digests
@@ -50,10 +60,6 @@ log = logging.getLogger(__name__)
 
 FORMAT = 4
 READABLE = (1, 2, 3, FORMAT)
-EXPOSURE = "executed/exposure"
-"""Present where an exposure has several instants."""
-BAD_PIXELS = "bad_pixels"
-"""Present where the detector has some."""
 
 
 def check_space(folder: Path, scenario: Scenario, views: int) -> None:
@@ -96,23 +102,26 @@ class ScanStore:
         Raises:
             FileNotFoundError: there is none.
             DamagedError: what is not of a single view is damaged.
-            InputError: its format is not known.
+            InputError: its format is not known, or what it says of itself makes no scan.
         """
         self.path = path
         if not path.is_dir():
             raise FileNotFoundError(errno.ENOENT, "no scan store", str(path))
         if found := frame_damage(path):
             raise damaged(path, *found)
-        self._files = CheckedStore(path)
-        self._group: Any = zarr.open_group(self._files, mode="r+")
-        self._format = self._group.attrs.get("format")
-        if self._format not in READABLE:
+        with readable(path, "its metadata"):
+            self._files = CheckedStore(path)
+            self._group: Any = zarr.open_group(self._files, mode="r+")
+            self._format = self._group.attrs.get("format")
+        if isinstance(self._format, bool) or self._format not in READABLE:
             raise InputError(
                 f"{path}: a scan store of format {self._format!r}; this twinct reads "
                 f"{' and '.join(map(str, READABLE))}: a newer one may read it"
             )
         if self._format == FORMAT and not self.vouched:
             raise damaged(path, Damage(FRAME_FILE, "missing"))
+        check_attributes(path, self._group.attrs)
+        check_arrays(path, self._group)
         self._arrays: dict[str, Any] = {}
 
     @classmethod
@@ -151,10 +160,12 @@ class ScanStore:
 
         Raises:
             ScanExistsError: it holds the scan of another scenario.
+            DamagedError: something else stands where a file has to be; nothing has been changed.
         """
         store = cls(path)
         store.refuse_other(scenario)
         found = store.damage
+        make_way(path, found)
         for damage in found:
             log.warning("%s: %s; its view is taken again", path, damage)
         with storage_errors(path):
@@ -209,11 +220,15 @@ class ScanStore:
         """Whether a view has its status; Zarr takes thirty times as long."""
         file = f"status/{chunk_name(view, 0)}"
         try:
-            with open(f"{self.path}/{file}", "rb") as chunk:
-                if chunk.read() == ACQUIRED:
-                    return True
+            # Without waiting, should a pipe stand there.
+            descriptor = os.open(f"{self.path}/{file}", os.O_RDONLY | os.O_NONBLOCK)
         except FileNotFoundError:
             return False
+        except OSError:
+            raise damaged(self.path, Damage(file, "changed", view)) from None
+        with open(descriptor, "rb") as chunk, suppress(OSError):
+            if chunk.read(len(ACQUIRED) + 1) == ACQUIRED:
+                return True
         raise damaged(self.path, Damage(file, "changed", view))
 
     @property
@@ -231,13 +246,24 @@ class ScanStore:
         """Number of views the scan shall have."""
         return self._array("status").shape[0]
 
+    def _read(self, name: str, which: Any = ...) -> NDArray[Any]:
+        """Values of an array: of a view, or of some."""
+        with readable(self.path, name):
+            return np.asarray(self._array(name)[which])
+
     @property
     def scenario(self) -> Scenario:
         """The scenario the scan was taken with."""
         told = json.loads(str(self._group.attrs["scenario"]))
         if "plan" not in self._group:  # nor was there a scheme, before there were plans
             told["motion"].setdefault("scheme", "reactive")
-        return parse_scenario(told)
+        scenario = parse_scenario(told)
+        panel, image = scenario.detector.panel.shape, self._array("transmission").shape[1:]
+        if panel != image:
+            raise InputError(
+                f"{self.path}: its scenario has {panel} pixels, its images have {image}"
+            )
+        return scenario
 
     @property
     def digests(self) -> dict[str, str]:
@@ -272,9 +298,10 @@ class ScanStore:
             return None
         from twinct.motion import plan_of_arrays
 
-        group = self._group["plan"]
-        arrays = {name: np.asarray(array[:]) for name, array in group.arrays()}
-        return plan_of_arrays({**arrays, **group.attrs}, f"{self.path}/plan")
+        with readable(self.path, "plan"):
+            group = self._group["plan"]
+            arrays = {name: np.asarray(array[:]) for name, array in group.arrays()}
+            return plan_of_arrays({**arrays, **group.attrs}, f"{self.path}/plan")
 
     @property
     def bad_pixels(self) -> NDArray[np.bool_] | None:
@@ -285,21 +312,21 @@ class ScanStore:
                 file that cannot be used any more.
         """
         if BAD_PIXELS in self._group:
-            return np.asarray(self._array(BAD_PIXELS)[:])
+            return self._read(BAD_PIXELS)
         return bad_pixels_of(self.scenario) if self._format < FORMAT else None
 
     def state(self, view: int) -> NDArray[np.float64]:
         """The full simulator state of a view."""
-        return np.asarray(self._array("state")[view])
+        return self._read("state", view)
 
     def transmission(self, view: int) -> NDArray[np.float32]:
         """I/I0 of a view, (rows, columns)."""
-        return np.asarray(self._array("transmission")[view])
+        return self._read("transmission", view)
 
     @cached_property
     def kept(self) -> tuple[str, ...]:
         """What ``frame`` knows: of ``raw``, ``flat`` and ``dark`` those that were asked for."""
-        return tuple(name for name in ("raw", "flat", "dark") if name in self._group)
+        return tuple(name for name in FRAMES if name in self._group)
 
     def frame(self, name: str, view: int) -> NDArray[np.float32]:
         """``raw``, ``flat`` or ``dark`` image of a view, grey values, (rows, columns).
@@ -312,7 +339,7 @@ class ScanStore:
             raise InputError(
                 f"{self.path} keeps {there}, no {name!r} images: detector.keep asks for them"
             )
-        return np.asarray(self._array(name)[view])
+        return self._read(name, view)
 
     def write(self, index: int, view: View) -> None:
         """Put one view on disk; it counts once its status is written.
@@ -348,17 +375,17 @@ class ScanStore:
                 f"{self.path} holds {self.acquired} of {self.views} views: "
                 "finish it with 'twinct run --resume'"
             )
-        exposure: Any = self._array(EXPOSURE)[:].tolist() if EXPOSURE in self._group else []
+        exposure: Any = self._read(EXPOSURE).tolist() if EXPOSURE in self._group else []
         return Scan(
             scenario=self.scenario,
-            transmission=self._array("transmission")[:],
+            transmission=self._read("transmission"),
             commanded=self.poses("commanded"),
             executed=self.poses("executed"),
-            executed_object=self._poses("executed/object", self.views),
+            executed_object=self._poses("executed/object", slice(self.views)),
             joint_names=self.joint_names,
-            joints=self._array("joints")[:],
-            simulated_s=self._array("simulated_s")[:],
-            clearance_mm=self._array("clearance_mm")[:],
+            joints=self._read("joints"),
+            simulated_s=self._read("simulated_s"),
+            clearance_mm=self._read("clearance_mm"),
             exposure=tuple(tuple(Instant(*map(tuple, at)) for at in view) for view in exposure),
             bad_pixels=self.bad_pixels,
         )
@@ -367,11 +394,10 @@ class ScanStore:
         """What the robots had in the views from ``first`` to before ``stop``, which are on disk."""
 
         def poses(name: str) -> tuple[Pose, ...]:
-            columns = (self._array(f"executed/{name}{end}")[first:stop] for end in ("", "_quat"))
-            return tuple(map(Pose, *columns))
+            return self._poses(f"executed/{name}", slice(first, stop))
 
         joints, simulated_s, clearance = (
-            np.asarray(self._array(name)[first:stop])
+            self._read(name, slice(first, stop))
             for name in ("joints", "simulated_s", "clearance_mm")
         )
         executed = PosePairs(poses("source"), poses("detector"))
@@ -397,7 +423,9 @@ class ScanStore:
     @property
     def commanded(self) -> PosePairs:
         """The commanded poses of all views, those to come included."""
-        pairs = (self._poses(f"commanded/{body}", self.views) for body in ("source", "detector"))
+        pairs = (
+            self._poses(f"commanded/{body}", slice(self.views)) for body in ("source", "detector")
+        )
         return PosePairs(*pairs)
 
     def poses(self, which: str) -> PosePairs:
@@ -405,19 +433,19 @@ class ScanStore:
         views = self.acquired
         if which == "believed":
             return self.reported.poses
-        pairs = (self._poses(f"{which}/{body}", views) for body in ("source", "detector"))
+        pairs = (self._poses(f"{which}/{body}", slice(views)) for body in ("source", "detector"))
         return PosePairs(*pairs)
 
     @property
     def reported(self) -> NamedGeometry:
         """The ``believed`` poses of the views on disk, with what made them."""
-        joints = np.asarray(self._array("joints")[: self.acquired])
+        joints = self._read("joints", slice(self.acquired))
         executed, commanded = self.poses("executed"), self.poses("commanded")
         return reported(self.scenario, self.joint_names, joints, executed, commanded)
 
-    def _poses(self, name: str, views: int) -> tuple[Pose, ...]:
-        columns = self._array(name)[:views], self._array(f"{name}_quat")[:views]
-        return tuple(map(Pose, *columns))
+    def _poses(self, name: str, views: slice) -> tuple[Pose, ...]:
+        with readable(self.path, name):
+            return tuple(map(Pose, *(self._read(f"{name}{end}", views) for end in ("", "_quat"))))
 
     def _array(self, name: str) -> Any:
         if name not in self._arrays:

@@ -1,0 +1,151 @@
+"""What a scan store says of itself, looked at before anything is made of it.
+
+The manifest tells whether files are what was written. This tells whether what was written can be a
+scan at all, also where there is no manifest, or one that somebody has made anew.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr as _zarr
+from numpy.typing import DTypeLike
+
+from twinct.errors import InputError
+
+zarr: Any = _zarr
+"""Typed in part only."""
+
+EXPOSURE = "executed/exposure"
+"""Present where an exposure has several instants."""
+BAD_PIXELS = "bad_pixels"
+"""Present where the detector has some."""
+FRAMES = ("raw", "flat", "dark")
+"""Images that a scan may keep beside the transmission."""
+
+_POSES = {"source": 3, "detector": 3, "u": 3, "v": 3, "source_quat": 4, "detector_quat": 4}
+_OBJECT = {"executed/object": 3, "executed/object_quat": 4}
+_JOINTS = ("joints", "joint_velocity", "joint_torque")
+_ARRAYS = (
+    *("status", "transmission", *FRAMES, BAD_PIXELS, EXPOSURE, *_OBJECT, *_JOINTS),
+    *("state", "simulated_s", "clearance_mm"),
+    *(f"{which}/{name}" for which in ("commanded", "executed") for name in _POSES),
+)
+
+
+@contextmanager
+def readable(path: Path, what: str) -> Generator[None]:
+    """Turn whatever Zarr and its codecs throw at a store's content into one message.
+
+    Raises:
+        InputError: with the store and ``what`` was read.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except (ValueError, TypeError, KeyError, LookupError, RuntimeError, ArithmeticError) as error:
+        told = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(f"{path}: {what} cannot be read: {told}") from error
+    except (IsADirectoryError, NotADirectoryError, FileNotFoundError) as error:
+        raise InputError(f"{path}: {what} cannot be read: {error.strerror}") from error
+
+
+def check_attributes(path: Path, told: Any) -> None:
+    """Look at the attributes of a store whose format is known.
+
+    Raises:
+        InputError: one sentence for each that is missing, or of another kind.
+    """
+    wanted: dict[str, Any] = {"scenario": str, "joint_names": list}
+    wanted |= {"digest": str} if told["format"] == 1 else {"digests": dict}
+    problems = [
+        f"{path}/zarr.json: attributes.{key}: {_kind(told.get(key))}, expected {_NAMES[kind]}"
+        for key, kind in wanted.items()
+        if not isinstance(told.get(key), kind)
+    ]
+    if not problems:
+        texts: list[Any] = [*told["joint_names"], *(told.get("digests") or {}).values()]
+        if not all(isinstance(text, str) for text in texts):
+            problems.append(f"{path}/zarr.json: attributes: names and digests are texts")
+        try:
+            if not isinstance(json.loads(told["scenario"]), dict):
+                raise ValueError("no mapping of keys to values")
+        except (ValueError, RecursionError) as error:
+            problems.append(f"{path}/zarr.json: attributes.scenario: no JSON: {error}")
+    if problems:
+        raise InputError(problems)
+
+
+_NAMES = {str: "a text", list: "a list", dict: "a mapping"}
+
+
+def _kind(value: Any) -> str:
+    return "missing" if value is None else type(value).__name__
+
+
+def check_arrays(path: Path, group: Any) -> None:
+    """Look at the arrays of a store whose attributes are good: are they there, and of what shape.
+
+    Raises:
+        InputError: one sentence for each that does not fit.
+    """
+    with readable(path, "the metadata of an array"):
+        found = {name: group[name] for name in _ARRAYS if name in group}
+    if groups := [name for name, array in found.items() if not isinstance(array, zarr.Array)]:
+        raise InputError(f"{path}/{groups[0]}: a group, expected an array")
+    status, image = found.get("status"), found.get("transmission")
+    if status is None or image is None or len(status.shape) != 1 or len(image.shape) != 3:
+        raise InputError(f"{path}: no array of statuses, or of images (views, rows, columns)")
+    views, joints = status.shape[0], len(group.attrs["joint_names"])
+    problems = [
+        f"{path}/{name}: missing"
+        if name not in found
+        else f"{path}/{name}: {found[name].dtype} of {found[name].shape}, expected {dtype} of "
+        f"{(views, *shape)}"
+        for name, (shape, dtype, by_view) in _expected(group.attrs["format"], image, found).items()
+        if name not in found or not _fits(found[name], (views, *shape), dtype, by_view=by_view)
+    ]
+    problems += [
+        f"{path}/{name}: {found[name].shape[1:]} a view, there are {joints} joints"
+        for name in _JOINTS
+        if name in found and found[name].shape[1:] != (joints,)
+    ]
+    if BAD_PIXELS in found and not _fits(found[BAD_PIXELS], image.shape[1:], np.bool_):
+        problems.append(f"{path}/{BAD_PIXELS}: not one truth value a pixel")
+    if problems:
+        raise InputError(problems)
+
+
+def _expected(
+    format_: int, image: Any, found: dict[str, Any]
+) -> dict[str, tuple[tuple[int, ...], DTypeLike, bool]]:
+    """Shape of a view, type, and whether there is a chunk a view, by the name of an array."""
+
+    def like(name: str) -> tuple[int, ...]:
+        return found[name].shape[1:] if name in found and len(found[name].shape) == 2 else (0,)
+
+    images = ("transmission", *(name for name in FRAMES if name in found))
+    numbers: dict[str, tuple[int, ...]] = {f"executed/{k}": (n,) for k, n in _POSES.items()}
+    numbers |= {name: (n,) for name, n in _OBJECT.items()} | {"state": like("state")}
+    numbers |= {"joints": like("joints"), "simulated_s": (), "clearance_mm": ()}
+    if format_ >= 3:
+        numbers |= {name: like(name) for name in _JOINTS[1:]}
+    if EXPOSURE in found:
+        numbers[EXPOSURE] = (*found[EXPOSURE].shape[1:2], 3, 7)
+    return {
+        "status": ((), np.uint8, True),
+        **{name: (image.shape[1:], np.float32, True) for name in images},
+        **{name: (shape, np.float64, True) for name, shape in numbers.items()},
+        **{f"commanded/{name}": ((n,), np.float64, False) for name, n in _POSES.items()},
+    }
+
+
+def _fits(array: Any, shape: tuple[int, ...], dtype: DTypeLike, *, by_view: bool = False) -> bool:
+    chunks = (1, *shape[1:]) if by_view else array.chunks
+    return array.shape == shape and array.dtype == dtype and array.chunks == chunks
