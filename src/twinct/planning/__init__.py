@@ -1,12 +1,16 @@
 """Which views are worth taking: objectives over a region, and the choice among candidates."""
 
 from twinct.planning.completeness import crossed_planes, local_completeness, plane_normals
+from twinct.planning.detectability import Detectability, Task, detectability_of
 from twinct.planning.selection import Choice, covered_share, exact_choice, exchanged, greedy_choice
 
 __all__ = [
     "Choice",
+    "Detectability",
+    "Task",
     "covered_share",
     "crossed_planes",
+    "detectability_of",
     "exact_choice",
     "exchanged",
     "greedy_choice",

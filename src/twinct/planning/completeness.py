@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.geometry import Floats, ScanGeometry, fibonacci_directions
+from twinct.planning.sight import sees
 
 _AT_A_TIME = 2_000_000
 """Distances of sources from planes that are held at once: 16 MB."""
@@ -45,7 +46,7 @@ def local_completeness(
     """
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     directions = plane_normals(normals)
-    sees = _sees(geometry, points)
+    seen = sees(geometry, points)
     found = np.empty(len(points))
     for index, point in enumerate(points):
         towards = geometry.source - point
@@ -54,10 +55,10 @@ def local_completeness(
         for part in _parts(directions, len(geometry)):
             heights = towards @ part.T
             if within_deg is None:
-                crossed = _changes(heights, sees[:, index], closed)
+                crossed = _changes(heights, seen[:, index], closed)
             else:
                 near = np.abs(heights) <= np.sin(np.radians(within_deg))
-                crossed = (near & sees[:, index, None]).any(axis=0)
+                crossed = (near & seen[:, index, None]).any(axis=0)
             number += int(crossed.sum())
         found[index] = number / normals
     return found
@@ -72,25 +73,14 @@ def crossed_planes(
         (views, points * normals): what each candidate adds to a choice of views.
     """
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
-    directions, sees = plane_normals(normals), _sees(geometry, points)
+    directions, seen = plane_normals(normals), sees(geometry, points)
     found = np.empty((len(geometry), len(points), normals), np.bool_)
     for index, point in enumerate(points):
         towards = geometry.source - point
         towards /= np.linalg.norm(towards, axis=1)[:, None]
         near = np.abs(towards @ directions.T) <= np.sin(np.radians(within_deg))
-        found[:, index] = near & sees[:, index, None]
+        found[:, index] = near & seen[:, index, None]
     return found.reshape(len(geometry), -1)
-
-
-def _sees(geometry: ScanGeometry, points: Floats) -> NDArray[np.bool_]:
-    """Whether a point projects into the panel, in front of the source, (views, points)."""
-    column, row = np.moveaxis(geometry.project(points), -1, 0)
-    ahead = np.einsum("vpi,vi->vp", points - geometry.source[:, None], geometry.normal) < 0
-    panel = geometry.panel
-    inside = (np.abs(column - (panel.columns - 1) / 2) <= panel.columns / 2) & (
-        np.abs(row - (panel.rows - 1) / 2) <= panel.rows / 2
-    )
-    return inside & ahead
 
 
 def _changes(heights: Floats, seen: NDArray[np.bool_], closed: bool) -> NDArray[np.bool_]:
