@@ -24,8 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.calibration import PosePrior, Round, aligned, self_calibrated
-from twinct.calibration.consistency import ROUNDS, all_moved
+from twinct.calibration import PosePrior, Round, aligned, moved, self_calibrated
+from twinct.calibration.consistency import ROUNDS
 from twinct.evaluate import image_figures, region_of_interest
 from twinct.geometry import Pose, ScanGeometry
 from twinct.recon import Projector, sart
@@ -103,7 +103,7 @@ def believed_of(executed: ScanGeometry, errors: str, seed: int) -> ScanGeometry:
         )
     length = ALIKE if errors == "smooth" else 0.0
     normals = [view_normals(seed, "selfcal", view, 9, length) for view in range(VIEWS)]
-    return all_moved(executed, SIGMA * np.array(normals))
+    return moved(executed, SIGMA * np.array(normals))
 
 
 def best(geometry, p, truth, mu, region, grid) -> tuple[float, int]:

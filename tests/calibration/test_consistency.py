@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.calibration.consistency import PosePrior, Round, all_moved, self_calibrated
+from twinct.calibration.consistency import PosePrior, Round, self_calibrated
 from twinct.calibration.modes import aligned
+from twinct.calibration.resection import moved
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
 from twinct.trajectory import ArcTrajectory, on_sphere
@@ -47,7 +48,7 @@ def test_errors_of_each_view_are_found(scanned):
     grid, executed, p = scanned
     rng = np.random.default_rng(5)
     sigma = np.array([PRIOR.sigma_mm] * 6 + [np.radians(PRIOR.sigma_deg)] * 3)
-    believed = all_moved(executed, sigma * rng.normal(size=(VIEWS, 9)))
+    believed = moved(executed, sigma * rng.normal(size=(VIEWS, 9)))
     found = self_calibrated(p, believed, grid, PRIOR, rounds=[Round(2)] * 3)
     assert off_px(found.geometry, executed) < 0.4 * off_px(believed, executed)
     assert found.residuals[-1] < 0.95 * found.residuals[0]

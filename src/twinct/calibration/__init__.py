@@ -2,6 +2,7 @@
 
 from twinct.calibration.arms import CalibratedArms, Change, frames_of, require_same_arms
 from twinct.calibration.beads import BallCalibration, calibrated, calibrated_view
+from twinct.calibration.bundle import Bundle, bundled
 from twinct.calibration.consistency import (
     PosePrior,
     Round,
@@ -17,11 +18,19 @@ from twinct.calibration.kinematics import (
     calibrated_arms,
 )
 from twinct.calibration.modes import Aligned, aligned
+from twinct.calibration.online import OnlineCalibration, online_calibrated
 from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.resection import PARAMETERS, Resection, moved, resected
 from twinct.calibration.shadows import Shadows, measured, spots
+from twinct.calibration.tracks import Tracks, tracked
 
 __all__ = [
+    "tracked",
+    "Tracks",
+    "online_calibrated",
+    "OnlineCalibration",
+    "bundled",
+    "Bundle",
     "PARAMETERS",
     "Aligned",
     "ArmPrior",

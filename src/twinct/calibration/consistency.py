@@ -128,13 +128,10 @@ class _Freedom:
 
     def all(self, believed: ScanGeometry, change: Floats) -> ScanGeometry:
         """Each view, moved by its own numbers, (views, n)."""
+        if self.what == "arms":
+            return moved(believed, change)
         parts = [self.view(view, one) for view, one in zip(believed, change, strict=True)]
         return ScanGeometry.joined(parts)
-
-
-def all_moved(believed: ScanGeometry, change: Floats) -> ScanGeometry:
-    """Source and panel of each view moved by its own nine numbers, (views, 9)."""
-    return _Freedom("arms", np.zeros(3)).all(believed, change)
 
 
 def self_calibrated(

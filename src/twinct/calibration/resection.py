@@ -63,16 +63,18 @@ class Resection:
         return float(np.sqrt((self.residuals[~self.outliers] ** 2).sum(axis=1).mean()))
 
 
-def moved(view: ScanGeometry, change: Floats) -> ScanGeometry:
-    """A view with its source and panel moved, ``change`` as in ``PARAMETERS``, (9,)."""
-    axes = np.stack([view.u[0], view.v[0], view.normal[0]], axis=1)
-    turn = Rotation.from_rotvec(axes @ change[6:]).as_matrix()
+def moved(geometry: ScanGeometry, change: Floats) -> ScanGeometry:
+    """Source and panel of each view moved, ``change`` as in ``PARAMETERS``, (9,) or (views, 9)."""
+    change = np.broadcast_to(change, (len(geometry), 9))
+    axes = np.stack([geometry.u, geometry.v, geometry.normal], axis=2)
+    shifts = np.einsum("vij,vkj->vki", axes, change.reshape(-1, 3, 3))
+    turns = Rotation.from_rotvec(shifts[:, 2]).as_matrix()
     return ScanGeometry(
-        view.source + axes @ change[:3],
-        view.detector + axes @ change[3:6],
-        view.u @ turn.T,
-        view.v @ turn.T,
-        view.panel,
+        geometry.source + shifts[:, 0],
+        geometry.detector + shifts[:, 1],
+        np.einsum("vij,vj->vi", turns, geometry.u),
+        np.einsum("vij,vj->vi", turns, geometry.v),
+        geometry.panel,
     )
 
 

@@ -30,9 +30,14 @@ LEAST_TRANSMISSION = 1e-4
 RIM = 0.1
 """Of the radius: half chords shorter than this count as so long where slopes are taken."""
 
-STEPS = 12
+STEPS = 20
+WHOLE_STEPS = 6
+"""Gauss-Newton takes so many steps at most; later ones by half, as rays that pass from one side of
+the rim to the other let whole ones go to and fro."""
+
 STILL_PX = 1e-4
-"""Gauss-Newton ends after so many steps, or when a shadow moves by less."""
+STILL_SHARE = 0.1
+"""A shadow has settled when it moves by less, in pixels or in standard deviations of its place."""
 
 NEAR_PX = 0.3
 """A shadow this near to the middle of its window is measured well."""
@@ -192,13 +197,16 @@ def _settled(
             change = np.linalg.solve(square, scaled.T @ left)
         except np.linalg.LinAlgError:
             return None
+        change *= 1.0 if step < WHOLE_STEPS else 0.5
         moved = change[:2] * min(1.0, 1.0 / max(np.abs(change[:2]).max(), 1e-12))
         place, mu, back = place + moved, max(mu + change[2], 1e-3), back + change[3:]
         if np.hypot(*(place - start)) > reach:
             return None
-        if np.abs(moved).max() < STILL_PX and step:
-            freedom = max(inside.sum() - 6, 1)
-            spread = np.linalg.inv(square)[:2, :2] * (left @ left) / freedom
+        if not step:
+            continue
+        freedom = max(inside.sum() - 6, 1)
+        spread = np.linalg.inv(square)[:2, :2] * (left @ left) / freedom
+        if np.abs(moved).max() < max(STILL_PX, STILL_SHARE * np.sqrt(spread.trace() / 2)):
             return place, spread
     return None
 

@@ -1,0 +1,151 @@
+"""Geometry of a scan from a few balls at unknown places on its specimen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.calibration.bundle import LEAST_SHADOWS, Bundle, bundled
+from twinct.calibration.consistency import PosePrior
+from twinct.calibration.phantom import BallPhantom
+from twinct.calibration.shadows import measured, overlapping, shadow_radius_px
+from twinct.calibration.tracks import inside, tracked
+from twinct.errors import CalibrationError
+from twinct.geometry import Floats, ScanGeometry
+from twinct.progress import SILENT, Progress
+
+REACH = 3.5
+"""Standard deviations that a shadow may be from where it is believed to be."""
+
+SPOT_PX = 1.0
+"""A spot's place is known to about this, along an axis."""
+
+ROUNDS = 2
+"""With the geometry found, shadows that bone hid from the search are looked for where they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineCalibration:
+    """What a few balls say of the scan that they are in.
+
+    Attributes:
+        bundle: places of the balls, geometry and how well both are known.
+        problems: of the views that stay as they were believed, by view.
+    """
+
+    bundle: Bundle
+    problems: dict[int, str]
+
+    @property
+    def geometry(self) -> ScanGeometry:
+        """Of all views."""
+        return self.bundle.geometry
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of the shadows that are believed."""
+        counted = np.isfinite(self.bundle.residuals).all(axis=2)
+        counted &= ~self.bundle.outliers & ~self.bundle.few[:, None]
+        return float(np.sqrt((self.bundle.residuals[counted] ** 2).sum(axis=1).mean()))
+
+
+def online_calibrated(
+    transmission: Sequence[NDArray[np.float32]] | NDArray[np.float32],
+    believed: ScanGeometry,
+    radius_mm: float,
+    prior: PosePrior,
+    *,
+    blur_px: float = 0.0,
+    progress: Progress = SILENT,
+) -> OnlineCalibration:
+    """Find balls beside anatomy, and the geometry that makes their shadows agree.
+
+    Args:
+        transmission: (views, rows, columns).
+        believed: about where source and panel were.
+        radius_mm: of each ball.
+        prior: what is known of the errors of the believed geometry.
+        blur_px: sigma of the detector's blur.
+        progress: hears of each round.
+
+    Raises:
+        CalibrationError: fewer than five balls are found, or no view sees as many.
+    """
+    at_middle = believed.sdd_to_centre / np.linalg.norm(believed.source, axis=1)
+    with progress.stage("calibration", 1 + ROUNDS) as step:
+        radius_px = float(np.median(radius_mm * at_middle)) / believed.panel.pitch_u
+        tracks = tracked(transmission, believed, radius_px, _reach_px(believed, prior, at_middle))
+        if len(tracks.places) < LEAST_SHADOWS:
+            raise CalibrationError(
+                f"{len(tracks.places)} balls of radius {radius_mm:g} mm are found that views agree "
+                f"on, {LEAST_SHADOWS} are needed"
+            )
+        step()
+        balls, pixels = tracks.places, tracks.pixels
+        spots = np.broadcast_to(SPOT_PX**2 * np.eye(2), (*pixels.shape[:2], 2, 2))
+        bundle = _told(bundled(believed, balls, pixels, spots, prior))
+        for _ in range(ROUNDS):
+            told = _shadows(transmission, bundle, radius_mm, pixels, blur_px)
+            bundle = _told(bundled(believed, bundle.balls, *told, prior))
+            pixels = told[0]
+            step()
+    seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
+    problems = {
+        int(view): f"{seen[view]} balls are seen, {LEAST_SHADOWS} are needed"
+        if seen[view] < LEAST_SHADOWS
+        else f"fewer than {LEAST_SHADOWS} of {seen[view]} balls are where the others have them"
+        for view in np.flatnonzero(bundle.few)
+    }
+    return OnlineCalibration(bundle, problems)
+
+
+def _reach_px(believed: ScanGeometry, prior: PosePrior, at_middle: Floats) -> float:
+    """How far a shadow may be from where it is believed to be."""
+    panel = believed.panel
+    magnified = float(np.median(at_middle))
+    half = np.hypot(panel.columns * panel.pitch_u, panel.rows * panel.pitch_v) / 4
+    turned_mm = np.radians(prior.sigma_deg) * half
+    sigma_mm = np.sqrt(((magnified - 1) ** 2 + 1) * prior.sigma_mm**2 + turned_mm**2)
+    return float(REACH * np.hypot(sigma_mm / panel.pitch_u, SPOT_PX))
+
+
+def _told(bundle: Bundle) -> Bundle:
+    """Refuse what tells of no view.
+
+    Raises:
+        CalibrationError: no view sees enough balls.
+    """
+    if bundle.few.all():
+        raise CalibrationError(
+            f"none of {len(bundle.few)} views sees {LEAST_SHADOWS} of the {len(bundle.balls)} "
+            "balls found"
+        )
+    return bundle
+
+
+def _shadows(
+    transmission: Sequence[NDArray[np.float32]] | NDArray[np.float32],
+    bundle: Bundle,
+    radius_mm: float,
+    spots: Floats,
+    blur_px: float,
+) -> tuple[Floats, Floats]:
+    """Where shadows lie, and covariances; looked for where balls project, or by their spots."""
+    phantom = BallPhantom(bundle.balls, radius_mm)
+    pixels = np.full(spots.shape, np.nan)
+    spread = np.full((*spots.shape, 2), np.nan)
+    sight = inside(bundle.geometry, bundle.balls)
+    for index, view in enumerate(bundle.geometry):
+        start = spots[index] if bundle.few[index] else view.project(bundle.balls)[0]
+        start = np.where(sight[index][:, None], start, np.nan)
+        alone = np.isfinite(start).all(axis=1)
+        alone &= ~overlapping(start, shadow_radius_px(view, phantom))
+        wanted = np.flatnonzero(alone)
+        found = measured(
+            np.asarray(transmission[index]), view, phantom, wanted, start[wanted], blur_px
+        )
+        pixels[index, found.balls], spread[index, found.balls] = found.pixels, found.covariance
+    return pixels, spread
