@@ -173,7 +173,7 @@ def test_messages_name_file_and_line(tmp_path: Path) -> None:
     assert "no file at" in problems(path=file)
     file.write_text("extends: x.yaml\n", encoding="utf-8")
     assert "extends itself" in problems(path=file)
-    assert "cannot read" in problems(path=tmp_path / "none.yaml")
+    assert "the scenario does not exist" in problems(path=tmp_path / "none.yaml")
 
 
 def test_missing_files_are_named(tmp_path: Path) -> None:

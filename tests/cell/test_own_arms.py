@@ -301,8 +301,14 @@ def test_what_is_no_file_is_refused_at_once(tmp_path: Path, monkeypatch) -> None
     assert "is no regular file" in refusal(pipe)
     assert "is a folder" in refusal(tmp_path)
     assert "does not exist" in refusal(tmp_path / "none.xml")
-    scenario = load_scenario(DEMO, [f"cell.source_arm={{model: null, file: {pipe}}}"])
+    override = f"cell.source_arm={{model: null, file: {tmp_path / 'arm.xml'}}}"
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    scenario = load_scenario(DEMO, [override])
+    (tmp_path / "arm.xml").unlink()
+    pipe.rename(tmp_path / "arm.xml")
     stage_digests(scenario)  # does not wait for a writer
+    with pytest.raises(ScenarioError, match=r"arm\.xml is no regular file"):
+        load_scenario(DEMO, [override])
     large = tmp_path / "large.xml"
     large.write_bytes(b" ")
     os.truncate(large, LARGEST_BYTES + 1)

@@ -255,7 +255,7 @@ WRONG = [
     ("samples.0.position.center.u", mm(1, *2 * [{"value": 1e308}]), "center.u: inf mm must be"),
     ("samples.0.material_id", "x" * 999, "xxx... is not among the materials: Al, Fe"),
     ("geometry.stage.center.z", mm(1, {"file": "d"}), "does not exist"),
-    ("geometry.stage.center.z", mm(1, {"file": "."}), "it is a folder"),
+    ("geometry.stage.center.z", mm(1, {"file": "."}), "is a folder"),
     ("geometry.stage.center.z", mm(None, {"value": 1}), "has drifts, but no value"),
     ("detector", None, "detector: is missing"),
     ("geometry", None, "geometry: is missing"),

@@ -76,18 +76,20 @@ def read_bytes(path: Path, where: str, most: int, kind: type[InputError] = Input
     Raises:
         InputError: of this ``kind``; it cannot be read, or is larger.
     """
-    file_bytes(path, where, most, kind)
+    size, data = file_bytes(path, where, most, kind), bytearray()
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(descriptor, "rb") as stream:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # exchanged meanwhile
                 raise kind(f"{where} is no regular file")
-            data = stream.read(most + 1)
+            step = max(size + 1, 2**16)  # read(n) makes room for n bytes before it reads any
+            while len(data) <= most and (part := stream.read(min(step, most + 1 - len(data)))):
+                data += part
     except OSError as error:
         raise kind(f"{where} cannot be read: {reason(error)}") from None
     if len(data) > most:  # such as those of /proc, which say that they are empty
         raise kind(f"{where} has more than the {most} bytes that are read")
-    return data
+    return bytes(data)
 
 
 def read_text(path: Path, where: str, most: int, kind: type[InputError] = InputError) -> str:

@@ -219,7 +219,8 @@ def content_digest(path: Path, key: str) -> str:
     if key == "file":
         files = _of_arm(path)
     else:
-        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        files = sorted(p for p in path.rglob("*") if p.is_file())
+        files = files if path.is_dir() else [path] if path.is_file() else []  # no pipe is opened
     for file in files:
         with file.open("rb") as stream:
             digest.update(hashlib.file_digest(stream, "sha256").digest())
