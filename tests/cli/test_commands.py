@@ -434,6 +434,22 @@ def test_schema_is_json(capsys) -> None:
     assert json.loads(capsys.readouterr().out)["title"] == "twinct scenario"
 
 
+@pytest.mark.parametrize(
+    ("command", "kept"),
+    [("check", ""), ("run", "; every acquired view is kept, --resume goes on")]
+    + [("study", "; every finished trial is kept, --resume goes on")],
+)
+def test_what_an_interrupted_command_keeps_is_said(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], command: str, kept: str
+) -> None:
+    def interrupted(**_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("twinct.cli.commands.app.cli", interrupted)
+    assert run_command([command, "demo.yaml"]) == 1
+    assert capfd.readouterr().err == f"twinct: interrupted{kept}\n"
+
+
 @pytest.mark.parametrize("name", ["check", "run", "render", "node", "schema", "specimen", "report"])
 def test_every_command_has_a_help_text(name: str, capsys) -> None:
     assert run_command([name, "--help"]) == 0

@@ -70,10 +70,40 @@ def test_check_names_a_cure_and_draws(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert picture.exists()
 
 
-def test_render_draws_what_cannot_be_had(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_search_for_a_cure_can_be_left(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        assert "out of reach by 2" in capfd.readouterr().err  # told before it
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("twinct.cli.reach.reasons", interrupted)
+    picture = tmp_path / "view.png"
+    assert run_command(["check", DEMO, *BALL, *TURNED, "--picture", str(picture)]) == 2
+    assert "view 2: source arm: out of reach by 2" in capfd.readouterr().err
+    assert not picture.exists()
+
+
+def test_of_a_plan_in_a_file_no_cure_is_sought(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, few = str(tmp_path / "plan.npz"), ("--set", "trajectory.views=4")
+    assert run_command(["check", DEMO, *BALL, *few, "--save", plan]) == 0
+    monkeypatch.setattr("twinct.cli.reach.reasons", None)
+    moved = ("--set", "cell.source_arm.base_position_mm=[860, 0, 0]")
+    asked = ("--set", f"motion.plan={plan}", *moved)
+    assert run_command(["check", DEMO, *BALL, *few, *asked]) == 2
+    assert "a plan of another cell" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("roll", ["fixed", "free"])
+def test_render_draws_what_cannot_be_had(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], roll: str
+) -> None:
     out = tmp_path / "view.png"
     small = ("--width", "400", "--height", "250", "--out", str(out))
-    assert run_command(["render", DEMO, *BALL, *TURNED, "--view", "2", *small]) == 0
+    keys = ("--set", f"motion.detector_roll={roll}", "--set", "motion.scheme=planned")
+    assert run_command(["render", DEMO, *BALL, *TURNED, *keys, "--view", "2", *small]) == 0
     assert "view 2: source arm: out of reach by 210.6 mm" in capfd.readouterr().err
     red, _, blue = np.moveaxis(np.asarray(Image.open(out).convert("RGB"), float), 2, 0)
     assert (blue - red > 80).mean() > 0.003  # the ghosts

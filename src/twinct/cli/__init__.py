@@ -47,7 +47,8 @@ def run_command(argv: Sequence[str] | None = None) -> int:
             _say(f"twinct: {problem}")
         return error.exit_code
     except KeyboardInterrupt:
-        _say("twinct: interrupted; every acquired view is kept, --resume goes on")
+        kept = _KEPT.get(next(iter(arguments), ""))
+        _say(f"twinct: interrupted{f'; every {kept} is kept, --resume goes on' if kept else ''}")
         return EXIT_OTHER
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -61,6 +62,10 @@ def run_command(argv: Sequence[str] | None = None) -> int:
         )
         return EXIT_OTHER
     return EXIT_DONE
+
+
+_KEPT = {"run": "acquired view", "study": "finished trial"}
+"""What a command that was interrupted has done, where it can go on."""
 
 
 def _say(message: str) -> None:

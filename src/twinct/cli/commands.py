@@ -235,9 +235,10 @@ def render(
     require("robots")
     check_drawing()
     workshop = Workshop(loaded)
-    view = len(workshop.targets) // 2 if view == MIDDLE else view
-    if not 0 <= view < len(workshop.targets):
-        raise InputError(f"--view {view}: the scenario has views 0 to {len(workshop.targets) - 1}")
+    views = len(workshop.asked)  # commanded ones need a plan, which there may not be
+    view = views // 2 if view == MIDDLE else view
+    if not 0 <= view < views:
+        raise InputError(f"--view {view}: the scenario has views 0 to {views - 1}")
     with named_places(scenario, set_), storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         for problem in draw_anyway(workshop, out, view, width, height):

@@ -187,6 +187,8 @@ def _asked(workshop: Workshop) -> Poses:
 def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
     """Let views that cannot be had be told with the cure that was found, and a picture of one.
 
+    What is wrong is told before a cure is sought, which may take minutes and be interrupted.
+
     Raises:
         TrajectoryError: the same, with more sentences.
     """
@@ -194,10 +196,15 @@ def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
         yield
     except TrajectoryError as error:
         scenario = workshop.scenario
-        if not isinstance(scenario.cell, Cell):
-            raise
+        if not isinstance(scenario.cell, Cell) or scenario.motion.plan is not None:
+            raise  # of a plan in a file no way was sought
         poses, free = _asked(workshop), workshop.roll_free
-        views, words = reasons(scenario.cell, workshop.cell_of, scenario.motion, poses, free)
+        more = f", and {len(error.problems) - 1} more" if len(error.problems) > 1 else ""
+        say(f"{error.problems[0]}{more}; looking for a cure (Ctrl-C: leave that)", warning=True)
+        try:
+            views, words = reasons(scenario.cell, workshop.cell_of, scenario.motion, poses, free)
+        except KeyboardInterrupt:
+            raise error from None
         if views:
             words += _pictured(workshop, picture, views[0])
         raise TrajectoryError([*error.problems, *words]) from error
