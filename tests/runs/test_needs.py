@@ -10,7 +10,10 @@ from pathlib import Path
 import pytest
 
 from twinct import needs
+from twinct.errors import MemoryShortageError
+from twinct.runs import require_memory
 from twinct.scenario import load_scenario
+from twinct.specimen.shapes import shape_surface, triangles
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 FEW = ["trajectory.views=10"]
@@ -62,3 +65,39 @@ def test_nothing_is_planned_and_a_gantry_takes_no_arms(monkeypatch: pytest.Monke
     gantry = needs(load_scenario(DEMO, [*FEW, "cell={kind: gantry}"]))
     assert gantry["plan"].memory_bytes == gantry["specimen"].memory_bytes
     assert gantry["views"].memory_bytes < arms["views"].memory_bytes
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("reconstruction.grid.voxels=4096", "reconstruction.grid: 4096 x 4096 x 4096 voxels: 576"),
+        ("reconstruction.zoom={size_mm: 1, voxel_mm: 1e-5}", "reconstruction.zoom: 100000 x"),
+        (
+            "specimen.parts.0.shape.mesh_resolution_mm=0.01",
+            "specimen.parts.0.shape: part",
+        ),
+        ("trajectory.views=100000", "trajectory: 100000 views of 320 x 240 pixels: 57.2"),
+        (
+            "specimen.parts.0.shape={kind: ball_helix, balls: 1000, mesh_resolution_mm: 1e-5}",
+            "specimen.parts.0.shape: part 'ball_helix': 15.3",
+        ),
+    ],
+)
+def test_what_no_memory_holds_is_named_before_anything_is_made(
+    monkeypatch: pytest.MonkeyPatch, override: str, said: str
+) -> None:
+    module = sys.modules["twinct.runs.needs"]  # the package has a function of this name
+    monkeypatch.setattr(module, "available_bytes", lambda: (8 * 2**30, "a limit"))
+    require_memory(load_scenario(DEMO))
+    with pytest.raises(MemoryShortageError) as caught:
+        require_memory(load_scenario(DEMO, [override]))
+    (problem,) = caught.value.problems
+    assert problem.startswith(said)
+    assert problem.endswith("needed at least, and 8.00 GiB are available (a limit)")
+
+
+def test_a_ball_has_the_triangles_that_are_counted() -> None:
+    for text in ("{kind: sphere, radius_mm: 2, mesh_resolution_mm: 0.5}", "{kind: ball_helix}"):
+        scenario = load_scenario(DEMO, [f"specimen.parts=[{{shape: {text}}}]"])
+        shape = scenario.specimen.parts[0].shape
+        assert triangles(shape) == len(shape_surface(shape, "x").faces)

@@ -132,7 +132,7 @@ def fuzz(kind: str, seed: int, numbers: Iterable[int], seconds: float, place: Pa
             found.largest = max(found.largest, (told["memory_bytes"], number))
             if not told["ok"]:
                 found.failures.append(_kept(told, kind, seed, number, worker.folder, place))
-                sys.stdout.write(f"{found.failures[-1]}\n")
+                print(found.failures[-1], flush=True)
             if time.monotonic() > last + 30:
                 last = time.monotonic()
                 sys.stderr.write(f"{found.words.total()} cases, {len(found.failures)} failures\n")
