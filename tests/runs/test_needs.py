@@ -76,10 +76,10 @@ def test_nothing_is_planned_and_a_gantry_takes_no_arms(monkeypatch: pytest.Monke
             "specimen.parts.0.shape.mesh_resolution_mm=0.01",
             "specimen.parts.0.shape: part",
         ),
-        ("trajectory.views=100000", "trajectory: 100000 views of 320 x 240 pixels: 57.2"),
+        ("trajectory.views=100000", "trajectory: 100000 views of 160 x 120 pixels: 14.3"),
         (
             "specimen.parts.0.shape={kind: ball_helix, balls: 1000, mesh_resolution_mm: 1e-5}",
-            "specimen.parts.0.shape: part 'ball_helix': 15.3",
+            "specimen.parts.0.shape: part 'skull': 15.3",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""Closed surfaces from STL, PLY and OBJ files."""
+"""Closed surfaces from STL, PLY, OBJ and OFF files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import trimesh
 from twinct.errors import SpecimenError
 from twinct.files.boundary import no_file, read_bytes, require_memory, shortened
 
-_KNOWN = "STL, PLY and OBJ files are known"
+_KNOWN = "STL, PLY, OBJ and OFF files are known"
 _KINDS = ("stl", "ply", "obj", "off")
 
 LARGEST_BYTES = 2**30

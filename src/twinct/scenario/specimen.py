@@ -107,7 +107,7 @@ class BallHelix(Section):
 
 
 class MeshFile(Section):
-    """A watertight triangle mesh: STL, PLY, OBJ or what else trimesh reads."""
+    """A watertight triangle mesh: STL, PLY, OBJ or OFF."""
 
     kind: Literal["mesh"]
     path: Path = Field(description="Mesh file.")
