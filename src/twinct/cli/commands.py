@@ -274,6 +274,28 @@ def reach(
 
 
 @app.command
+def plan(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    resume: Flag = False,
+    threads: Threads = None,
+    set_: Overrides = (),
+) -> None:
+    """Choose views for the section task of a scenario, among those that the arms can have.
+
+    Writes views.csv, planned.yaml, which twinct run executes, plan.npz, plan.json and plan.png.
+
+    Args:
+        out: Folder for the results.
+        resume: Go on with a search that was interrupted.
+    """
+    from twinct.cli.plan import plan_command
+
+    plan_command(scenario, set_, out, resume, threads)
+
+
+@app.command
 def uncertainty(
     scenario: ScenarioFile,
     *,

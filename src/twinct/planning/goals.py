@@ -104,7 +104,7 @@ class Goal:
             (candidates,) of bool: whether each may be taken.
         """
         assert isinstance(self.measure, Mean) and self.at_most is not None
-        each, left = self.measure.each, number - len(chosen) - 1
+        each, left = self.measure.each[: len(free)], number - len(chosen) - 1
         budget = self.at_most * number - each[list(chosen)].sum() + 1e-9 * abs(self.at_most)
         cheapest = np.sort(each[free])
         rest = cheapest[:left].sum()

@@ -53,7 +53,7 @@ def search_views(
 
     Args:
         goals: what counts; their weighed measures add up.
-        candidates: how many there are.
+        candidates: how many there are, the first of those that the goals know.
         number: of views to choose.
         start: where an earlier search stopped.
         rounds: of exchange, at most.
@@ -64,7 +64,7 @@ def search_views(
     """
     if not 1 <= number <= candidates:
         raise InputError(f"{number} views of {candidates} candidates: from 1 to all are possible")
-    _limits(goals, number)
+    _limits(goals, candidates, number)
     state = start or Searched()
     while len(state.chosen) < number:
         best, worth = _best(goals, candidates, number, state.chosen)
@@ -111,11 +111,11 @@ def _best(
     return views[best], float(worth[best])
 
 
-def _limits(goals: Sequence[Goal], number: int) -> None:
+def _limits(goals: Sequence[Goal], candidates: int, number: int) -> None:
     problems = []
     for goal in goals:
         if goal.at_most is not None and isinstance(goal.measure, Mean):
-            least = float(np.sort(goal.measure.each)[:number].mean())
+            least = float(np.sort(goal.measure.each[:candidates])[:number].mean())
             if least > goal.at_most * (1 + BETTER):
                 problems.append(
                     f"{goal.name}: at most {goal.at_most:.4g} is asked for, the {number} "

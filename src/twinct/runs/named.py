@@ -245,10 +245,16 @@ def _signal(signal: scenario.SphereSignal | scenario.GaussianSignal, grid: Volum
     lattice = VolumeGrid(count, grid.voxel)
     z, y, x = (slice(0, n) for n in count)
     radius = np.linalg.norm(centres(lattice, (z, y, x)), axis=-1)
-    if not sphere:
-        return signal.contrast_rel * np.exp(-((radius / signal.sigma_mm) ** 2) / 2)
-    edge = float(grid.voxel.mean())
-    return signal.contrast_rel * np.clip((signal.radius_mm - radius) / edge + 0.5, 0, 1)
+    return contrast_at(signal, radius, float(grid.voxel.mean()))
+
+
+def contrast_at(
+    signal: scenario.SphereSignal | scenario.GaussianSignal, radius_mm: Floats, edge_mm: float
+) -> Floats:
+    """Contrast of voxels at distances from a signal's middle, of mu(reference)."""
+    if isinstance(signal, scenario.GaussianSignal):
+        return signal.contrast_rel * np.exp(-((radius_mm / signal.sigma_mm) ** 2) / 2)
+    return signal.contrast_rel * np.clip((signal.radius_mm - radius_mm) / edge_mm + 0.5, 0, 1)
 
 
 def _mean(values: Floats) -> float:

@@ -96,7 +96,10 @@ STAGES: dict[StageName, _Stage] = {
     ),
 }
 
-COUNT_FOR_NONE = ("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset")
+COUNT_FOR_NONE = (
+    *("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset"),
+    "task",
+)
 """Keys, and sections, that change neither scan nor truth nor volume."""
 
 _OF_ARMS = ("motion", "cell.floor_z_mm")

@@ -16,6 +16,7 @@ from twinct.scenario.motion import Motion
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
 from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import Specimen
+from twinct.scenario.task import ViewTask
 from twinct.scenario.uncertainty import Uncertainty
 from twinct.settings import FILE_KEYS, Conflict, ConflictError, Section, setting
 from twinct.trajectory import TrajectorySettings
@@ -54,6 +55,7 @@ class Scenario(Section):
     evaluation: Evaluation | None = setting(
         None, "What is measured in the volume beside the figures that every run has."
     )
+    task: ViewTask | None = setting(None, "What `twinct plan` chooses views for.")
 
     @model_validator(mode="after")
     def _sections_go_together(self) -> Scenario:
@@ -62,6 +64,7 @@ class Scenario(Section):
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
             self._arms_to_err(),
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
+            *(self.task.conflicts(self.specimen) if self.task else ()),
         )
         if conflicts := [conflict for conflict in found if conflict is not None]:
             raise ConflictError(*conflicts)

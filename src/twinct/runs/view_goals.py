@@ -1,0 +1,262 @@
+"""What a scenario's task counts, for given candidate views: from the patient to measures.
+
+The specimen of the scenario stands for the patient, as a prior volume would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twinct.errors import InputError
+from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid, fibonacci_directions
+from twinct.planning import (
+    Coverage,
+    Goal,
+    Mean,
+    Measure,
+    Task,
+    crossed_planes,
+    detectability_of,
+    metal_paths,
+    primary_kerma,
+)
+from twinct.planning.detectability import difference_spectrum
+from twinct.progress import Progress
+from twinct.recon import Projector
+from twinct.runs.named import contrast_at
+from twinct.scan import Workshop
+from twinct.scenario import DetectabilityGoal, DoseGoal, MetalGoal, ViewTask
+from twinct.shadow import Body
+from twinct.specimen import BuiltPart
+from twinct.specimen.voxels import volume_fractions
+from twinct.volume import Volume
+from twinct.xray.build import build_spectrum, effective_energy_kev
+
+PRIOR_MM = 3.0
+"""Voxels of the patient through which photons go."""
+
+BOX = 32
+"""Voxels along an edge of the grid about the signal."""
+
+POINTS = 12
+"""Points of the region on its surface, beside its middle."""
+
+NORMALS = 200
+"""Planes through each point."""
+
+PIXEL_MM = 1.0
+"""Pixels of which metal is seen, at the panel; finer ones are taken together."""
+
+ENERGIES = 5
+"""Bins of a spectrum for dose."""
+
+PART_POINTS = 200
+"""Points of a part whose kerma is averaged, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patient:
+    """The specimen as views are planned for it.
+
+    Attributes:
+        workshop: of the scenario.
+    """
+
+    workshop: Workshop
+
+    @cached_property
+    def _fractions(self) -> tuple[VolumeGrid, list[tuple[BuiltPart, Floats]]]:
+        """Share of each voxel that each part has, on a coarse grid that holds them all."""
+        specimen = self.workshop.specimen
+        low, high = specimen.bounds
+        pose = specimen.world_from_specimen @ Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
+        count = np.maximum(np.ceil((high - low) / PRIOR_MM).astype(int) + 2, 2)[::-1]
+        grid = VolumeGrid(count.tolist(), PRIOR_MM, pose)
+        place = specimen.world_from_specimen
+        return grid, [
+            (part, volume_fractions(part.mesh.vertices, part.mesh.faces, grid, place))
+            for part in specimen.parts
+        ]
+
+    def attenuation(self, energy_kev: float) -> Volume:
+        """Attenuation on a coarse grid, 1/mm."""
+        grid, fractions = self._fractions
+        total = np.zeros(grid.shape, np.float32)
+        for part, share in fractions:
+            total += np.float32(part.material.mu_per_mm(energy_kev)) * share
+        return Volume(total, grid)
+
+    def part(self, name: str) -> BuiltPart:
+        """A part by its name."""
+        return next(part for part in self.workshop.specimen.parts if part.name == name)
+
+    def points_of(self, name: str, seed: int) -> Floats:
+        """Points of a part, in the world, (points, 3), mm."""
+        mesh, rng = self.part(name).mesh, np.random.default_rng([seed, 15])
+        low, high = np.asarray(mesh.bounds)
+        step = float(np.cbrt(mesh.volume / PART_POINTS))
+        count = np.maximum(np.ceil((high - low) / step).astype(int), 2)[::-1]
+        middle = Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
+        grid = VolumeGrid(count.tolist(), (high - low) / count[::-1], middle)
+        inside = volume_fractions(mesh.vertices, mesh.faces, grid, Pose.identity()) > 0.5
+        index = np.argwhere(inside)[:, ::-1]
+        if not len(index):  # a plate that no cell is half full of
+            index = np.array([[n // 2 for n in grid.shape_xyz]])
+        if len(index) > PART_POINTS:
+            index = rng.permutation(index)[:PART_POINTS]
+        local = grid.world_from_grid.apply(index * grid.voxel + grid.first_voxel_mm)
+        return self.workshop.specimen.world_from_specimen.apply(local)
+
+
+def region_points(task: ViewTask, world_from_specimen: Pose) -> Floats:
+    """Middle of the task's region, and points on its surface, in the world, (points, 3), mm."""
+    around = task.radius_mm * fibonacci_directions(POINTS)
+    points = np.vstack([np.zeros((1, 3)), around[: POINTS if task.radius_mm else 0]])
+    return world_from_specimen.apply(points + np.asarray(task.position_mm))
+
+
+def goals_of(
+    workshop: Workshop,
+    geometry: ScanGeometry,
+    even: Sequence[int],
+    progress: Progress,
+) -> list[Goal]:
+    """Goals of the task, for views by their index in a geometry.
+
+    Args:
+        workshop: of a scenario with a task.
+        geometry: candidates, and other views to compare with.
+        even: views spread evenly over the candidates: what measures are counted in.
+        progress: hears how far it is.
+
+    Raises:
+        InputError: no view sees the region, or there is no photon number where one is needed.
+    """
+    task, patient = workshop.scenario.task, Patient(workshop)
+    assert task is not None
+    points = region_points(task, workshop.specimen.world_from_specimen)
+    goals: list[Goal] = []
+    if task.completeness is not None:
+        angle = task.completeness.within_deg
+        covers = crossed_planes(geometry, points, angle, NORMALS)
+        if not covers.any():
+            raise InputError(_unseen(workshop, task))
+        goals.append(_goal("completeness", Coverage(covers), task.completeness.weight, even))
+    if (section := task.detectability) is not None:
+        measure = _detectability(patient, section, geometry, points[0], even, progress)
+        goals.append(_goal("detectability", measure, section.weight, even))
+    if (section := task.metal) is not None:
+        goals.append(_cost("metal", section, _metal(patient, section, geometry, points), even))
+    if (section := task.dose) is not None:
+        goals.append(_cost("dose", section, _dose(patient, section, geometry), even))
+    return goals
+
+
+def _goal(name: str, measure: Measure, weight: float, even: Sequence[int]) -> Goal:
+    unit = Goal(name, measure, weight).of(even)
+    if not unit > 0:
+        raise InputError(f"task.{name}: views spread evenly have none of it: the region is unseen")
+    return Goal(name, measure, weight, unit)
+
+
+def _cost(name: str, section: MetalGoal | DoseGoal, each: Floats, even: Sequence[int]) -> Goal:
+    measure = Mean(each)
+    spread = float(each[list(even)].mean())
+    limit = None if section.at_most_rel is None else section.at_most_rel * spread
+    # Where views spread evenly have nothing of it, no other has much.
+    return Goal(name, measure, -section.weight, spread or 1.0, limit)
+
+
+def _metal(patient: Patient, section: MetalGoal, geometry: ScanGeometry, points: Floats) -> Floats:
+    """Mean length in metal of each view, mm; as long as the longest where it sees no point."""
+    panel = geometry.panel
+    factors = (max(1, int(PIXEL_MM / pitch)) for pitch in (panel.pitch_v, panel.pitch_u))
+    place = patient.workshop.specimen.world_from_specimen
+    metal: list[tuple[Body, Pose]] = []
+    for name in section.parts:
+        mesh = patient.part(name).mesh
+        metal.append((Body(mesh.vertices, mesh.faces), place))
+    lengths = metal_paths(geometry.binned(*factors), metal, points)
+    if np.isnan(lengths).all():
+        raise InputError("task.position_mm: no view sees the region")
+    return np.nan_to_num(lengths, nan=float(np.nanmax(lengths)))
+
+
+def _dose(patient: Patient, section: DoseGoal, geometry: ScanGeometry) -> Floats:
+    """Primary kerma of each view, Gy."""
+    scenario = patient.workshop.scenario
+    spectrum = build_spectrum(scenario.source)
+    if not spectrum.absolute:
+        raise InputError("task.dose: needs a photon number: source.photons_per_mm2_mas, or a tube")
+    spectrum = spectrum.rebinned(min(ENERGIES, len(spectrum.photons)))
+    points = patient.points_of(section.part, scenario.seed)
+    substance, kerma = patient.part(section.part).material, np.zeros(len(geometry))
+    for energy, photons in zip(
+        spectrum.energies_kev.tolist(), spectrum.photons.tolist(), strict=True
+    ):
+        kerma += primary_kerma(
+            geometry,
+            points,
+            patient.attenuation(energy),
+            energy_kev=energy,
+            photons_per_mm2=photons * scenario.source.mas,
+            absorption_cm2_g=substance.absorption_cm2_g(energy),
+        )
+    return kerma
+
+
+def _detectability(
+    patient: Patient,
+    section: DetectabilityGoal,
+    geometry: ScanGeometry,
+    place: Floats,
+    even: Sequence[int],
+    progress: Progress,
+) -> Measure:
+    """D' of the signal, about the middle of the region."""
+    scenario, voxel = patient.workshop.scenario, section.voxel_mm
+    spectrum = build_spectrum(scenario.source)
+    if not spectrum.absolute:
+        raise InputError(
+            "task.detectability: needs a photon number: source.photons_per_mm2_mas, or a tube"
+        )
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    z, y, x = np.indices((BOX, BOX, BOX)) - BOX // 2
+    radius = voxel * np.sqrt(x * x + y * y + z * z)
+    contrast = contrast_at(section.signal, radius, voxel)
+    signal = contrast * patient.workshop.specimen.reference_mu(energy)
+    # Voxel BOX // 2 has its centre at the place.
+    grid = VolumeGrid((BOX,) * 3, voxel, Pose.from_euler(place - voxel / 2, (0.0, 0.0, 0.0)))
+    panel = geometry.panel
+    shrink = np.linalg.norm(geometry.source - place, axis=1) / geometry.sdd_to_centre
+    pixel = voxel / float(shrink.mean())
+    rows, columns = (max(1, int(pixel / pitch)) for pitch in (panel.pitch_v, panel.pitch_u))
+    coarse = geometry.binned(rows, columns)
+    prior = patient.attenuation(energy)
+    depth = Projector(coarse, prior.grid)(prior.array)
+    area = coarse.panel.pitch_u * coarse.panel.pitch_v
+    free = spectrum.total * scenario.source.mas * area * (1000 / coarse.sdd_to_centre) ** 2
+    photons = free[:, None, None] * np.exp(-depth)
+    projector = Projector(coarse, grid)
+    found = detectability_of(projector, photons, Task(signal, 1.0), progress)
+    power = np.abs(np.fft.rfftn(signal)) ** 2
+    told = found.fisher[list(even)].sum(axis=0, dtype=np.float64)
+    beta = section.penalty * float(
+        (power * told).sum() / (power * difference_spectrum(signal.shape)).sum()
+    )
+    if not beta > 0:
+        raise InputError(_unseen(patient.workshop, scenario.task))
+    return type(found)(Task(signal, beta), found.fisher)
+
+
+def _unseen(workshop: Workshop, task: ViewTask | None) -> str:
+    assert task is not None
+    x, y, z = workshop.specimen.world_from_specimen.apply(np.asarray(task.position_mm)).tolist()
+    return (
+        f"task.position_mm: no view that the arms can have sees the region at ({x:.0f}, {y:.0f}, "
+        f"{z:.0f}) mm of the world; the isocentre of the trajectory is seen by all"
+    )

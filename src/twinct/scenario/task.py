@@ -1,0 +1,115 @@
+"""What views shall be planned for: a region, what counts there, and how many views."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from twinct.scenario.evaluation import GaussianSignal, SphereSignal
+from twinct.scenario.specimen import Specimen
+from twinct.settings import Conflict, NonNegative, Positive, Section, Vector, setting
+
+Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
+AtMost = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+_LIMIT = (
+    "Largest mean over the views, as a share of that of views spread evenly over all that can be "
+    "had; none: no limit."
+)
+
+
+class CompletenessGoal(Section):
+    """Planes through the region's points that the source crosses (Tuy): more is better."""
+
+    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    within_deg: Positive = setting(3.0, "Angle from a plane within which a view crosses it.")
+
+
+class DetectabilityGoal(Section):
+    """Detectability d' of a signal in the region's middle: more is better."""
+
+    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
+        description="What shall be detected."
+    )
+    voxel_mm: Positive = setting(1.0, "Voxels of the reconstruction that it is predicted for.")
+    penalty: Positive = setting(
+        1.0,
+        "Strength of its quadratic penalty, as a share of what views spread evenly tell of the "
+        "signal's frequencies: at 1 half of it is smoothed away.",
+        unit="1",
+    )
+
+
+class MetalGoal(Section):
+    """Length in metal of the rays through the region: less is better."""
+
+    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    parts: tuple[str, ...] = Field(min_length=1, description="Names of the parts of metal.")
+    at_most_rel: AtMost | None = setting(None, _LIMIT, unit="1")
+
+
+class DoseGoal(Section):
+    """Primary kerma in a part: less is better; scattered photons are left out."""
+
+    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    part: str = Field(description="Name of the part.")
+    at_most_rel: AtMost | None = setting(None, _LIMIT, unit="1")
+
+
+class ViewTask(Section):
+    """What `twinct plan` chooses views for; a run does not read it.
+
+    What counts is given by the sections below; each is counted in units of what views spread
+    evenly have, times its weight.
+    """
+
+    position_mm: Vector = setting(
+        (0.0, 0.0, 0.0), "Middle of the region, a ball, in the specimen's frame."
+    )
+    radius_mm: NonNegative = setting(20.0, "Its radius; 0: a point.")
+    views: int = Field(ge=1, le=2000, description="How many views are chosen.")
+    candidates: int = setting(
+        400,
+        "Views all over the sphere, at the trajectory's distances, of which those that the arms "
+        "can have are chosen from.",
+        ge=2,
+        le=20_000,
+    )
+    rounds: int = setting(2, "Rounds in which each view may be exchanged.", ge=0, le=20)
+    completeness: CompletenessGoal | None = setting(None, "Completeness counts.")
+    detectability: DetectabilityGoal | None = setting(None, "Detectability counts.")
+    metal: MetalGoal | None = setting(None, "Metal counts.")
+    dose: DoseGoal | None = setting(None, "Dose counts.")
+
+    def conflicts(self, specimen: Specimen) -> list[Conflict]:
+        """Nothing that counts, more views than candidates, parts that are not there."""
+        names = [part.label for part in specimen.parts]
+        having = f"there {'are' if len(names) > 1 else 'is'} {', '.join(map(repr, names))}"
+        found: list[Conflict] = []
+        if not (self.completeness or self.detectability):
+            found.append(
+                Conflict(
+                    "task: completeness or detectability must count: by metal and dose alone all "
+                    "views would be the same one",
+                    ("task",),
+                )
+            )
+        if self.views > self.candidates:
+            found.append(
+                Conflict(
+                    f"task.views ({self.views}) must be at most task.candidates "
+                    f"({self.candidates})",
+                    ("task.views", "task.candidates"),
+                )
+            )
+        metal = self.metal.parts if self.metal else ()
+        wanted = [(f"metal.parts.{i}", part) for i, part in enumerate(metal)]
+        wanted += [("dose.part", self.dose.part)] if self.dose else []
+        found += [
+            Conflict(f"task.{key}: there is no part {name!r}; {having}", (f"task.{key}",))
+            for key, name in wanted
+            if name not in names
+        ]
+        return found
