@@ -77,7 +77,7 @@ def files(path):
 
 def drawn(rng, path, of=""):
     """A file of the store."""
-    names = [name for name in files(path) if of in name]
+    names = [name for name in files(path) if of in name and (path / name).stat().st_size]
     few = [name for name in names if "/c." not in name]
     return path / rng.choice(few if few and rng.random() < 0.5 else names)
 

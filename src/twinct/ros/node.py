@@ -74,13 +74,18 @@ class Ledger(Generic[Key, Question, Answer]):
 
 
 class Diagnostics:
-    """Says on ``/diagnostics`` how a node is, what it refuses, and who does not belong there."""
+    """Says on ``/diagnostics`` how a node is, what it refuses, and who does not belong there.
+
+    Attributes:
+        tell: says a line to whom the node was started by.
+        strangers: what was said of each, by topic and participant.
+    """
 
     def __init__(self, station: Station, tell: Callable[[str], None] = say) -> None:
         """Speak for a station's node, and tell the same to whom it was started by."""
         self._station = station
         self.tell = tell
-        self._strangers: set[tuple[str, str]] = set()
+        self.strangers: dict[tuple[str, str], str] = {}
         self._publisher = station.publisher(DIAGNOSTICS)
 
     def ready(self) -> None:
@@ -94,11 +99,11 @@ class Diagnostics:
 
     def stranger(self, topic: Topic, sender: Sender) -> None:
         """Say, once, that what somebody sends on a topic is not of this scan and not used."""
-        if (key := (topic.name, sender.participant)) in self._strangers:
+        if (key := (topic.name, sender.participant)) in self.strangers:
             return
-        self._strangers.add(key)
         who = self._station.name_of(topic, sender)
         text = f"{who}, not of this scan, speaks on {topic.name}: unused"
+        self.strangers[key] = text
         self._say(NO_STAMP, WARN, text, {"topic": topic.name, "publisher": sender.publisher})
         self.tell(text)
 

@@ -316,7 +316,8 @@ class RosRig:
             if self._station.wait(lambda: self._broken() or done(), min(silence, max(left, 0.0))):
                 break
             if time.monotonic() >= deadline:
-                raise LinkError(f"no {what} of view {view} within {self._answer_s:.0f} s")
+                late = f"no {what} of view {view} within {self._answer_s:.0f} s"
+                raise LinkError("; ".join([late, *self._diagnostics.strangers.values()]))
             silence = min(2 * silence, LONGEST_REPEAT_S)
             self._target.publish(message)
         self._check()

@@ -234,8 +234,8 @@ class RobotsNode:
             if answer is None:
                 self._admit(stamp, target, sender)
                 answer = self._execute(stamp, target)
-            elif self._turns is None and isinstance(answer, Reached):
-                self._tell_view(stamp, answer)  # whereas a scan's is kept for all who come
+            elif isinstance(answer, Reached):
+                self._tell_view(stamp, answer)  # it may have been lost among others'
             if isinstance(answer, RefusedError):
                 raise answer
         except (RefusedError, MalformedError) as refused:
