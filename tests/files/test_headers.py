@@ -39,11 +39,11 @@ def test_arrays_have_the_bytes_that_they_tell_of(tmp_path: Path) -> None:
     assert read_npy(tmp_path / "right.npy", "x").shape == (5, 2)
     for shape in ((10**12,), (-1, 5), (2**62, 2**62), ()):
         npy(tmp_path / "lie.npy", shape or (10,), "<f8" if shape else "|O")
-        with pytest.raises(InputError, match="^x cannot be read"):
+        with pytest.raises(InputError, match="^x (cannot be read|holds no array)"):
             read_npy(tmp_path / "lie.npy", "x")
         with zipfile.ZipFile(tmp_path / "lie.npz", "w") as archive:
             archive.write(tmp_path / "lie.npy", "a.npy")
-        with pytest.raises(InputError, match="^x cannot be read"):
+        with pytest.raises(InputError, match="^x (cannot be read|holds no array)"):
             read_npz(tmp_path / "lie.npz", "x", 2**20)
 
 

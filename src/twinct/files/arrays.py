@@ -53,10 +53,14 @@ def read_npz(
 
 
 def _read(stream: IO[bytes], size: int, where: str, kind: type[InputError]) -> NDArray[Any]:
-    version = np.lib.format.read_magic(stream)
-    shape, _, dtype = _HEADERS[min(version, (2, 0))](stream)  # 3.0 differs in names of fields alone
+    try:
+        version = np.lib.format.read_magic(stream)
+        # 3.0 differs in names of fields alone.
+        shape, _, dtype = _HEADERS[min(version, (2, 0))](stream)
+    except ValueError:
+        raise kind(f"{where} holds no array of numbers as numpy.save writes it") from None
     if dtype.hasobject:
-        raise ValueError("it holds Python objects, which are never read")
+        raise kind(f"{where} holds no array of numbers, but Python objects, which are never read")
     told = math.prod(shape) * dtype.itemsize
     if min((0, *shape)) < 0 or told > size:
         raise ValueError(f"its header tells of {told} bytes, there are {size}")
