@@ -34,11 +34,11 @@ are refused. `--set KEY=VALUE` on the command line overrides a key:
 `--set specimen.parts.0.material=water`. Unknown keys are refused. Lengths are mm, angles degrees,
 and each key says so in its name. A `path` is relative to the file that names it.
 
-Files are a plain part of YAML 1.2: mappings, lists, texts, numbers, `true`, `false` and `null`. `no`,
-`2020-01-01`, `1:30` and `1_000` are texts; anchors, aliases, tags, merge keys and keys that stand
-twice are refused, and so is more than 1 MB, 20 levels or 100,000 values. A length is between 1e-6 and
-1e6 mm. What the machine's memory cannot hold, and bodies that cannot be built, are named by their key
-before work starts.
+Files are a plain part of YAML 1.2: mappings, lists, texts, numbers, `true`, `false` and `null`.
+`no`, `2020-01-01`, `1:30` and `1_000` are texts; anchors, aliases, tags, merge keys and keys that
+stand twice are refused, and so is more than 1 MB, 20 levels or 100,000 values. A length is between
+1e-6 and 1e6 mm. What the memory cannot hold, and bodies that cannot be built, are named by their
+key before work starts.
 
 *Source* is where a default or a definition comes from: "the paper" is that of Freiling et al.
 ([how we read it](paper.md)); where nothing is said, the value is our choice. The pictures show the
