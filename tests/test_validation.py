@@ -68,7 +68,9 @@ def _chosen(expression: str, test: str) -> bool:
 
 def _script(arguments: list[str]) -> None:
     """The script is there and knows the options."""
-    text = (ROOT / arguments[0]).read_text(encoding="utf-8")
+    script = ROOT / arguments[0]
+    script = script / "__main__.py" if script.is_dir() else script
+    text = script.read_text(encoding="utf-8")
     for word in arguments[1:]:
         assert not word.startswith("--") or f'"{word}"' in text, word
 
