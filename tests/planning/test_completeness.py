@@ -8,8 +8,9 @@ from pydantic import TypeAdapter
 
 from twinct.geometry import Panel, ScanGeometry
 from twinct.planning import crossed_planes, local_completeness
+from twinct.planning.sight import sees
 from twinct.scenario import AnyTrajectory
-from twinct.trajectory import commanded_views
+from twinct.trajectory import commanded_views, panel_axes
 
 PANEL = Panel(400, 400, 1.0, 1.0)
 
@@ -80,3 +81,10 @@ def test_crossed_planes_add_up_to_the_completeness_of_a_free_set() -> None:
     shares = covers.any(axis=0).reshape(2, 500).mean(axis=1)
     np.testing.assert_allclose(shares, local_completeness(few, points, within_deg=3.0, normals=500))
     assert 0.1 < shares.min() < shares.max() < 0.95
+
+
+def test_what_lies_behind_the_panel_is_not_seen() -> None:
+    towards = np.array([[1.0, 0, 0]])
+    view = ScanGeometry(300 * towards, -300 * towards, *panel_axes(towards), Panel(60, 80, 1, 1))
+    points = [[-290.0, 0, 0], [-310.0, 0, 0], [290.0, 0, 0], [310.0, 0, 0]]
+    assert sees(view, points).tolist() == [[True, False, True, False]]

@@ -74,6 +74,7 @@ def changed(one: dict[str, str], other: dict[str, str]) -> set[str]:
         ("reconstruction.geometry=executed", {"volume"}),
         ("reconstruction.beam_hardening=null", set()),
         ("evaluation={regions: [{name: a, shape: {kind: sphere, radius_mm: 5}}]}", set()),
+        ("task={views: 5, completeness: {}}", set()),
         ("reconstruction.metal=null", set()),
         ("reconstruction.zoom=null", set()),
         ("reconstruction.zoom={size_mm: 9, voxel_mm: 1}", {"volume"}),

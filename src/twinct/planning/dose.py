@@ -6,8 +6,8 @@ Photons that reach a point without an interaction give it
 
 where n is the photon number per mm^2 at 1 m and mAs, r the distance from the focal spot, and the
 integral goes from there to the point; a spectrum's energies add up (F. H. Attix, Introduction to
-Radiological Physics and Radiation Dosimetry, 1986). Scattered photons are left out: in a head they
-give as much again and more, and spread more evenly, so that views differ by less than K does.
+Radiological Physics and Radiation Dosimetry, 1986). Scattered photons are left out; they spread
+more evenly, so that the true doses of views differ by less than K does.
 """
 
 from __future__ import annotations

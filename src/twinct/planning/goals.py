@@ -97,11 +97,13 @@ class Goal:
         """The measure of a choice."""
         return float(self.measure.added(list(views)[:-1], list(views)[-1:])[0])
 
-    def room(self, number: int, chosen: Sequence[int], free: NDArray[np.bool_]) -> Floats:
+    def room(
+        self, number: int, chosen: Sequence[int], free: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
         """What a further view may cost so that the cheapest others still make up the number.
 
         Returns:
-            (candidates,) of bool: whether each may be taken.
+            (candidates,): whether each may be taken.
         """
         assert isinstance(self.measure, Mean) and self.at_most is not None
         each, left = self.measure.each[: len(free)], number - len(chosen) - 1

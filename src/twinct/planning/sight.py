@@ -9,7 +9,7 @@ from twinct.geometry import Floats, ScanGeometry
 
 
 def sees(geometry: ScanGeometry, points: ArrayLike) -> NDArray[np.bool_]:
-    """Whether points project into the panel, in front of the source, (views, points).
+    """Whether points project into the panel from between it and the source, (views, points).
 
     Args:
         geometry: the views.
@@ -17,12 +17,12 @@ def sees(geometry: ScanGeometry, points: ArrayLike) -> NDArray[np.bool_]:
     """
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     column, row = np.moveaxis(geometry.project(points), -1, 0)
-    ahead = np.einsum("vpi,vi->vp", points - geometry.source[:, None], geometry.normal) < 0
+    depth = -np.einsum("vpi,vi->vp", points - geometry.source[:, None], geometry.normal)
     panel = geometry.panel
     inside = (np.abs(column - (panel.columns - 1) / 2) <= panel.columns / 2) & (
         np.abs(row - (panel.rows - 1) / 2) <= panel.rows / 2
     )
-    return inside & ahead
+    return inside & (depth > 0) & (depth < geometry.sdd[:, None])
 
 
 def samples_towards(points: Floats, source: Floats, reach_mm: float, step_mm: float) -> Floats:

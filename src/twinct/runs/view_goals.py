@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid, fibonacci_directions
@@ -25,6 +26,7 @@ from twinct.planning import (
     primary_kerma,
 )
 from twinct.planning.detectability import difference_spectrum
+from twinct.planning.sight import sees
 from twinct.progress import Progress
 from twinct.recon import Projector
 from twinct.runs.named import contrast_at
@@ -69,7 +71,7 @@ class Patient:
     workshop: Workshop
 
     @cached_property
-    def _fractions(self) -> tuple[VolumeGrid, list[tuple[BuiltPart, Floats]]]:
+    def _fractions(self) -> tuple[VolumeGrid, list[tuple[BuiltPart, NDArray[np.float32]]]]:
         """Share of each voxel that each part has, on a coarse grid that holds them all."""
         specimen = self.workshop.specimen
         low, high = specimen.bounds
@@ -122,6 +124,7 @@ def region_points(task: ViewTask, world_from_specimen: Pose) -> Floats:
 def goals_of(
     workshop: Workshop,
     geometry: ScanGeometry,
+    candidates: int,
     even: Sequence[int],
     progress: Progress,
 ) -> list[Goal]:
@@ -129,7 +132,8 @@ def goals_of(
 
     Args:
         workshop: of a scenario with a task.
-        geometry: candidates, and other views to compare with.
+        geometry: candidates, then other views to compare with.
+        candidates: how many these are.
         even: views spread evenly over the candidates: what measures are counted in.
         progress: hears how far it is.
 
@@ -139,12 +143,12 @@ def goals_of(
     task, patient = workshop.scenario.task, Patient(workshop)
     assert task is not None
     points = region_points(task, workshop.specimen.world_from_specimen)
+    if not sees(geometry[:candidates], points[:1]).any():
+        raise InputError(_unseen(workshop, task))
     goals: list[Goal] = []
     if task.completeness is not None:
         angle = task.completeness.within_deg
         covers = crossed_planes(geometry, points, angle, NORMALS)
-        if not covers.any():
-            raise InputError(_unseen(workshop, task))
         goals.append(_goal("completeness", Coverage(covers), task.completeness.weight, even))
     if (section := task.detectability) is not None:
         measure = _detectability(patient, section, geometry, points[0], even, progress)
@@ -159,7 +163,10 @@ def goals_of(
 def _goal(name: str, measure: Measure, weight: float, even: Sequence[int]) -> Goal:
     unit = Goal(name, measure, weight).of(even)
     if not unit > 0:
-        raise InputError(f"task.{name}: views spread evenly have none of it: the region is unseen")
+        raise InputError(
+            f"task.{name}: views spread evenly over all that can be had have none of it: only few "
+            "see the region (task.position_mm); the isocentre of the trajectory is seen by all"
+        )
     return Goal(name, measure, weight, unit)
 
 
@@ -181,8 +188,6 @@ def _metal(patient: Patient, section: MetalGoal, geometry: ScanGeometry, points:
         mesh = patient.part(name).mesh
         metal.append((Body(mesh.vertices, mesh.faces), place))
     lengths = metal_paths(geometry.binned(*factors), metal, points)
-    if np.isnan(lengths).all():
-        raise InputError("task.position_mm: no view sees the region")
     return np.nan_to_num(lengths, nan=float(np.nanmax(lengths)))
 
 
@@ -249,12 +254,14 @@ def _detectability(
         (power * told).sum() / (power * difference_spectrum(signal.shape)).sum()
     )
     if not beta > 0:
-        raise InputError(_unseen(patient.workshop, scenario.task))
+        raise InputError(
+            "task.detectability: views spread evenly over all that can be had tell nothing of the "
+            "signal: only few see it (task.position_mm)"
+        )
     return type(found)(Task(signal, beta), found.fisher)
 
 
-def _unseen(workshop: Workshop, task: ViewTask | None) -> str:
-    assert task is not None
+def _unseen(workshop: Workshop, task: ViewTask) -> str:
     x, y, z = workshop.specimen.world_from_specimen.apply(np.asarray(task.position_mm)).tolist()
     return (
         f"task.position_mm: no view that the arms can have sees the region at ({x:.0f}, {y:.0f}, "

@@ -100,7 +100,7 @@ def plan_views(
         own = _own_path(scenario, task.views)
         together = ScanGeometry.joined([within, own])
         path = list(range(len(within), len(together)))
-        goals = goals_of(workshop, together, even, progress)
+        goals = goals_of(workshop, together, len(within), even, progress)
         steps = task.views * (1 + task.rounds)
         with progress.stage("choosing views", steps, len(journal.state.worth)) as step:
 

@@ -59,11 +59,7 @@ class DoseGoal(Section):
 
 
 class ViewTask(Section):
-    """What `twinct plan` chooses views for; a run does not read it.
-
-    What counts is given by the sections below; each is counted in units of what views spread
-    evenly have, times its weight.
-    """
+    """What `twinct plan` chooses views for, by what counts; a run does not read it."""
 
     position_mm: Vector = setting(
         (0.0, 0.0, 0.0), "Middle of the region, a ball, in the specimen's frame."

@@ -1,0 +1,167 @@
+"""Views planned for a task: what is chosen, what is written, going on, and bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct.errors import InputError, ScanExistsError, ScenarioError
+from twinct.runs import view_plan
+from twinct.runs.view_goals import Patient
+from twinct.runs.view_plan import plan_views
+from twinct.scan import Workshop
+from twinct.scenario import load_scenario
+from twinct.trajectory import commanded_views
+
+DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
+
+SCENARIO = f"""\
+extends: {DEMO}
+name: block with a pin
+source: {{photons_per_mm2_mas: 1.0e+6}}
+detector: {{columns: 80, rows: 60, pixel_pitch_mm: 4.0}}
+cell: {{kind: gantry}}
+specimen:
+  position_mm: [0, 0, 0]
+  parts:
+    - {{name: block, shape: {{kind: box, size_mm: [40, 120, 60]}}, material: water}}
+    - {{name: lens, shape: {{kind: sphere, radius_mm: 4}}, position_mm: [0, 50, 0],
+       material: eye_lens}}
+    - {{name: pin, shape: {{kind: cylinder, radius_mm: 2, height_mm: 40}}, position_mm: [0, 12, 0],
+       material: titanium}}
+task:
+  views: 6
+  candidates: 40
+  rounds: 1
+  radius_mm: 3
+  completeness: {{within_deg: 6}}
+"""
+
+DETECT = (
+    "task.detectability={signal: {kind: sphere, radius_mm: 4, contrast_rel: 0.05}, voxel_mm: 2.5}"
+)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "block.yaml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def figures(folder: Path) -> dict[str, dict[str, float]]:
+    return json.loads((folder / "plan.json").read_text())["goals"]
+
+
+def test_what_is_written_is_what_a_run_takes(file: Path, tmp_path: Path) -> None:
+    found = plan_views(file, tmp_path / "out")
+    written = load_scenario(tmp_path / "out" / "planned.yaml")
+    assert commanded_views(written.trajectory, written.detector.panel) == found.views
+    assert len(found.views) == 6 and found.reachable == found.candidates == 40
+    assert np.linalg.norm(found.views.source, axis=1) == pytest.approx(300)
+    told = figures(tmp_path / "out")["completeness"]
+    assert told["planned"] > told["spread_evenly"]
+    assert (tmp_path / "out" / "plan.png").stat().st_size > 10_000
+    assert not (tmp_path / "out" / "plan.lock").exists()
+
+
+def test_detectability_takes_views_across_the_thin_side(file: Path, tmp_path: Path) -> None:
+    """The block is 40 mm along x and 120 along y: beams along x have e^1.5 times the photons."""
+    found = plan_views(file, tmp_path / "out", [DETECT, "task.completeness.weight=0.05"])
+    x, y, _ = np.abs(found.views.source).mean(axis=0)
+    assert x > 1.5 * y
+    told = figures(tmp_path / "out")["detectability"]
+    assert told["planned"] > 1.2 * told["spread_evenly"]
+
+
+def test_metal_is_seen_past(file: Path, tmp_path: Path) -> None:
+    """The pin stands 12 mm before the region along +y: views along y are left out."""
+    metal = "task.metal={parts: [pin], weight: 5}"
+    plan_views(file, tmp_path / "out", [metal])
+    told = figures(tmp_path / "out")["metal"]
+    assert told["spread_evenly"] > 0
+    assert told["planned"] < 0.3 * told["spread_evenly"]
+
+
+def test_dose_keeps_its_limit(file: Path, tmp_path: Path) -> None:
+    dose = "task.dose={part: lens, weight: 0, at_most_rel: 0.5}"
+    plan_views(file, tmp_path / "out", [dose])
+    told = figures(tmp_path / "out")["dose"]
+    assert 0 < told["planned"] <= 0.5 * told["spread_evenly"] * (1 + 1e-6)
+
+
+def test_points_of_a_part_lie_in_it(file: Path) -> None:
+    patient = Patient(Workshop(load_scenario(file, ["specimen.position_mm=[0, 0, 7]"])))
+    points = patient.points_of("lens", 0)
+    assert len(points) > 50
+    assert np.linalg.norm(points - [0, 50, 7], axis=1).max() < 4.5
+    assert points.mean(axis=0) == pytest.approx([0, 50, 7], abs=0.2)
+
+
+def test_it_goes_on_where_it_was_stopped(file: Path, tmp_path: Path, monkeypatch) -> None:
+    whole = plan_views(file, tmp_path / "whole")
+    search = view_plan.search_views
+
+    def stopped(*args, heard, **options):
+        def some(state):
+            heard(state)
+            if len(state.worth) == 4:
+                raise KeyboardInterrupt
+
+        return search(*args, heard=some, **options)
+
+    monkeypatch.setattr(view_plan, "search_views", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        plan_views(file, tmp_path / "out")
+    monkeypatch.undo()
+    with pytest.raises(ScanExistsError, match="--resume goes on"):
+        plan_views(file, tmp_path / "out")
+    with pytest.raises(ScanExistsError, match="search of another scenario"):
+        plan_views(file, tmp_path / "out", ["task.radius_mm=4"], resume=True)
+    assert plan_views(file, tmp_path / "out", resume=True).views == whole.views
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("task.dose={part: eye}", r"task\.dose\.part: there is no part 'eye'; there are 'block'"),
+        ("task.metal={parts: [pin, nail]}", r"task\.metal\.parts\.1: there is no part 'nail'"),
+        ("task.candidates=5", r"task\.views \(6\) must be at most task\.candidates \(5\)"),
+        ("task.completeness=null", "completeness or detectability must count"),
+    ],
+)
+def test_what_does_not_go_together_is_told_by_its_key(file: Path, override, said) -> None:
+    with pytest.raises(ScenarioError, match=said):
+        load_scenario(file, [override])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["task=null"], "has no section task"),
+        (["task.position_mm=[0, 400, 0]"], r"no view .* sees the region at \(0, 400, 0\)"),
+        (["task.dose={part: lens, at_most_rel: 0.01}"], "at most .* is asked for, the 6 candid"),
+        (["source.photons_per_mm2_mas=null", DETECT], "needs a photon number"),
+        (["trajectory={kind: file, path: views.csv}"], r"trajectory\.kind: file: candidates need"),
+    ],
+)
+def test_what_cannot_be_planned_is_told(
+    file: Path, tmp_path: Path, monkeypatch, overrides, said
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "views.csv").write_text("300,0,0,-300,0,0\n")
+    with pytest.raises(InputError, match=said):
+        plan_views(file, tmp_path / "out", overrides)
+
+
+def test_arms_that_reach_too_little_say_how_much(file: Path, tmp_path: Path) -> None:
+    # The source arm stands too far away.
+    overrides = [
+        *("cell={kind: arms}", "task.candidates=12"),
+        *("cell.source_arm.base_position_mm=[2500, 0, -400]"),
+    ]
+    with pytest.raises(InputError, match=r"task\.views: 6 are asked for, the arms can have 0 of"):
+        plan_views(file, tmp_path / "out", overrides)
