@@ -4,6 +4,7 @@ from twinct.planning.completeness import crossed_planes, local_completeness, pla
 from twinct.planning.detectability import Detectability, Task, detectability_of
 from twinct.planning.dose import primary_kerma
 from twinct.planning.exposure import best_exposures
+from twinct.planning.family import Tuned, best_parameters
 from twinct.planning.goals import Coverage, Goal, Mean, Measure
 from twinct.planning.metal import metal_paths, starved_share
 from twinct.planning.search import Searched, search_views, worth_of
@@ -18,7 +19,9 @@ __all__ = [
     "Measure",
     "Searched",
     "Task",
+    "Tuned",
     "best_exposures",
+    "best_parameters",
     "covered_share",
     "crossed_planes",
     "detectability_of",
