@@ -161,7 +161,7 @@ def test_arms_that_reach_too_little_say_how_much(file: Path, tmp_path: Path) -> 
     # The source arm stands too far away.
     overrides = [
         *("cell={kind: arms}", "task.candidates=12"),
-        *("cell.source_arm.base_position_mm=[2500, 0, -400]"),
+        "cell.source_arm.base_position_mm=[2500, 0, -400]",
     ]
     with pytest.raises(InputError, match=r"task\.views: 6 are asked for, the arms can have 0 of"):
         plan_views(file, tmp_path / "out", overrides)
