@@ -10,9 +10,10 @@ import pytest
 
 from twinct import run
 from twinct.calibration import PosePrior
+from twinct.cli import run_command
 from twinct.errors import CalibrationError, InputError
 from twinct.runs import load_scan, reconstruct_again
-from twinct.runs.calibrating import calibrate_beads, calibrate_self
+from twinct.runs.calibrating import calibrate_balls, calibrate_beads, calibrate_self
 from twinct.scenario import load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -92,3 +93,58 @@ def test_what_is_found_of_a_patient_may_be_kept_where_the_executed_lies(finished
     kept = scan.poses("still").geometry(told.found.geometry.panel)
     np.testing.assert_allclose(kept.source, told.after.geometry.source, atol=1e-9)
     assert scan.derived["still"].made_by["what"] == "patient"
+
+
+STUCK = 1.3 * np.array(
+    [
+        *([40.0, -10, 20], [20, 37, -25], [-33, 22, 10], [-38, -12, 30]),
+        *([-27, -20, -34], [10, -45, -10], [5, 8, 38]),
+    ]
+)
+
+
+@pytest.fixture(scope="module")
+def stuck(tmp_path_factory):
+    """A scan of a lump of bone with balls stuck on it, of eight views."""
+    parts = [
+        "{name: bone, shape: {kind: ellipsoid, semi_axes_mm: [20, 30, 12], "
+        "mesh_resolution_mm: 4}, material: bone}"
+    ]
+    parts += [
+        f"{{name: ball {i}, position_mm: {place.round(1).tolist()}, material: steel, "
+        "shape: {kind: sphere, radius_mm: 3, mesh_resolution_mm: 0.8}}"
+        for i, place in enumerate(STUCK)
+    ]
+    keys = [*KEYS, f"specimen.parts=[{', '.join(parts)}]", "trajectory.views=8"]
+    scenario = load_scenario(SCENARIOS / "balls.yaml", keys)
+    return run(scenario, tmp_path_factory.mktemp("stuck") / "out", link="local").paths.path
+
+
+def test_balls_on_the_specimen_tell_the_geometry_of_their_own_scan(stuck):
+    told = calibrate_balls(stuck, PosePrior(0.5, 0.2), radius_mm=3.0, align=True)
+    assert len(told.found.bundle.balls) == len(STUCK) and not told.found.problems
+    scan = load_scan(stuck)
+    assert off_px(scan, "balls") < 0.1 < 0.2 < off_px(scan, "believed")
+    assert scan.derived["balls"].made_by["told"] == 8
+
+
+def test_too_few_balls_and_names_that_are_taken_are_refused(finished):
+    with pytest.raises(CalibrationError, match=r"[01] balls of radius 1.5 mm are found"):
+        calibrate_balls(finished.paths.path)
+    with pytest.raises(InputError, match="every scan has"):
+        calibrate_balls(finished.paths.path, name="believed")
+    assert "balls" not in load_scan(finished.paths.path).derived
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        (["--ball-radius-mm", "0"], "--ball-radius-mm 0: more than 0 needed"),
+        (["--sigma-mm", "0"], "--sigma-mm 0: more than 0 needed"),
+        (["--what", "patient"], "--what patient"),
+        (["--to", "elsewhere"], "--to elsewhere"),
+    ],
+)
+def test_the_command_refuses_what_makes_no_sense_with_balls(finished, keys, said, capsys):
+    assert run_command(["calibrate", str(finished.paths.path), "--with", "balls", *keys]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())

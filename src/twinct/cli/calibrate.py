@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.calibration import PosePrior, What
+from twinct.calibration import Aligned, PosePrior, What
 from twinct.cli.progress import on_terminal, say
 from twinct.errors import InputError
-from twinct.runs.calibrating import calibrate_beads, calibrate_self
+from twinct.runs.calibrating import calibrate_balls, calibrate_beads, calibrate_self
 from twinct.runs.folder import Folder
 from twinct.runs.kinematics import apply_kinematics, calibrate_kinematics
 
@@ -19,11 +19,7 @@ def self_command(
     folder: Path, name: str | None, prior: PosePrior, what: What, *, align: bool
 ) -> None:
     """Calibrate by the scan itself, and say what was found."""
-    for key, value in (("--sigma-mm", prior.sigma_mm), ("--sigma-deg", prior.sigma_deg)):
-        if not value > 0:
-            raise InputError(f"{key} {value:g}: more than 0 needed")
-    if not prior.correlation_views >= 0:
-        raise InputError(f"--correlation-views {prior.correlation_views:g}: 0 or more needed")
+    _require(prior)
     with on_terminal() as audience:
         told = calibrate_self(
             folder, prior, what=what, align=align, name=name or "self", observers=audience
@@ -41,10 +37,49 @@ def self_command(
         f"{name or 'self'}: {len(found.change)} views, {moved} (RMS); residuals "
         f"{found.residuals[0]:.4g}, in the last round {found.residuals[-1]:.4g}"
     )
+    _say_against_executed(told.believed, told.after)
+
+
+def balls_command(
+    folder: Path, name: str | None, radius_mm: float, prior: PosePrior, *, align: bool
+) -> None:
+    """Calibrate by balls on the specimen, and say what was found."""
+    _require(prior)
+    if not radius_mm > 0:
+        raise InputError(f"--ball-radius-mm {radius_mm:g}: more than 0 needed")
+    name = name or "balls"
+    with on_terminal() as audience:
+        told = calibrate_balls(
+            folder, prior, radius_mm=radius_mm, align=align, name=name, observers=audience
+        )
+    found, bundle = told.found, told.found.bundle
+    seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
     say(
-        f"against the executed geometry: {told.believed.after_px:.3f} px believed, "
-        f"{told.after.after_px:.3f} px found (points of the grid, RMS, what no image shows taken "
-        f"out; scale {told.after.scale:.5f})"
+        f"{name}: {len(seen) - len(found.problems)} of {len(seen)} views, {len(bundle.balls)} "
+        f"balls found, {np.median(seen):.0f} in the middle view, shadows off by "
+        f"{found.rms_px:.3f} px (RMS), {bundle.outliers.sum()} outliers"
+    )
+    _say_against_executed(told.believed, told.after)
+    for view, ball in np.argwhere(bundle.outliers):
+        place = ", ".join(f"{x:.1f}" for x in bundle.balls[ball])
+        say(f"view {view}: the shadow of the ball at ({place}) mm is an outlier")
+    for view, problem in sorted(found.problems.items()):
+        say(f"view {view} stays as it was believed: {problem}", warning=True)
+
+
+def _require(prior: PosePrior) -> None:
+    for key, value in (("--sigma-mm", prior.sigma_mm), ("--sigma-deg", prior.sigma_deg)):
+        if not value > 0:
+            raise InputError(f"{key} {value:g}: more than 0 needed")
+    if not prior.correlation_views >= 0:
+        raise InputError(f"--correlation-views {prior.correlation_views:g}: 0 or more needed")
+
+
+def _say_against_executed(believed: Aligned, found: Aligned) -> None:
+    say(
+        f"against the executed geometry: {believed.after_px:.3f} px believed, "
+        f"{found.after_px:.3f} px found (points of the grid, RMS, what no image shows taken "
+        f"out; scale {found.scale:.5f})"
     )
 
 

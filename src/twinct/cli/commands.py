@@ -652,7 +652,9 @@ def geometry(
 def calibrate(
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
     *,
-    with_: Annotated[Literal["beads", "kinematics", "self"], tyro.conf.arg(name="with")] = "beads",
+    with_: Annotated[
+        Literal["beads", "balls", "kinematics", "self"], tyro.conf.arg(name="with")
+    ] = "beads",
     as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
     to: Annotated[Sequence[Path], tyro.conf.arg(metavar="DIR")] = (),
     from_: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None,
@@ -661,6 +663,7 @@ def calibrate(
     correlation_views: float = 0.0,
     what: Literal["arms", "patient"] = "arms",
     align: Flag = False,
+    ball_radius_mm: float = 1.5,
 ) -> None:
     """Find where source and detector really were, and add that to a scan as a geometry.
 
@@ -669,23 +672,29 @@ def calibrate(
     Args:
         folder: What ``twinct run --out`` wrote; for beads and kinematics of a specimen with a
             ball_helix.
-        with_: beads: the balls of the specimen, whose places are known; kinematics: both arms,
-            from all views of the balls, kept in DIR/arms.json; self: the projections alone, each
-            view moved until they agree.
+        with_: beads: the balls of a phantom, whose places are known; balls: a few balls at unknown
+            places on the specimen; kinematics: both arms, from all views of a phantom, kept in
+            DIR/arms.json; self: the projections alone, each view moved until they agree.
         as_: Name of the new geometry; that of the method unless given.
         to: Folders of scans that get the geometry, too: of the same views (beads), or of the same
             arms along any trajectory (kinematics).
         from_: An arms.json; the scan then need not be of balls (kinematics).
         sigma_mm: What source and panel, or the patient, are off along each axis, as far as is
-            known (self).
-        sigma_deg: The same of the rotation of panel or patient about each axis (self).
-        correlation_views: Over how many views errors are alike; 0: each view's own (self).
+            known (self, balls).
+        sigma_deg: The same of the rotation of panel or patient about each axis (self, balls).
+        correlation_views: Over how many views errors are alike; 0: each view's own (self, balls).
         what: What may have moved: source and panel, or the patient between them (self).
         align: Keep what was found moved as a whole to where the executed geometry lies, for figures
-            that compare volumes (self).
+            that compare volumes (self, balls).
+        ball_radius_mm: Of each ball (balls).
     """
     from twinct.calibration import PosePrior
-    from twinct.cli.calibrate import beads_command, kinematics_command, self_command
+    from twinct.cli.calibrate import (
+        balls_command,
+        beads_command,
+        kinematics_command,
+        self_command,
+    )
     from twinct.errors import InputError
 
     if from_ is not None and with_ != "kinematics":
@@ -698,7 +707,12 @@ def calibrate(
         if to:
             raise InputError(f"--to {to[0]}: what a scan finds of itself is of no other one")
         prior = PosePrior(sigma_mm, sigma_deg, correlation_views)
-        self_command(folder, as_, prior, what, align=align)
+        if with_ == "self":
+            self_command(folder, as_, prior, what, align=align)
+        elif what == "patient":
+            raise InputError("--what patient: with balls, source and panel are what may have moved")
+        else:
+            balls_command(folder, as_, ball_radius_mm, prior, align=align)
 
 
 def _say_result(run: Run) -> None:

@@ -13,11 +13,13 @@ from twinct.calibration import (
     Aligned,
     BallCalibration,
     BallPhantom,
+    OnlineCalibration,
     PosePrior,
     SelfCalibration,
     What,
     aligned,
     calibrated,
+    online_calibrated,
     self_calibrated,
 )
 from twinct.errors import CalibrationError, InputError, ScanExistsError
@@ -48,6 +50,21 @@ class SelfCalibrated:
     """
 
     found: SelfCalibration
+    believed: Aligned
+    after: Aligned
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineCalibrated:
+    """What balls on the specimen say, and how far that is from the truth of the simulation.
+
+    Attributes:
+        found: what was found.
+        believed: what was believed, moved as a whole to where the executed geometry lies.
+        after: what was found, moved so.
+    """
+
+    found: OnlineCalibration
     believed: Aligned
     after: Aligned
 
@@ -115,16 +132,80 @@ def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
     Raises:
         CalibrationError: it is no phantom's scan, or no view can be told.
     """
+    return calibrated(
+        scan.transmission,
+        scan.believed.geometry(scan.scenario.detector.panel),
+        phantom_of(scan.scenario),
+        blur_px=_blur_px(scan, audience),
+        progress=audience,
+    )
+
+
+def _blur_px(scan: Scan, audience: Audience) -> float:
+    """Sigma of the detector's blur."""
     panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
     if isinstance(spread, FileSpread):
         audience.say("detector.point_spread is of a file: shadows count as sharp", warning=True)
-    return calibrated(
-        scan.transmission,
-        scan.believed.geometry(panel),
-        phantom_of(scan.scenario),
-        blur_px=spread.sigma_mm / panel.pitch_u if isinstance(spread, GaussianSpread) else 0.0,
-        progress=audience,
-    )
+    return spread.sigma_mm / panel.pitch_u if isinstance(spread, GaussianSpread) else 0.0
+
+
+def calibrate_balls(
+    path: str | Path,
+    prior: PosePrior | None = None,
+    *,
+    radius_mm: float = 1.5,
+    align: bool = False,
+    name: str = "balls",
+    observers: Observers = (),
+) -> OnlineCalibrated:
+    """Find the geometry of a scan from balls at unknown places on its specimen, and keep it.
+
+    Args:
+        path: folder of a run.
+        prior: what is known of the errors; 0.5 mm and 0.2 deg, each view's own, unless given.
+        radius_mm: of each ball.
+        align: as for ``calibrate_self``.
+        name: of the geometry.
+        observers: hear of each round.
+
+    Raises:
+        CalibrationError: fewer than five balls are found, or no view sees as many.
+        InputError: a name that is taken, no scan; nothing is written.
+    """
+    refuse_own(name)
+    folder, prior = Folder(Path(path)), prior or PosePrior()
+    scan = load_scan(folder.path)
+    with audience_of(observers) as audience, sole_owner(folder.lock):
+        panel = scan.scenario.detector.panel
+        believed = scan.believed.geometry(panel)
+        found = online_calibrated(
+            scan.transmission,
+            believed,
+            radius_mm,
+            prior,
+            blur_px=_blur_px(scan, audience),
+            progress=audience,
+        )
+        executed = scan.relative.geometry(panel)
+        points = _points_of(scan.scenario.reconstruction.volume_grid)
+        at_executed = aligned(found.geometry, executed, points)
+        geometry = NamedGeometry(
+            name,
+            PosePairs.from_geometry(at_executed.geometry if align else found.geometry),
+            {
+                "model": "balls",
+                "balls": len(found.bundle.balls),
+                "radius_mm": radius_mm,
+                "told": len(scan) - len(found.problems),
+                "rms_px": round(found.rms_px, 4),
+                "aligned": align,
+                "executed": poses_digest(scan.executed),
+                "believed": scan.reported.digest,
+                **asdict(prior),
+            },
+        )
+        keep([geometry], [(folder, scan)])
+    return OnlineCalibrated(found, aligned(believed, executed, points), at_executed)
 
 
 def calibrate_self(
