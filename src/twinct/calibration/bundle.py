@@ -83,7 +83,7 @@ def bundled(
         covariance: of each, (views, balls, 2, 2), px^2.
         prior: what is known of the errors of the believed geometry.
     """
-    seen = np.isfinite(pixels).all(axis=2)
+    seen = np.asarray(np.isfinite(pixels).all(axis=2))
     fit = _Fit(believed, pixels, covariance, prior)
     good, few = seen.copy(), seen.sum(axis=1) < LEAST_SHADOWS
     good[few] = False

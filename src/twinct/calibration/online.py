@@ -23,6 +23,10 @@ REACH = 3.5
 SPOT_PX = 1.0
 """A spot's place is known to about this, along an axis."""
 
+DEGREE, RIM_PX = 3, 2.0
+"""What lies behind a shadow is a cubic polynomial of the image about it, near its rim: on a skull
+half the error of a plane (0.07 px of 0.15 at 90 %, pixels of 1 mm)."""
+
 ROUNDS = 2
 """With the geometry found, shadows that bone hid from the search are looked for where they are."""
 
@@ -142,10 +146,17 @@ def _shadows(
         start = spots[index] if bundle.few[index] else view.project(bundle.balls)[0]
         start = np.where(sight[index][:, None], start, np.nan)
         alone = np.isfinite(start).all(axis=1)
-        alone &= ~overlapping(start, shadow_radius_px(view, phantom))
+        alone &= ~overlapping(start, shadow_radius_px(view, phantom), RIM_PX)
         wanted = np.flatnonzero(alone)
         found = measured(
-            np.asarray(transmission[index]), view, phantom, wanted, start[wanted], blur_px
+            np.asarray(transmission[index]),
+            view,
+            phantom,
+            wanted,
+            start[wanted],
+            blur_px,
+            degree=DEGREE,
+            rim_px=RIM_PX,
         )
         pixels[index, found.balls], spread[index, found.balls] = found.pixels, found.covariance
     return pixels, spread

@@ -93,16 +93,17 @@ def shadow_radius_px(view: ScanGeometry, phantom: BallPhantom) -> Floats:
     return phantom.radius_mm * view.sdd[0] / depth / view.panel.pitch_u
 
 
-def overlapping(pixels: Floats, radius_px: Floats) -> NDArray[np.bool_]:
+def overlapping(pixels: Floats, radius_px: Floats, rim_px: float = RIM_PX) -> NDArray[np.bool_]:
     """Whether another shadow touches a shadow or its rim, (n,).
 
     Args:
         pixels: projected centres, (n, 2); NaN where there is none.
         radius_px: of the shadows, (n,).
+        rim_px: width of the rim.
     """
     seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     touched = np.zeros(len(pixels), bool)
-    reach = 2 * radius_px.max() + RIM_PX
+    reach = 2 * radius_px.max() + rim_px
     pairs = cKDTree(pixels[seen]).query_pairs(reach, output_type="ndarray")
     touched[seen[pairs.ravel()]] = True
     return touched
@@ -115,6 +116,9 @@ def measured(
     balls: NDArray[np.intp],
     pixels: Floats,
     blur_px: float = 0.0,
+    *,
+    degree: int = 1,
+    rim_px: float = RIM_PX,
 ) -> Shadows:
     """Fit the analytic shadow of each ball to the image about it.
 
@@ -125,14 +129,21 @@ def measured(
         balls: which, (n,).
         pixels: about where, to a pixel or two, (n, 2).
         blur_px: sigma of the detector's blur.
+        degree: of the polynomial that the background's logarithm is: 1 where nothing lies behind,
+            3 among bone, whose odd part would move a shadow.
+        rim_px: what of the image about a shadow is looked at.
 
     Returns:
         those that were found; a shadow that runs out of the image or does not settle is left out.
     """
+
+    def shape(ball: int) -> _Shape:
+        return _Shape(view, phantom.centres[ball], phantom.radius_mm, blur_px)
+
     found = [
         (ball, fit)
         for ball, start in zip(balls, pixels, strict=True)
-        if (fit := _fitted(transmission, view, phantom, int(ball), start, blur_px)) is not None
+        if (fit := _fitted(transmission, shape(ball), start, degree, rim_px)) is not None
     ]
     return Shadows(
         np.array([ball for ball, _ in found], np.intp),
@@ -142,16 +153,10 @@ def measured(
 
 
 def _fitted(
-    transmission: NDArray[np.float32],
-    view: ScanGeometry,
-    phantom: BallPhantom,
-    ball: int,
-    start: Floats,
-    blur_px: float,
+    transmission: NDArray[np.float32], shape: _Shape, start: Floats, degree: int, rim_px: float
 ) -> tuple[Floats, Floats] | None:
     """One shadow's pixel and its covariance; None where it cannot be told."""
-    shape = _Shape(view, phantom.centres[ball], phantom.radius_mm, blur_px)
-    reach = shape.reach_px + RIM_PX
+    reach = shape.reach_px + rim_px
     fit = None
     # A window that follows the shadow would jump between its last steps.
     for _ in range(2):
@@ -161,7 +166,7 @@ def _fitted(
         if (low < 0).any() or high[0] > columns or high[1] > rows:
             return None
         window = transmission[low[1] : high[1], low[0] : high[0]]
-        fit = _settled(shape, window, low, start, reach)
+        fit = _settled(shape, window, low, start, reach, degree)
         if fit is None:
             return None
         near = np.abs(fit[0] - start).max() < NEAR_PX
@@ -172,23 +177,30 @@ def _fitted(
 
 
 def _settled(
-    shape: _Shape, window: NDArray[np.float32], low: NDArray[np.intp], start: Floats, reach: float
+    shape: _Shape,
+    window: NDArray[np.float32],
+    low: NDArray[np.intp],
+    start: Floats,
+    reach: float,
+    degree: int,
 ) -> tuple[Floats, Floats] | None:
-    """Gauss-Newton over place, attenuation and a background that is a plane in its logarithm."""
+    """Gauss-Newton over place, attenuation and a background, a polynomial in its logarithm."""
     image = np.maximum(window, LEAST_TRANSMISSION).astype(np.float64)
     rows, columns = image.shape
     across, up = np.meshgrid(np.arange(columns) + low[0], np.arange(rows) + low[1])
     inside = np.hypot(across - start[0], up - start[1]) <= reach
-    plane = np.stack([np.ones(image.shape), across - start[0], up - start[1]])[:, inside]
+    x, y = ((across - start[0])[inside] / reach, (up - start[1])[inside] / reach)
+    terms = np.stack([x**i * y ** (n - i) for n in range(degree + 1) for i in range(n + 1)])
     place, mu = start.copy(), shape.first_mu(image)
-    back = np.array([-np.log(np.quantile(image, 0.9)), 0.0, 0.0])
+    back = np.zeros(len(terms))
+    back[0] = -np.log(np.quantile(image, 0.9))
     weight = 1 / np.sqrt(image[inside])
     for step in range(STEPS):
         chord_image, slopes, slope_mu = shape.transmission(place, mu, low, image.shape)
-        behind = np.exp(-back @ plane)
+        behind = np.exp(-back @ terms)
         model = chord_image[inside] * behind
         jacobian = np.stack(
-            [*(s[inside] * behind for s in slopes), slope_mu[inside] * behind, *(-model * plane)]
+            [*(s[inside] * behind for s in slopes), slope_mu[inside] * behind, *(-model * terms)]
         )
         left = (image[inside] - model) * weight
         scaled = (jacobian * weight).T
@@ -204,7 +216,7 @@ def _settled(
             return None
         if not step:
             continue
-        freedom = max(inside.sum() - 6, 1)
+        freedom = max(inside.sum() - len(jacobian), 1)
         spread = np.linalg.inv(square)[:2, :2] * (left @ left) / freedom
         if np.abs(moved).max() < max(STILL_PX, STILL_SHARE * np.sqrt(spread.trace() / 2)):
             return place, spread

@@ -141,7 +141,8 @@ def _tracked(
 def inside(geometry: ScanGeometry, places: Floats) -> NDArray[np.bool_]:
     """Whether places project onto the panel, (views, places)."""
     pixels, panel = geometry.project(places), geometry.panel
-    return ((pixels >= 0) & (pixels <= (panel.columns - 1, panel.rows - 1))).all(axis=2)
+    on_panel = (pixels >= 0) & (pixels <= (panel.columns - 1, panel.rows - 1))
+    return np.asarray(on_panel.all(axis=2))
 
 
 def _rays(view: ScanGeometry, pixels: Floats) -> Floats:
