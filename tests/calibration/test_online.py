@@ -133,6 +133,19 @@ def test_a_shadow_out_of_place_is_named_and_a_view_with_too_few_stays():
     assert left_px(found.geometry[others], executed[others]) < PIXELS_SAME
 
 
+def test_a_view_left_with_too_few_by_an_outlier_stays():
+    executed = free(16)
+    believed = moved(executed, errors(16, 3))
+    pixels, spread = shadows(executed)
+    pixels[9, 5:] = np.nan
+    pixels[9, 1] += (6.0, -4.0)
+    found = bundled(believed, BALLS, pixels, spread, PRIOR)
+    assert np.flatnonzero(found.few).tolist() == [9]
+    assert np.array_equal(found.geometry.source[9], believed.source[9])
+    others = np.arange(16) != 9
+    assert left_px(found.geometry[others], executed[others]) < PIXELS_SAME
+
+
 def test_covariances_are_of_the_errors_that_are_left():
     number = 8
     inside = []
