@@ -137,6 +137,23 @@ def test_an_image_of_another_shape_ends_the_scan_by_name(scenario, targets, fake
             notes.tell("one_pixel", 0)
 
 
+def test_an_answer_that_does_not_come_names_the_strangers(
+    scenario, targets, fake_command, foreign, fakes, notes
+):
+    with closing(RosRig(scenario, node_command=fake_command, answer_s=2.0)) as rig:
+        forger = Forger(foreign(rig.domain_id), rig.epoch, scenario, fakes)
+        rig.move(0, targets[0])
+        rig.expose(0)
+        notes.render_takes(5)
+        forger.answer(1, targets[1], np.ones((1, 1), np.float32))
+        try:
+            with pytest.raises(LinkError, match=r"no image of view 1 .*'somebody_else', not of th"):
+                rig.move(1, targets[1])
+                rig.expose(1)
+        finally:
+            notes.render_takes(0)
+
+
 def test_a_refusal_by_a_stranger_refuses_nothing(scenario, targets, fake_command, foreign):
     with closing(RosRig(scenario, node_command=fake_command)) as rig:
         stranger = foreign(rig.domain_id)

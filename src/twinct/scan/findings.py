@@ -100,17 +100,14 @@ def make_way(path: Path, found: Iterable[Damage]) -> None:
             there may need it. Nothing has been changed.
     """
     places = [path / damage.file for damage in found]
-    obstacles = [
-        there
-        for place in places
-        for there in (place, *place.parents)
-        if there.is_relative_to(path)
-        and os.path.lexists(there)
-        and there.is_dir() == (there == place)
-    ]
+    obstacles = {place: "a folder" for place in places if place.is_dir()}
+    for folder in {parent for place in places for parent in place.relative_to(path).parents}:
+        if os.path.lexists(path / folder) and not (path / folder).is_dir():
+            obstacles[path / folder] = "no folder"
     if obstacles:
-        told = (f"{there}: stands in the way of the store: move it" for there in obstacles)
-        raise DamagedError(dict.fromkeys(told), found)
+        way = "stands in the way: move it"
+        told = sorted(f"{there}: {what} {way}" for there, what in obstacles.items())
+        raise DamagedError(told, found)
     for place in places:
         if place.is_symlink() or not place.is_file():
             place.unlink(missing_ok=True)

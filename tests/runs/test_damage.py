@@ -1,0 +1,134 @@
+"""A store that says what it cannot be, and what is no file of it: a message, nothing is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twinct.errors import DamagedError, InputError
+from twinct.runs import Run, verify
+from twinct.scan import ScanStore
+from twinct.scan.findings import make_way
+from twinct.scan.manifest import FRAME_FILE, digest_of, sealed, unsealed
+
+STATE, IMAGE = "state/c.4.0", "transmission/c.2.0.0"
+
+
+@pytest.fixture
+def path(finished: Run, tmp_path: Path) -> Path:
+    return shutil.copytree(finished.paths.scan, tmp_path / "scan.zarr")
+
+
+def rewritten(path: Path, file: str, change: Callable[[Any], object]) -> None:
+    """Change metadata, and the manifest with it."""
+    told = json.loads((path / file).read_text())
+    change(told)
+    (path / file).write_text(json.dumps(told))
+    known = unsealed((path / FRAME_FILE).read_bytes())
+    now = {name: digest_of((path / name).read_bytes()) for name in known}
+    (path / FRAME_FILE).write_bytes(sealed(now))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("format", 99, "a scan store of format 99; this twinct reads"),
+        ("format", [4], r"a scan store of format \[4\]"),
+        ("scenario", None, "attributes.scenario: missing, expected a text"),
+        ("scenario", "{", "attributes.scenario: no JSON"),
+        ("scenario", '{"detector": 5}', "detector"),
+        ("joint_names", "all", "attributes.joint_names: str, expected a list"),
+        ("joint_names", ["one"], "there are 1 joints"),
+        ("digests", {"images": 5}, "names and digests are texts"),
+    ],
+)
+def test_attributes_are_looked_at(path: Path, key: str, value: object, words: str) -> None:
+    rewritten(path, "zarr.json", lambda told: told["attributes"].update({key: value}))
+    with pytest.raises(InputError, match=words):
+        _ = ScanStore(path).scenario
+    assert any(str(path) in problem for problem in verify(path).problems)
+
+
+@pytest.mark.parametrize(
+    ("array", "key", "value"),
+    [
+        ("joints", "shape", [10**9, 12]),
+        ("transmission", "data_type", "float64"),
+        ("executed/u", "codecs", [{"name": "nothing"}]),
+        ("executed/object", "shape", [10, 2]),
+        ("commanded/source_quat", "zarr_format", "three"),
+        ("status", "fill_value", "x"),
+        ("state", "node_type", "group"),
+    ],
+)
+def test_arrays_are_looked_at(path: Path, array: str, key: str, value: object) -> None:
+    rewritten(path, f"{array}/zarr.json", lambda told: told.update({key: value}))
+    with pytest.raises(InputError, match=str(path)):
+        ScanStore(path)
+    assert verify(path).problems
+
+
+def test_images_of_another_size_than_the_scenario_says(path: Path) -> None:
+    def change(told: Any) -> None:
+        scenario = json.loads(told["attributes"]["scenario"])
+        scenario["detector"]["rows"] *= 2
+        told["attributes"]["scenario"] = json.dumps(scenario)
+
+    rewritten(path, "zarr.json", change)
+    with pytest.raises(InputError, match=r"its scenario has \(48, 32\) pixels, its images have"):
+        ScanStore(path).read()
+
+
+def test_no_file_in_the_place_of_one_is_damage_that_is_mended(path: Path, finished: Run) -> None:
+    for place in (STATE, IMAGE, "status/c.7"):
+        (path / place).unlink()
+    os.mkfifo(path / STATE)
+    os.mkfifo(path / "status/c.7")
+    (path / IMAGE).symlink_to(path / "transmission/c.3.0.0")
+    told = "\n".join(verify(path).problems)
+    for words in ("view 4, state: missing", "view 2, transmission: changed", "view 7, status"):
+        assert words in told
+    with pytest.raises(DamagedError, match="view 7, status: changed"):
+        ScanStore(path).read()
+    ScanStore.resume(path, finished.scenario)
+    assert not any(os.path.lexists(path / place) for place in (STATE, IMAGE, "status/c.7"))
+    assert (path / "transmission/c.3.0.0").is_file()
+
+
+def test_a_folder_in_the_way_is_left_to_whoever_made_it(path: Path, finished: Run) -> None:
+    (path / STATE).unlink()
+    (path / STATE).mkdir()
+    (path / STATE / "mine").touch()
+    (path / IMAGE).unlink()
+    with pytest.raises(DamagedError, match=r"c\.4\.0: a folder stands in the way: move it"):
+        ScanStore.resume(path, finished.scenario)
+    assert (path / STATE / "mine").exists() and (path / "status/c.4").exists()
+
+
+def test_a_file_where_a_folder_has_to_be_is_left_too(path: Path) -> None:
+    shutil.rmtree(path / "joints")
+    (path / "joints").write_text("mine")
+    with pytest.raises(DamagedError) as error:
+        ScanStore(path)
+    with pytest.raises(DamagedError, match="joints: no folder stands in the way: move it"):
+        make_way(path, error.value.found)
+    assert (path / "joints").read_text() == "mine"
+
+
+def test_whatever_is_none_of_the_stores_is_listed(path: Path, finished: Run) -> None:
+    (path / "state" / "c.77.0").touch()
+    (path / "c").touch()
+    (path / "joints" / "link").symlink_to("/nowhere")
+    os.mkfifo(path / "pipe")
+    found = verify(path)
+    assert found.problems == ()
+    listed = [str(file.relative_to(path)) for file in found.unknown]
+    assert listed == ["c", "joints/link", "pipe", "state/c.77.0"]
+    ScanStore.resume(path, finished.scenario)
+    assert all(os.path.lexists(file) for file in found.unknown)
