@@ -62,11 +62,11 @@ def contents(path):
 
 
 def what(path):
-    """Bytes of a file, the name of any other kind."""
-    if path.is_symlink():
-        return f"link to {os.readlink(path)}"
+    """Bytes of a file, or of the one that it leads to; the name of any other kind."""
     if path.is_file():
         return path.read_bytes()
+    if path.is_symlink():
+        return f"link to {os.readlink(path)}"
     return "folder" if path.is_dir() else "special"
 
 
@@ -222,6 +222,8 @@ KINDS = {
 
 def restore(path, kept):
     """Put everything back as it was, with no trust in what is there."""
+    for link in [p for p in path.rglob("*") if p.is_symlink()]:
+        link.unlink()
     now = contents(path) if path.is_dir() and not path.is_symlink() else {}
     if not now:
         with contextlib.suppress(OSError):

@@ -37,6 +37,8 @@ class Lifeline:
         self.ended = False
         self._parent = os.getppid()
         self._pulse = Pulse(socket.socket(fileno=os.dup(0)), self._parent) if parent else None
+        if self._pulse is not None:
+            self._pulse.look()  # from now on silence counts
         self._on_end = on_end
         self._closed = threading.Event()
         self._read, self._write = os.pipe()
