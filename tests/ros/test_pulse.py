@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -142,3 +143,30 @@ def test_all_that_are_stopped_together_go_on_together(
             os.kill(pid, number)
         time.sleep(1.5 * SILENCE_S)
     assert not gone(list(pair[:2]), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("states", "heard_before", "lives"),
+    [
+        ("SSRS", True, True),  # works, or waits for a processor that others have
+        ("SDS", True, True),  # waits for a disk
+        ("SSS", True, False),
+        ("SSS", False, True),  # starts: waits for a process of its own
+        ("TTT", False, False),
+        ("", False, True),  # hidden from us
+    ],
+)
+def test_silence_counts_by_what_the_threads_do(
+    monkeypatch: pytest.MonkeyPatch, states: str, heard_before: bool, lives: bool
+) -> None:
+    one, other = socket.socketpair()
+    monkeypatch.setattr(pulse, "_states", lambda pid: set(states))
+    with one, other:
+        end = pulse.Pulse(one, os.getpid())
+        if heard_before:
+            other.send(b".")
+        assert end.look()
+        looks = [end.look() for _ in range(round(pulse.SILENCE_S / pulse.LOOK_S) + 1)]
+        assert looks[-1] == lives
+        other.send(b".")
+        assert end.look()
