@@ -38,7 +38,7 @@ MORE = ("--set", f"trajectory.views={VIEWS}")
 
 
 def trial(folder, victim, number, expected, seed):
-    """One process stopped; a dict of what was seen."""
+    """One process stopped; a dict of what was seen. A scan's stop is noticed when its nodes end."""
     moments = random.Random(f"{seed} {victim} {number}")
     for attempt in range(20):
         mark = f"{victim}-{number}-{attempt}"
@@ -57,7 +57,10 @@ def trial(folder, victim, number, expected, seed):
         os.kill(pid, signal.SIGSTOP)
         stopped, views = time.monotonic(), views_on_disk(out)
         others = {pid} if victim == "scan" else set()
-        while alive(mark).keys() - others and time.monotonic() - stopped < PATIENCE_S:
+        noticed_s = None
+        while (there := alive(mark).keys()) - others and time.monotonic() - stopped < PATIENCE_S:
+            if noticed_s is None and pid not in there:  # the stopped node was ended
+                noticed_s = time.monotonic() - stopped
             process.poll()
             time.sleep(0.02)
         ended_s = time.monotonic() - stopped
@@ -74,6 +77,7 @@ def trial(folder, victim, number, expected, seed):
         return {
             "views": views,
             "ended_s": ended_s,
+            "noticed_s": noticed_s or ended_s,
             "left": len(alive(mark)),
             "named": named,
             "equal": equal,
@@ -99,7 +103,9 @@ def main():
         if complaint := said(undisturbed) if undisturbed.wait() else "":
             raise SystemExit(complaint)
         expected = contents(folder / "whole" / "scan.zarr")
-        print("process  stopped  store equal  named  left over  slowest end  views on disk then")
+        print(
+            "process  stopped  store equal  named  left over  noticed  ended    views on disk then"
+        )
         for victim in options.victims:
             with ThreadPoolExecutor(options.jobs) as pool:
                 jobs = [
@@ -107,18 +113,19 @@ def main():
                     for n in range(options.trials)
                 ]
                 results = [job.result() for job in jobs]
-            slowest = max(r["ended_s"] for r in results)
+            noticed, ended = (max(r[k] for r in results) for k in ("noticed_s", "ended_s"))
             counts = {key: sum(r[key] for r in results) for key in ("equal", "named", "left")}
             views = sorted(r["views"] for r in results)
             print(
                 f"{victim:7}  {len(results):7}  {counts['equal']:11}  {counts['named']:5}"
-                f"  {counts['left']:9}  {slowest:9.1f} s  {' '.join(map(str, views))}",
+                f"  {counts['left']:9}  {noticed:5.1f} s  {ended:5.1f} s",
+                *views,
                 flush=True,
             )
             for words in (r["words"] for r in results if r["words"]):
                 print(words, file=sys.stderr)
             bad += 2 * len(results) - counts["equal"] - counts["named"] + counts["left"]
-            bad += slowest > TO_END_S
+            bad += noticed > TO_END_S
     return 1 if bad else 0
 
 
