@@ -49,7 +49,7 @@ class Worker:
         """Files go to ``place``: the material, and the folder of the case that is tried."""
         self.folder = place / "case"
         own = [kind, str(seed), str(place), str(self.folder)]
-        script = Path(__file__).with_name("worker.py")
+        script = Path(__file__).resolve().with_name("worker.py")
         self._command = [sys.executable, str(script), *own]
         self._process: subprocess.Popen[bytes] | None = None
         self._rest = b""

@@ -32,6 +32,7 @@ def main() -> None:
     answers = _own_output(place / "worker.log")
     material = place / "material"
     material.mkdir(parents=True, exist_ok=True)
+    os.chdir(place)  # where MuJoCo writes its log
     kind: Kind = importlib.import_module(name).Kind(material)
     limit = kind.memory_bytes + FRESH_BYTES + _status("VmSize") - _status("VmRSS")
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
