@@ -9,6 +9,7 @@ from twinct.planning.goals import Coverage, Goal, Mean, Measure
 from twinct.planning.metal import metal_paths, starved_share
 from twinct.planning.search import Searched, search_views, worth_of
 from twinct.planning.selection import Choice, covered_share, exact_choice, exchanged, greedy_choice
+from twinct.planning.variance import KnownShare, prior_covariance
 
 __all__ = [
     "Choice",
@@ -22,6 +23,7 @@ __all__ = [
     "Tuned",
     "best_exposures",
     "best_parameters",
+    "KnownShare",
     "covered_share",
     "crossed_planes",
     "detectability_of",
@@ -35,4 +37,5 @@ __all__ = [
     "search_views",
     "starved_share",
     "worth_of",
+    "prior_covariance",
 ]
