@@ -94,7 +94,7 @@ class Linear:
         self.predicted = self.found(np.ones(len(self.projector)))
         self.seconds = time.perf_counter() - start
         f = self.found.fisher.sum(axis=0, dtype=float)
-        self._filter = f + BETA * difference_spectrum((SIZE,) * 3)
+        self._filter = f + BETA * difference_spectrum((SIZE, SIZE, SIZE))
         self._filter = np.maximum(self._filter, self._filter[self._filter > 0].min())
         # How certain each voxel is against the place (Fessler, Booth 1999); of the solver only.
         share = self.projector.T(self.photons) / np.maximum(

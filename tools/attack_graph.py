@@ -23,10 +23,12 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
 from kill_trials import contents
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -79,7 +81,7 @@ class Attacker:
         self.scenario = parse_scenario(told["scenario"])
         self.epoch = messages.Epoch.parse(told["epoch"])
         self.targets = [messages.target_of(self.poses(p)) for p in told["targets"]]
-        self.context = rclpy.Context()
+        self.context = Context()
         rclpy.init(
             context=self.context,
             domain_id=told["domain"],
@@ -129,7 +131,7 @@ class Attacker:
         self.say(VIEWS, messages.view_message(Stamp(99, 0), self.epoch.at(view), view))
         poses = messages.reached_message(stamp, messages.executed(bad))
         if value is not None and np.isnan(value):
-            poses.poses[0].position.x = value
+            list(poses.poses)[0].position.x = value
         self.say(REACHED, poses)
         self.say(JOINTS, messages.joints_message(stamp, bad))
         self.say(STATE, messages.state_message(stamp, bad))
@@ -166,7 +168,7 @@ class Attacker:
     def types(self):
         """Messages of another type on every topic."""
         if self.second is None:  # a participant may not have two types on one topic
-            context = rclpy.Context()
+            context = Context()
             rclpy.init(
                 context=context,
                 domain_id=self.told["domain"],
@@ -236,7 +238,7 @@ class Attacker:
         message = self.poses(self.told["targets"][0])
         message.header.stamp.sec = self.rng.randrange(2**31)
         if self.rng.random() < 0.5:
-            message.poses[0].orientation.w = float("nan")
+            list(message.poses)[0].orientation.w = float("nan")
         if self.rng.random() < 0.3:
             message.poses = list(message.poses) * 1000
         self.say(TARGET, message)
@@ -295,7 +297,7 @@ class Attacker:
         while time.monotonic() < deadline and not self.found():
             self.executor.spin_once(timeout_sec=0.1)
         print("here", flush=True)
-        act = None
+        act: Any = None
         while True:
             ready, _, _ = select.select([0], [], [], 0 if act else None)
             if ready:
@@ -354,7 +356,8 @@ def scan(scenario, path, command, domain=None, before=None):
         move = rig.move
 
         def attacked(view, target):
-            before(view)
+            if before is not None:
+                before(view)
             return move(view, target)
 
         rig.move = attacked if before else move
@@ -429,7 +432,9 @@ class Attacked:
 
     def heard(self, word):
         """What the attacker says."""
-        line = self.stranger.stdout.readline().strip()
+        stream = self.stranger.stdout
+        assert stream is not None
+        line = stream.readline().strip()
         if line != word:
             raise RuntimeError(f"the attacker said {line!r}")
 

@@ -272,7 +272,7 @@ class Trials:
     def trial(self, kind, seed):
         """What came of one damage: faults, and in a word each what verify and resume did."""
         rng = random.Random(seed)
-        faults, words = [], {}
+        faults, words, told = [], {}, ""
         KINDS[kind](rng, self.path)
         hit = contents(self.path)
         changed = {n for n in self.kept if hit.get(n) != self.kept[n] and self.kept[n] != "folder"}

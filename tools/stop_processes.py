@@ -50,7 +50,8 @@ def trial(folder, victim, number, expected, seed):
         while views_on_disk(out) <= wanted and process.poll() is None:
             time.sleep(0.01)
         time.sleep(moments.uniform(0, A_LITTLE_S))
-        if process.poll() is not None or victim_pid("robots", process, mark) is None:
+        gone = process.poll() is not None or victim_pid("robots", process, mark) is None
+        if pid is None or gone:
             process.wait()  # it had ended by then: another moment
             shutil.rmtree(out, ignore_errors=True)
             continue

@@ -199,8 +199,9 @@ def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
         if not isinstance(scenario.cell, Cell) or scenario.motion.plan is not None:
             raise  # of a plan in a file no way was sought
         poses, free = _asked(workshop), workshop.roll_free
-        more = f", and {len(error.problems) - 1} more" if len(error.problems) > 1 else ""
-        say(f"{error.problems[0]}{more}; looking for a cure (Ctrl-C: leave that)", warning=True)
+        first, *others = list[str](error.problems)
+        more = f", and {len(others)} more" if others else ""
+        say(f"{first}{more}; looking for a cure (Ctrl-C: leave that)", warning=True)
         try:
             views, words = reasons(scenario.cell, workshop.cell_of, scenario.motion, poses, free)
         except KeyboardInterrupt:
