@@ -432,9 +432,8 @@ class Attacked:
 
     def heard(self, word):
         """What the attacker says."""
-        stream = self.stranger.stdout
-        assert stream is not None
-        line = stream.readline().strip()
+        assert self.stranger is not None and self.stranger.stdout is not None
+        line = self.stranger.stdout.readline().strip()
         if line != word:
             raise RuntimeError(f"the attacker said {line!r}")
 
