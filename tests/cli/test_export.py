@@ -143,7 +143,7 @@ def test_what_is_no_scan_is_named(
     assert f"{missing}: neither" in bad(capfd, "export", missing, "--to", "rtk")
     (tmp_path / "scan.zarr").mkdir()
     (tmp_path / "scan.zarr" / "zarr.json").write_text("{")
-    assert "not a readable scan" in bad(capfd, "export", tmp_path, "--to", "rtk")
+    assert "scan.zarr: its metadata cannot be read" in bad(capfd, "export", tmp_path, "--to", "rtk")
     scan_in(tmp_path / "empty", scenario, commanded, 0)
     assert "0 of 5 views" in bad(capfd, "export", tmp_path / "empty", "--to", "rtk")
     assert "invalid" in bad(capfd, "export", tmp_path / "empty", "--to", "rtkk").lower()

@@ -23,7 +23,7 @@ def test_render_writes_images_and_metadata(data, write, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["render", "none.json", "--out", "x"], ["none.json", "No such file"]),
+        (["render", "none.json", "--out", "x"], ["none.json", "does not exist"]),
         (["render", "none.json", "--out", "x", "--samples", "0"], ["--samples 0", "at least 1"]),
         (["render", "none.json", "--out", "x", "--samples", "100000"], ["--samples 100000", "64"]),
         (["render", "none.json", "--out", "x", "--spot-points", "99999"], ["99999", "10000"]),

@@ -153,8 +153,8 @@ class CalibratedArms:
             place = np.array(told["phantom_from_room"], float)
             room = Pose(place[:3], place[3:])
         except Exception as error:  # JSON of any kind and depth
-            why = shortened(f"{type(error).__name__}: {error}")
-            raise InputError(f"{path}: no calibrated arms: {why}") from None
+            kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+            raise InputError(f"{path}: no calibrated arms: {shortened(f'{kind}{error}')}") from None
         require_same_arms((nominal[0], nominal[1]), chains, str(path))
         return cls(chains, (changes[0], changes[1]), periods, room, made_by)
 

@@ -203,7 +203,7 @@ class RobotsNode:
         self._station, self._diagnostics = station, diagnostics
         self._clock_s: float | None = None
         self._clock = station.publisher(CLOCK)
-        self._views = station.publisher(VIEWS, depth=max(VIEWS.depth, len(turns or ())))
+        self._views = station.publisher(VIEWS, depth=max(VIEWS.depth, 4 * len(turns or ())))
         self._reached = station.publisher(REACHED)
         self._joints = station.publisher(JOINTS)
         self._state = station.publisher(STATE)
@@ -234,8 +234,10 @@ class RobotsNode:
             if answer is None:
                 self._admit(stamp, target, sender)
                 answer = self._execute(stamp, target)
-            elif isinstance(answer, Reached):
-                self._tell_view(stamp, answer)  # it may have been lost among others'
+            elif isinstance(answer, Reached) and (self._turns is None or self._of_scan(sender)):
+                # It may have been lost among others'. Of a scan all views are kept for who comes
+                # late, which strangers who repeat targets must not displace.
+                self._tell_view(stamp, answer)
             if isinstance(answer, RefusedError):
                 raise answer
         except (RefusedError, MalformedError) as refused:
@@ -243,10 +245,13 @@ class RobotsNode:
         else:
             self._answer(answer)
 
+    def _of_scan(self, sender: Sender) -> bool:
+        return self._members is not None and self._members.sent(SCAN, sender)
+
     def _admit(self, stamp: Stamp, target: Target, sender: Sender) -> None:
         if self._turns is not None:
             self._turns.check(stamp, target)
-        if self._members is not None and not self._members.sent(SCAN, sender):
+        if self._members is not None and not self._of_scan(sender):
             raise RefusedError(
                 "a scan is running and only it asks for its next view, not "
                 + self._station.name_of(TARGET, sender)

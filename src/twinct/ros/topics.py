@@ -40,7 +40,7 @@ PLAN_VIEWS = Topic("/scan/plan_views", DiagnosticArray, SCAN, 1)
 COMMANDED = Topic("/scan/commanded", PoseArray, SCAN, 1)
 CLOCK = Topic("/clock", Clock, ROBOTS, 1)
 VIEWS = Topic("/scan/views", TimeReference, ROBOTS, 1000)
-"""Keeps as many messages as the scan has views, if those are more."""
+"""Keeps four messages for each view of the scan, if those are more: some are told again."""
 REACHED = Topic("/scan/reached", PoseArray, ROBOTS, 10)
 JOINTS = Topic("/joint_states", JointState, ROBOTS, 1000)
 DESCRIPTION = Topic("/robot_description", String, ROBOTS, 1)
