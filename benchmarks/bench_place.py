@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
 
 import numpy as np
 import trimesh
 
-import twinct.reach.place as search
 from twinct.cell import CellModel, build_cell
 from twinct.geometry import Floats, Pose, fibonacci_directions
 from twinct.reach import Bounds, Holder, Poses, place, poses_of
@@ -53,7 +53,8 @@ def sphere(longer: bool) -> None:
         json.dumps({"before": float(Holder(build(FIRST), MOTION).held(whole).mean())}), flush=True
     )
     if longer:
-        search.IMPROVED, search.STEPS = 4, (120.0, 60.0, 30.0, 15.0)
+        for name, value in {"IMPROVED": 4, "STEPS": (120.0, 60.0, 30.0, 15.0)}.items():
+            setattr(sys.modules[place.__module__], name, value)
     for seed in (1, 2) if longer else (0,):
         poses = about(fibonacci_directions(250 if longer else 150))
         found = place(FIRST, build, MOTION, poses, samples=384 if longer else 128, seed=seed)

@@ -14,6 +14,7 @@ from twinct.study import load_study
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "validation.md").read_text(encoding="utf-8")
+PLACE_OPTIONS = {"--x", "--y", "--z", "--standoff", "--samples", "--seed"}
 COMMANDS = sorted(set(re.findall(r"`((?:pytest|python|make|twinct) [^`]+)`", PAGE)))
 
 
@@ -87,6 +88,10 @@ def _twinct(arguments: list[str]) -> None:
         assert not rest
         design = load_study(ROOT / scenario)
         design.scenario(next(iter(design.trials())))
+        return
+    if command == "place":
+        load_scenario(ROOT / scenario)
+        assert {word for word in rest if word.startswith("--")} <= PLACE_OPTIONS
         return
     assert command in ("run", "check", "reach")
     rest = [word for word in rest if (command, word) != ("reach", "--connected")]

@@ -43,7 +43,7 @@ def test_place_saves_a_scenario(
 
     import twinct.reach  # noqa: F401
 
-    for name, value in {"PAIRS": 2, "IMPROVED": 1, "STEPS": ()}.items():
+    for name, value in {"PAIRS": 2, "IMPROVED": 1, "IMPROVED_ALONE": 1, "STEPS": ()}.items():
         monkeypatch.setattr(sys.modules["twinct.reach.place"], name, value)
     saved = tmp_path / "mine.yaml"
     views = ("--set", "trajectory.views=6")

@@ -31,7 +31,7 @@ def build(head: trimesh.Trimesh) -> Callable[[Cell], CellModel]:
 
 @pytest.fixture(autouse=True)
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {"PAIRS": 3, "IMPROVED": 1, "STEPS": (200.0,)}.items():
+    for name, value in {"PAIRS": 3, "IMPROVED": 1, "IMPROVED_ALONE": 1, "STEPS": (200.0,)}.items():
         monkeypatch.setattr(sys.modules["twinct.reach.place"], name, value)
 
 

@@ -2,14 +2,17 @@
 
 A search in two stages, the same for the same seed. First each arm alone, which does not depend on
 the other: spread over the bounds by a Halton sequence, its own pose among them, it is asked which
-views it can hold. Then the most promising pairs are judged together, and the best of them improved
-coordinate by coordinate with steps that are halved when none helps (pattern search; Hooke and
-Jeeves, "Direct search solution of numerical and statistical problems", JACM 8, 1961).
+views it can hold, and the best of its places are improved by some of the views. The panel stands
+opposite the source: an arm also tries what the other found, across the middle of the bounds. Then
+the most promising pairs are judged together, and the best of them improved. To improve is to step
+along a coordinate, of a pair both arms' or one's, with steps that are halved when none helps
+(pattern search; Hooke and Jeeves, "Direct search solution of numerical and statistical problems",
+JACM 8, 1961).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +38,20 @@ USES = 3
 IMPROVED = 2
 """Of these, so many are improved."""
 
+IMPROVED_ALONE = 6
+"""Places of each arm alone that are improved."""
+
+OF_VIEWS = 3
+"""They are improved by every third view."""
+
 STEPS = (80.0, 40.0, 20.0)
 """Steps of the improvement, mm, and deg of the tool's rotation; half of it for the stand-off."""
+
+WAYS = ((1, 1), (1, -1), (1, 0), (0, 1))
+"""How a step moves the arms: both alike, both across, one."""
+
+UNITS = np.diag([1.0, 1.0, 1.0, 0.5, 1.0])
+"""A step of each coordinate: base x, y, z, stand-off, tool rotation."""
 
 ALONE_COUNTS = 0.05
 """What views that an arm holds alone count beside those of both: plateaus have a slope."""
@@ -163,16 +178,16 @@ class _Search:
 
     def run(self, samples: int, progress: Progress) -> Placement:
         own = np.array([self._told(arm) for arm in range(2)])
-        alone = []
+        places = [self._spread(own[arm], arm, samples) for arm in range(2)]
         with progress.stage("places of each arm", 2 * (samples + 1)) as step:
+            alone = [[self._told_of(point, arm, step) for point in places[arm]] for arm in range(2)]
+        with progress.stage("the best improved alone", 2 * IMPROVED_ALONE * len(STEPS)) as step:
+            better = [self._improved_alone(alone[arm], arm, step) for arm in range(2)]
+        across = [self._across(own[1 - arm], points, 1 - arm) for arm, points in enumerate(better)]
+        tried = [better[0] + across[1], better[1] + across[0]]
+        with progress.stage("tried across", sum(map(len, tried))) as step:
             for arm in range(2):
-                points = qmc.Halton(5, rng=self._seed).random(samples)
-                points = qmc.scale(points, *self._ranges.T + [[0], [1e-9]])
-                points[:, self._open[arm].stop :] = own[arm, self._open[arm].stop :]
-                alone.append([])
-                for point in (own[arm], *points):
-                    step()
-                    alone[arm].append((point, self._alone(point, arm)))
+                alone[arm] += [self._told_of(point, arm, step) for point in tried[arm]]
         before = self._judged(own)
         pairs = self._promising(alone)
         with progress.stage("pairs of places", len(pairs)) as step:
@@ -184,6 +199,42 @@ class _Search:
             best = [self._improved(pair, step) for pair in best]
         best = max(best, key=lambda pair: self._judged(pair)[0])
         return Placement(self._as_cell(best), before[1], self._judged(best)[1], len(self._known))
+
+    def _spread(self, own: Floats, arm: int, samples: int) -> list[Floats]:
+        """An arm's own place, and others all over the bounds."""
+        points = qmc.Halton(5, rng=self._seed).random(samples)
+        points = qmc.scale(points, *self._ranges.T + [[0], [1e-9]])
+        if arm:
+            return [own, *self._across(own, list(points), arm)]
+        points[:, self._open[arm].stop :] = own[self._open[arm].stop :]
+        return [own, *points]
+
+    def _across(self, own: Floats, points: Sequence[Floats], arm: int) -> list[Floats]:
+        """An arm's places opposite those of the other."""
+        mirrored = np.array(points)
+        mirrored[:, :2] = self._ranges[:2].sum(axis=1) - mirrored[:, :2]
+        mirrored[:, self._open[arm].stop :] = own[self._open[arm].stop :]
+        return list(mirrored)
+
+    def _told_of(self, point: Floats, arm: int, step: Callable[[], None]) -> tuple[Floats, Flags]:
+        held = self._alone(point, arm, self._poses)
+        step()
+        return point, held
+
+    def _improved_alone(
+        self, alone: Sequence[tuple[Floats, Flags]], arm: int, step: Callable[[], None]
+    ) -> list[Floats]:
+        some, known = self._poses[np.arange(0, len(self._poses), OF_VIEWS)], dict[bytes, int]()
+
+        def held(point: Floats) -> float:
+            key = point.tobytes()
+            if key not in known:
+                known[key] = int(self._alone(point, arm, some).sum())
+            return known[key]
+
+        best = sorted(alone, key=lambda of: -of[1].sum())[:IMPROVED_ALONE]
+        steps = [UNITS[k] for k in range(self._open[arm].stop)]
+        return [_climbed(point, steps, self._ranges, held, step) for point, _ in best]
 
     def _told(self, arm: int) -> Floats:
         """Where an arm is: base x, y, z, stand-off, tool rotation."""
@@ -223,14 +274,14 @@ class _Search:
             seed=self._seed,
         )
 
-    def _alone(self, point: Floats, arm: int) -> Flags:
+    def _alone(self, point: Floats, arm: int, poses: Poses) -> Flags:
         """Which views an arm holds with the other far away."""
         pair = np.array([self._told(0), self._told(1)])
         pair[arm] = point
         holder = self._holder(self._as_cell(pair))
         if holder is None:
-            return np.zeros(len(self._poses), bool)
-        return holder.can((self._poses.source, self._poses.detector)[arm], arm)
+            return np.zeros(len(poses), bool)
+        return holder.can((poses.source, poses.detector)[arm], arm)
 
     def _promising(self, alone: list[list[tuple[Floats, Flags]]]) -> list[Floats]:
         """Pairs of places whose arms alone hold the most views in common."""
@@ -267,26 +318,37 @@ class _Search:
         return float(score), held
 
     def _improved(self, pair: Floats, step: Callable[[], None]) -> Floats:
-        for size in STEPS:
-            while True:
-                moved = self._moved(pair, size)
-                if moved is pair:
-                    break
-                pair = moved
-            step()
-        return pair
+        steps = [
+            np.outer(np.array(arms, float), UNITS[k])
+            for arms in WAYS
+            for k in range(min(self._open[arm].stop for arm in range(2) if arms[arm]))
+        ]
 
-    def _moved(self, pair: Floats, size: float) -> Floats:
-        """The pair after one round of steps, each taken where it helps; itself if none does."""
-        best = pair
-        low, high = self._ranges.T
-        for arm in range(2):
-            for k in range(self._open[arm].stop):
+        def score(trial: Floats) -> float:
+            return self._judged(trial)[0] if self._allowed(trial) else -np.inf
+
+        return _climbed(pair, steps, self._ranges, score, step)
+
+
+def _climbed(
+    start: Floats,
+    steps: Sequence[Floats],
+    ranges: Floats,
+    score: Callable[[Floats], float],
+    step: Callable[[], None],
+) -> Floats:
+    """Where steps of all sizes lead that help, from a start on, inside of ranges."""
+    best, (low, high) = start, ranges.T
+    for size in STEPS:
+        moved = True
+        while moved:
+            moved = False
+            for direction in steps:
                 for sign in (1, -1):
-                    trial = best.copy()
-                    trial[arm, k] += sign * size * (0.5 if k == 3 else 1.0)
-                    inside = low[k] <= trial[arm, k] <= high[k] and self._allowed(trial)
-                    if inside and self._judged(trial)[0] > self._judged(best)[0]:
-                        best = trial
+                    trial = best + sign * size * direction
+                    inside = (low <= trial) & (trial <= high)
+                    if inside[direction != 0].all() and score(trial) > score(best):
+                        best, moved = trial, True
                         break
-        return best
+        step()
+    return best
