@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from twinct.errors import InputError, ScanExistsError, ScenarioError
-from twinct.runs import view_plan
+from twinct.runs import view_family, view_plan
 from twinct.runs.view_goals import Patient
 from twinct.runs.view_plan import plan_views
 from twinct.scan import Workshop
 from twinct.scenario import load_scenario
-from twinct.trajectory import commanded_views
+from twinct.trajectory import CircleTrajectory, commanded_views
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
@@ -43,6 +43,14 @@ task:
 DETECT = (
     "task.detectability={signal: {kind: sphere, radius_mm: 4, contrast_rel: 0.05}, voxel_mm: 2.5}"
 )
+
+
+FAMILY = [
+    "trajectory={kind: circle, views: 9, centre_longitude_deg: 30}",
+    "task.metal={parts: [pin], weight: 3}",
+    "task.family={parameters: [{key: tilt_deg, low: 0, high: 80}, "
+    "{key: tilt_axis_deg, low: -90, high: 90}], generations: 5, population: 6}",
+]
 
 
 @pytest.fixture
@@ -93,6 +101,58 @@ def test_dose_keeps_its_limit(file: Path, tmp_path: Path) -> None:
     assert 0 < told["planned"] <= 0.5 * told["spread_evenly"] * (1 + 1e-6)
 
 
+def test_what_few_views_tell_counts(file: Path, tmp_path: Path) -> None:
+    """Views along the 120 mm of the block tell less of its middle than those across."""
+    keys = ["task.completeness=null", "task.known={voxels: 200}", "task.views=3"]
+    keys += ["source.photons_per_mm2_mas=30"]  # few enough that what lies before the region counts
+    found = plan_views(file, tmp_path / "out", keys)
+    told = figures(tmp_path / "out")["known"]
+    assert 1 > told["planned"] > 1.05 * told["spread_evenly"] > 0
+    x, y, _ = np.abs(found.views.source).mean(axis=0)
+    assert x > y
+    with pytest.raises(InputError, match=r"task\.known\.voxels: 5000 need .* GB for 46 views"):
+        plan_views(file, tmp_path / "big", ["task.known={voxels: 5000}", "detector.columns=2000"])
+
+
+def test_the_best_path_of_a_family_looks_past_metal(file: Path, tmp_path: Path) -> None:
+    """A circle about x, steep enough, sees past the pin, which ends 59 deg above the region."""
+    found = plan_views(file, tmp_path / "out", FAMILY)
+    told = figures(tmp_path / "out")["metal"]
+    assert told["own_path"] > 0
+    assert told["planned"] < 0.5 * told["own_path"]
+    written = load_scenario(tmp_path / "out" / "planned.yaml")
+    assert isinstance(written.trajectory, CircleTrajectory)
+    assert commanded_views(written.trajectory, written.detector.panel) == found.views
+    parameters = json.loads((tmp_path / "out" / "plan.json").read_text())["parameters"]
+    assert written.trajectory.tilt_deg == parameters["tilt_deg"] > 10
+    assert len(found.views) == 6
+
+
+def test_a_search_in_a_family_goes_on_where_it_was_stopped(
+    file: Path, tmp_path: Path, monkeypatch
+) -> None:
+    whole = plan_views(file, tmp_path / "whole", FAMILY)
+    judged, calls = view_family._judged, []
+
+    def stopped(*args):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return judged(*args)
+
+    monkeypatch.setattr(view_family, "_judged", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        plan_views(file, tmp_path / "out", FAMILY)
+    assert plan_views(file, tmp_path / "out", FAMILY, resume=True).views == whole.views
+    assert len(calls) == 2 + 1 + 3  # two generations are not judged again
+
+
+def test_paths_that_cannot_be_had_are_told_with_the_nearest(file: Path, tmp_path: Path) -> None:
+    dose = "task.dose={part: lens, at_most_rel: 0.01}"
+    with pytest.raises(InputError, match=r"nearest, with tilt_deg .* of dose, .* at most"):
+        plan_views(file, tmp_path / "out", [*FAMILY, dose])
+
+
 def test_points_of_a_part_lie_in_it(file: Path) -> None:
     patient = Patient(Workshop(load_scenario(file, ["specimen.position_mm=[0, 0, 7]"])))
     points = patient.points_of("lens", 0)
@@ -130,7 +190,9 @@ def test_it_goes_on_where_it_was_stopped(file: Path, tmp_path: Path, monkeypatch
         ("task.dose={part: eye}", r"task\.dose\.part: there is no part 'eye'; there are 'block'"),
         ("task.metal={parts: [pin, nail]}", r"task\.metal\.parts\.1: there is no part 'nail'"),
         ("task.candidates=5", r"task\.views \(6\) must be at most task\.candidates \(5\)"),
-        ("task.completeness=null", "completeness or detectability must count"),
+        ("task.completeness=null", "completeness, detectability or known must count"),
+        (FAMILY[2].replace("80", "0"), r"parameters\.0: low \(0\) must be below high \(0\)"),
+        (FAMILY[2].replace("tilt_axis_deg", "tilt_deg"), r"'tilt_deg' is sought twice"),
     ],
 )
 def test_what_does_not_go_together_is_told_by_its_key(file: Path, override, said) -> None:
@@ -145,6 +207,14 @@ def test_what_does_not_go_together_is_told_by_its_key(file: Path, override, said
         (["task.position_mm=[0, 400, 0]"], r"no view .* sees the region at \(0, 400, 0\)"),
         (["task.dose={part: lens, at_most_rel: 0.01}"], "at most .* is asked for, the 6 candid"),
         (["source.photons_per_mm2_mas=null", DETECT], "needs a photon number"),
+        ([*FAMILY, "trajectory={kind: uniform, views: 9}"], r"has no number 'tilt_deg': it has so"),
+        (
+            [
+                *FAMILY[:1],
+                FAMILY[2].replace("tilt_deg, low: 0, high: 80", "sod_mm, low: 9, high: 700"),
+            ],
+            r"parameters\.0\.high: .*sdd_mm \(600\) must exceed sod_mm \(700\)",
+        ),
         (["trajectory={kind: file, path: views.csv}"], r"trajectory\.kind: file: candidates need"),
     ],
 )

@@ -17,6 +17,7 @@ from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid, fibonacci_di
 from twinct.planning import (
     Coverage,
     Goal,
+    KnownShare,
     Mean,
     Measure,
     Task,
@@ -24,6 +25,7 @@ from twinct.planning import (
     detectability_of,
     metal_paths,
     primary_kerma,
+    prior_covariance,
 )
 from twinct.planning.detectability import difference_spectrum
 from twinct.planning.sight import sees
@@ -31,7 +33,7 @@ from twinct.progress import Progress
 from twinct.recon import Projector
 from twinct.runs.named import contrast_at
 from twinct.scan import Workshop
-from twinct.scenario import DetectabilityGoal, DoseGoal, MetalGoal, ViewTask
+from twinct.scenario import DetectabilityGoal, DoseGoal, KnownGoal, MetalGoal, ViewTask
 from twinct.shadow import Body
 from twinct.specimen import BuiltPart
 from twinct.specimen.voxels import volume_fractions
@@ -55,6 +57,9 @@ PIXEL_MM = 1.0
 
 ENERGIES = 5
 """Bins of a spectrum for dose."""
+
+KNOWN_GB = 2.0
+"""What the goal of known shares may hold of rays."""
 
 PART_POINTS = 200
 """Points of a part whose kerma is averaged, at most."""
@@ -113,6 +118,39 @@ class Patient:
         local = grid.world_from_grid.apply(index * grid.voxel + grid.first_voxel_mm)
         return self.workshop.specimen.world_from_specimen.apply(local)
 
+    def photons(
+        self, geometry: ScanGeometry, place: Floats, voxel_mm: float, key: str
+    ) -> tuple[ScanGeometry, Floats]:
+        """Photons behind the patient on pixels as coarse as voxels, and the views with these.
+
+        Args:
+            geometry: the views.
+            place: where voxels are seen, in the world, mm.
+            voxel_mm: their edge.
+            key: what asks for it.
+
+        Returns:
+            The views with a coarse panel; photons, (views, rows, columns).
+
+        Raises:
+            InputError: the source has no photon number.
+        """
+        source = self.workshop.scenario.source
+        spectrum = build_spectrum(source)
+        if not spectrum.absolute:
+            raise InputError(f"{key}: needs a photon number: source.photons_per_mm2_mas, or a tube")
+        panel = geometry.panel
+        shrink = np.linalg.norm(geometry.source - place, axis=1) / geometry.sdd_to_centre
+        pixel = voxel_mm / float(shrink.mean())
+        rows, columns = (max(1, int(pixel / pitch)) for pitch in (panel.pitch_v, panel.pitch_u))
+        coarse = geometry.binned(min(rows, panel.rows), min(columns, panel.columns))
+        energy = effective_energy_kev(source, self.workshop.scenario.detector)
+        prior = self.attenuation(energy)
+        depth = Projector(coarse, prior.grid)(prior.array)
+        area = coarse.panel.pitch_u * coarse.panel.pitch_v
+        free = spectrum.total * source.mas * area * (1000 / coarse.sdd_to_centre) ** 2
+        return coarse, free[:, None, None] * np.exp(-depth)
+
 
 def region_points(task: ViewTask, world_from_specimen: Pose) -> Floats:
     """Middle of the task's region, and points on its surface, in the world, (points, 3), mm."""
@@ -153,6 +191,9 @@ def goals_of(
     if (section := task.detectability) is not None:
         measure = _detectability(patient, section, geometry, points[0], even, progress)
         goals.append(_goal("detectability", measure, section.weight, even))
+    if (section := task.known) is not None:
+        measure = _known(patient, task, section, geometry, points[0])
+        goals.append(_goal("known", measure, section.weight, even))
     if (section := task.metal) is not None:
         goals.append(_cost("metal", section, _metal(patient, section, geometry, points), even))
     if (section := task.dose) is not None:
@@ -224,11 +265,6 @@ def _detectability(
 ) -> Measure:
     """D' of the signal, about the middle of the region."""
     scenario, voxel = patient.workshop.scenario, section.voxel_mm
-    spectrum = build_spectrum(scenario.source)
-    if not spectrum.absolute:
-        raise InputError(
-            "task.detectability: needs a photon number: source.photons_per_mm2_mas, or a tube"
-        )
     energy = effective_energy_kev(scenario.source, scenario.detector)
     z, y, x = np.indices((BOX, BOX, BOX)) - BOX // 2
     radius = voxel * np.sqrt(x * x + y * y + z * z)
@@ -236,16 +272,7 @@ def _detectability(
     signal = contrast * patient.workshop.specimen.reference_mu(energy)
     # Voxel BOX // 2 has its centre at the place.
     grid = VolumeGrid((BOX,) * 3, voxel, Pose.from_euler(place - voxel / 2, (0.0, 0.0, 0.0)))
-    panel = geometry.panel
-    shrink = np.linalg.norm(geometry.source - place, axis=1) / geometry.sdd_to_centre
-    pixel = voxel / float(shrink.mean())
-    rows, columns = (max(1, int(pixel / pitch)) for pitch in (panel.pitch_v, panel.pitch_u))
-    coarse = geometry.binned(rows, columns)
-    prior = patient.attenuation(energy)
-    depth = Projector(coarse, prior.grid)(prior.array)
-    area = coarse.panel.pitch_u * coarse.panel.pitch_v
-    free = spectrum.total * scenario.source.mas * area * (1000 / coarse.sdd_to_centre) ** 2
-    photons = free[:, None, None] * np.exp(-depth)
+    coarse, photons = patient.photons(geometry, place, voxel, "task.detectability")
     projector = Projector(coarse, grid)
     found = detectability_of(projector, photons, Task(signal, 1.0), progress)
     power = np.abs(np.fft.rfftn(signal)) ** 2
@@ -259,6 +286,32 @@ def _detectability(
             "signal: only few see it (task.position_mm)"
         )
     return type(found)(Task(signal, beta), found.fisher)
+
+
+def _known(
+    patient: Patient, task: ViewTask, section: KnownGoal, geometry: ScanGeometry, place: Floats
+) -> Measure:
+    """Share of the region's variance that views take away."""
+    scenario = patient.workshop.scenario
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    mu = patient.workshop.specimen.reference_mu(energy)
+    around = patient.attenuation(energy).grid
+    edges = around.size_mm
+    voxel = float(np.cbrt(edges.prod() / section.voxels))
+    count = np.maximum(np.floor(edges / voxel).astype(int), 1)  # not above what is asked for
+    grid = VolumeGrid(count[::-1].tolist(), edges / count, around.world_from_grid)
+    coarse, photons = patient.photons(geometry, place, voxel, "task.known")
+    held = photons.size * int(count.prod()) * 4 / 1e9
+    if held > KNOWN_GB:
+        raise InputError(
+            f"task.known.voxels: {section.voxels} need {held:.1f} GB for {len(geometry)} views: at "
+            f"most {KNOWN_GB:g} GB; fewer, or fewer task.candidates"
+        )
+    z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij")
+    far = np.linalg.norm(grid.world_from_grid.apply(np.stack([x, y, z], -1)) - place, axis=-1)
+    region = far <= max(task.radius_mm, float(far.min()))
+    covariance = prior_covariance(grid, section.deviation_rel * mu, section.correlation_mm)
+    return KnownShare.of(Projector(coarse, grid), photons, covariance, region)
 
 
 def _unseen(workshop: Workshop, task: ViewTask) -> str:

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from twinct.errors import InputError, ScanExistsError, TrajectoryError
+from twinct.errors import InputError, TrajectoryError
 from twinct.files.lock import sole_owner
 from twinct.files.writing import check_folder, storage_errors, write_json
-from twinct.geometry import Floats, ScanGeometry
+from twinct.geometry import ScanGeometry
 from twinct.planning import Goal, Searched, search_views
 from twinct.progress import SILENT, Progress
 from twinct.report.view_plan import draw_view_plan
+from twinct.runs.view_candidates import candidates_of, orbit_of, own_path, reachable, spread_evenly
+from twinct.runs.view_family import best_path
 from twinct.runs.view_goals import goals_of
+from twinct.runs.view_journal import Journal
 from twinct.scan import Workshop
-from twinct.scenario import Cell, Scenario, load_scenario, stage_digests, write_scenario
-from twinct.trajectory import OrbitSettings, UniformTrajectory, commanded_views, write_views
+from twinct.scenario import Cell, Scenario, ViewTask, load_scenario, write_scenario
+from twinct.trajectory import OrbitSettings, write_views
 
 SEARCH, VIEWS, SCENARIO, JOINTS = "search.json", "views.csv", "planned.yaml", "plan.npz"
 RESULT, PICTURE, LOCK = "plan.json", "plan.png", "plan.lock"
@@ -83,55 +84,28 @@ def plan_views(
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with storage_errors(out), sole_owner(out / LOCK):
-        journal = _Journal(out / SEARCH, _digest(scenario), resume)
+        journal = Journal(out / SEARCH, scenario, resume)
         workshop = Workshop(scenario)
-        all_views = _candidates(scenario)
-        if journal.reachable is None:
-            journal.reachable = _reachable(workshop, all_views, progress)
-            journal.write()
-        within = all_views[journal.reachable]
+        all_views = candidates_of(scenario)
+        if journal.within_reach is None:
+            journal.found(reachable(workshop, all_views, progress))
+        assert journal.within_reach is not None
+        within = all_views[journal.within_reach]
         if len(within) < task.views:
             raise InputError(
                 f"task.views: {task.views} are asked for, the arms can have {len(within)} of "
                 f"{len(all_views)} candidates: take at most {len(within)}, more task.candidates, "
                 "or motion.detector_roll: free; twinct place finds a better place for the arms"
             )
-        even = _even(within.source, task.views)
-        own = _own_path(scenario, task.views)
-        together = ScanGeometry.joined([within, own])
-        path = list(range(len(within), len(together)))
-        goals = goals_of(workshop, together, len(within), even, progress)
-        steps = task.views * (1 + task.rounds)
-        with progress.stage("choosing views", steps, len(journal.state.worth)) as step:
-
-            def heard(state: Searched) -> None:
-                journal.state = state
-                journal.write()
-                step()
-
-            found = search_views(
-                goals,
-                len(within),
-                task.views,
-                start=journal.state,
-                rounds=task.rounds,
-                heard=heard,
-            )
-        chosen = sorted(found.chosen)
-        figures = {
-            goal.name: {
-                "planned": goal.of(chosen),
-                "spread_evenly": goal.of(even),
-                "own_path": goal.of(path),
-            }
-            for goal in goals
-        }
-        views = within[chosen]
-        write_views(out / VIEWS, views)
-        scan_s, clearance = _driven(source, overrides, scenario, out)
-        plan = ViewPlan(views, figures, len(all_views), len(within), scan_s, clearance)
-        write_json(out / RESULT, _told(plan, goals, found, journal.reachable[chosen]))
-        centre = np.asarray(_orbit(scenario).isocentre_mm)
+        own = own_path(scenario, task.views)
+        choose = _chosen if task.family is None else _tuned
+        choice = choose(workshop, task, within, own, journal, progress)
+        write_views(out / VIEWS, choice.views)
+        scan_s, clearance = _driven(source, overrides, scenario, out, choice.section)
+        figures, found = choice.figures, choice.views
+        plan = ViewPlan(found, figures, len(all_views), len(within), scan_s, clearance)
+        write_json(out / RESULT, _told(plan, choice))
+        centre = np.asarray(orbit_of(scenario).isocentre_mm)
         draw_view_plan(
             out / PICTURE,
             scenario.name,
@@ -139,127 +113,111 @@ def plan_views(
                 "candidates": all_views.source - centre,
                 "within reach": within.source - centre,
                 "scenario's path": own.source - centre,
-                "planned": views.source - centre,
+                "planned": found.source - centre,
             },
-            found.worth,
+            choice.worth,
             figures,
         )
         return plan
 
 
-class _Journal:
-    """How far a search is, on disk."""
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """Views that were chosen.
 
-    def __init__(self, path: Path, digest: str, resume: bool) -> None:
-        self._path, self._digest = path, digest
-        self.reachable: NDArray[np.intp] | None = None
-        self.state = Searched()
-        if not path.exists():
-            return
-        kept = _read(path)
-        if not resume:
-            raise ScanExistsError(f"{path} holds a search: --resume goes on with it")
-        if kept.get("digest") != digest:
-            raise ScanExistsError(f"{path} is the search of another scenario: choose another --out")
-        self.reachable = np.array(kept["reachable"], np.intp)
-        state = kept["state"]
-        self.state = Searched(
-            tuple(state["chosen"]), tuple(state["worth"]), state["place"], state["unchanged"]
-        )
+    Attributes:
+        views: in the order in which they are written.
+        goals: what counted.
+        figures: of each goal, as in ``ViewPlan``.
+        worth: of the best choice after each step of the search.
+        told: what plan.json says of them besides.
+        section: the trajectory that has them; None: they are a file's.
+    """
 
-    def write(self) -> None:
-        assert self.reachable is not None
-        state = vars(self.state)
-        kept = {"digest": self._digest, "reachable": self.reachable.tolist(), "state": state}
-        write_json(self._path, kept)
+    views: ScanGeometry
+    goals: Sequence[Goal]
+    figures: dict[str, dict[str, float]]
+    worth: Sequence[float]
+    told: Mapping[str, Any]
+    section: OrbitSettings | None = None
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"{path}: cannot be read: {error}: delete it to search anew") from None
+def _chosen(
+    workshop: Workshop,
+    task: ViewTask,
+    within: ScanGeometry,
+    own: ScanGeometry,
+    journal: Journal,
+    progress: Progress,
+) -> _Choice:
+    """Any of the candidates within reach."""
+    even = spread_evenly(within.source, task.views)
+    together = ScanGeometry.joined([within, own])
+    goals = goals_of(workshop, together, len(within), even, progress)
+    steps = task.views * (1 + task.rounds)
+    with progress.stage("choosing views", steps, len(journal.state.worth)) as step:
 
-
-def _digest(scenario: Scenario) -> str:
-    assert scenario.task is not None
-    parts = [stage_digests(scenario)["images"], scenario.task.model_dump(mode="json")]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-
-
-def _orbit(scenario: Scenario) -> OrbitSettings:
-    section = scenario.trajectory
-    if not isinstance(section, OrbitSettings):
-        raise InputError(
-            f"trajectory.kind: {section.kind}: candidates need an isocentre and distances: take a "
-            "kind that has them, such as sinusoid"
-        )
-    return section
-
-
-def _candidates(scenario: Scenario) -> ScanGeometry:
-    """Views all over the sphere, at the distances of the scenario's path."""
-    orbit, task = _orbit(scenario), scenario.task
-    assert task is not None
-    section = UniformTrajectory(
-        kind="uniform",
-        views=task.candidates,
-        isocentre_mm=orbit.isocentre_mm,
-        sod_mm=float(orbit.sod_at(0.5)),
-        sdd_mm=float(orbit.sdd_at(0.5)),
-        latitude_range_deg=(-90.0, 90.0),
-    )
-    return commanded_views(section, scenario.detector.panel)
-
-
-def _own_path(scenario: Scenario, views: int) -> ScanGeometry:
-    section = _orbit(scenario).model_copy(update={"views": views})
-    return commanded_views(section, scenario.detector.panel)
-
-
-def _reachable(workshop: Workshop, geometry: ScanGeometry, progress: Progress) -> NDArray[np.intp]:
-    """Candidates that both arms can hold at a time, with the clearance that a way keeps."""
-    if not isinstance(workshop.scenario.cell, Cell):
-        return np.arange(len(geometry))
-    from twinct.reach import Holder, Poses
-
-    holder = Holder(workshop.cell, workshop.scenario.motion, roll_free=workshop.roll_free)
-    poses = Poses.of(geometry.source_poses(), geometry.detector_poses())
-    of_arms = [holder.alone(side, arm) for arm, side in enumerate((poses.source, poses.detector))]
-    alone = set(of_arms[0].pose.tolist()) & set(of_arms[1].pose.tolist())
-    found: list[int] = []
-    with progress.stage("views within reach", len(alone)) as step:
-        for view in sorted(alone):
-            if len(holder.pairs(of_arms[0], of_arms[1], view)):
-                found.append(view)
+        def heard(state: Searched) -> None:
+            journal.went_on(state)
             step()
-    return np.array(found, np.intp)
+
+        found = search_views(
+            goals, len(within), task.views, start=journal.state, rounds=task.rounds, heard=heard
+        )
+    chosen, path = sorted(found.chosen), range(len(within), len(together))
+    assert journal.within_reach is not None
+    told = {"chosen": journal.within_reach[chosen].tolist()}
+    figures = _figures(goals, chosen, even, path)
+    return _Choice(within[chosen], goals, figures, found.worth, told)
 
 
-def _even(sources: Floats, number: int) -> list[int]:
-    """Views spread evenly: each the farthest from those before (Gonzalez 1985)."""
-    chosen = [0]
-    far = np.linalg.norm(sources - sources[0], axis=1)
-    while len(chosen) < number:
-        chosen.append(int(far.argmax()))
-        far = np.minimum(far, np.linalg.norm(sources - sources[chosen[-1]], axis=1))
-    return chosen
+def _tuned(
+    workshop: Workshop,
+    task: ViewTask,
+    within: ScanGeometry,
+    own: ScanGeometry,
+    journal: Journal,
+    progress: Progress,
+) -> _Choice:
+    """The best path of the scenario's family."""
+    count = task.views
+    reference = within[spread_evenly(within.source, count)]
+    found = best_path(workshop, reference, journal, progress)
+    together = ScanGeometry.joined([reference, found.views, own])
+    even, planned, path = (range(k * count, (k + 1) * count) for k in range(3))
+    goals = goals_of(workshop, together, count, even, SILENT)
+    figures = _figures(goals, planned, even, path)
+    told = {"parameters": dict(found.parameters)}
+    return _Choice(found.views, goals, figures, found.worth, told, found.section)
+
+
+def _figures(
+    goals: Sequence[Goal], planned: Sequence[int], even: Sequence[int], path: Sequence[int]
+) -> dict[str, dict[str, float]]:
+    kinds = {"planned": planned, "spread_evenly": even, "own_path": path}
+    return {goal.name: {kind: goal.of(views) for kind, views in kinds.items()} for goal in goals}
 
 
 def _driven(
-    source: Path, overrides: Sequence[str], scenario: Scenario, out: Path
+    source: Path,
+    overrides: Sequence[str],
+    scenario: Scenario,
+    out: Path,
+    section: OrbitSettings | None,
 ) -> tuple[float | None, float | None]:
     """Write the scenario that takes the views; seconds and clearance of its motion."""
     folder = out.resolve()
-    trajectory = json.dumps({"kind": "file", "path": str(folder / VIEWS)})
-    changes = [*overrides, f"trajectory={trajectory}"]
+    trajectory = {"kind": "file", "path": str(folder / VIEWS)}
+    if section is not None:
+        trajectory = section.model_dump(mode="json")
+    changes = [*overrides, f"trajectory={json.dumps(trajectory)}"]
     if not isinstance(scenario.cell, Cell):
         write_scenario(out / SCENARIO, source, changes)
         return None, None
     from twinct.motion import save_plan
 
     roll = [f"motion.detector_roll={'free' if Workshop(scenario).roll_free[1] else 'fixed'}"]
-    changes += [*roll, "motion.order=shortest"]
+    changes += [*roll, f"motion.order={'shortest' if section is None else 'given'}"]
     write_scenario(out / SCENARIO, source, changes)
     try:
         plan = Workshop(load_scenario(out / SCENARIO)).plan
@@ -272,19 +230,17 @@ def _driven(
     return plan.duration_s, float(plan.clearance_mm.min())
 
 
-def _told(
-    plan: ViewPlan, goals: Sequence[Goal], found: Searched, chosen: NDArray[np.intp]
-) -> dict[str, Any]:
+def _told(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
     """What plan.json says."""
     return {
         "candidates": plan.candidates,
         "reachable": plan.reachable,
-        "chosen": chosen.tolist(),
-        "worth": list(found.worth),
+        **choice.told,
+        "worth": list(choice.worth),
         "goals": {
             goal.name: plan.figures[goal.name]
             | {"weight": goal.weight, "unit": goal.unit, "at_most": goal.at_most}
-            for goal in goals
+            for goal in choice.goals
         },
         "scan_s": plan.scan_s,
         "clearance_mm": plan.clearance_mm,

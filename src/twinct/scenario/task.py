@@ -8,7 +8,7 @@ from pydantic import Field
 
 from twinct.scenario.evaluation import GaussianSignal, SphereSignal
 from twinct.scenario.specimen import Specimen
-from twinct.settings import Conflict, NonNegative, Positive, Section, Vector, setting
+from twinct.settings import Conflict, Finite, NonNegative, Positive, Section, Vector, setting
 
 Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 AtMost = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -58,6 +58,38 @@ class DoseGoal(Section):
     at_most_rel: AtMost | None = setting(None, _LIMIT, unit="1")
 
 
+class KnownGoal(Section):
+    """How much of the region few views tell, as a linear model foresees: more is better."""
+
+    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    correlation_mm: Positive = setting(
+        20.0, "Distance at which attenuations are correlated by 1 / e, before any view."
+    )
+    deviation_rel: Positive = setting(
+        0.5,
+        "Standard deviation of attenuation before any view, as a share of the reference "
+        "material's.",
+        unit="1",
+    )
+    voxels: int = setting(600, "Voxels of the coarse grid about the specimen.", ge=8, le=5000)
+
+
+class FamilyParameter(Section):
+    """A number of the scenario's trajectory that is sought."""
+
+    key: str = Field(description="Its key in `trajectory`, such as tilt_deg.")
+    low: Finite = Field(description="Lowest value.")
+    high: Finite = Field(description="Highest value.")
+
+
+class FamilySearch(Section):
+    """The best path of the scenario's kind of trajectory, by CMA-ES, instead of free views."""
+
+    parameters: tuple[FamilyParameter, ...] = Field(min_length=2, description="What is sought.")
+    generations: int = setting(15, "Generations of the search, at most.", ge=1, le=1000)
+    population: int = setting(8, "Paths in each.", ge=4, le=1000)
+
+
 class ViewTask(Section):
     """What `twinct plan` chooses views for, by what counts; a run does not read it."""
 
@@ -76,19 +108,23 @@ class ViewTask(Section):
     rounds: int = setting(2, "Rounds in which each view may be exchanged.", ge=0, le=20)
     completeness: CompletenessGoal | None = setting(None, "Completeness counts.")
     detectability: DetectabilityGoal | None = setting(None, "Detectability counts.")
+    known: KnownGoal | None = setting(None, "What few views tell counts.")
     metal: MetalGoal | None = setting(None, "Metal counts.")
     dose: DoseGoal | None = setting(None, "Dose counts.")
+    family: FamilySearch | None = setting(
+        None, "The views are those of the best path of a family; none: they are chosen freely."
+    )
 
     def conflicts(self, specimen: Specimen) -> list[Conflict]:
         """Nothing that counts, more views than candidates, parts that are not there."""
         names = [part.label for part in specimen.parts]
         having = f"there {'are' if len(names) > 1 else 'is'} {', '.join(map(repr, names))}"
         found: list[Conflict] = []
-        if not (self.completeness or self.detectability):
+        if not (self.completeness or self.detectability or self.known):
             found.append(
                 Conflict(
-                    "task: completeness or detectability must count: by metal and dose alone all "
-                    "views would be the same one",
+                    "task: completeness, detectability or known must count: by metal and dose "
+                    "alone all views would be the same one",
                     ("task",),
                 )
             )
@@ -100,6 +136,14 @@ class ViewTask(Section):
                     ("task.views", "task.candidates"),
                 )
             )
+        family = self.family.parameters if self.family else ()
+        for i, one in enumerate(family):
+            key = f"task.family.parameters.{i}"
+            if one.low >= one.high:
+                message = f"{key}: low ({one.low:g}) must be below high ({one.high:g})"
+                found.append(Conflict(message, (f"{key}.low", f"{key}.high")))
+            if one.key in [other.key for other in family[:i]]:
+                found.append(Conflict(f"{key}.key: {one.key!r} is sought twice", (f"{key}.key",)))
         metal = self.metal.parts if self.metal else ()
         wanted = [(f"metal.parts.{i}", part) for i, part in enumerate(metal)]
         wanted += [("dose.part", self.dose.part)] if self.dose else []

@@ -1,0 +1,151 @@
+"""The best path of a family: parameters of the scenario's trajectory, by CMA-ES."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from twinct.errors import InputError
+from twinct.geometry import ScanGeometry
+from twinct.planning import best_parameters, worth_of
+from twinct.progress import SILENT, Progress
+from twinct.runs.view_candidates import orbit_of, reachable
+from twinct.runs.view_goals import goals_of
+from twinct.runs.view_journal import Journal
+from twinct.scan import Workshop
+from twinct.scenario import FamilySearch, ViewTask
+from twinct.trajectory import OrbitSettings, commanded_views
+
+MISSED = -1e3
+"""Worth of a path that cannot be had, and more so the more of it is missed: the search is led."""
+
+
+@dataclass(frozen=True, eq=False)
+class TunedPath:
+    """What a search found.
+
+    Attributes:
+        section: the trajectory, as a scenario has it.
+        parameters: what was sought, by key.
+        views: its views.
+        worth: of the best path after each generation.
+    """
+
+    section: OrbitSettings
+    parameters: Mapping[str, float]
+    views: ScanGeometry
+    worth: tuple[float, ...]
+
+
+def best_path(
+    workshop: Workshop, reference: ScanGeometry, journal: Journal, progress: Progress
+) -> TunedPath:
+    """Search for the path that is worth most, all of whose views the arms can have.
+
+    Args:
+        workshop: of a scenario whose task has a family.
+        reference: views spread evenly, which measures are counted in.
+        journal: what is known of an earlier search; hears of each generation.
+        progress: hears how far it is.
+
+    Raises:
+        InputError: keys that the trajectory does not have or values that it refuses; no path
+            within the bounds can be had, with what the nearest misses.
+        MissingExtraError: cmaes is not installed.
+    """
+    task = workshop.scenario.task
+    assert task is not None and task.family is not None
+    _check(workshop, task, task.family)
+    kept, judged = list(journal.generations), 0
+
+    def worth(sets: Sequence[Mapping[str, float]]) -> Sequence[float]:
+        nonlocal judged
+        judged += 1
+        if judged <= len(kept):
+            return kept[judged - 1]
+        values = [value for value, _ in _judged(workshop, task, reference, sets)]
+        journal.judged(values)
+        return values
+
+    bounds = {one.key: (one.low, one.high) for one in task.family.parameters}
+    found = best_parameters(
+        worth,
+        bounds,
+        generations=task.family.generations,
+        population=task.family.population,
+        seed=workshop.scenario.seed,
+        progress=progress,
+    )
+    if found.worth <= MISSED:
+        ((_, words),) = _judged(workshop, task, reference, [found.parameters])
+        near = ", ".join(f"{key} {value:.3g}" for key, value in found.parameters.items())
+        raise InputError(
+            f"task.family: none of the paths tried can be had; the nearest, with {near}, {words}: "
+            "wider bounds, fewer keys, motion.detector_roll: free, or more task.family.generations"
+        )
+    section = _section(workshop, task, found.parameters)
+    views = commanded_views(section, workshop.scenario.detector.panel)
+    return TunedPath(section, found.parameters, views, found.history)
+
+
+def _judged(
+    workshop: Workshop,
+    task: ViewTask,
+    reference: ScanGeometry,
+    sets: Sequence[Mapping[str, float]],
+) -> list[tuple[float, str]]:
+    """Worth of each path, and what it misses."""
+    panel, count = workshop.scenario.detector.panel, task.views
+    paths = [commanded_views(_section(workshop, task, one), panel) for one in sets]
+    held = np.zeros(count * len(paths), bool)
+    held[reachable(workshop, ScanGeometry.joined(paths), SILENT)] = True
+    both = ScanGeometry.joined([reference, *paths])
+    goals = goals_of(workshop, both, len(reference), range(len(reference)), SILENT)
+    found: list[tuple[float, str]] = []
+    for k in range(len(paths)):
+        views = range(len(reference) + k * count, len(reference) + (k + 1) * count)
+        missed = count - int(held[k * count : (k + 1) * count].sum())
+        words = [f"has {missed} of {count} views out of reach"] if missed else []
+        far = missed / count
+        for goal in goals:
+            if goal.at_most is not None and (has := goal.of(views)) > goal.at_most:
+                far += has / goal.at_most - 1
+                words.append(f"comes to {has:.4g} of {goal.name}, {goal.at_most:.4g} at most")
+        found.append((MISSED * (1 + far) if words else worth_of(goals, views), ", ".join(words)))
+    return found
+
+
+def _section(workshop: Workshop, task: ViewTask, parameters: Mapping[str, float]) -> OrbitSettings:
+    orbit = orbit_of(workshop.scenario)
+    keys: dict[str, Any] = orbit.model_dump() | {"views": task.views} | dict(parameters)
+    return type(orbit).model_validate(keys)
+
+
+def _check(workshop: Workshop, task: ViewTask, family: FamilySearch) -> None:
+    orbit = orbit_of(workshop.scenario)
+    fields = type(orbit).model_fields
+    numbers = [
+        name
+        for name in fields
+        if isinstance(getattr(orbit, name), float) and not name.startswith("isocentre")
+    ]
+    problems: list[str] = []
+    for i, one in enumerate(family.parameters):
+        key = f"task.family.parameters.{i}"
+        if one.key not in numbers:
+            problems.append(
+                f"{key}.key: the scenario's trajectory has no number {one.key!r}: it has "
+                f"{', '.join(numbers)}"
+            )
+            continue
+        for side in ("low", "high"):
+            try:
+                _section(workshop, task, {one.key: getattr(one, side)})
+            except ValidationError as error:
+                problems.append(f"{key}.{side}: {error.errors()[0]['msg']}")
+    if problems:
+        raise InputError(problems)

@@ -1,0 +1,90 @@
+"""How far a search for views is, on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.errors import InputError, ScanExistsError
+from twinct.files.writing import write_json
+from twinct.planning import Searched
+from twinct.scenario import Scenario, stage_digests
+
+
+class Journal:
+    """How far a search is; each change is written.
+
+    Attributes:
+        within_reach: indices of the candidates that the arms can have, once they are known.
+        state: of the choice among them.
+        generations: worth of the paths of each generation, of a search in a family.
+    """
+
+    def __init__(self, path: Path, scenario: Scenario, resume: bool) -> None:
+        """Read what is there.
+
+        Raises:
+            ScanExistsError: there is a search, and nobody asked to resume, or another one.
+            InputError: it cannot be read.
+        """
+        self._path, self._digest = path, _digest(scenario)
+        self.within_reach: NDArray[np.intp] | None = None
+        self.state = Searched()
+        self.generations: list[list[float]] = []
+        if not path.exists():
+            return
+        kept = _read(path)
+        if not resume:
+            raise ScanExistsError(f"{path} holds a search: --resume goes on with it")
+        if kept.get("digest") != self._digest:
+            raise ScanExistsError(f"{path} is the search of another scenario: choose another --out")
+        self.within_reach = np.array(kept["reachable"], np.intp)
+        state = kept["state"]
+        self.state = Searched(
+            tuple(state["chosen"]), tuple(state["worth"]), state["place"], state["unchanged"]
+        )
+        self.generations = kept["generations"]
+
+    def found(self, within_reach: NDArray[np.intp]) -> None:
+        """The candidates within reach are known."""
+        self.within_reach = within_reach
+        self._write()
+
+    def went_on(self, state: Searched) -> None:
+        """The choice went on by a step."""
+        self.state = state
+        self._write()
+
+    def judged(self, worth: Sequence[float]) -> None:
+        """A generation of paths was judged."""
+        self.generations.append(list(worth))
+        self._write()
+
+    def _write(self) -> None:
+        assert self.within_reach is not None
+        kept = {
+            "digest": self._digest,
+            "reachable": self.within_reach.tolist(),
+            "state": vars(self.state),
+            "generations": self.generations,
+        }
+        write_json(self._path, kept)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path}: cannot be read: {error}: delete it to search anew") from None
+
+
+def _digest(scenario: Scenario) -> str:
+    assert scenario.task is not None
+    parts = [stage_digests(scenario)["images"], scenario.task.model_dump(mode="json")]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
