@@ -194,4 +194,7 @@ def test_arms_are_known_by_their_bodies_too() -> None:
     assert arms_in("table and detector_wrist_2 overlap by 3 mm") == ["detector"]
     assert arms_in("source arm: out of reach") == ["source"]
     assert arms_in("source_forearm and detector_panel overlap") == ["source", "detector"]
+    assert arms_in("specimen and source overlap by 2 mm; source and table overlap") == ["source"]
+    both = "specimen and source come within 2 mm; specimen and detector_panel overlap"
+    assert arms_in(both) == ["source", "detector"]
     assert arms_in("no way found, source or not") == []

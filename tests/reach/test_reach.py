@@ -107,7 +107,11 @@ def test_all_pairs_are_clear(cell: CellModel) -> None:
 
 @pytest.mark.parametrize(
     ("wrong", "told"),
-    [({"directions": 0}, "directions: 0"), ({"sod_mm": (300, -1)}, "-1"), ({"odd_mm": 0.0}, "0.0")],
+    [
+        ({"directions": 0}, "directions: 0"),
+        ({"sod_mm": (300, -1)}, "-1"),
+        ({"odd_mm": 0.0}, "odd: 0 mm"),
+    ],
 )
 def test_what_cannot_be_asked(cell: CellModel, wrong: dict[str, object], told: str) -> None:
     with pytest.raises(InputError, match=told):
@@ -124,7 +128,7 @@ def test_tables_and_pictures(cell: CellModel, found: Reach, tmp_path: Path) -> N
     )
     assert np.cos(latitude) * np.cos(longitude) == pytest.approx(found.directions[7, 0], abs=1e-4)
     told = json.loads((tmp_path / "reach.json").read_text())["radii"][0]
-    assert told["both"] == found.both.mean()
+    assert told["both_share"] == found.both.mean()
     draw_sphere(found, tmp_path / "sphere.png", title="test")
     draw_room(found, cell, tmp_path / "room.png")
     for name in ("sphere", "room"):

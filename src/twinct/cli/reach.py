@@ -26,6 +26,7 @@ from twinct.reach import (
     shown,
 )
 from twinct.reach.results import draw_room, draw_sphere, shares, write_tables
+from twinct.reach.sphere import check_asked
 from twinct.scan import Workshop
 from twinct.scenario import Cell, Scenario, load_scenario, named_places, write_scenario
 from twinct.trajectory import OrbitSettings
@@ -80,6 +81,7 @@ def reach_command(
     connected: bool,
 ) -> None:
     """Ask, print the shares, and write tables and pictures where a folder is named."""
+    check_asked(directions, radii or (1.0,), 1.0 if odd is None else odd)
     loaded = load_scenario(scenario, set_)
     arms_of(loaded)
     if out is not None:
@@ -100,11 +102,11 @@ def reach_command(
         rows = shares(found)
     table = Table(title=f"{loaded.name}: of {directions} directions")
     table.add_column("SOD, mm")
-    names = [n for n in ("source", "detector", "both", "connected") if n in rows[0]]
+    names = [n for n in ("source", "detector", "both", "connected") if f"{n}_share" in rows[0]]
     for name in (*names, "median clearance", "median joint margin"):
         table.add_column(name)
     for row in rows:
-        figures = [f"{100 * row[name]:.1f} %" for name in names]
+        figures = [f"{100 * row[f'{name}_share']:.1f} %" for name in names]
         gap, margin = row.get("median_clearance_mm"), row.get("median_margin_deg")
         figures += ["-" if gap is None else f"{gap:.1f} mm"]
         figures += ["-" if margin is None else f"{margin:.0f} deg"]
@@ -117,7 +119,7 @@ def reach_command(
         write_tables(found, out)
         for k, one in enumerate(found.sod_mm.tolist()):
             draw_sphere(found, out / f"sphere_{one:g}.png", k, loaded.name)
-            draw_room(found, workshop.room, out / f"room_{one:g}.png", k)
+            draw_room(found, workshop.room, out / f"room_{one:g}.png", k, loaded.name)
     Console().print(f"wrote {out}", highlight=False)
 
 

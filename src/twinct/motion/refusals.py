@@ -59,7 +59,7 @@ def readable(body: str) -> str:
 
 def arms_in(text: str) -> list[str]:
     """The arms that such words name, themselves or one of their bodies."""
-    return [side for side in SIDES if re.search(rf"\b{side}(_| arm)", text)]
+    return [side for side in SIDES if re.search(rf"\b{side}(_| arm| and | overlap| come )", text)]
 
 
 def runs(views: Iterable[int]) -> list[tuple[int, int]]:

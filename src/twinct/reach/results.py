@@ -18,8 +18,8 @@ MAP = "viridis"
 NOBODY_RGBA = (0.45, 0.45, 0.45, 0.35)
 """Directions in the room that are not held."""
 
-WIDEST_MM = 30.0
-"""Clearance at the end of the colours."""
+CAN, CANNOT = "tab:blue", "0.82"
+"""Directions on the sphere that an arm alone holds, and that are not held."""
 
 
 def shares(reach: Reach) -> list[dict[str, float]]:
@@ -27,9 +27,11 @@ def shares(reach: Reach) -> list[dict[str, float]]:
     rows: list[dict[str, float]] = []
     for k, sod in enumerate(reach.sod_mm.tolist()):
         row = {"sod_mm": sod, "odd_mm": reach.odd_mm, "directions": len(reach.directions)}
-        row |= {n: float(getattr(reach, n)[k].mean()) for n in ("source", "detector", "both")}
+        row |= {
+            f"{n}_share": float(getattr(reach, n)[k].mean()) for n in ("source", "detector", "both")
+        }
         if reach.connected is not None:
-            row["connected"] = float(reach.connected[k].mean())
+            row["connected_share"] = float(reach.connected[k].mean())
         if reach.both[k].any():
             row["median_clearance_mm"] = float(np.nanmedian(reach.clearance_mm[k]))
             row["median_margin_deg"] = float(np.nanmedian(reach.margin_deg[k]))
@@ -76,19 +78,23 @@ def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> N
     from matplotlib.figure import Figure
 
     longitude, latitude = (np.radians(a) for a in longitude_latitude_deg(reach.directions))
-    figure = Figure(figsize=(12, 7.4), layout="constrained")
+    figure = Figure(figsize=(12, 6.2), layout="constrained")
     FigureCanvasAgg(figure)
     size = 9000 / len(longitude) + 2
+    most_mm = _most(reach.clearance_mm[radius])
     both = reach.both[radius]
     joined = both if reach.connected is None else reach.connected[radius]
     panels: list[tuple[str, Any, Any]] = [
         (f"{side} arm alone: {100 * held.mean():.1f} %", held, None)
-        for side, held in (("source", reach.source[radius]), ("panel's", reach.detector[radius]))
+        for side, held in (
+            ("source", reach.source[radius]),
+            ("detector (panel opposite)", reach.detector[radius]),
+        )
     ]
     told = "" if reach.connected is None else f", {100 * joined.mean():.1f} % joined by ways"
     share = f"both: {100 * both.mean():.1f} %{told}"
     panels += [
-        (share, both, (reach.clearance_mm[radius], "clearance, mm", WIDEST_MM)),
+        (share, both, (reach.clearance_mm[radius], "clearance, mm", most_mm)),
         (
             "both: margin of the joints",
             both,
@@ -97,37 +103,73 @@ def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> N
     ]
     for k, (text, held, figures) in enumerate(panels):
         axes: Any = figure.add_subplot(2, 2, k + 1, projection="mollweide")
-        axes.scatter(longitude[~held], latitude[~held], s=size, c="0.85", linewidths=0)
-        values = held[held] if figures is None else figures[0][held]
-        look = {"vmin": 0, "vmax": 1.25} if figures is None else {"vmin": 0, "vmax": figures[2]}
-        spots = axes.scatter(
-            longitude[held], latitude[held], s=size, c=values, cmap=MAP, linewidths=0, **look
+        axes.scatter(
+            longitude[~held], latitude[~held], s=size, c=CANNOT, linewidths=0, label="not held"
         )
+        look: dict[str, Any] = {"c": CAN, "label": "held"}
         if figures is not None:
+            look = {"c": figures[0][held], "cmap": MAP, "vmin": 0, "vmax": figures[2]}
+        spots = axes.scatter(longitude[held], latitude[held], s=size, linewidths=0, **look)
+        if figures is None:
+            axes.legend(loc="lower right", fontsize=7, bbox_to_anchor=(1.08, 0), markerscale=2)
+        else:
             figure.colorbar(spots, ax=axes, label=figures[1], shrink=0.7)
             apart = held & ~joined
+            joint = "not joined by ways" if apart.any() else None
             axes.scatter(
-                *(longitude[apart], latitude[apart]), s=size, facecolors="none", edgecolors="red"
+                *(longitude[apart], latitude[apart]),
+                s=size,
+                facecolors="none",
+                edgecolors="red",
+                label=joint,
             )
+            if joint:
+                axes.legend(loc="lower right", fontsize=7, bbox_to_anchor=(1.08, 0))
         axes.grid(alpha=0.4)
         axes.set_title(text, fontsize=10)
         axes.set_xlabel("longitude of the source, deg", fontsize=8)
         axes.set_ylabel("latitude, deg", fontsize=8)
         axes.tick_params(labelsize=7)
+        axes.set_axisbelow(False)
+        for label in axes.get_xticklabels():  # they stand on the equator, over the directions
+            label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8})
     figure.suptitle(f"{title}: SOD {reach.sod_mm[radius]:g} mm, ODD {reach.odd_mm:g} mm")
     figure.savefig(path, dpi=110)
 
 
-def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0) -> None:
+def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0, title: str = "") -> None:
     """Write a picture (PNG) of the room with a ball where the source is of each direction.
 
     Coloured by clearance where both arms hold it; the arms stand in the pair with the largest.
     """
     import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+    from PIL import Image
 
     held, gaps = reach.both[radius], reach.clearance_mm[radius]
+    scale = Normalize(0, _most(gaps))
     colours = np.tile(NOBODY_RGBA, (len(held), 1))
-    colours[held] = matplotlib.colormaps[MAP](np.clip(gaps[held] / WIDEST_MM, 0, 1))
+    colours[held] = matplotlib.colormaps[MAP](scale(gaps[held]))
     points = reach.isocentre_mm + reach.sod_mm[radius] * reach.directions
     joints = reach.joints[radius, int(np.nanargmax(gaps))] if held.any() else None
     render_cell(cell, path, joints, marks=Marks(points=points, colours=colours, radius_mm=7))
+    with Image.open(path) as drawn:
+        picture = np.asarray(drawn)
+    figure = Figure(figsize=(10, 6.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: Any = figure.add_subplot()
+    axes.imshow(picture)
+    axes.set_axis_off()
+    told = f"{title}: source at {reach.sod_mm[radius]:g} mm, panel opposite at {reach.odd_mm:g} mm"
+    axes.set_title(f"{told}\ncoloured: both arms hold it; grey: not", fontsize=10)
+    colours_of = ScalarMappable(scale, MAP)
+    figure.colorbar(colours_of, ax=axes, label="clearance, mm", shrink=0.8)
+    figure.savefig(path, dpi=130)
+
+
+def _most(clearance_mm: Floats) -> float:
+    """The end of the colours: the largest clearance, in tens of mm."""
+    return 10 * float(np.ceil(np.nanmax(clearance_mm, initial=1.0) / 10))

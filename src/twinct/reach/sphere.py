@@ -77,6 +77,21 @@ def poses_of(
     return Poses.of(geometry.source_poses(), geometry.detector_poses())
 
 
+def check_asked(directions: int, sod_mm: Sequence[float], odd_mm: float) -> None:
+    """Look at what is asked for before any work.
+
+    Raises:
+        InputError: no direction, no radius, or one that is none.
+    """
+    problems = [] if directions >= 1 else [f"directions: {directions}: at least 1 is needed"]
+    problems += [] if len(sod_mm) else ["radii: at least one is needed"]
+    for name, value in (*(("radii", sod) for sod in sod_mm), ("odd", odd_mm)):
+        if not (np.isfinite(value) and value > 0):
+            problems.append(f"{name}: {value:g} mm: a distance must be positive")
+    if problems:
+        raise InputError(problems)
+
+
 def reach(
     cell: CellModel,
     motion: Motion,
@@ -109,10 +124,7 @@ def reach(
         MissingExtraError: mink, or OMPL where ways are sought, is not installed.
     """
     radii = np.array(sod_mm, dtype=np.float64)
-    if directions < 1:
-        raise InputError(f"directions: {directions}: at least 1 is needed")
-    if not radii.size or not (np.isfinite(radii) & (radii > 0)).all() or not odd_mm > 0:
-        raise InputError(f"radii: {radii.tolist()} and {odd_mm} mm: they must be positive")
+    check_asked(directions, radii.tolist(), odd_mm)
     centre = np.zeros(3) if isocentre_mm is None else np.array(isocentre_mm, dtype=np.float64)
     towards = fibonacci_directions(directions)
     holder = Holder(cell, motion, seed=seed)

@@ -47,6 +47,9 @@ from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
 from twinct.views import JointSample, PosePairs, Reached, Target
 
+KEPT = 100
+"""Answers to a running scan's targets that are told again when one is repeated."""
+
 TICK_S = 0.02
 """Simulated time from one message of the clock to the next, at most."""
 
@@ -199,7 +202,9 @@ class RobotsNode:
         """Make the endpoints; from now on targets are executed."""
         self._robots, self._turns, self._members = robots, turns, members
         # A refusal of the robots is an answer too: it is not tried again.
-        self._ledger: Ledger[Stamp, Target, Reached | RefusedError] = Ledger()
+        self._ledger: Ledger[Stamp, Target, Reached | RefusedError] = Ledger(
+            keep=None if turns is None else KEPT
+        )
         self._station, self._diagnostics = station, diagnostics
         self._clock_s: float | None = None
         self._clock = station.publisher(CLOCK)
@@ -337,7 +342,8 @@ class RobotsNode:
             "target": describe(message),
             "asked_by": sender.participant,
         }
-        self._diagnostics.refuse(stamp, f"target refused: {refused}", values)
+        name = stamp if view is None else f"of view {view}"
+        self._diagnostics.refuse(stamp, f"target {name} refused: {refused}", values)
 
 
 def describe(message: PoseArray) -> str:

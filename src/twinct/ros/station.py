@@ -89,13 +89,18 @@ class Station:
         depth: int = 20,
         latched: bool = True,
         raw: bool = False,
+        mismatch_told: bool = True,
     ) -> Subscription:
         """Hear those who publish reliably and, where latched, what they said before.
 
-        The callback gets a message and its ``Sender``; a ``Raw`` message if asked for.
+        The callback gets a message and its ``Sender``; a ``Raw`` message if asked for. Publishers
+        that it cannot hear are told on the console, unless another subscription hears them.
         """
         hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
-        events = SubscriptionEventCallbacks(matched=lambda _: None)
+        events = SubscriptionEventCallbacks(
+            matched=lambda _: None,
+            incompatible_qos=None if mismatch_told else lambda _: None,
+        )
         qos = _qos(max(depth, topic.depth), latched=latched)
         kind, name = topic.kind, topic.name
         return self._node.create_subscription(
@@ -119,7 +124,10 @@ class Station:
                 callback(message, sender)
 
         both = (True, False)
-        return [self.listen(topic, once, depth=depth, latched=latched) for latched in both]
+        return [
+            self.listen(topic, once, depth=depth, latched=latched, mismatch_told=not latched)
+            for latched in both
+        ]
 
     def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
         """Answer requests, inside ``wait``: the callback gets a request and an empty response."""
