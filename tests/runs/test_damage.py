@@ -101,6 +101,26 @@ def test_no_file_in_the_place_of_one_is_damage_that_is_mended(path: Path, finish
     assert (path / "transmission/c.3.0.0").is_file()
 
 
+def test_manifests_of_two_views_exchanged_are_told(path: Path, finished: Run) -> None:
+    """Each tells of whole files, but not of its own view's."""
+    one, other = path / "manifest/views/c.1.0", path / "manifest/views/c.5.0"
+    first, second = one.read_bytes(), other.read_bytes()
+    one.write_bytes(second)
+    other.write_bytes(first)
+    told = verify(path).problems
+    for view in (1, 5):
+        assert any(f"view {view}, manifest/views: changed" in words for words in told)
+    ScanStore.resume(path, finished.scenario)
+    assert not one.exists() and not other.exists()
+
+
+def test_a_folder_in_a_status_place_is_damage(path: Path) -> None:
+    (path / "status/c.3").unlink()
+    (path / "status/c.3").mkdir()
+    with pytest.raises(DamagedError, match="view 3, status: changed"):
+        ScanStore(path).read()
+
+
 def test_a_folder_in_the_way_is_left_to_whoever_made_it(path: Path, finished: Run) -> None:
     (path / STATE).unlink()
     (path / STATE).mkdir()

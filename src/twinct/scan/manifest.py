@@ -150,9 +150,12 @@ def read_row(path: Path, view: int) -> dict[str, str]:
     """Digests of a view's files.
 
     Raises:
-        DamagedError: they are damaged themselves.
+        DamagedError: they are damaged themselves, or another view's.
     """
-    return _read_sealed(path, row_file(view), view)
+    row = _read_sealed(path, row_file(view), view)
+    if any(view_of(file) != view for file in row if file != ROOT):
+        raise damaged(path, Damage(row_file(view), "changed", view))
+    return row
 
 
 def _read_sealed(path: Path, file: str, view: int | None) -> dict[str, str]:

@@ -226,9 +226,12 @@ class ScanStore:
             return False
         except OSError:
             raise damaged(self.path, Damage(file, "changed", view)) from None
-        with open(descriptor, "rb") as chunk, suppress(OSError):
-            if chunk.read(len(ACQUIRED) + 1) == ACQUIRED:
-                return True
+        try:
+            with suppress(OSError):  # such as of a folder
+                if os.read(descriptor, len(ACQUIRED) + 1) == ACQUIRED:
+                    return True
+        finally:
+            os.close(descriptor)
         raise damaged(self.path, Damage(file, "changed", view))
 
     @property
