@@ -54,11 +54,13 @@ def screws(scenario: Scenario) -> list[Any]:
     return [part for part in scenario.specimen.parts if part.material == "titanium"]
 
 
-def away(part: Any, rng: np.random.Generator) -> dict[str, Any]:
+def away(
+    part: Any, rng: np.random.Generator, off_mm: float = OFF_MM, off_deg: float = OFF_DEG
+) -> dict[str, Any]:
     """A believed place that is off in a random direction, about an axis across the screw."""
     shift, turn = rng.normal(size=3), np.append(rng.normal(size=2), 0.0)
     twist = np.append(
-        OFF_MM * shift / np.linalg.norm(shift), np.radians(OFF_DEG) * turn / np.linalg.norm(turn)
+        off_mm * shift / np.linalg.norm(shift), np.radians(off_deg) * turn / np.linalg.norm(turn)
     )
     pose = part.specimen_from_part
     turned = Rotation.from_quat(pose.quat) * Rotation.from_rotvec(twist[3:])

@@ -94,6 +94,13 @@ def test_metal_is_seen_past(file: Path, tmp_path: Path) -> None:
     assert told["planned"] < 0.3 * told["spread_evenly"]
 
 
+def test_metal_is_seen_across(file: Path, tmp_path: Path) -> None:
+    """The pin stands upright: rays along it are 40 mm long in it, those across 4 mm at most."""
+    plan_views(file, tmp_path / "out", ["task.metal={parts: [pin], weight: 5, rays: metal}"])
+    told = figures(tmp_path / "out")["metal"]
+    assert 2 < told["planned"] < min(4, told["spread_evenly"])
+
+
 def test_dose_keeps_its_limit(file: Path, tmp_path: Path) -> None:
     dose = "task.dose={part: lens, weight: 0, at_most_rel: 0.5}"
     plan_views(file, tmp_path / "out", [dose])

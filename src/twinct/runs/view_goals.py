@@ -228,6 +228,9 @@ def _metal(patient: Patient, section: MetalGoal, geometry: ScanGeometry, points:
     for name in section.parts:
         mesh = patient.part(name).mesh
         metal.append((Body(mesh.vertices, mesh.faces), place))
+    if section.rays == "metal":
+        seed = patient.workshop.scenario.seed
+        points = np.vstack([patient.points_of(name, seed) for name in section.parts])
     lengths = metal_paths(geometry.binned(*factors), metal, points)
     return np.nan_to_num(lengths, nan=float(np.nanmax(lengths)))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -43,10 +43,15 @@ class DetectabilityGoal(Section):
 
 
 class MetalGoal(Section):
-    """Length in metal of the rays through the region: less is better."""
+    """Length in metal of some rays: less is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
     parts: tuple[str, ...] = Field(min_length=1, description="Names of the parts of metal.")
+    rays: Literal["region", "metal"] = setting(
+        "region",
+        "Whose rays: those through the region, or through the metal itself, where what lies about "
+        "it is looked for.",
+    )
     at_most_rel: AtMost | None = setting(None, _LIMIT, unit="1")
 
 
