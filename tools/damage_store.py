@@ -21,11 +21,8 @@ store keeps, the others to one of a gantry.
 """
 
 import argparse
-import contextlib
 import hashlib
-import json
 import logging
-import os
 import random
 import shutil
 import sys
@@ -36,11 +33,12 @@ import traceback
 from collections import Counter, defaultdict
 from pathlib import Path
 
+from store_damages import KINDS, contents, differ, restore
+
 from twinct import run
 from twinct.errors import InputError
 from twinct.runs import verify
 from twinct.scan import ScanStore
-from twinct.scan.manifest import FRAME_FILE, sealed, unsealed
 from twinct.scenario import load_scenario
 
 ROOT = Path(__file__).parents[1]
@@ -52,193 +50,6 @@ KEYS = [
     "reconstruction.iterations=2",
 ]
 SCENARIOS = {"gantry": "circle_gantry.yaml", "arms": "demo.yaml"}
-VALUES = [None, 0, 1, -1, 99, 10**12, 0.5, 1e308, "", "x", "NaN", [], [1], {}, True, "f8", "10"]
-STRANGERS = [".DS_Store", "notes.txt", "zarr.json~", ".zarr.json.swp", "c.10.0.0", "c", "deep/er/x"]
-
-
-def contents(path):
-    """Everything below a folder: bytes of files, and of what else there is its kind."""
-    return {str(p.relative_to(path)): what(p) for p in sorted(path.rglob("*"))}
-
-
-def what(path):
-    """Bytes of a file, or of the one that it leads to; the name of any other kind."""
-    if path.is_file():
-        return path.read_bytes()
-    if path.is_symlink():
-        return f"link to {os.readlink(path)}"
-    return "folder" if path.is_dir() else "special"
-
-
-def files(path):
-    """Names of a store's files. Half of all damage goes to the few that are of no view."""
-    return [str(p.relative_to(path)) for p in sorted(path.rglob("*")) if p.is_file()]
-
-
-def drawn(rng, path, of=""):
-    """A file of the store."""
-    names = [name for name in files(path) if of in name and (path / name).stat().st_size]
-    few = [name for name in names if "/c." not in name]
-    return path / rng.choice(few if few and rng.random() < 0.5 else names)
-
-
-def bit(rng, path):
-    """One bit of a file."""
-    file = drawn(rng, path)
-    data = bytearray(file.read_bytes())
-    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-    file.write_bytes(data)
-
-
-def bytes_(rng, path):
-    """Some bytes of a file, next to each other."""
-    file = drawn(rng, path)
-    data = bytearray(file.read_bytes())
-    first = rng.randrange(len(data))
-    last = min(len(data), first + rng.choice([1, 8, 64, 4096]))
-    data[first:last] = rng.randbytes(last - first)
-    file.write_bytes(data)
-
-
-def cut(rng, path):
-    """The end of a file lost, or all of it."""
-    file = drawn(rng, path)
-    file.write_bytes(file.read_bytes()[: rng.choice([0, rng.randrange(file.stat().st_size)])])
-
-
-def grown(rng, path):
-    """Bytes behind a file's end."""
-    file = drawn(rng, path)
-    file.write_bytes(file.read_bytes() + rng.choice([b"\0", b" ", b"\n", rng.randbytes(50)]))
-
-
-def missing(rng, path):
-    """A file that is gone."""
-    drawn(rng, path).unlink()
-
-
-def folder_missing(rng, path):
-    """A folder that is gone, with all in it."""
-    shutil.rmtree(rng.choice([p for p in sorted(path.rglob("*")) if p.is_dir()]))
-
-
-def exchanged(rng, path):
-    """Two files that have each other's place, those of one array more often."""
-    one = drawn(rng, path)
-    alike = [p for p in one.parent.iterdir() if p.is_file() and p != one]
-    other = rng.choice(alike) if alike and rng.random() < 0.7 else drawn(rng, path)
-    a, b = one.read_bytes(), other.read_bytes()
-    one.write_bytes(b)
-    other.write_bytes(a)
-
-
-def copied(rng, path):
-    """A file over another."""
-    one, other = drawn(rng, path), drawn(rng, path)
-    other.write_bytes(one.read_bytes())
-
-
-def other_kind(rng, path):
-    """A folder, a link, a pipe or nothing readable in a file's place; a file in a folder's."""
-    file = drawn(rng, path)
-    kind = rng.choice(["folder", "link", "dangling", "loop", "pipe", "file"])
-    if kind == "file":
-        folder = rng.choice([p for p in sorted(path.rglob("*")) if p.is_dir()])
-        shutil.rmtree(folder)
-        folder.write_bytes(b"no folder")
-        return
-    file.unlink()
-    if kind == "folder":
-        file.mkdir()
-    elif kind == "pipe":
-        os.mkfifo(file)
-    else:
-        targets = {"link": drawn(rng, path), "dangling": path / "nothing", "loop": file}
-        file.symlink_to(targets[kind])
-
-
-def metadata(rng, path):
-    """One value in the metadata of the store or an array."""
-    file = rng.choice([path / "zarr.json", drawn(rng, path, "zarr.json")])
-    told = json.loads(file.read_text())
-    if file.parent == path and rng.random() < 0.3:  # within the scenario
-        inner = json.loads(told["attributes"]["scenario"])
-        change(rng, inner)
-        told["attributes"]["scenario"] = json.dumps(inner)
-    else:
-        change(rng, told)
-    file.write_text(json.dumps(told, indent=2))
-
-
-def change(rng, told):
-    """Another value in nested mappings and lists: changed, left out or added."""
-    place, key = told, rng.choice(sorted(told))
-    while isinstance(place[key], dict | list) and place[key] and rng.random() < 0.8:
-        place = place[key]
-        key = rng.choice(sorted(place)) if isinstance(place, dict) else rng.randrange(len(place))
-    kind = rng.random()
-    if kind < 0.25:
-        del place[key]
-    elif kind < 0.35 and isinstance(place, dict):
-        place["surplus"] = rng.choice(VALUES)
-    else:
-        place[key] = rng.choice(VALUES)
-
-
-def resealed(rng, path):
-    """Metadata with another value, and a manifest that knows no better."""
-    metadata(rng, path)
-    if not (path / FRAME_FILE).exists():
-        return
-    known = unsealed((path / FRAME_FILE).read_bytes())
-    now = {name: hashlib.sha256((path / name).read_bytes()).hexdigest() for name in known}
-    (path / FRAME_FILE).write_bytes(sealed(now))
-
-
-def added(rng, path):
-    """A file, a folder or something else that is none of the store's."""
-    folders = [path, *(p for p in sorted(path.rglob("*")) if p.is_dir())]
-    file = rng.choice(folders) / rng.choice(STRANGERS)
-    if file.exists():
-        file = file.with_name("c.77")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    kind = rng.choice(["file", "file", "empty", "folder", "link", "pipe"])
-    if kind == "folder":
-        file.mkdir()
-    elif kind == "link":
-        file.symlink_to("/etc/hostname")
-    elif kind == "pipe":
-        os.mkfifo(file)
-    else:
-        file.write_bytes(b"" if kind == "empty" else rng.randbytes(100))
-
-
-KINDS = {
-    **{"bit": bit, "bytes": bytes_, "cut": cut, "grown": grown, "missing": missing},
-    **{"folder": folder_missing, "exchanged": exchanged, "copied": copied},
-    **{"other kind": other_kind, "metadata": metadata, "resealed": resealed, "added": added},
-}
-
-
-def restore(path, kept):
-    """Put everything back as it was, with no trust in what is there."""
-    for link in [p for p in path.rglob("*") if p.is_symlink()]:
-        link.unlink()
-    now = contents(path) if path.is_dir() and not path.is_symlink() else {}
-    if not now:
-        with contextlib.suppress(OSError):
-            path.unlink()
-        path.mkdir(exist_ok=True)
-    for name in sorted(now, reverse=True):
-        if kept.get(name) != now[name]:
-            there = path / name
-            shutil.rmtree(there) if now[name] == "folder" else there.unlink(missing_ok=True)
-    for name, data in kept.items():
-        there = path / name
-        if data == "folder":
-            there.mkdir(exist_ok=True)
-        elif not there.exists():
-            there.write_bytes(data)
 
 
 class Trials:
@@ -335,12 +146,6 @@ class Trials:
         for there in self.folder.iterdir():
             if there.name not in self.beside:
                 shutil.rmtree(there) if there.is_dir() else there.unlink()
-
-
-def differ(one, other):
-    """Names of what differs."""
-    names = [n for n in sorted(one.keys() | other.keys()) if one.get(n) != other.get(n)]
-    return ", ".join(names[:4])
 
 
 def main():

@@ -1,7 +1,9 @@
 """Scans rebuilt from their recordings, whole, in parts, damaged, and of other tools."""
 
 import filecmp
+import struct
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -9,6 +11,8 @@ from mcap.writer import Writer
 from twinct.cli import run_command
 from twinct.errors import InputError, ScanExistsError
 from twinct.record import Recorded
+from twinct.record.bag import Bag
+from twinct.record.topics import IMAGE, JOINTS, REACHED, STATE
 from twinct.runs import import_scan
 from twinct.scan import ScanStore
 from twinct.scenario import load_scenario
@@ -144,3 +148,46 @@ def test_the_command_names_what_is_missing(taken, tmp_path, capsys):
     assert run_command(["import", str(tmp_path / "none.mcap"), "--out", str(tmp_path / "no")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "no").exists()
+
+
+def otherwise(bag, path, changes, *, files=True):
+    """A recording some of whose messages, or files, are others: by topic or name."""
+    with bag.open("rb") as source:
+        reader = make_reader(source)
+        told = Bag(path, 4096)
+        for note in reader.iter_metadata() if files else ():
+            told.note(note.name, note.metadata)
+        for file in reader.iter_attachments() if files else ():
+            told.attach(file.name, changes.get(file.name, lambda data: data)(file.data))
+        for number, (schema, channel, message) in enumerate(reader.iter_messages()):
+            data = changes.get(channel.topic, lambda data: data)(message.data)
+            at = message.log_time
+            told.write_raw(channel.topic, schema.name, data, at, at, number)
+        told.close()
+    return path
+
+
+def last_number(value):
+    """Another number at a message's end."""
+    return lambda data: data[:-8] + struct.pack("<d", value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "files", "why"),
+    [
+        ({JOINTS: last_number(np.nan)}, True, "effort on /joint_states: not a finite number"),
+        ({STATE: last_number(np.inf)}, True, "/scan/state holds a number that is not finite"),
+        ({REACHED: last_number(7.0)}, True, "not a unit quaternion"),
+        ({JOINTS: last_number(np.nan)}, False, "effort on /joint_states: not a finite number"),
+        ({IMAGE: lambda data: data[:-4] + b"\xff" * 4}, True, "/xray/image: a pixel is not finite"),
+        ({"scenario.json": lambda data: b"[" * 9}, True, "scenario.json: no JSON"),
+    ],
+)
+def test_messages_that_no_scan_says_are_told_and_nothing_is_left(
+    taken, tmp_path, changes, files, why
+):
+    """Found by tools/fuzz messages."""
+    bag = otherwise(taken.folder / "scan.mcap", tmp_path / "x.mcap", changes, files=files)
+    with pytest.raises(InputError, match=why):
+        import_scan([bag], tmp_path / "out")
+    assert not (tmp_path / "out" / "scan.zarr").exists()

@@ -118,6 +118,7 @@ def test_what_is_no_image_of_the_panel_is_refused(spoil, reason):
         (lambda m: spoilt(m, data=[]), "data has 0 numbers, expected 46"),
         (lambda m: spoilt(m, data=m.data[:-1]), "data has 45 numbers, expected 46"),
         (lambda m: spoilt(m, data=[np.nan, *m.data[1:]]), "data holds numbers that are not finite"),
+        (lambda m: m.layout.__setattr__("dim", []) or m, "no simulator state"),
         (lambda m: m.layout.dim[0].__setattr__("size", 0) or spoilt(m, data=m.data[:3]), "no sim"),
     ],
 )

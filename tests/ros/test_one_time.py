@@ -1,8 +1,11 @@
 """All that a scan tells stands on one axis of time, and what has a stamp is known by it."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
+from twinct.errors import TwinctError
 from twinct.gantry import Gantry
 from twinct.geometry import Pose
 from twinct.ros import messages
@@ -168,3 +171,16 @@ def test_two_robots_nodes_have_each_a_clock_of_their_own(xray, targets, said):
     assert imager.views == [3_000_000_007] * 2 and len(said.of(IMAGE)) == 3
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[1]), SOMEBODY)
     assert "used before with other poses" in said.refused[0][1]
+
+
+def test_a_time_before_all_time_keys_no_noise_and_is_refused(xray, targets, said):
+    xray(None)
+    said.hears[REACHED](poses_at(Stamp(-5, 7), targets[0]), SOMEBODY)
+    assert not said.of(IMAGE) and "negative" in said.refused[0][1]
+
+
+def test_what_cannot_be_imaged_is_refused_and_ends_nothing(xray, targets, said):
+    imager = xray(None)
+    imager.expose = Mock(side_effect=TwinctError("the source is inside the specimen"))
+    said.hears[REACHED](poses_at(Stamp(3, 7), targets[0]), SOMEBODY)
+    assert not said.of(IMAGE) and "inside the specimen" in said.refused[0][1]

@@ -63,7 +63,11 @@ def _one_pose_less(got: dict) -> None:
     got[COMMANDED].poses = got[COMMANDED].poses[:-1]
 
 
-@pytest.mark.parametrize("change", [_turn, _other_view, _no_such_point, _one_pose_less])
+def _no_digest(got: dict) -> None:
+    got[PLAN_VIEWS].status[0].values[0].key = "other"
+
+
+@pytest.mark.parametrize("change", [_no_digest, _turn, _other_view, _no_such_point, _one_pose_less])
 def test_a_plan_that_was_changed_on_the_way_is_refused(
     plan: MotionPlan, change: Callable[[dict], None]
 ) -> None:

@@ -11,6 +11,7 @@ from std_msgs.msg import Float64MultiArray
 from twinct.errors import LinkError
 from twinct.ros import RosRig, messages
 from twinct.ros.messages import Stamp
+from twinct.ros.node import Diagnostics
 from twinct.ros.senders import Members
 from twinct.ros.station import Station
 from twinct.ros.topics import IMAGE, JOINTS, REACHED, STATE, VIEWS
@@ -41,7 +42,27 @@ def test_a_message_tells_who_sent_it_whatever_its_node_is_called(domain, tmp_pat
         assert len({sender for _, sender in heard}) == 3
         assert one.participant != other.participant == heard[1][1].participant
         # The name is discovered later than the endpoint.
-        assert listener.wait(lambda: "'robots'" in listener.name_of(STATE, heard[1][1]), 20)
+        assert listener.wait(lambda: "'robots'" in listener.name_of(STATE.name, heard[1][1]), 20)
+
+
+def test_bytes_that_are_no_message_are_told_once_and_end_nothing(domain):
+    """Found by tools/fuzz messages: whoever was on the domain could end a node so."""
+    heard, told = [], []
+    with (
+        closing(Station("listener", domain)) as listener,
+        closing(Station("stranger", domain)) as stranger,
+    ):
+        said = Diagnostics(listener, told.append)
+        listener.listen(STATE, lambda m, s: heard.append(m.data[0]))
+        out = stranger.publisher(STATE)
+        assert stranger.wait(out.get_subscription_count, 20)
+        for data in (b"", b"\0\1\0\0\xff\xff\xff\xff", b"\0\1\0\0"):
+            out.publish(data)
+        out.publish(Float64MultiArray(data=[3.0]))
+        assert listener.wait(lambda: heard, 20)
+    assert heard == [3.0]
+    assert told == list(said.strangers.values()) and len(told) == 1
+    assert f"no message of the type of {STATE.name}" in told[0]
 
 
 class Forger:

@@ -110,6 +110,16 @@ def test_a_run_goes_on_with_a_damaged_store_and_mends_it(
     figure(f"{len(hit)} damages at once, {10 - len(whole)} of 10 views: equal bytes")
 
 
+def test_a_finished_run_whose_last_view_is_lost_is_not_complete(
+    folder: Path, finished: Run
+) -> None:
+    path = folder / "scan.zarr"
+    store = contents(path)
+    (path / "status" / "c.9").unlink()  # no damage: as if it had never been taken
+    run(finished.scenario, folder, link="local", resume=True)
+    assert contents(path) == store
+
+
 class Counted:
     """A factory of rigs that notes what is taken."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +16,9 @@ import zarr
 
 from twinct.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
-from twinct.scan import ScanStore, View, check_space
+from twinct.scan import ScanStore, View, check_space, view_damage
 from twinct.scan import store as store_module
+from twinct.scan.manifest import CheckedStore
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
 from twinct.uncertainty import believed_poses
@@ -42,11 +44,11 @@ def commanded(scenario: Scenario) -> PosePairs:
 def view(index: int, *, instants: bool = False) -> View:
     rng = np.random.default_rng(index)
 
-    def pose() -> Pose:
-        return Pose.from_euler(rng.normal(size=3), rng.uniform(-180, 180, 3))
+    def pose(z_mm: float = 0.0) -> Pose:
+        return Pose.from_euler(rng.normal(size=3) + (0, 0, z_mm), rng.uniform(-40, 40, 3))
 
-    def instant() -> Instant:
-        return Instant(to_seven(pose()), to_seven(pose()), to_seven(pose()))
+    def instant() -> Instant:  # the source before the panel
+        return Instant(to_seven(pose(500.0)), to_seven(pose()), to_seven(pose()))
 
     reached = Reached(
         executed=instant(),
@@ -262,3 +264,43 @@ def test_what_is_believed_is_no_part_of_a_scan(tmp_path, scenario, commanded) ->
     for other in ({"name": "other"}, {"seed": 77}):
         assert ScanStore.resume(path, scenario.model_copy(update=other)).acquired == 2
     assert not (path / "believed").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "what"),
+    [
+        ("transmission", np.nan, "transmission of view 3 is not finite"),
+        ("joints", np.inf, "joints of view 3 is not finite"),
+        ("clearance_mm", -np.inf, "clearance_mm of view 3 is not finite"),
+        ("executed/source", np.nan, "executed/source of view 3 is not finite"),
+        ("executed/source", (0, 0, -500), "view 3 points away from the source"),
+    ],
+)
+def test_values_that_no_scan_has_are_named_whoever_vouches_for_them(
+    tmp_path, scenario, commanded, monkeypatch, name, values, what
+) -> None:
+    """Found by tools/fuzz stores: damage with digests made anew, or from before there were any."""
+    path = tmp_path / "s.zarr"
+    fill(path, scenario, commanded, range(VIEWS)).read()
+    monkeypatch.setattr(CheckedStore, "_check", lambda *_: None)
+    zarr.open_array(str(path / name), mode="r+")[3] = values
+    with pytest.raises(InputError, match=f"s.zarr: .*{what}"):
+        ScanStore(path).read()
+
+
+def test_metadata_without_end_are_told(tmp_path, scenario, commanded) -> None:
+    path = tmp_path / "s.zarr"
+    fill(path, scenario, commanded, range(1))
+    monstrous = path / "raw"
+    monstrous.mkdir()
+    (monstrous / "zarr.json").write_text('{"zarr_format": ' + "1" * 5000)
+    with pytest.raises(InputError, match=r"cannot be read: Exceeds the limit"):
+        ScanStore(path)
+
+
+def test_a_pipe_in_a_store_without_digests_is_not_waited_for(tmp_path) -> None:
+    for name in ("status", "joints"):
+        (tmp_path / name).mkdir()
+        os.mkfifo(tmp_path / name / "zarr.json")
+    (tmp_path / "status" / "c.0").write_bytes(b"\1")
+    assert view_damage(tmp_path) == []

@@ -20,7 +20,10 @@ from pathlib import Path
 
 from driver import fuzz
 
-KINDS = {"scenarios": "scenario_files", "bodies": "bodies", "files": "input_files"}
+KINDS = {
+    **{"scenarios": "scenario_files", "bodies": "bodies", "files": "input_files"},
+    **{"stores": "store_files", "messages": "message_fields"},
+}
 """Each is a module beside this one, which has a class ``Kind``."""
 
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-START_SECONDS = 120.0
-"""In which a worker has its libraries and its material."""
+START_SECONDS = 400.0
+"""In which a worker has its libraries and its material, which may be scans to be made."""
 
 GRACE = 10.0
 """Times as long by the clock, on a busy machine, and a worker hangs and is ended."""

@@ -29,6 +29,7 @@ FRESH_BYTES = 64 * 2**20
 def main() -> None:
     """Serve until the input ends."""
     name, seed, place, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]), Path(sys.argv[4])
+    sys.path.append(str(Path(__file__).parents[1]))  # what other trials share
     answers = _own_output(place / "worker.log")
     material = place / "material"
     material.mkdir(parents=True, exist_ok=True)

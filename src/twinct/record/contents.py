@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from mcap.records import Attachment
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
+from twinct.record.messages import NANO
 from twinct.record.reading import Recording, Said, instant_of
 from twinct.record.recorder import FORMAT
 from twinct.record.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
@@ -75,6 +77,8 @@ class Contents:
                 f"{path}: a recording of format {facts.get('format')!r}; this twinct reads "
                 f"{FORMAT!r}: a newer one may read it"
             )
+        if "images" not in facts:
+            raise InputError(f"{path}: it does not tell which scan it is of")
         if self.facts and facts["images"] != self.facts["images"]:
             raise InputError(f"{path} is of another scan than {self.recordings[0].path}")
         self.facts = self.facts or facts
@@ -109,24 +113,47 @@ class Contents:
         Args:
             stamp: in ns.
             samples: the scenario's ``source.motion_samples``.
+
+        Raises:
+            InputError: a message is not what its topic carries.
         """
         poses, joints, state = (self.at(topic, stamp) for topic in (REACHED, JOINTS, STATE))
         if poses is None or joints is None or state is None:
             return None
-        instants = [instant_of(poses.poses[i : i + 3]) for i in range(0, len(poses.poses), 3)]
-        numbers, open_ = np.array(state.data), samples if samples > 1 else 0
-        return Reached(
-            executed=instants[0],
-            joint_names=tuple(joints.name),
-            position=np.array(joints.position),
-            velocity=np.array(joints.velocity),
-            effort=np.array(joints.effort),
-            state=numbers[state.layout.data_offset :],
-            time_s=float(numbers[0]),
-            clearance_mm=float(numbers[1]),
-            exposure=tuple(instants[1 : 1 + open_]),
-            before=next(iter(instants[1 + open_ :]), None),
-        )
+        with self.message_of(stamp):
+            open_ = samples if samples > 1 else 0
+            count = len(poses.poses)
+            if count not in (3 + 3 * open_, 6 + 3 * open_):
+                raise ValueError(f"{count} poses on {REACHED}")
+            instants = [instant_of(poses.poses[i : i + 3]) for i in range(0, count, 3)]
+            numbers = np.array(state.data)
+            reached = Reached(
+                executed=instants[0],
+                joint_names=tuple(joints.name),
+                position=np.array(joints.position),
+                velocity=np.array(joints.velocity),
+                effort=np.array(joints.effort),
+                state=numbers[state.layout.data_offset :],
+                time_s=float(numbers[0]),
+                clearance_mm=float(numbers[1]),
+                exposure=tuple(instants[1 : 1 + open_]),
+                before=next(iter(instants[1 + open_ :]), None),
+            )
+            return checked(reached)
+
+    @contextmanager
+    def message_of(self, stamp: int) -> Generator[None]:
+        """While the messages of a stamp are read: turns what is wrong with them into one message.
+
+        Raises:
+            InputError: naming recordings and stamp.
+        """
+        try:
+            yield
+        except (ValueError, LookupError, TypeError, ArithmeticError) as error:
+            sec, nanosec = divmod(stamp, NANO)
+            at = f"stamp {sec}.{nanosec:09d}"
+            raise InputError(f"{self.names}: messages of {at}: {error}") from None
 
     def images(self, stamps: Container[int]) -> Iterator[tuple[int, NDArray[np.float32]]]:
         """Images of these stamps, (rows, columns), each once.
@@ -143,6 +170,25 @@ class Contents:
                         yield stamp, _pixels(record.message)
 
 
+def checked(reached: Reached) -> Reached:
+    """The same, if it is of poses and of finite numbers, and of as many of each joint.
+
+    Raises:
+        ValueError: it is not.
+    """
+    before = () if reached.before is None else (reached.before,)
+    for instant in (reached.executed, *reached.exposure, *before):
+        _ = instant.source, instant.object, instant.detector
+    joints, state = len(reached.joint_names), reached.state
+    for name in ("position", "velocity", "effort"):
+        numbers = getattr(reached, name)
+        if len(numbers) != joints or not np.isfinite(numbers).all():
+            raise ValueError(f"{name} on {JOINTS}: not a finite number for each of {joints} joints")
+    if not np.isfinite([*state, reached.time_s]).all() or np.isinf(reached.clearance_mm):
+        raise ValueError(f"{STATE} holds a number that is not finite")
+    return reached
+
+
 def _pixels(message: Any) -> NDArray[np.float32]:
     rows, columns = message.height, message.width
     if message.encoding != "32FC1" or len(message.data) != 4 * rows * columns:
@@ -151,4 +197,6 @@ def _pixels(message: Any) -> NDArray[np.float32]:
             "single floats (32FC1) without gaps are read"
         )
     pixels = np.frombuffer(message.data, ">f4" if message.is_bigendian else "<f4")
+    if not np.isfinite(pixels).all():
+        raise InputError(f"{IMAGE}: a pixel is not finite")
     return pixels.reshape(rows, columns).astype(np.float32)

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twinct.errors import InputError
-from twinct.geometry import Panel
-from twinct.record.contents import Contents
+from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.record.contents import Contents, checked
 from twinct.record.messages import NANO
 from twinct.record.reading import instant_of, seven_of
 from twinct.record.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
@@ -44,7 +44,7 @@ def foreign_scan(contents: Contents, views_file: Path) -> Foreign:
         views_file: that the scenario shall take its views from.
 
     Raises:
-        InputError: there are no poses, no cameras or no images.
+        InputError: there are no poses, no cameras or no images, or some that cannot be.
     """
     needed = {topic: contents.said[topic] for topic in (REACHED, CAMERA)} | {IMAGE: contents.imaged}
     if lacking := [topic for topic, stamps in needed.items() if not stamps]:
@@ -55,12 +55,21 @@ def foreign_scan(contents: Contents, views_file: Path) -> Foreign:
         )
     stamps = sorted(contents.said[REACHED])
     whole = [stamp for stamp in stamps if stamp in contents.imaged]
-    instants = {stamp: instant_of(contents.at(REACHED, stamp).poses) for stamp in whole}
-    targets = [_target(contents, stamp, instants[stamp]) for stamp in whole]
+    instants: dict[int, Instant] = {}
+    poses: list[tuple[Pose, Pose]] = []
+    reached: dict[int, Reached] = {}
+    for stamp in whole:
+        with contents.message_of(stamp):
+            instants[stamp] = instant = instant_of(contents.at(REACHED, stamp).poses)
+            target = _target(contents, stamp, instant)
+            poses.append((target.source, target.detector))
+            for pair in (poses[-1], (instant.source, instant.detector)):
+                ScanGeometry.from_poses(*([pose] for pose in pair), Panel(1, 1, 1.0, 1.0))
+            reached[stamp] = checked(_reached(contents, stamp, instant))
     return Foreign(
         scenario=_scenario(contents, instants, views_file),
-        commanded=PosePairs(tuple(t.source for t in targets), tuple(t.detector for t in targets)),
-        reached={stamp: _reached(contents, stamp, instants[stamp]) for stamp in whole},
+        commanded=PosePairs(tuple(s for s, _ in poses), tuple(d for _, d in poses)),
+        reached=reached,
         views={stamp: view for view, stamp in enumerate(whole)},
         missing=tuple(n for n, stamp in enumerate(stamps) if stamp not in contents.imaged),
     )
@@ -97,13 +106,10 @@ def _scenario(contents: Contents, instants: dict[int, Instant], views_file: Path
     if stamp is None:
         raise InputError(f"{contents.names}: no message of {CAMERA} has a stamp of {REACHED}")
     camera = contents.at(CAMERA, stamp)
-    rough = Panel(camera.height, camera.width, 1.0, 1.0)
-    try:
-        geometry, _ = instants[stamp].placed(rough)
-    except ValueError as error:
-        raise InputError(f"{contents.names}: {REACHED}: {error}") from None
-    sdd = float(geometry.sdd[0])
-    pitch = [round(sdd / abs(focal), 9) for focal in (camera.k[0], camera.k[4])]
+    with contents.message_of(stamp):
+        geometry, _ = instants[stamp].placed(Panel(camera.height, camera.width, 1.0, 1.0))
+        sdd = float(geometry.sdd[0])
+        pitch = [round(sdd / abs(float(focal)), 9) for focal in (camera.k[0], camera.k[4])]
     return parse_scenario(
         {
             "name": contents.recordings[0].path.stem,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinct.errors import InputError
+from twinct.files.plain_json import json_of
 from twinct.files.writing import storage_errors
 from twinct.record.contents import Contents
 from twinct.record.foreign import foreign_scan
@@ -120,7 +120,10 @@ def _own(contents: Contents) -> Recorded:
             f"{contents.names}: cut off before {' and '.join(sorted(missing))}, so there is "
             "nothing to import"
         )
-    scenario = parse_scenario(json.loads(contents.files[SCENARIO]))
+    try:
+        scenario = parse_scenario(json_of(contents.files[SCENARIO]))
+    except ValueError as error:
+        raise InputError(f"{contents.names}: {SCENARIO}: no JSON: {error}") from None
     with tempfile.TemporaryDirectory(prefix="twinct-") as name:
         folder = Path(name)
         for file in {COMMANDED, PLAN} & contents.files.keys():

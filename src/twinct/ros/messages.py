@@ -290,7 +290,7 @@ def checked_state(message: Float64MultiArray, *, arms: bool = True) -> Float64Mu
 
     Without ``arms`` its clearance may be NaN.
     """
-    size = list(message.layout.dim)[0].size
+    size = sum(dim.size for dim in list(message.layout.dim)[:1])
     if not size:
         raise MalformedError("no simulator state")
     numbers = np.array(message.data)

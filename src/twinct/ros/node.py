@@ -87,6 +87,7 @@ class Diagnostics:
         self.tell = tell
         self.strangers: dict[tuple[str, str], str] = {}
         self._publisher = station.publisher(DIAGNOSTICS)
+        station.on_garbled(self.garbled)
 
     def ready(self) -> None:
         """Say that the node is at work."""
@@ -99,12 +100,18 @@ class Diagnostics:
 
     def stranger(self, topic: Topic, sender: Sender) -> None:
         """Say, once, that what somebody sends on a topic is not of this scan and not used."""
-        if (key := (topic.name, sender.participant)) in self.strangers:
+        self._unused(topic.name, sender, ", not of this scan, speaks on")
+
+    def garbled(self, topic: str, sender: Sender) -> None:
+        """Say, once, that what somebody sends on a topic is no message of its type."""
+        self._unused(topic, sender, " says what is no message of the type of")
+
+    def _unused(self, topic: str, sender: Sender, does: str) -> None:
+        if (key := (topic, sender.participant)) in self.strangers:
             return
-        who = self._station.name_of(topic, sender)
-        text = f"{who}, not of this scan, speaks on {topic.name}: unused"
+        text = f"{self._station.name_of(topic, sender)}{does} {topic}: unused"
         self.strangers[key] = text
-        self._say(NO_STAMP, WARN, text, {"topic": topic.name, "publisher": sender.publisher})
+        self._say(NO_STAMP, WARN, text, {"topic": topic, "publisher": sender.publisher})
         self.tell(text)
 
     def _say(self, stamp: Stamp, level: bytes, text: str, values: dict[str, object]) -> None:

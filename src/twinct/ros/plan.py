@@ -62,6 +62,7 @@ def plan_of(got: dict[Topic, Any]) -> MotionPlan:
     points = got[PLAN].points
     try:
         values = messages.diagnostic_values(got[PLAN_VIEWS].status[0].values)
+        digest = values["digest"]
         waypoints = np.array(values["points"].split(), dtype=np.intp)
         since = [point.time_from_start for point in points]
         views = np.full(len(points), -1)
@@ -76,9 +77,9 @@ def plan_of(got: dict[Topic, Any]) -> MotionPlan:
             clearance_mm=np.full(len(targets), np.nan),
             nearest=(("", ""),) * len(targets),
         )
-    except (IndexError, KeyError, ValueError) as error:
+    except (LookupError, ValueError, OverflowError) as error:
         raise MalformedError(f"no plan: {error}") from None
-    if plan.digest != values["digest"]:
+    if plan.digest != digest:
         raise MalformedError("the plan is not the one that its digest tells of")
     return plan
 

@@ -259,7 +259,7 @@ class RobotsNode:
         if self._members is not None and not self._of_scan(sender):
             raise RefusedError(
                 "a scan is running and only it asks for its next view, not "
-                + self._station.name_of(TARGET, sender)
+                + self._station.name_of(TARGET.name, sender)
             )
 
     def _execute(self, stamp: Stamp, target: Target) -> Reached | RefusedError:

@@ -7,7 +7,7 @@ has both. So messages are taken there; the functions and structures are those of
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -119,7 +119,14 @@ class Raw(NamedTuple):
 
 
 class SenderExecutor(SingleThreadedExecutor):
-    """Calls subscriptions with the message, a ``Raw`` one if they are so, and its ``Sender``."""
+    """Calls subscriptions with the message, a ``Raw`` one if they are so, and its ``Sender``.
+
+    Attributes:
+        on_garbled: called with the name of a topic and the sender of bytes that are no message of
+            its type, which nobody else hears of: whoever is on the domain can send such.
+    """
+
+    on_garbled: Callable[[str, Sender], None] | None = None
 
     def _take_subscription(self, sub: Any) -> Any:
         origin, content, allocator = _Origin(), _Bytes(), _default_allocator()
@@ -135,12 +142,19 @@ class SenderExecutor(SingleThreadedExecutor):
         finally:
             _free(ctypes.byref(content))
         message: Any = Raw(data, origin.sent_ns, origin.received_ns)
-        if not sub.raw:
-            message = deserialize_message(data, sub.msg_type)
         sender = Sender(bytes(origin.publisher.data).hex(), origin.number)
+        garbled = False
+        if not sub.raw:
+            try:
+                message = deserialize_message(data, sub.msg_type)
+            except rclpy_implementation.RMWError:
+                garbled = True
 
         async def call() -> None:
-            sub.callback(message, sender)
+            if not garbled:
+                sub.callback(message, sender)
+            elif self.on_garbled is not None:
+                self.on_garbled(sub.topic_name, sender)
 
         return call
 

@@ -129,13 +129,17 @@ class Station:
             for latched in both
         ]
 
+    def on_garbled(self, tell: Callable[[str, Sender], None]) -> None:
+        """Call this with topic and sender of what comes in and is no message of its type."""
+        self._executor.on_garbled = tell
+
     def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
         """Answer requests, inside ``wait``: the callback gets a request and an empty response."""
         self._node.create_service(kind, service, callback)
 
-    def name_of(self, topic: Topic, sender: Sender) -> str:
+    def name_of(self, topic: str, sender: Sender) -> str:
         """What a node that publishes on a topic calls itself, as far as it is discovered."""
-        for info in self._node.get_publishers_info_by_topic(topic.name):
+        for info in self._node.get_publishers_info_by_topic(topic):
             known = info.node_name != "_NODE_NAME_UNKNOWN_"  # seen before its node was
             if known and participant(info.endpoint_gid) == sender.participant:
                 return f"a node {info.node_name!r}"

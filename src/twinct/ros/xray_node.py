@@ -10,6 +10,7 @@ from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
 from sensor_msgs.msg import TimeReference
 
+from twinct.errors import TwinctError
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.ros import messages
 from twinct.ros.messages import Epoch, Executed, MalformedError, Stamp
@@ -244,7 +245,12 @@ class XRayNode:
             raise MalformedError(str(error)) from None
         # What keys the noise: the view, or the time itself where there is no scan.
         index = stamp.sec * 1_000_000_000 + stamp.nanosec if view is None else view
-        image = self._imager.expose(path, index, last)
+        if index < 0:
+            raise MalformedError(f"header.stamp {stamp} is negative")
+        try:
+            image = self._imager.expose(path, index, last)
+        except TwinctError as error:  # such as a source inside the specimen
+            raise RefusedError(str(error)) from None
         answer = [
             messages.camera_message(stamp, geometry),
             messages.image_message(stamp, image),

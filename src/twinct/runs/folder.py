@@ -11,6 +11,7 @@ from typing import Any, cast
 
 from twinct.errors import InputError, ScanExistsError
 from twinct.files.below import Below, names_below
+from twinct.files.plain_json import read_json
 from twinct.files.plain_yaml import read_file, written
 from twinct.files.writing import check_folder, draft_of
 from twinct.record import recordings
@@ -140,7 +141,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
         InputError: they cannot be read; names the file.
     """
     try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
+        metrics = read_json(path)
         if not isinstance(metrics, dict):
             raise ValueError("no mapping of names to values")
     except (OSError, ValueError) as error:

@@ -124,7 +124,7 @@ def run(
     require_memory(scenario)
     check_geometries(scenario, folder.geometries if store else None)
     check_drawing()
-    if store and folder.finished(scenario) and not store.damage:
+    if store and folder.finished(scenario) and not store.missing and not store.damage:
         if not folder.measured(scenario):
             return _judged_again(finished_run(folder), scenario, observers)
         with audience_of(observers) as audience:

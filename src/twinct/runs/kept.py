@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy as np
 
 from twinct.errors import InputError
 from twinct.evaluate import ImageFigures
+from twinct.files.plain_json import read_json
 from twinct.files.writing import write_json
 from twinct.report import CrossSection, plain
 from twinct.volume import Volume
@@ -90,7 +90,7 @@ class Reconstruction:
     def write_figures(self, figures: ImageFigures) -> None:
         """Write others in place of its figures."""
         file = self.path / "reconstruction.json"
-        told = json.loads(file.read_text(encoding="utf-8"))
+        told = read_json(file)
         write_json(file, told | {"figures": plain(figures.as_dict())})
 
     @classmethod
@@ -101,7 +101,7 @@ class Reconstruction:
             InputError: it is no such folder, or damaged.
         """
         try:
-            told = json.loads((path / "reconstruction.json").read_text(encoding="utf-8"))
+            told = read_json(path / "reconstruction.json")
             if told.pop("format") != FORMAT:
                 raise ValueError(f"not of the format {FORMAT!r}")
             told.pop("files", None)
@@ -138,7 +138,7 @@ def check_files(path: Path) -> None:
         InputError: it cannot be read, or a file is not the one that was written.
     """
     found = Reconstruction.read(path)
-    told = json.loads((path / "reconstruction.json").read_text(encoding="utf-8"))
+    told = read_json(path / "reconstruction.json")
     for name, digest in told.get("files", {}).items():
         if not (path / name).is_file() or _digest(path / name) != digest:
             raise InputError(f"{path / name} is not the file of {found.name} that was written")

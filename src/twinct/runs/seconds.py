@@ -10,6 +10,7 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from twinct.files.plain_json import read_json
 from twinct.files.writing import write_text
 from twinct.scan import Stopwatch
 
@@ -66,7 +67,7 @@ class Seconds:
     def go_on(self) -> None:
         """Count from where an interrupted run of before stood."""
         with contextlib.suppress(OSError, ValueError):
-            self.before = json.loads(self.path.read_text(encoding="utf-8"))
+            self.before = read_json(self.path)
 
     def keep(self) -> None:
         """Write down what a resumed run goes on from."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError, ScanExistsError
+from twinct.files.plain_json import read_json
 from twinct.files.writing import write_json
 from twinct.planning import Searched
 from twinct.scenario import Scenario, stage_digests
@@ -79,7 +80,7 @@ class Journal:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return read_json(path)
     except ValueError as error:
         raise InputError(f"{path}: cannot be read: {error}: delete it to search anew") from None
 

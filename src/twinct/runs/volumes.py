@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.draws import view_rng
 from twinct.errors import InputError
+from twinct.files.plain_json import json_of
 from twinct.files.writing import complete, storage_errors
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.observers import Audience, IterationDone, Observers, audience_of
@@ -84,7 +85,8 @@ def reconstruct(
 
     Raises:
         MissingExtraError: the algorithm is not installed.
-        InputError: the algorithm cannot do this scan or this mask, or the memory does not suffice.
+        InputError: the algorithm cannot do this scan or this mask, the poses make no geometry, or
+            the memory does not suffice.
     """
     if algorithm is not None or settings:
         scan = replace(scan, scenario=_otherwise(scan.scenario, algorithm, settings))
@@ -118,7 +120,10 @@ def _reconstruct(
         raise InputError(f"{algorithm.name} knows no mask: leave it out, or take another algorithm")
     if algorithm.masks:
         pixels = _good_pixels(scan, pixels)
-    poses = scan.poses(which).geometry(scenario.detector.panel)
+    try:
+        poses = scan.poses(which).geometry(scenario.detector.panel)
+    except ValueError as error:
+        raise InputError(f"{which} poses: {error}") from None
     grid = section.volume_grid
     kept = _Checkpoints(None, "")
     if checkpoints is not None and algorithm.resumes:
@@ -288,7 +293,7 @@ class _Checkpoints:
         for file in self._files():
             try:
                 with np.load(file) as content:
-                    volume, residuals = content["volume"], json.loads(str(content["residuals"]))
+                    volume, residuals = content["volume"], json_of(str(content["residuals"]))
             except (OSError, ValueError, KeyError, zipfile.BadZipFile):
                 log.warning("%s is not readable and left aside", file)
                 continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Iterable
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from twinct.errors import DamagedError
+from twinct.files.plain_json import read_json
 from twinct.scan.manifest import (
     ACQUIRED,
     FOLDER,
@@ -115,7 +115,7 @@ def make_way(path: Path, found: Iterable[Damage]) -> None:
 
 def _number_of_views(path: Path) -> int:
     try:
-        told = json.loads((path / "status" / "zarr.json").read_text(encoding="utf-8"))
+        told = read_json(path / "status" / "zarr.json")
         return int(told["shape"][0])
     except (OSError, ValueError, TypeError, LookupError):
         return 0
@@ -138,7 +138,7 @@ def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
     found: dict[str, tuple[int, int | None]] = {}
     for file in path.rglob("zarr.json"):
         try:
-            told = json.loads(file.read_text(encoding="utf-8"))
+            told = read_json(file)
             encoding = told.get("chunk_key_encoding", {}).get("configuration", {})
             if encoding.get("separator") == ".":
                 shape, plain = told["shape"][1:], len(told["codecs"]) == 1

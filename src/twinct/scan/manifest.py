@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from zarr.core.buffer import Buffer, BufferPrototype
 from zarr.storage import LocalStore
 
 from twinct.errors import DamagedError
+from twinct.files.plain_json import read_json
 
 FOLDER = "manifest"
 FRAME, VIEWS = f"{FOLDER}/frame", f"{FOLDER}/views"
@@ -192,7 +192,7 @@ class CheckedStore(LocalStore):
         self._rows: dict[int, dict[str, str]] = {}
         self._noted: dict[str, str] = {}
         if self._has_manifest:
-            metadata = json.loads((root / VIEWS / "zarr.json").read_text(encoding="utf-8"))
+            metadata = read_json(root / VIEWS / "zarr.json")
             self._width = int(metadata["shape"][1])
             self._root = {ROOT: digest_of((root / ROOT).read_bytes())}
 

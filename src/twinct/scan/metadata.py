@@ -6,7 +6,6 @@ scan at all, also where there is no manifest, or one that somebody has made anew
 
 from __future__ import annotations
 
-import json
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ import zarr as _zarr
 from numpy.typing import DTypeLike
 
 from twinct.errors import InputError
+from twinct.files.plain_json import json_of
 
 zarr: Any = _zarr
 """Typed in part only."""
@@ -74,9 +74,9 @@ def check_attributes(path: Path, told: Any) -> None:
         if not all(isinstance(text, str) for text in texts):
             problems.append(f"{path}/zarr.json: attributes: names and digests are texts")
         try:
-            if not isinstance(json.loads(told["scenario"]), dict):
+            if not isinstance(json_of(told["scenario"]), dict):
                 raise ValueError("no mapping of keys to values")
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             problems.append(f"{path}/zarr.json: attributes.scenario: no JSON: {error}")
     if problems:
         raise InputError(problems)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from twinct.errors import InputError
+from twinct.files.plain_json import read_json
 from twinct.files.writing import storage_errors, write_text
 from twinct.geometry import Pose
 from twinct.views import PosePairs
@@ -74,7 +75,7 @@ class NamedGeometry:
             InputError: it is no such file, or damaged.
         """
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
+            told = read_json(path)
             if told["format"] != FORMAT:
                 raise ValueError(f"format {told['format']!r}, this twinct reads {FORMAT!r}")
             sides = [_poses(told[side]) for side in ("source", "detector")]

@@ -7,7 +7,6 @@ and is removed on resume. The store holds no clock times: the same scenario give
 from __future__ import annotations
 
 import errno
-import json
 import logging
 import os
 import shutil
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
 from twinct.errors import InputError, ScanExistsError
+from twinct.files.plain_json import json_of
 from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.scan.data import Scan, View, bad_pixels_of, reported
@@ -250,15 +250,20 @@ class ScanStore:
         return self._array("status").shape[0]
 
     def _read(self, name: str, which: Any = ...) -> NDArray[Any]:
-        """Values of an array: of a view, or of some."""
+        """Values of an array: of a view, of some, or of all; finite, but for a clearance."""
         with readable(self.path, name):
-            return np.asarray(self._array(name)[which])
+            values = np.asarray(self._array(name)[which])
+        wrong = np.isinf(values) if name == "clearance_mm" else ~np.isfinite(values)
+        if wrong.any():
+            raise InputError(f"{self.path}: {name} of {_first(wrong, which)} is not finite")
+        return values
 
     @property
     def scenario(self) -> Scenario:
         """The scenario the scan was taken with."""
-        told = json.loads(str(self._group.attrs["scenario"]))
-        if "plan" not in self._group:  # nor was there a scheme, before there were plans
+        told = json_of(str(self._group.attrs["scenario"]))
+        if isinstance(told.get("motion"), dict) and not self._has("plan"):
+            # Before there were plans, there was no other scheme.
             told["motion"].setdefault("scheme", "reactive")
         scenario = parse_scenario(told)
         panel, image = scenario.detector.panel.shape, self._array("transmission").shape[1:]
@@ -297,7 +302,7 @@ class ScanStore:
         Raises:
             InputError: it is damaged.
         """
-        if "plan" not in self._group:
+        if not self._has("plan"):
             return None
         from twinct.motion import plan_of_arrays
 
@@ -314,7 +319,7 @@ class ScanStore:
             InputError: a store of an older format, which kept none, and whose scenario has it in a
                 file that cannot be used any more.
         """
-        if BAD_PIXELS in self._group:
+        if self._has(BAD_PIXELS):
             return self._read(BAD_PIXELS)
         return bad_pixels_of(self.scenario) if self._format < FORMAT else None
 
@@ -329,7 +334,7 @@ class ScanStore:
     @cached_property
     def kept(self) -> tuple[str, ...]:
         """What ``frame`` knows: of ``raw``, ``flat`` and ``dark`` those that were asked for."""
-        return tuple(name for name in FRAMES if name in self._group)
+        return tuple(name for name in FRAMES if self._has(name))
 
     def frame(self, name: str, view: int) -> NDArray[np.float32]:
         """``raw``, ``flat`` or ``dark`` image of a view, grey values, (rows, columns).
@@ -378,12 +383,16 @@ class ScanStore:
                 f"{self.path} holds {self.acquired} of {self.views} views: "
                 "finish it with 'twinct run --resume'"
             )
-        exposure: Any = self._read(EXPOSURE).tolist() if EXPOSURE in self._group else []
+        panel = (scenario := self.scenario).detector.panel
+        commanded, executed = self.poses("commanded"), self.poses("executed")
+        with readable(self.path, "poses"):
+            _ = commanded.geometry(panel), executed.geometry(panel)
+        exposure: Any = self._read(EXPOSURE).tolist() if self._has(EXPOSURE) else []
         return Scan(
-            scenario=self.scenario,
+            scenario=scenario,
             transmission=self._read("transmission"),
-            commanded=self.poses("commanded"),
-            executed=self.poses("executed"),
+            commanded=commanded,
+            executed=executed,
             executed_object=self._poses("executed/object", slice(self.views)),
             joint_names=self.joint_names,
             joints=self._read("joints"),
@@ -450,6 +459,11 @@ class ScanStore:
         with readable(self.path, name):
             return tuple(map(Pose, *(self._read(f"{name}{end}", views) for end in ("", "_quat"))))
 
+    def _has(self, name: str) -> bool:
+        """Whether there is an array or a group; Zarr reads its metadata for that."""
+        with readable(self.path, name):
+            return name in self._group
+
     def _array(self, name: str) -> Any:
         if name not in self._arrays:
             self._arrays[name] = self._group[name]
@@ -461,6 +475,14 @@ class ScanStore:
         for file in self.path.rglob("*"):
             if view_of(file.name) in unfinished or file.suffix == ".partial":
                 file.unlink()
+
+
+def _first(wrong: NDArray[np.bool_], which: Any) -> str:
+    """The first view that something is wrong with, in what was read of ``which`` views."""
+    if isinstance(which, int):
+        return f"view {which}"
+    start: int = getattr(which, "start", None) or 0
+    return f"view {start + int(np.nonzero(wrong)[0][0])}"
 
 
 def _kept_digests(scenario: Scenario) -> dict[str, str]:

@@ -1,0 +1,532 @@
+"""Messages of a scan with other fields or bytes: decoded, answered by the nodes, imported."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from cases import Case
+from mcap.reader import make_reader
+from mutations import NASTY_TEXTS, broken
+from numpy.typing import NDArray
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import deserialize_message, serialize_message
+from store_files import everything
+from valid_scans import SCANS, make_scans
+
+from twinct import load_scan
+from twinct.draws import view_rng
+from twinct.errors import InputError, TwinctError
+from twinct.motion import MotionPlan
+from twinct.record.bag import Bag
+from twinct.ros import messages
+from twinct.ros.messages import Epoch, MalformedError, Stamp
+from twinct.ros.node import Diagnostics
+from twinct.ros.plan import PARTS, PlanListener
+from twinct.ros.rig import RosRig
+from twinct.ros.robots_node import RobotsNode, Turns
+from twinct.ros.senders import Members, Sender
+from twinct.ros.topics import (
+    DIAGNOSTICS,
+    IMAGE,
+    JOINTS,
+    REACHED,
+    ROBOTS,
+    SCAN,
+    STATE,
+    TARGET,
+    TOPICS,
+    VIEWS,
+    XRAY,
+    Topic,
+)
+from twinct.ros.xray_node import XRayNode
+from twinct.runs import import_scan
+from twinct.scan import ScanStore, Workshop
+from twinct.views import Reached
+
+KINDS = {topic.name: topic for topic in TOPICS}
+ANSWERS = (VIEWS, REACHED, JOINTS, STATE, IMAGE)
+NUMBERS = (np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, 1e39, -1.0, 0.0, -0.0, 1.0, 2.0, 1e-9)
+WHOLE = {
+    "int32": (0, 1, -1, 2, 2**31 - 1, -(2**31), 10**9),
+    "uint32": (0, 1, 2, 255, 2**31, 2**32 - 1, 10**9, 999_999_999),
+    "uint8": (0, 1, 2, 255),
+}
+"""By type; beyond it, the library that encodes messages is in a state that nobody knows."""
+TEXTS = (
+    *("", "world", "map", "wörld", "世界", "a\0b", "x" * 70_000, "32FC1", "64FC1", "mono8"),
+    *("view 1", "view -1", "view 99999999999999999999", "view \u0661", "view 2 ", "1.5", "nan"),
+    *("0.000000000", "1.000000001", "-1.000000000", "9" * 20 + ".000000000"),
+    *("\u0661." + 9 * "\u0660", "1." + 9 * "\u00b2"),  # digits to some
+    *NASTY_TEXTS,
+)
+MEMBERS = {SCAN: "11", ROBOTS: "22", XRAY: "33"}
+STRANGER = "99"
+
+
+class Kind:
+    """A message, or several, that is not what it should be, to whoever takes it."""
+
+    seconds = 30.0
+    memory_bytes = 2 * 2**30
+
+    def __init__(self, material: Path) -> None:
+        """Make two scans, unless a worker before did; their messages are what is changed."""
+        make_scans(material)
+        self._recorded = {name: _Recorded(material / name) for name in SCANS}
+
+    def case(self, rng: random.Random, folder: Path) -> Case:
+        """One message to one of those who take it."""
+        of = self._recorded[rng.choice(list(SCANS))]
+        make = rng.choice((_decoded, _of_rig, _of_rig, _of_robots, _of_xray, _of_plan, _of_bag))
+        told, act = make(rng, folder, of)
+        return Case(f"{make.__name__[1:]}: {told}", act)
+
+
+class _Recorded:
+    """A scan's messages, as bytes, in their order."""
+
+    def __init__(self, path: Path) -> None:
+        self.store = ScanStore(path / "scan.zarr")
+        self.scenario, self.plan = self.store.scenario, self.store.plan
+        self.arms = bool(self.store.joint_names)
+        self.epoch = Epoch.of(self.scenario)
+        self.targets = self.store.commanded.targets()
+        self.robots = None if self.arms else Workshop(self.scenario)
+        self.file = path / "scan.mcap"
+        with self.file.open("rb") as file:
+            reader = make_reader(file)
+            found = list(reader.iter_messages())
+            self.attached = [(a.name, a.data) for a in reader.iter_attachments()]
+            self.notes = [(m.name, m.metadata) for m in reader.iter_metadata()]
+        self.said = [(c.topic, s.name, m.data, m.log_time) for s, c, m in found if s is not None]
+        self.whole = everything(load_scan(path))
+
+    def of(self, topic: Topic) -> list[bytes]:
+        """All messages of a topic."""
+        return [data for name, _, data, _ in self.said if name == topic.name]
+
+    def answers(self, view: int) -> dict[Topic, bytes]:
+        """What was said to the target of a view."""
+        told = deserialize_message(self.of(VIEWS)[view], VIEWS.kind)
+        stamp = Stamp.of(told.header.stamp)
+        return {
+            topic: next(data for data in self.of(topic) if _stamp(_message(topic, data)) == stamp)
+            for topic in ANSWERS
+        }
+
+
+def _message(topic: Topic, data: bytes) -> Any:
+    return deserialize_message(data, topic.kind)
+
+
+def _stamp(message: Any) -> Stamp | None:
+    if hasattr(message, "layout"):
+        return messages.state_stamp(message)
+    return Stamp.of(message.header.stamp)
+
+
+def _changed(rng: random.Random, topic: Topic, data: bytes) -> tuple[bytes, str]:
+    """Another message of a topic, as bytes, and what was changed."""
+    if rng.random() < 0.25:
+        new, told = broken(rng, data)
+        return new, f"{topic.name}: {told}"
+    message, told = _message(topic, data), ""
+    for _ in range(rng.choice((1, 1, 2, 3))):
+        told = f"{told} {_other_field(rng, message)}"
+    return serialize_message(message), f"{topic.name}:{told}"
+
+
+def _other_field(rng: random.Random, message: Any) -> str:
+    """Change one field somewhere in a message, within its type."""
+    name, kind = rng.choice(list(message.get_fields_and_field_types().items()))
+    value = getattr(message, name)
+    if hasattr(value, "get_fields_and_field_types"):
+        return f"{name}.{_other_field(rng, value)}"
+    if kind.startswith("sequence"):
+        return f"{name} {_other_list(rng, message, name, value)}"
+    new: Any
+    if kind == "string":
+        new = rng.choice(TEXTS)
+    elif kind == "double":
+        new = rng.choice(NUMBERS)
+    elif kind in ("double[9]", "double[12]"):
+        new = np.array(value)
+        new[rng.randrange(len(new))] = rng.choice(NUMBERS)
+    elif kind == "octet":
+        new = bytes([rng.choice((0, 1, 2, 3, 255))])
+    elif kind == "boolean":
+        new = rng.random() < 0.5
+    else:
+        new = rng.choice(WHOLE[kind])
+    setattr(message, name, new)
+    return f"{name} = {str(new)[:30]!r}"
+
+
+def _other_list(rng: random.Random, message: Any, name: str, value: Any) -> str:
+    items = list(value)
+    inner = [item for item in items if hasattr(item, "get_fields_and_field_types")]
+    pick = rng.random()
+    if inner and pick < 0.5:
+        place = rng.randrange(len(inner))
+        return f"[{place}].{_other_field(rng, inner[place])}"
+    if pick < 0.7 and items and not inner:
+        place = rng.randrange(len(items))
+        choices = TEXTS if isinstance(items[0], str) else NUMBERS
+        new = rng.randrange(256) if isinstance(items[0], int) else rng.choice(choices)
+        items[place] = new
+        setattr(message, name, items)
+        return f"[{place}] = {str(new)[:30]!r}"
+    size = rng.choice((0, 1, max(len(items) - 1, 0), len(items) + 1, 2 * len(items), 3000))
+    items = (items * (size // max(len(items), 1) + 1))[:size]
+    setattr(message, name, items)
+    return f"of {len(items)}"
+
+
+def _finite(*arrays: Any) -> None:
+    for numbers in arrays:
+        if not np.isfinite(np.asarray(numbers, dtype=float)).all():
+            raise AssertionError("a number that is not finite came through")
+
+
+def _check_reached(reached: Reached, *, arms: bool) -> None:
+    for instant in (reached.executed, *reached.path, *([reached.before] if reached.before else [])):
+        _finite(*instant)
+        _ = instant.source, instant.object, instant.detector  # they are poses
+    _finite(reached.position, reached.velocity, reached.effort, reached.state, reached.time_s)
+    if arms:
+        _finite(reached.clearance_mm)
+    if len({len(reached.joint_names), *(map(len, (reached.position, reached.velocity)))}) != 1:
+        raise AssertionError("joints of several numbers")
+
+
+def _decoded(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
+    """What reads a message of one topic, whoever sent it."""
+    del folder
+    arms, panel = of.arms, of.scenario.detector.panel
+
+    def state(message: Any) -> None:
+        messages.state_stamp(message)
+        _finite(messages.checked_state(message, arms=True).data)
+
+    def target(message: Any) -> None:
+        found = messages.target_of(message)
+        _finite(found.source.matrix, found.detector.matrix)
+
+    def executed(message: Any) -> None:
+        found = messages.executed_of(message)
+        found.exposure(rng.choice((1, 2, 5)))
+        _finite(*(instant.object.matrix for instant in (found.view, *found.more)))
+
+    def joints(message: Any) -> None:
+        found = messages.joints_of(messages.checked_joints(message, arms=arms))
+        _finite(found.position, found.velocity, found.effort, found.time_s)
+
+    reads: dict[Topic, Callable[[Any], object]] = {
+        **{TARGET: target, REACHED: executed, JOINTS: joints, STATE: state},
+        IMAGE: lambda m: _finite(messages.image_of(m, rng.choice((panel.shape, None)))),
+        VIEWS: lambda m: of.epoch.view(Stamp.of(m.time_ref)),
+    }
+    topic = rng.choice(list(reads))
+    data, told = _changed(rng, topic, rng.choice(of.of(topic)))
+
+    def act() -> str:
+        try:
+            reads[topic](_message(topic, data))
+        except (MalformedError, rclpy_implementation.RMWError):
+            return "refused"
+        return "read"
+
+    return told, act
+
+
+class _Out:
+    """A publisher; what it sends can be sent."""
+
+    def __init__(self, topic: Topic) -> None:
+        self.topic, self.sent = topic, list[Any]()
+
+    def publish(self, message: Any) -> None:
+        self.sent.append(deserialize_message(serialize_message(message), self.topic.kind))
+
+    def get_subscription_count(self) -> int:
+        return 9
+
+    get_publisher_count = get_subscription_count
+
+
+class _Station:
+    """One participant without a graph: what it hears is put in by hand."""
+
+    name, participant = "fuzzed", "00"
+
+    def __init__(self) -> None:
+        self.out: dict[str, _Out] = {}
+        self.heard: dict[str, list[Callable[[Any, Sender], None]]] = {}
+        self.queue: list[tuple[Topic, bytes, str]] = []
+        self._number = 0
+        self._garbled: Callable[[str, Sender], None] | None = None
+
+    def publisher(self, topic: Topic, **_: Any) -> Any:
+        return self.out.setdefault(topic.name, _Out(topic))
+
+    def listen(self, topic: Topic, callback: Callable[[Any, Sender], None], **_: Any) -> Any:
+        self.heard.setdefault(topic.name, []).append(callback)
+        return _Out(topic)
+
+    def listen_to_all(self, topic: Topic, callback: Callable[[Any, Sender], None]) -> list[Any]:
+        return [self.listen(topic, callback)]
+
+    def serve(self, *_: Any) -> None:
+        pass
+
+    def on_garbled(self, tell: Callable[[str, Sender], None]) -> None:
+        self._garbled = tell
+
+    def name_of(self, topic: str, sender: Sender) -> str:
+        return f"{topic} {sender.publisher}"
+
+    def hear(self, topic: Topic, data: bytes, sender: str) -> None:
+        """As ``SenderExecutor`` hands a message on."""
+        self._number += 1
+        who = Sender(f"{sender * 12}{'00' * 4}", self._number)
+        try:
+            message = _message(topic, data)
+        except rclpy_implementation.RMWError:
+            assert self._garbled is not None
+            self._garbled(topic.name, who)
+            return
+        for callback in self.heard.get(topic.name, []):
+            callback(message, who)
+
+    def wait(self, until: Callable[[], bool], timeout_s: float) -> bool:
+        del timeout_s
+        while self.queue and not until():
+            self.hear(*self.queue.pop(0))
+        return until()
+
+    @property
+    def told(self) -> list[Any]:
+        """What was said on ``/diagnostics``."""
+        return self.out[DIAGNOSTICS.name].sent
+
+
+def _members(folder: Path) -> Members:
+    members = Members(folder)
+    for name, who in MEMBERS.items():
+        members.enter(name, who * 12)
+        members.knows(name)
+    return members
+
+
+def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
+    """The rig, to which a node of its own or a stranger answers."""
+    view = rng.randrange(len(of.targets))
+    good, topic = of.answers(view), rng.choice((*ANSWERS, DIAGNOSTICS))
+    if topic == DIAGNOSTICS:
+        status = messages.diagnostic_message(
+            of.epoch.at(view), XRAY, messages.ERROR, "no", {"reason": "x"}
+        )
+        data, told = _changed(rng, topic, serialize_message(status))
+    else:
+        data, told = _changed(rng, topic, good[topic])
+    stranger = rng.random() < 0.4
+    owner = topic.owner or rng.choice((ROBOTS, XRAY))
+    said = [(t, d, MEMBERS[t.owner]) for t, d in good.items() if stranger or t != topic]
+    rng.shuffle(said)
+    changed = (topic, data, STRANGER if stranger else MEMBERS[owner])
+    said.insert(rng.randrange(len(said) + 1), changed)
+
+    def rig() -> RosRig:
+        rig, station = object.__new__(RosRig), _Station()
+        rig.epoch, rig.domain_id = of.epoch, 0
+        members = _members(folder)
+        own: dict[str, Any] = {
+            **{"_answer_s": 0.0, "_samples": of.scenario.source.motion_samples, "_nodes": []},
+            **{"_shape": of.scenario.detector.panel.shape, "_taken": {}, "_got": {}},
+            **{"_joints_until": Stamp(0, 0), "_asked": None, "_ready": {ROBOTS, XRAY}},
+            **{"_refusal": None, "_conflict": None, "_ended": [], "_closing": False},
+            **{"_tell_joints": lambda joints: _finite(joints.position, joints.time_s)},
+            **{"_station": station, "_members": members, "_me": MEMBERS[SCAN] * 12},
+            "_diagnostics": Diagnostics(station, lambda _: None),  # type: ignore[arg-type]
+        }
+        for name, value in own.items():
+            setattr(rig, name, value)
+        rig._open(station, arms=of.arms)  # type: ignore[arg-type]
+        station.queue = said
+        return rig
+
+    def act() -> str:
+        opened = rig()
+        try:
+            reached = opened.move(view, of.targets[view])
+            image = opened.expose(view)
+        except TwinctError:
+            if stranger:
+                raise AssertionError("a stranger ended the scan") from None
+            return "refused"
+        _check_reached(reached, arms=of.arms)
+        _finite(image)
+        stored = of.store.transmission(view), of.store.state(view)
+        same = [np.array_equal(a, b) for a, b in zip((image, reached.state), stored, strict=True)]
+        if stranger and not all(same):
+            raise AssertionError("a stranger's answer was taken")
+        return "unchanged" if all(same) else "answered"
+
+    return f"{'stranger' if stranger else owner}: {told}", act
+
+
+def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
+    """The robots node, alone or in a scan, gets a target."""
+    workshop, own = of.robots, rng.random() < 0.5
+    if workshop is None:
+        return _decoded(rng, folder, of)
+    view = rng.randrange(len(of.targets)) if not own else 0
+    good = serialize_message(messages.target_message(of.epoch.at(view), of.targets[view]))
+    data, told = _changed(rng, TARGET, good)
+
+    def act() -> str:
+        station: Any = _Station()
+        turns = Turns(of.epoch, of.targets, 0) if own else None
+        said = Diagnostics(station, lambda _: None)
+        members = _members(folder) if own else None
+        RobotsNode(station, said, workshop.robots(), turns, members)
+        station.hear(TARGET, data, MEMBERS[SCAN])
+        reached = station.out[REACHED.name].sent
+        if not reached:
+            return _refused(station)
+        answered, asked = messages.executed_of(reached[0]).view, _message(TARGET, data)
+        expected = [messages.numbers_of(pose) for pose in asked.poses]
+        if [answered.source_m, answered.detector_m] != expected:
+            raise AssertionError("it went somewhere else")
+        return "answered"
+
+    return told, act
+
+
+def _refused(station: _Station) -> str:
+    """Nothing came of it, and somebody was told."""
+    if not station.told:
+        raise AssertionError("dropped without a word")
+    return "refused"
+
+
+class _Imager:
+    """Takes what a panel and its noise take."""
+
+    def expose(self, path: Sequence[Any], view: int = 0, before: Any = None) -> NDArray[np.float32]:
+        for geometry, specimen in (*path, *([before] if before else [])):
+            _finite(geometry.source, geometry.detector, geometry.u, geometry.v, specimen.matrix)
+        return view_rng(0, "noise", view).random(path[0][0].panel.shape, dtype=np.float32)
+
+    def close(self) -> None:
+        pass
+
+
+def _of_xray(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
+    """The X-ray node, alone or in a scan, hears of a view."""
+    good, own, topic = of.answers(0), rng.random() < 0.5, rng.choice((REACHED, REACHED, VIEWS))
+    if not own:
+        topic = REACHED
+    data, told = _changed(rng, topic, good[topic])
+    panel, samples = of.scenario.detector.panel, of.scenario.source.motion_samples
+    sender = STRANGER if rng.random() < 0.2 else MEMBERS[ROBOTS]
+
+    def act() -> str:
+        station: Any = _Station()
+        said = Diagnostics(station, lambda _: None)
+        scan = (of.epoch, _members(folder)) if own else (None, None)
+        XRayNode(station, said, _Imager(), panel, *scan, samples)
+        for name in (VIEWS, REACHED):
+            changed = name == topic
+            station.hear(name, data if changed else good[name], sender)
+        images = station.out[IMAGE.name].sent
+        if images:
+            messages.image_of(images[0], panel.shape)
+            return "answered"
+        if own and _other_stamp(topic, data, good[topic]):
+            return "waits"  # for the other message of its stamp
+        return _refused(station)
+
+    return told, act
+
+
+def _other_stamp(topic: Topic, data: bytes, good: bytes) -> bool:
+    try:
+        return _stamp(_message(topic, data)) != _stamp(_message(topic, good))
+    except rclpy_implementation.RMWError:
+        return True
+
+
+def _of_plan(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
+    """A node waits for the plan of its scan."""
+    if of.plan is None:
+        return _decoded(rng, folder, of)
+    plan, good = of.plan, {topic: of.of(topic)[0] for topic in PARTS}
+    topic = rng.choice(PARTS)
+    data, told = _changed(rng, topic, good[topic])
+
+    def act() -> str:
+        station: Any = _Station()
+        taken: list[MotionPlan] = []
+        said = Diagnostics(station, lambda _: None)
+        listener = PlanListener(station, said, _members(folder), taken.append)
+        try:
+            for part in PARTS:
+                station.hear(part, data if part == topic else good[part], MEMBERS[SCAN])
+        except MalformedError:
+            return "refused"
+        if not listener.taken:
+            return "waits"
+        if [found.digest for found in taken] != [plan.digest]:
+            raise AssertionError("another plan was taken")
+        return "answered"
+
+    return told, act
+
+
+def _of_bag(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
+    """A recording whose bytes, or whose messages, are others, imported."""
+    file, told = folder / "scan.mcap", ""
+    if rng.random() < 0.4:
+        data, told = broken(rng, of.file.read_bytes(), times=4)
+        file.write_bytes(data)
+    else:
+        foreign = rng.random() < 0.4
+        chosen = set(rng.sample(range(len(of.said)), min(rng.choice((1, 2, 10)), len(of.said))))
+        few = [i for i, said in enumerate(of.said) if said[0] in {t.name for t in ANSWERS}]
+        chosen |= set(rng.sample(few, 1))
+        bag = Bag(file, 4096)
+        if not foreign:
+            for name, words in of.notes:
+                bag.note(name, words)
+            for name, content in of.attached:
+                if rng.random() < 0.05:
+                    content, what = broken(rng, content)
+                    told += f"{name}: {what} "
+                bag.attach(name, content)
+        for i, (topic, kind, data, at) in enumerate(of.said):
+            if i in chosen and topic in KINDS:
+                data, what = _changed(rng, KINDS[topic], data)
+                told += f"{what} "
+            bag.write_raw(topic, kind, data, at, at, i)
+        bag.close()
+        told = f"foreign {told}" if foreign else told
+    out = folder / "out"
+
+    def act() -> str:
+        try:
+            found = import_scan([file], out)
+        except InputError:
+            if (out / "scan.zarr").exists():
+                raise AssertionError("refused, and left a store") from None
+            return "refused"
+        if found.missing:
+            return "in part"
+        return "whole" if everything(load_scan(out)) == of.whole else "other"
+
+    return told, act

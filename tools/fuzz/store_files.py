@@ -1,0 +1,263 @@
+"""Finished scans whose files are damaged, their digests made anew or not, and used as before."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr as _zarr
+from cases import Case
+from mutations import broken, nasty
+from store_damages import KINDS, change, drawn, seal_anew
+from valid_scans import OLD, SCANS, make_scans
+
+from twinct import load_scan, reconstruct
+from twinct.errors import InputError
+from twinct.runs import Folder, verify
+from twinct.runs.job import finished_run
+from twinct.runs.kept import kept_reconstructions
+from twinct.runs.mending import resumable
+from twinct.scan import Scan, ScanStore
+from twinct.scenario import load_scenario
+
+zarr: Any = _zarr
+"""Typed in part only."""
+
+NUMBERS = (np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, 1e39, -1.0, 0.0, 2.0)
+LARGE = (0, 1, -1, 2, 10**5, 2**31, 2**40, 2**62, 2**63, 10**30, 1.5, "1", None)
+TYPES = (
+    *("float64", "float32", "float16", "uint8", "int64", "bool", "complex128", "string", "bytes"),
+    *("r800", "numpy.datetime64", "float128", "x"),
+)
+CODECS: tuple[Any, ...] = (
+    *({"name": name} for name in ("crc32c", "gzip", "zstd", "bytes", "transpose", "vlen-utf8")),
+    {"name": "bytes", "configuration": {"endian": "big"}},
+    {"name": "gzip", "configuration": {"level": 99}},
+    {"name": "blosc", "configuration": {"cname": "zlib", "clevel": 1, "shuffle": "noshuffle"}},
+    {"name": "sharding_indexed", "configuration": {"chunk_shape": [1], "codecs": []}},
+    {"name": "numcodecs.pickle"},
+)
+
+
+class Kind:
+    """A scan of each kind, damaged and then verified, read, reconstructed and gone on with."""
+
+    seconds = 30.0
+    memory_bytes = 2 * 2**30
+
+    def __init__(self, material: Path) -> None:
+        """Make the scans, unless a worker before did, and read them."""
+        make_scans(material, "detector.keep=[raw]")
+        self._material = material
+        self._whole = {name: everything(load_scan(material / name)) for name in (*SCANS, *OLD)}
+
+    def case(self, rng: random.Random, folder: Path) -> Case:
+        """One or two damages to a scan."""
+        name = rng.choice(list(self._whole))
+        run = folder / "run"
+        shutil.copytree(self._material / name, run)
+        scenario = self._material / name / "scenario.yaml"
+        store, told = run / "scan.zarr", [name]
+        for _ in range(rng.choice((1, 1, 2))):
+            kind = rng.choice(list(DAMAGES))
+            told.append(kind)
+            try:
+                DAMAGES[kind](rng, store)
+            except (OSError, ValueError, LookupError, TypeError):
+                told[-1] += " (could not be done)"  # by the damage before
+        sealed = name not in OLD and store.is_dir() and rng.random() < 0.5
+        if sealed:
+            told.append("digests anew")
+            seal_anew(store)
+        whole = None if sealed or name in OLD else self._whole[name]
+        mend = name != "arms"  # which would be planned for that
+        return Case(", ".join(told), lambda: _used(run, scenario, whole, mend=mend))
+
+
+def _used(path: Path, scenario_file: Path, whole: bytes | None, *, mend: bool) -> str:
+    """What a user does with a scan; each step may be refused."""
+    words = [
+        _word(lambda: verify(path)),
+        _word(lambda: _read(path, whole)),
+        _word(lambda: _finished(path)),
+        _word(lambda: _reconstructed(path)),
+        _word(lambda: _resumed(path, scenario_file, mend=mend)),
+    ]
+    return "read" if words[1] != "refused" else "refused"
+
+
+def _word(act: Callable[[], object]) -> str:
+    try:
+        act()
+    except InputError as error:
+        if not str(error).strip():
+            raise AssertionError("refused without a reason") from None
+        return "refused"
+    return "done"
+
+
+def everything(scan: Scan) -> bytes:
+    """All numbers of a scan, which are finite."""
+    found = [scan.transmission, scan.joints, scan.simulated_s]
+    for which in ("commanded", "executed"):
+        geometry = scan.poses(which).geometry(scan.scenario.detector.panel)
+        found += [geometry.source, geometry.detector, geometry.u, geometry.v]
+    believed = scan.believed  # which may see the panel from behind, if the joints are nonsense
+    found += [pose.matrix for pose in (*believed.source, *believed.detector)]
+    found += [pose.matrix for pose in (*scan.executed_object, scan.stands)]
+    found += [np.array(scan.exposure).ravel()]
+    for numbers in found:
+        if not np.isfinite(numbers).all():
+            raise AssertionError("a number that is not finite came through")
+    if np.isinf(scan.clearance_mm).any():
+        raise AssertionError("a clearance without end came through")
+    if len({len(scan), len(scan.executed), len(scan.joints), len(scan.simulated_s)}) != 1:
+        raise AssertionError("numbers of other numbers of views")
+    told = [numbers.tobytes() for numbers in (*found, scan.clearance_mm)]
+    bad = b"" if scan.bad_pixels is None else scan.bad_pixels.tobytes()
+    return b"".join([*told, bad, str(scan.joint_names).encode()])
+
+
+def _read(path: Path, whole: bytes | None) -> None:
+    found = everything(load_scan(path))
+    store = ScanStore(path / "scan.zarr")
+    for view in range(store.views):
+        for name in store.kept:
+            if not np.isfinite(store.frame(name, view)).all():
+                raise AssertionError("a grey value that is not finite came through")
+    if whole is not None and found != whole:
+        raise AssertionError("other data was read than was written")
+
+
+def _finished(path: Path) -> None:
+    run = finished_run(Folder(path))
+    _ = run.figures, run.volume, run.scan.believed
+    kept_reconstructions(run.paths.reconstructions)
+
+
+def _reconstructed(path: Path) -> None:
+    if not np.isfinite(reconstruct(load_scan(path)).array).all():
+        raise AssertionError("a volume that is not finite")
+
+
+def _resumed(path: Path, scenario_file: Path, *, mend: bool) -> None:
+    folder, scenario = Folder(path), load_scenario(scenario_file)
+    folder.refuse_others()
+    store = resumable(folder, scenario) if mend else ScanStore(folder.scan)
+    store.refuse_other(scenario)
+    folder.finished(scenario)
+    store = ScanStore.resume(folder.scan, scenario)
+    _ = store.plan
+    for views in store.missing:
+        if views.start and not np.isfinite(store.state(views.start - 1)).all():
+            raise AssertionError("a state that is not finite came through")
+
+
+def _values(rng: random.Random, path: Path) -> None:
+    """Some numbers of an array, or all in a chunk, through Zarr."""
+    names = [p.parent for p in sorted(path.rglob("zarr.json")) if "manifest" not in p.parts]
+    arrays = [p for p in names if json.loads((p / "zarr.json").read_text())["node_type"] == "array"]
+    array = zarr.open_array(str(rng.choice(arrays)), mode="r+")
+    view, number = rng.randrange(array.shape[0]), rng.choice(NUMBERS)
+    with np.errstate(all="ignore"):
+        values = np.array(array[view])
+        if rng.random() < 0.3:
+            values[...] = np.asarray(number).astype(array.dtype)
+        else:
+            values.flat[rng.randrange(values.size)] = np.asarray(number).astype(array.dtype)
+        array[view] = values
+
+
+def _header(rng: random.Random, path: Path) -> None:
+    """What the metadata of an array or group say of shape, type, chunks or codecs."""
+    every = [p for p in sorted(path.rglob("zarr.json")) if rng.random() < 0.9] or [path]
+    for file in rng.choice(([rng.choice(every)], [rng.choice(every)], every)):
+        told = json.loads(file.read_text())
+        match rng.choice(
+            ("shape", "shape", "data_type", "chunks", "codecs", "fill_value", "other")
+        ):
+            case "shape" if told.get("shape"):
+                told["shape"][rng.randrange(len(told["shape"]))] = rng.choice(LARGE)
+            case "shape":
+                told["shape"] = [rng.choice(LARGE) for _ in range(rng.randrange(5))]
+            case "data_type":
+                told["data_type"] = rng.choice(TYPES)
+            case "chunks" if told.get("chunk_grid"):
+                chunks = told["chunk_grid"]["configuration"]["chunk_shape"]
+                chunks[rng.randrange(len(chunks))] = rng.choice(LARGE)
+            case "codecs" if told.get("codecs"):
+                told["codecs"].insert(rng.randrange(len(told["codecs"]) + 1), rng.choice(CODECS))
+                if rng.random() < 0.5:
+                    del told["codecs"][rng.randrange(len(told["codecs"]))]
+            case "fill_value":
+                told["fill_value"] = nasty(rng)
+            case _:
+                told[rng.choice(sorted(told))] = nasty(rng)
+        file.write_text(json.dumps(told))
+
+
+def _scenario(rng: random.Random, path: Path) -> None:
+    """The scenario in the store."""
+    told = json.loads((path / "zarr.json").read_text())
+    inner = json.loads(told["attributes"]["scenario"])
+    section = rng.choice([inner, *(v for v in inner.values() if isinstance(v, dict) and v)])
+    if rng.random() < 0.5:
+        section[rng.choice(sorted(section))] = nasty(rng)
+    else:
+        change(rng, section)
+    told["attributes"]["scenario"] = json.dumps(inner)
+    (path / "zarr.json").write_text(json.dumps(told))
+
+
+def _attributes(rng: random.Random, path: Path) -> None:
+    """Attributes of the store or of its plan."""
+    file = rng.choice([f for f in (path / "zarr.json", path / "plan" / "zarr.json") if f.exists()])
+    told = json.loads(file.read_text())
+    told["attributes"][rng.choice(sorted(told["attributes"]))] = nasty(rng)
+    file.write_text(json.dumps(told))
+
+
+def _giant(rng: random.Random, path: Path) -> None:
+    """Metadata of many bytes, or nested without end."""
+    file = drawn(rng, path, "zarr.json")
+    depth = rng.choice((1000, 100_000))
+    text = file.read_text()
+    new = rng.choice(
+        ("[" * depth, '{"a":' * depth, "[" * depth + "]" * depth, " " * 10**7, "1" * 10**5)
+    )
+    at = rng.choice((0, len(text), text.index("{") + 1))
+    file.write_text(f"{text[:at]}{new}{text[at:]}" if rng.random() < 0.5 else new)
+
+
+def _beside(rng: random.Random, path: Path) -> None:
+    """A file beside the store: its bytes, or what stands in its place."""
+    there = [p for p in sorted(path.parent.rglob("*")) if p.is_file() and path not in p.parents]
+    file = rng.choice(there)
+    if rng.random() < 0.7:
+        file.write_bytes(broken(rng, file.read_bytes())[0])
+        return
+    file.unlink()
+    match rng.choice(("pipe", "folder", "dangling", "nothing", "device")):
+        case "pipe":
+            os.mkfifo(file)
+        case "folder":
+            file.mkdir()
+        case "dangling":
+            file.symlink_to(file)
+        case "device":
+            file.symlink_to("/dev/zero")
+        case _:
+            pass
+
+
+DAMAGES: dict[str, Callable[[random.Random, Path], None]] = {
+    **{name: damage for name, damage in KINDS.items() if name != "resealed"},
+    **{"values": _values, "values too": _values, "header": _header, "header too": _header},
+    **{"scenario": _scenario, "attributes": _attributes, "giant": _giant, "beside": _beside},
+}

@@ -1,0 +1,44 @@
+"""Finished scans, small, recorded: of a gantry, of arms along a plan, and two of version 0.1."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SMALL = (
+    *("trajectory.views=3", "reconstruction.grid={voxels: 12, voxel_mm: 12}"),
+    *("specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]", "reconstruction.iterations=1"),
+)
+SCANS = {
+    "gantry": (
+        "circle_gantry.yaml",
+        "detector={columns: 16, rows: 12, pixel_pitch_mm: 20, readout: {}, "
+        "bad_pixels: {kind: random, share: 0.02}}",
+    ),
+    "arms": ("demo.yaml", "detector={columns: 16, rows: 12, pixel_pitch_mm: 20}"),
+}
+OLD = {"old": "local", "older": "ros2"}
+"""Of version 0.1, which had no digests."""
+
+
+def make_scans(folder: Path, *more: str) -> None:
+    """Make those that are not there, a folder each; ``more`` keys are for the gantry's."""
+    for name, (scenario, *keys) in SCANS.items():
+        out = folder / name
+        if (out / "report.html").exists():  # comes last
+            continue
+        shutil.rmtree(out, ignore_errors=True)
+        command = [sys.executable, "-m", "twinct", "run", str(ROOT / "scenarios" / scenario)]
+        command += ["--out", str(out), "--link", "local", "--record"]
+        keys += more if name == "gantry" else ()
+        # In a process of its own, since gVXR keeps more memory than a case may take.
+        subprocess.run(
+            [*command, *(part for key in (*SMALL, *keys) for part in ("--set", key))], check=True
+        )
+    for name, link in OLD.items():
+        with tarfile.open(ROOT / "tests" / "version_0_1" / f"{link}.tar.xz") as archive:
+            archive.extractall(folder / name, filter="data")
