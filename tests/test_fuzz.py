@@ -76,7 +76,14 @@ print(sorted(found.words.items()), len(found.failures))
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("kind", ["scenarios", "files"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("scenarios", "files"),
+        pytest.param("stores", marks=pytest.mark.tutorial),  # their scans take a minute
+        pytest.param("messages", marks=[pytest.mark.tutorial, pytest.mark.ros]),
+    ],
+)
 def test_a_few_cases_of_each_kind(tmp_path: Path, kind: str) -> None:
     command = [
         sys.executable,
@@ -89,6 +96,6 @@ def test_a_few_cases_of_each_kind(tmp_path: Path, kind: str) -> None:
         "--out",
         str(tmp_path),
     ]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert result.returncode == 0, result.stdout + result.stderr
     assert f"{kind}, seed 3: 25 cases" in result.stdout and "0 failures" in result.stdout

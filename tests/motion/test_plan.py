@@ -140,3 +140,27 @@ def test_iiwa_reaches_the_arc_that_the_docs_give_it(head: trimesh.Trimesh) -> No
     plan = plan_motion(cell, Motion(), targets)
     assert plan.clearance_mm.min() >= 10
     assert max(off(cell, q, t)[0] for q, t in zip(plan.joints, targets, strict=True)) <= 0.1 + 1e-6
+
+
+def test_arms_of_six_and_of_seven_joints_follow_one_plan(head: trimesh.Trimesh) -> None:
+    panel = Detector().panel
+    section = Cell.model_validate(
+        {
+            "source_arm": {
+                "model": "ur10e",
+                "base_position_mm": (850, 0, 0),
+                "base_rotation_deg": (0, 0, 180),
+                "standoff_mm": 150,
+            },
+            "detector_arm": {
+                **{"model": "lbr_iiwa14", "base_position_mm": (-425, 0, -790)},
+                "standoff_mm": 150,
+            },
+        }
+    )
+    cell = build_cell(section, head, Pose.identity(), panel)
+    arc = ArcTrajectory(kind="arc", views=3, longitude_range_deg=20)
+    targets = PosePairs.from_geometry(commanded_views(arc, panel)).targets()
+    plan = plan_motion(cell, Motion(), targets)
+    assert plan.state.shape[1:] == (3, 13) and len(plan.joint_names) == 13
+    assert max(off(cell, q, t)[0] for q, t in zip(plan.joints, targets, strict=True)) <= 0.1 + 1e-6

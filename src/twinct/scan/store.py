@@ -253,9 +253,12 @@ class ScanStore:
         """Values of an array: of a view, of some, or of all; finite, but for a clearance."""
         with readable(self.path, name):
             values = np.asarray(self._array(name)[which])
-        wrong = np.isinf(values) if name == "clearance_mm" else ~np.isfinite(values)
-        if wrong.any():
-            raise InputError(f"{self.path}: {name} of {_first(wrong, which)} is not finite")
+        one = isinstance(which, int)
+        for row, of_view in enumerate([values] if one else values):  # no mask of all at once
+            wrong = np.isinf(of_view) if name == "clearance_mm" else ~np.isfinite(of_view)
+            if wrong.any():
+                view = which if one else row + (getattr(which, "start", None) or 0)
+                raise InputError(f"{self.path}: {name} of view {view} is not finite")
         return values
 
     @property
@@ -475,14 +478,6 @@ class ScanStore:
         for file in self.path.rglob("*"):
             if view_of(file.name) in unfinished or file.suffix == ".partial":
                 file.unlink()
-
-
-def _first(wrong: NDArray[np.bool_], which: Any) -> str:
-    """The first view that something is wrong with, in what was read of ``which`` views."""
-    if isinstance(which, int):
-        return f"view {which}"
-    start: int = getattr(which, "start", None) or 0
-    return f"view {start + int(np.nonzero(wrong)[0][0])}"
 
 
 def _kept_digests(scenario: Scenario) -> dict[str, str]:
