@@ -66,6 +66,7 @@ class Trials:
                 archive.extractall(folder, filter="data")
             file = folder / "scenario.yaml"
             self.scenario = load_scenario(file, ["motion.scheme=reactive"])
+            run(self.scenario, folder, link="local", resume=True)  # so that a report is there
         self.kept = contents(self.path)
         self.beside = {p.name for p in folder.iterdir()}
         self.read = self.digest()
