@@ -63,8 +63,8 @@ def foreign_scan(contents: Contents, views_file: Path) -> Foreign:
             instants[stamp] = instant = instant_of(contents.at(REACHED, stamp).poses)
             target = _target(contents, stamp, instant)
             poses.append((target.source, target.detector))
-            for pair in (poses[-1], (instant.source, instant.detector)):
-                ScanGeometry.from_poses(*([pose] for pose in pair), Panel(1, 1, 1.0, 1.0))
+            for source, detector in (poses[-1], (instant.source, instant.detector)):
+                ScanGeometry.from_poses([source], [detector], Panel(1, 1, 1.0, 1.0))
             reached[stamp] = checked(_reached(contents, stamp, instant))
     return Foreign(
         scenario=_scenario(contents, instants, views_file),
