@@ -1,6 +1,6 @@
 """Dose to both eye lenses of planned views, at a detectability as the equidistant path has.
 
-    python benchmarks/bench_planned_dose.py --out out/planned_dose [--seeds 1 2 3 4 5]
+    python benchmarks/bench_planned_dose.py --out out/planned_dose [--seeds 2 3 4 5 6]
 
 The head, equal photons for each view; the signal is a sphere of 2 mm radius in the right skull
 base. The baseline is the paper's equidistant path at head rotations all round (the path is turned,
@@ -53,9 +53,10 @@ TASK: dict[str, Any] = {
     "detectability": {"signal": {"kind": "sphere", "radius_mm": 2, "contrast_rel": 0.1}},
 }
 LENSES = ("right lens", "left lens")
-KEPT, AIMED = 0.95, 0.97
-"""Share of the baseline's best d' that must be had, and that is planned for."""
-HALVINGS, LOWER = 5, 0.6
+KEPT, AIMED = 0.95, 1.0
+"""Share of the baseline's best d' that must be had, and that is planned for. The room between was
+chosen with seed 1, which is not reported: planned for 0.97, foreseen 0.981, it had 0.938."""
+HALVINGS, LOWER = 4, 0.6
 OFF_MM, OFF_DEG = 2.0, 2.0
 
 
@@ -128,7 +129,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[2, 3, 4, 5, 6])
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     truth = with_part(load_scenario(HEAD, KEYS), LENSES[0])
@@ -161,7 +162,7 @@ def main() -> None:
     )
     log = options.out / "seeds.jsonl"
     lines = log.read_text().splitlines() if log.exists() else []
-    known = {line["seed"]: line for line in map(json.loads, lines)}
+    known = {one["seed"]: one for one in map(json.loads, lines) if one["aimed"] == AIMED}
     for seed in options.seeds:
         if seed not in known:
             d, dose = measures(prior(truth, seed), together, count, even)
@@ -170,6 +171,7 @@ def main() -> None:
             write_views(options.out / f"views_{seed}.csv", within[views])
             known[seed] = {
                 "seed": seed,
+                "aimed": AIMED,
                 "d_rel": true_d.of(views) / best,
                 "dose_rel": true_dose.of(views) / base_dose,
                 "foreseen_d_rel": d.of(views) / goal,
