@@ -24,11 +24,11 @@ def test_reach_writes_its_folder(tmp_path: Path, capfd: pytest.CaptureFixture[st
     asked = ("--radii", "300", "--directions", "30", "--out", str(out))
     assert run_command(["reach", DEMO, *BALL, *asked]) == 0
     told = json.loads((out / "reach.json").read_text())["radii"][0]
-    assert told["directions"] == 30 and 0.3 < told["both"] < 0.6
+    assert told["directions"] == 30 and 0.3 < told["both_share"] < 0.6
     assert {p.name for p in out.iterdir()} == {
         *("reach.json", "reach.csv", "sphere_300.png", "room_300.png")
     }
-    assert f"{100 * told['both']:.1f} %" in capfd.readouterr().out
+    assert f"{100 * told['both_share']:.1f} %" in capfd.readouterr().out
 
 
 def test_reach_is_of_arms(capfd: pytest.CaptureFixture[str]) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from twinct.errors import InputError
 from twinct.scenario import parse_scenario
-from twinct.scenario.reconstruction import Reconstruction
+from twinct.scenario.reconstruction import Grid, Reconstruction
 
 TURNED = {
     "voxels": [40, 30, 20],
@@ -62,3 +63,10 @@ def test_nothing_is_around_the_whole_grid() -> None:
 def test_a_zoom_beyond_the_grid_is_refused() -> None:
     with pytest.raises(InputError, match=r"zoom reaches 2.0 mm beyond the grid"):
         section(centre_mm=(10, 36, 5), size_mm=12, voxel_mm=1)
+
+
+def test_a_grid_has_no_more_voxels_along_an_axis_than_numbers_hold() -> None:
+    """Found by fuzzing: what no array holds ended in NumPy."""
+    for voxels in ((2, 2, 10**30), (2, 1, 2)):
+        with pytest.raises(ValidationError, match="must be 2 to 65536 along each axis"):
+            Grid(voxels=voxels)

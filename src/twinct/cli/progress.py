@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,9 @@ from twinct.observers import (
     audience_of,
 )
 
+NOTICED = "twinct.recon"
+"""Logger whose warnings are shown, such as that kernels are compiled for a minute."""
+
 _LINE_EVERY_S = 30.0
 _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False}
 
@@ -30,7 +34,24 @@ def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
     """An audience that shows how far work is; others may listen with it."""
     kinds = (StageBegan, StageStep, StageEnded, Said)
     with audience_of([Observer(TerminalProgress(), kinds), *others]) as audience:
-        yield audience
+        notices = _Notices(audience)
+        logger = logging.getLogger(NOTICED)
+        logger.addHandler(notices)
+        try:
+            yield audience
+        finally:
+            logger.removeHandler(notices)
+
+
+class _Notices(logging.Handler):
+    """Says warnings that libraries of ours log."""
+
+    def __init__(self, audience: Audience) -> None:
+        super().__init__(logging.WARNING)
+        self._audience = audience
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._audience.say(record.getMessage(), warning=True)
 
 
 def say(text: str, *, warning: bool = False) -> None:

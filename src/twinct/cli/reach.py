@@ -158,6 +158,8 @@ def place_command(
         f"both arms hold {100 * before:.1f} % of {len(judged)} {what} before, {100 * after:.1f} % "
         f"after; {found.judged} cells were judged by {len(searched)} {what}, seed {seed}"
     )
+    if np.array_equal(found.before, found.after) and found.cell == cell:
+        say("nothing better was found: the arms stay where they stand")
     for override in found.overrides:
         say(override)
     if save is not None:

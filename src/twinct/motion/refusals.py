@@ -26,12 +26,12 @@ def far_problems(side: str, far: Mapping[int, tuple[float, float]]) -> list[str]
 
 def gap_problems(gaps: Mapping[int, Gap], asked_mm: float) -> list[str]:
     """Views in which bodies are too near each other, with the smallest of their gaps."""
-    problems = []
+    problems: list[tuple[int, str]] = []
     for bodies in sorted({gap.bodies for gap in gaps.values()}):
         for first, last in runs(view for view, gap in gaps.items() if gap.bodies == bodies):
             worst = min((gaps[v] for v in range(first, last + 1)), key=lambda g: g.distance_mm)
-            problems.append(f"{named(first, last)}: {gap_text(worst, asked_mm)}")
-    return problems
+            problems.append((first, f"{named(first, last)}: {gap_text(worst, asked_mm)}"))
+    return [text for _, text in sorted(problems)]
 
 
 def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:

@@ -36,6 +36,7 @@ def draw_view_plan(
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     figure = Figure(figsize=(13, 8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -47,11 +48,12 @@ def draw_view_plan(
     sphere.grid(alpha=0.4)
     sphere.set_xlabel("longitude of the source, deg")
     sphere.set_ylabel("latitude, deg")
-    sphere.legend(loc="lower right", fontsize=8)
+    sphere.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
     steps: Any = figure.add_subplot(grid[1, 0])
     steps.plot(np.arange(1, len(worth) + 1), worth)
     steps.set_xlabel("steps: views added, then exchanges tried")
     steps.set_ylabel("worth, weighted")
+    steps.xaxis.set_major_locator(MaxNLocator(integer=True))
     steps.grid(alpha=0.4)
     bars: Any = figure.add_subplot(grid[1, 1])
     kinds = {
@@ -64,6 +66,6 @@ def draw_view_plan(
         bars.bar(np.arange(len(figures)) + 0.27 * (k - 1), heights, 0.25, label=label, color=colour)
     bars.set_xticks(range(len(figures)), list(figures))
     bars.set_ylabel("against views spread evenly")
-    bars.legend(fontsize=8)
+    bars.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
     figure.suptitle(f"{title}: planned views")
     figure.savefig(path, dpi=110)

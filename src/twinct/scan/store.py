@@ -20,12 +20,12 @@ import zarr as _zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from twinct.errors import InputError, ScanExistsError
+from twinct.errors import DamagedError, InputError, ScanExistsError
 from twinct.files.plain_json import json_of
 from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.scan.data import Scan, View, bad_pixels_of, reported
-from twinct.scan.findings import frame_damage, make_way, view_damage
+from twinct.scan.findings import frame_damage, make_way, view_damage, views_taken
 from twinct.scan.manifest import (
     ACQUIRED,
     BY_VIEW,
@@ -160,11 +160,16 @@ class ScanStore:
 
         Raises:
             ScanExistsError: it holds the scan of another scenario.
-            DamagedError: something else stands where a file has to be; nothing has been changed.
+            DamagedError: something else stands where a file has to be, or no view of a store
+                without digests fits its metadata; nothing has been changed.
         """
         store = cls(path)
         store.refuse_other(scenario)
         found = store.damage
+        taken = views_taken(path)
+        if not store.vouched and len(taken) > 1 and taken <= {damage.view for damage in found}:
+            told = "no view fits the metadata: these are damaged, and nothing tells what they were"
+            raise DamagedError([f"{path}: {told}; nothing has been changed"], found)
         make_way(path, found)
         for damage in found:
             log.warning("%s: %s; its view is taken again", path, damage)
@@ -357,7 +362,8 @@ class ScanStore:
 
         Raises:
             StorageError: the disk is full. What was written before stays good.
-            ValueError: something of the view has another shape than the scan; nothing is written.
+            InputError: something of the view has another shape than the store's arrays, whose
+                metadata are damaged then; nothing is written.
         """
         columns = _columns(view)
         if self._format < 3:  # begun by an older twinct, which did not keep them
@@ -366,7 +372,10 @@ class ScanStore:
         images = {"transmission": view.transmission, **kept}
         for name, values in {**images, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):
-                raise ValueError(f"{name} of view {index} has {np.shape(values)}, the scan {shape}")
+                raise InputError(
+                    f"{self.path}: {name} of view {index} has {np.shape(values)}, the scan "
+                    f"{shape}: its metadata are damaged, or of another twinct"
+                )
         with storage_errors(self.path):
             for name, image in images.items():
                 self._array(name)[index] = image

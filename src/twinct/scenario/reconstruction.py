@@ -22,6 +22,10 @@ log = logging.getLogger(__name__)
 DEFAULT_ALGORITHM = "sart"
 
 
+MOST = 65_536
+"""Voxels along an axis; what the memory holds is another question."""
+
+
 class Grid(Section):
     """The voxels of the reconstruction."""
 
@@ -36,8 +40,8 @@ class Grid(Section):
 
     @model_validator(mode="after")
     def _some_voxels(self) -> Grid:
-        if isinstance(self.voxels, tuple) and min(self.voxels) < 2:
-            raise ValueError(f"voxels {self.voxels} must be at least 2 along each axis")
+        if isinstance(self.voxels, tuple) and not all(2 <= n <= MOST for n in self.voxels):
+            raise ValueError(f"voxels {self.voxels} must be 2 to {MOST} along each axis")
         return self
 
     @property

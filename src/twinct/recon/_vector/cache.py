@@ -86,7 +86,11 @@ def _digest() -> str:
 
 def _compiled(draft: Path, folder: Path) -> Path:
     """Compile into a draft and give it its name."""
-    log.info("compiling the kernels of reconstruction, once, into %s", folder)
+    # A warning: a terminal is silent meanwhile.
+    log.warning(
+        "compiling the kernels of reconstruction, once, into %s: half a minute",
+        folder,
+    )
     try:
         result = subprocess.run(
             [sys.executable, "-c", "import twinct.recon._vector"],
