@@ -65,9 +65,9 @@ def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellMo
     assert words[0].startswith("cure: cell.source_arm.")
     key, _, value = words[0].removeprefix("cure: cell.source_arm.").partition(": ")
     cured = (
-        float(value.split(",")[0])
+        float(value.split("; then")[0])
         if key == "standoff_mm"
-        else tuple(eval(value.split(", with")[0]))
+        else tuple(eval(value.split("; then")[0]))
     )
     arm = cell.source_arm.model_copy(update={key: cured})
     held = Holder(build(cell.model_copy(update={"source_arm": arm})), MOTION, roll_free=FIXED)

@@ -155,13 +155,13 @@ def reasons(
         except ScenarioError:  # such as a stand-off without room for the panel
             continue
         if now.all():
-            return failing.tolist(), [f"cure: {words}: then {scope}, can be held"]
+            return failing.tolist(), [f"cure: {words}; then {scope}, can be held"]
         gained = int(now[: len(asked)].sum())
         if now[len(asked) :].all() and gained > best:
             best, best_words = gained, words
     if best:
         return failing.tolist(), [
-            f"cure in part: {best_words}: then {best} of {scope}, can be held"
+            f"cure in part: {best_words}; then {best} of {scope}, can be held"
         ]
     tried = "turns about the beam, base shifts to 200 mm, stand-offs to 100 mm, radii to 20 %"
     return failing.tolist(), [f"no cure by one change for {scope}: {tried}; see twinct place"]
