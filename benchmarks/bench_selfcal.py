@@ -11,7 +11,8 @@ Three volumes are made by SART: from the executed geometry, from the believed on
 that was found, the latter two moved as a whole to where the executed lies; each counts at its best
 iteration, by the RMSE within 3 mm of bone. Won back is the share of what the believed geometry
 costs. One JSON line a case in DIR; those that are there are not done again. ``--factor 2``: pixels
-and voxels twice as large, an eighth of the time.
+and voxels twice as large, an eighth of the time. ``--real``: the skull of ``make paper``, which
+tools/fetch-cranium fetches.
 """
 
 from __future__ import annotations
@@ -32,18 +33,23 @@ from twinct.recon import Projector, sart
 from twinct.runs import simulate
 from twinct.runs.volumes import line_integrals
 from twinct.scan import Workshop
-from twinct.scenario import Scenario, parse_scenario
+from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.uncertainty.alike import view_normals
 from twinct.xray.build import effective_energy_kev
 
+CRANIUM = Path(__file__).parents[1] / "scenarios" / "paper_cranium.yaml"
 VIEWS, ALIKE = 200, 40.0
 SIGMA_MM, SIGMA_DEG = 0.5, 0.2
 SIGMA = np.array([SIGMA_MM] * 6 + [np.radians(SIGMA_DEG)] * 3)
 MOST_PASSES = 12
 
 
-def scenario_of(factor: int) -> Scenario:
+def scenario_of(factor: int, real: bool = False) -> Scenario:
     """The scan of all cases."""
+    part = {"shape": {"kind": "skull"}, "material": "bone"}
+    if real:
+        told = load_scenario(CRANIUM).specimen.parts[0].model_dump(mode="json")
+        part = {key: told[key] for key in ("shape", "material")}
     return parse_scenario(
         {
             "cell": {"kind": "gantry"},
@@ -53,7 +59,7 @@ def scenario_of(factor: int) -> Scenario:
                 "rows": 240 // factor,
                 "pixel_pitch_mm": 1.0 * factor,
             },
-            "specimen": {"parts": [{"shape": {"kind": "skull"}, "material": "bone"}]},
+            "specimen": {"parts": [part]},
             "reconstruction": {"grid": {"voxels": 256 // factor, "voxel_mm": 0.8 * factor}},
         }
     )
@@ -137,14 +143,16 @@ def main() -> None:
     )
     parser.add_argument("--seeds", nargs="+", type=int, default=(1, 2, 3))
     parser.add_argument("--factor", type=int, default=1)
+    parser.add_argument("--real", action="store_true")
     parser.add_argument("--rounds", nargs="+", type=int, help="how much larger pixels are in each")
     parser.add_argument("--out", type=Path, default=Path("out/selfcal"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    scenario = scenario_of(options.factor)
-    p, executed, truth, mu, region = scanned(scenario, options.out / f"scan{options.factor}.pkl")
+    scenario = scenario_of(options.factor, options.real)
+    name = f"{options.factor}{'_real' if options.real else ''}"
+    p, executed, truth, mu, region = scanned(scenario, options.out / f"scan{name}.pkl")
     grid = scenario.reconstruction.volume_grid
-    lines = options.out / f"cases{options.factor}.jsonl"
+    lines = options.out / f"cases{name}.jsonl"
     told = [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
     done = {(one["errors"], one["seed"]): one for one in told}
     points = grid.world_from_grid.apply(

@@ -50,7 +50,8 @@ def test_errors_of_each_view_are_found(scanned):
     sigma = np.array([PRIOR.sigma_mm] * 6 + [np.radians(PRIOR.sigma_deg)] * 3)
     believed = moved(executed, sigma * rng.normal(size=(VIEWS, 9)))
     found = self_calibrated(p, believed, grid, PRIOR, rounds=[Round(2)] * 3)
-    assert off_px(found.geometry, executed) < 0.4 * off_px(believed, executed)
+    # 0.22; without momentum 0.41, with a volume of three passes of SART 0.29
+    assert off_px(found.geometry, executed) < 0.25 * off_px(believed, executed)
     assert found.residuals[-1] < 0.95 * found.residuals[0]
 
 
