@@ -5,6 +5,7 @@ import pytest
 
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, cgls, os_sart, sart, sirt
+from twinct.recon.order import subsets_of
 
 pytestmark = pytest.mark.usefixtures("engine")
 
@@ -74,13 +75,13 @@ def test_os_sart_equals_its_update_rule(subsets, nonnegative, small, dense_back_
     views, voxels = len(A), M.shape[1]
     M, L = M.reshape(views, -1, voxels), lengths.reshape(views, -1)
     counts = L >= A.grid.voxel.min()
-    order = np.argsort(np.argsort((np.arange(subsets) * (np.sqrt(5) - 1) / 2) % 1))
+    parts = subsets_of(A.geometry, subsets)
     back = [dense_back_projection(A, view) for view in range(views)]
     x = np.zeros(voxels)
     for _ in range(2):
-        for first in order:
+        for part in parts:
             change, seen = np.zeros(voxels), np.zeros(voxels)
-            for view in range(first, views, subsets):
+            for view in part:
                 rest = p[view].ravel() - M[view] @ x
                 ratio = np.where(counts[view], rest / np.maximum(L[view], 1e-9), 0)
                 weight = back[view] @ counts[view]

@@ -36,11 +36,12 @@ class Problem:
     Attributes:
         projector: A, with the geometry and the grid.
         line_integrals: p, (views, rows, columns), corrected.
-        transmission: I/I0 as measured, same shape; for weights.
+        transmission: I/I0 as measured, same shape; see ``counts``.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
         x0: volume to start from, (z, y, x).
         rng: for what is drawn.
         callback: to be called after each update; see ``Step``.
+        exposures: mAs of each view, (views,), in one unit for all; None: equal ones.
     """
 
     projector: Projector
@@ -50,6 +51,14 @@ class Problem:
     x0: NDArray[np.float32] | None = None
     rng: np.random.Generator | int = 0
     callback: Callback | None = None
+    exposures: NDArray[np.float64] | None = None
+
+    @property
+    def counts(self) -> NDArray[np.float32]:
+        """What each pixel received, for weights: transmission times the view's exposure."""
+        if self.exposures is None:
+            return self.transmission
+        return self.transmission * self.exposures[:, None, None].astype(np.float32)
 
 
 SettingsT = TypeVar("SettingsT", bound=AlgorithmSettings)

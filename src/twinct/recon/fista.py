@@ -43,7 +43,8 @@ class Regularised(AlgorithmSettings):
     subsets: Subsets = None
     weighting: Literal["uniform", "counts"] = Field(
         default="uniform",
-        description="Weight of each pixel; counts: its transmission, for Poisson noise.",
+        description="Weight of each pixel; counts: its transmission times the view's mAs, in units "
+        "of the source's, for Poisson noise.",
     )
     huber: Positive | None = Field(
         default=None,
@@ -132,7 +133,7 @@ def minimised(
     callback: Callback | None,
 ) -> Volume:
     """FISTA from ``x``, which is worked on; see ``fista_tv``, which checks its arguments."""
-    parts = [(A[views], views) for views in subsets_of(len(A), subsets)]
+    parts = [(A[views], views) for views in subsets_of(A.geometry, subsets)]
     trust = _trust(A, weights, mask)
     curvature = _curvature(parts, trust)
     mean = float(curvature.mean(dtype=np.float64))

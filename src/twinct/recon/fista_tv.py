@@ -109,7 +109,7 @@ def fista_tv(
 
 
 def _solve(problem: Problem, settings: FistaTv) -> Volume:
-    weights = problem.transmission if settings.weighting == "counts" else None
+    weights = problem.counts if settings.weighting == "counts" else None
     return solve_by(fista_tv, problem, settings, weights=weights)
 
 

@@ -19,6 +19,9 @@ OrderName = Literal["golden", "sequential", "random", "weighted_distance"]
 Order = OrderName | Sequence[int] | NDArray[np.integer]
 Rng = np.random.Generator | int
 
+CLEARLY = 0.8
+"""Share of the distance to subsets in given order below which a chain of neighbours is better."""
+
 
 def spread_order(views: int) -> NDArray[np.int64]:
     """Golden-angle order: each view far from the ones just used, (views,).
@@ -102,9 +105,46 @@ def view_order(checks: Checks, geometry: ScanGeometry, order: Order, rng: Rng | 
     return given
 
 
-def subsets_of(views: int, subsets: int) -> list[list[int]]:
-    """Views split into subsets that each run along the whole path, in golden-angle order."""
-    return [list(range(int(first), views, subsets)) for first in spread_order(subsets)]
+def subsets_of(geometry: ScanGeometry, subsets: int) -> list[list[int]]:
+    """Views split into subsets that each run along the whole path, in golden-angle order.
+
+    Along the path means in the given order, unless that is none: views all over a sphere may be
+    counted so that every eighth lies on the same side, and updates from one side after the other
+    diverge. They are dealt out along a chain of neighbours if that leaves none as far from another
+    subset.
+    """
+    views = len(geometry)
+    firsts = [int(first) for first in spread_order(subsets)]
+    given = [list(range(first, views, subsets)) for first in firsts]
+    if not 1 < subsets < views:
+        return given
+    between = _angles(geometry)
+    chain = _chain(between)
+    dealt = [sorted(chain[first::subsets]) for first in firsts]
+    better = _farthest(between, dealt) < CLEARLY * _farthest(between, given)
+    return dealt if better else given
+
+
+def _angles(geometry: ScanGeometry) -> NDArray[np.float64]:
+    """Angles between sources as seen from the middle of the beams, (views, views)."""
+    seen = geometry.source - (geometry.source + geometry.detector).mean(axis=0) / 2
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    return np.arccos(np.clip(seen @ seen.T, -1, 1))
+
+
+def _chain(between: NDArray[np.float64]) -> list[int]:
+    """All views, each the nearest of those left to the one before."""
+    left = between.copy()
+    chain = [0]
+    for _ in range(len(between) - 1):
+        left[:, chain[-1]] = np.inf
+        chain.append(int(left[chain[-1]].argmin()))
+    return chain
+
+
+def _farthest(between: NDArray[np.float64], parts: list[list[int]]) -> float:
+    """How far the views are from their nearest in each subset: root mean square."""
+    return float(np.sqrt(np.mean([between[:, part].min(axis=1) ** 2 for part in parts])))
 
 
 def subset_number(given: int | None, views: int) -> int:

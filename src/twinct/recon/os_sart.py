@@ -79,7 +79,7 @@ def os_sart(
     change, seen = np.empty_like(x), np.empty_like(x)
     listener = Listener(callback, subsets)
     for iteration in range(iterations):
-        for update, views in enumerate(subsets_of(len(A), subsets)):
+        for update, views in enumerate(subsets_of(A.geometry, subsets)):
             change[:] = 0.0
             seen[:] = 0.0
             square, rays = 0.0, 0

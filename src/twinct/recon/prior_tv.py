@@ -190,7 +190,7 @@ def _solve(problem: Problem, settings: PriorTv) -> Volume:
         "prior": Volume.read(prior.path),
         "share": prior.share,
         "start": prior.start,
-        "weights": problem.transmission if settings.weighting == "counts" else None,
+        "weights": problem.counts if settings.weighting == "counts" else None,
     }
     return solve_by(prior_tv, problem, settings, **others)
 
