@@ -9,16 +9,19 @@ the one with the least dose. Planned views are chosen among those that the arms 
 can hold with free roll: most d' below a limit of the lenses' mean primary kerma, the limit lowered
 by bisection while the d' that the prior foresees stays above a share of the baseline's best by the
 same prior that leaves room for what it gets wrong. A seed is a prior: the head moved by 2 mm and
-turned by 2 degrees, each in a random direction. Both are judged on the truth, predicted, with no
-noise drawn; scattered photons are left out.
+turned by 2 degrees, each in a random direction; from it views are planned as it is, and registered
+by six scout views from behind the head with a hundredth of the photons, noise drawn from the seed,
+whose dose counts. Both are judged on the truth, predicted, with no noise drawn; scattered photons
+are left out.
 
 Ends with 1 if d' of a seed is below 95 % of the baseline's best, or the mean dose is not 40 %
-lower. Results are kept in the folder, a line a seed; a later call goes on.
+lower, in either way. Results are kept in the folder, a line a seed; a later call goes on.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -26,23 +29,25 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twinct.geometry import ScanGeometry
+from twinct.geometry import Pose, ScanGeometry
 from twinct.planning import Goal, Mean, search_views
 from twinct.progress import SILENT
+from twinct.runs import acquire_to_store
 from twinct.runs.view_candidates import candidates_of, reachable, spread_evenly
 from twinct.runs.view_goals import goals_of
-from twinct.scan import Workshop
+from twinct.runs.view_scout import scouted
+from twinct.scan import Workshop, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.trajectory import commanded_views, write_views
 
 HEAD = Path(__file__).parents[1] / "scenarios" / "head.yaml"
-VIEWS, CANDIDATES = 40, 400
+VIEWS, CANDIDATES, PHOTONS = 40, 400, 9e5
 ROTATIONS_DEG = range(0, 360, 30)
 KEYS = [
     "cell={kind: arms}",
     "motion={detector_roll: free, trigger: settled}",
     "detector={columns: 160, rows: 120, pixel_pitch_mm: 2.0}",
-    "source.photons_per_mm2_mas=9.0e+5",
+    f"source.photons_per_mm2_mas={PHOTONS}",
     f"trajectory.views={VIEWS}",
 ]
 TASK: dict[str, Any] = {
@@ -53,10 +58,14 @@ TASK: dict[str, Any] = {
     "detectability": {"signal": {"kind": "sphere", "radius_mm": 2, "contrast_rel": 0.1}},
 }
 LENSES = ("right lens", "left lens")
-KEPT, AIMED = 0.95, 1.0
+KEPT = 0.95
+AIMED = {"as it is": 1.0, "scouted": 0.97}
 """Share of the baseline's best d' that must be had, and that is planned for. The room between was
-chosen with seed 1, which is not reported: planned for 0.97, foreseen 0.981, it had 0.938."""
-HALVINGS, LOWER = 4, 0.6
+chosen with seed 1, which is not reported: a prior as it is promises up to 0.043 too much."""
+HALVINGS, ROUNDS, LOWER = 6, 2, 0.6
+SCOUTS, FROM_DEG = 6, 270.0
+SCOUT_KEYS = ["cell={kind: gantry}", "motion={}", "detector.noise={kind: quantum}"]
+SCOUT_MAS_REL = 0.01
 OFF_MM, OFF_DEG = 2.0, 2.0
 
 
@@ -96,6 +105,18 @@ def prior(truth: Scenario, seed: int) -> Scenario:
     return parse_scenario(told)
 
 
+def scout_scan(seed: int, store: Path) -> ScanGeometry:
+    """A few faint views of the head where it lies; the views."""
+    keys = [
+        *(*KEYS, *SCOUT_KEYS, f"seed={seed}", f"trajectory.views={SCOUTS}"),
+        f"trajectory.centre_longitude_deg={FROM_DEG}",
+        f"source.photons_per_mm2_mas={SCOUT_MAS_REL * PHOTONS}",
+    ]
+    workshop = Workshop(load_scenario(HEAD, keys))
+    acquire_to_store(workshop, store, local_rig, resume=True)
+    return workshop.commanded
+
+
 def best_baseline(paths: list[range], found: Goal, dose: Goal) -> tuple[int, float]:
     """Which of the paths has least dose of those within 5 % of the best d', and that d'."""
     told = [found.of(path) for path in paths]
@@ -106,14 +127,13 @@ def best_baseline(paths: list[range], found: Goal, dose: Goal) -> tuple[int, flo
 def plan(found: Goal, dose: Goal, candidates: int, aim: float, start: float) -> list[int]:
     """The views of the lowest limit of dose for which d' was reached."""
     assert isinstance(dose.measure, Mean)
-    cheapest = np.sort(dose.measure.each[:candidates])[:VIEWS]
-    low, high = float(cheapest.mean()), start
+    low, high = float(np.sort(dose.measure.each[:candidates])[:VIEWS].mean()), start
     best: list[int] = []
     for _ in range(HALVINGS):
         limit = (low + high) / 2
         goals = [found, Goal("dose", dose.measure, 0.0, at_most=limit)]
-        views = list(search_views(goals, candidates, VIEWS, rounds=0).chosen)
-        print(f"  limit {limit:.3e} Gy: d' {found.of(views) / aim * AIMED:.3f} of best", flush=True)
+        views = list(search_views(goals, candidates, VIEWS, rounds=ROUNDS).chosen)
+        print(f"  limit {limit:.3e} Gy: d' {found.of(views) / aim:.3f} of what is aimed at")
         if found.of(views) >= aim:
             best, high = views, limit
         else:
@@ -146,7 +166,9 @@ def main() -> None:
         )
         for angle in ROTATIONS_DEG
     ]
-    together = ScanGeometry.joined([within, *turned])
+    stores = {seed: options.out / f"scout_{seed}.zarr" for seed in options.seeds}
+    scouts = [scout_scan(seed, store) for seed, store in stores.items()][0]
+    together = ScanGeometry.joined([within, *turned, scouts])
     paths = [range(count + k * VIEWS, count + (k + 1) * VIEWS) for k in range(len(turned))]
 
     true_d, true_dose = measures(truth, together, count, even)
@@ -154,44 +176,62 @@ def main() -> None:
         print(f"{angle} deg: d' {true_d.of(path):.3f}, {true_dose.of(path):.3e} Gy", flush=True)
     rotation, best = best_baseline(paths, true_d, true_dose)
     base_dose = true_dose.of(paths[rotation])
+    scout_rel = SCOUT_MAS_REL * true_dose.of(range(len(together) - SCOUTS, len(together)))
+    scout_rel *= SCOUTS / VIEWS / base_dose
     print(
         f"baseline: {ROTATIONS_DEG[rotation]} deg, d' {true_d.of(paths[rotation]) / best:.3f} of "
         f"the best {best:.3f}, {base_dose:.3e} Gy; spread evenly: d' {true_d.of(even) / best:.3f}, "
-        f"dose {true_dose.of(even) / base_dose:.3f} of it",
+        f"dose {true_dose.of(even) / base_dose:.3f} of it; "
+        f"scout views: {scout_rel:.4f}",
         flush=True,
     )
     log = options.out / "seeds.jsonl"
     lines = log.read_text().splitlines() if log.exists() else []
-    known = {one["seed"]: one for one in map(json.loads, lines) if one["aimed"] == AIMED}
-    for seed in options.seeds:
-        if seed not in known:
-            d, dose = measures(prior(truth, seed), together, count, even)
+    known = {(one["way"], one["seed"]): one for one in map(json.loads, lines)}
+    seeds: list[int] = options.seeds
+    for way, seed in itertools.product(AIMED, seeds):
+        if (way, seed) not in known:
+            told = prior(truth, seed)
+            if way == "scouted":
+                seen = scouted(told, stores[seed], SILENT)
+                off = seen.world_from_specimen.inverse() @ truth.specimen.world_from_specimen
+                left = float(np.linalg.norm(off.apply(TASK["position_mm"]) - TASK["position_mm"]))
+                print(f"seed {seed}: {left:.2f} mm, {off.angle_deg(Pose.identity()):.2f} deg left")
+                dumped = told.model_dump(mode="json")
+                position, degrees = seen.world_from_specimen.to_euler()
+                where = {"position_mm": position.tolist(), "rotation_deg": degrees.tolist()}
+                told = parse_scenario(dumped | {"specimen": dumped["specimen"] | where})
+            d, dose = measures(told, together, count, even)
             foreseen, goal = best_baseline(paths, d, dose)
-            views = plan(d, dose, count, AIMED * goal, dose.of(paths[foreseen]))
-            write_views(options.out / f"views_{seed}.csv", within[views])
-            known[seed] = {
+            views = plan(d, dose, count, AIMED[way] * goal, dose.of(paths[foreseen]))
+            write_views(options.out / f"views_{way.replace(' ', '_')}_{seed}.csv", within[views])
+            known[way, seed] = {
+                "way": way,
                 "seed": seed,
-                "aimed": AIMED,
                 "d_rel": true_d.of(views) / best,
-                "dose_rel": true_dose.of(views) / base_dose,
+                "dose_rel": true_dose.of(views) / base_dose + scout_rel * (way == "scouted"),
                 "foreseen_d_rel": d.of(views) / goal,
             }
             with log.open("a") as stream:
-                stream.write(json.dumps(known[seed]) + "\n")
+                stream.write(json.dumps(known[way, seed]) + "\n")
+        one = known[way, seed]
         print(
-            f"seed {seed}: d' {known[seed]['d_rel']:.3f} of the best "
-            f"(foreseen {known[seed]['foreseen_d_rel']:.3f}), dose "
-            f"{known[seed]['dose_rel']:.3f} of the baseline's",
+            f"{way}, seed {seed}: d' {one['d_rel']:.3f} of the best (foreseen "
+            f"{one['foreseen_d_rel']:.3f}), dose {one['dose_rel']:.3f} of the baseline's",
             flush=True,
         )
-    d_rel, dose_rel = (
-        np.array([known[seed][key] for seed in options.seeds]) for key in ("d_rel", "dose_rel")
-    )
-    print(
-        f"planned: dose {100 * (1 - dose_rel.mean()):.1f} +- {100 * dose_rel.std():.1f} % lower, "
-        f"d' {d_rel.mean():.3f} (least {d_rel.min():.3f}) of the best, {len(d_rel)} priors"
-    )
-    if d_rel.min() < KEPT or dose_rel.mean() > LOWER:
+    missed = False
+    for way in AIMED:
+        d_rel, dose_rel = (
+            np.array([known[way, seed][key] for seed in options.seeds])
+            for key in ("d_rel", "dose_rel")
+        )
+        print(
+            f"{way}: dose {100 * (1 - dose_rel.mean()):.1f} +- {100 * dose_rel.std():.1f} % lower, "
+            f"d' {d_rel.mean():.3f} (least {d_rel.min():.3f}) of the best, {len(d_rel)} priors"
+        )
+        missed = missed or d_rel.min() < KEPT or dose_rel.mean() > LOWER
+    if missed:
         raise SystemExit("missed: 40 % less dose at 95 % of d'")
 
 

@@ -2,6 +2,7 @@
 
     python benchmarks/bench_planned_metal.py --out out/planned_metal
     python benchmarks/bench_planned_metal.py --out out/planned_metal_full --full
+    python benchmarks/bench_planned_metal.py --out out/planned_metal --floor
 
 ``twinct plan`` chooses 120 views (completeness, and metal with ``rays: metal``) among those that
 the arms of the default cell can hold, from a prior that is off: the head moved by 2 mm and turned
@@ -14,13 +15,16 @@ with the same correction of beam hardening and surroundings by SART, each at its
 error is that of bone and tissue 2 to 15 mm from metal in the region that every view of all paths
 sees; the excess is sqrt(RMSE^2 - RMSE^2 without metal), of mu(bone). Without ``--full`` pixels and
 voxels are twice as large (160 x 120, 128^3). Results are kept in the folder; a later call goes on.
+
+``--floor`` asks what there is to be had at all: CMA-ES seeks the circle with the smallest excess
+itself, on the truth, tilted as far and about what axis it likes, whether or not any arms reach it.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +35,7 @@ from scipy.ndimage import distance_transform_edt
 
 from twinct.evaluate import region_of_interest
 from twinct.observers import IterationDone, Observer
+from twinct.planning import best_parameters
 from twinct.runs import acquire_to_store, reconstruct
 from twinct.runs.view_plan import plan_views
 from twinct.scan import Workshop, local_rig
@@ -43,6 +48,7 @@ TUNED_ON = 100
 """Seed of the choices; the seeds that are reported are others."""
 TILTS_DEG, AXES_DEG = (20.0, 40.0), (-45.0, 0.0, 45.0, 90.0)
 WEIGHTS = (1.0, 4.0)
+FLOOR_GENERATIONS = 6
 OFF_MM, OFF_DEG = 2.0, 2.0
 SMALLER = [
     "detector={columns: 160, rows: 120, pixel_pitch_mm: 2.0, noise: {kind: quantum}}",
@@ -125,6 +131,25 @@ class Bench:
         bare, full = self.error(path, seed, False), self.error(path, seed, True, way)
         return float(np.sqrt(max(full**2 - bare**2, 0.0)))
 
+    def floor(self) -> None:
+        """The circle with the smallest excess, whatever its tilt, without arms."""
+
+        def worth(sets: Sequence[Mapping[str, float]]) -> list[float]:
+            found: list[float] = []
+            for one in sets:
+                path = f"circle_{one['tilt_deg']:.0f}_{one['tilt_axis_deg']:.0f}"
+                seen = region_of_interest(Workshop(self.scenario(path, 0)).commanded, self.grid)
+                if not seen[self.shell].all():
+                    print(f"{path}: some view does not see the whole shell", flush=True)
+                    found.append(-1.0)
+                    continue
+                found.append(-self.excess(path, TUNED_ON))
+                print(f"{path}: excess {-100 * found[-1]:.2f} % (seed {TUNED_ON})", flush=True)
+            return found
+
+        bounds = {"tilt_deg": (0.0, 50.0), "tilt_axis_deg": (-90.0, 90.0)}
+        best_parameters(worth, bounds, generations=FLOOR_GENERATIONS, population=6, seed=1)
+
     def plan(self, weight: float) -> str:
         """Name of the path planned with a weight of metal."""
         path = f"planned_{weight:g}"
@@ -132,7 +157,12 @@ class Bench:
             prior = self.folder / "prior.yaml"
             prior.write_text(json.dumps(self.prior(weight).model_dump(mode="json")))
             found = plan_views(prior, self.folder / path, resume=True)
-            told = {n: f["planned"] / f["spread_evenly"] for n, f in found.figures.items()}
+            told = {
+                name: planned / spread
+                for name, figure in found.figures.items()
+                if (planned := figure["planned"]) is not None
+                and (spread := figure["spread_evenly"])
+            }
             print(
                 f"weight {weight:g}: {found.reachable} of {found.candidates} candidates within "
                 f"reach; of views spread evenly: {told}; motion {found.scan_s} s, clearance "
@@ -173,6 +203,7 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--full", action="store_true")
+    parser.add_argument("--floor", action="store_true")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5])
     options = parser.parse_args()
     bench = Bench(options.out, options.full)
@@ -180,6 +211,9 @@ def main() -> None:
     untilted = "circle_0_0"
     planned = [bench.plan(weight) for weight in WEIGHTS]
     bench.seen_by_all([untilted, *circles, *planned])
+    if options.floor:
+        bench.floor()
+        return
     tuned: dict[str, float] = {}
     for path in (untilted, *circles, *planned):
         tuned[path] = bench.excess(path, TUNED_ON)

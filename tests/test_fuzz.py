@@ -76,6 +76,24 @@ print(sorted(found.words.items()), len(found.failures))
 
 
 @pytest.mark.process
+def test_a_case_does_not_depend_on_what_ran_before_in_the_folder(tmp_path: Path) -> None:
+    code = f"""
+import random, sys; sys.path[:0] = [{str(FUZZ)!r}]
+from pathlib import Path
+from scenario_files import Kind
+for turn in range(2):
+    kind = Kind(Path({str(tmp_path)!r}))
+    print(len(kind._data), kind._values(random.Random(3)))
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
+    )
+    assert result.returncode == 0, result.stderr
+    first, second = result.stdout.splitlines()
+    assert first == second
+
+
+@pytest.mark.process
 @pytest.mark.parametrize(
     "kind",
     [

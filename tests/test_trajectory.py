@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from twinct.errors import TrajectoryError
 from twinct.geometry import Panel
 from twinct.scenario import AnyTrajectory
-from twinct.trajectory import commanded_views, write_views
+from twinct.trajectory import commanded_mas, commanded_views, leaves_roll, write_views
 
 PANEL = Panel(480, 640, 0.5, 0.5)
 BEAM = "300,0,0,-300,0,0"
@@ -188,6 +188,20 @@ def test_file_of_views_reads_back_the_same_numbers(tmp_path) -> None:
     assert views(kind="file", path=tmp_path / "views.csv") == geometry
 
 
+def test_a_file_of_views_may_have_mas(tmp_path) -> None:
+    geometry, mas, file = paper()[::200], np.array([0.1, 1 / 3]), tmp_path / "views.csv"
+    write_views(file, geometry[:2], mas)
+    assert views(kind="file", path=file) == geometry[:2]
+    section = TypeAdapter(AnyTrajectory).validate_python({"kind": "file", "path": str(file)})
+    np.testing.assert_array_equal(commanded_mas(section), mas)
+    assert not leaves_roll(section)
+    file.write_text(f"{BEAM},0.5\n")
+    np.testing.assert_array_equal(commanded_mas(section), [0.5])
+    assert leaves_roll(section)
+    write_views(file, geometry)
+    assert commanded_mas(section) is None
+
+
 def test_file_with_source_and_panel_only_gets_upright_panels(tmp_path) -> None:
     (tmp_path / "v.csv").write_text("# S, D\n300,0,0,-300,0,0\n0,300,0,0,-300,0\n")
     geometry = views(kind="file", path=tmp_path / "v.csv")
@@ -206,6 +220,11 @@ def test_file_with_source_and_panel_only_gets_upright_panels(tmp_path) -> None:
         (f"# axes\n{BEAM},0,1,0,0,0,1\n\n{BEAM},0,1,0,0,0.6,0.8\n", ":4: u and v are not orth"),
         (f"{BEAM},0,1,0,0,0,2\n", ":1: v is not a unit vector"),
         (f"{BEAM},0,0,0,0,0,1\n", ":1: u is not a unit vector"),
+        (f"{BEAM},2\n{BEAM},0\n", ":2: mAs of 0: it must be above 0"),
+        (f"{BEAM},0,1,0,0,0,1,-3\n", ":1: mAs of -3: it must be above 0"),
+        (f"{BEAM},inf\n", ":1: .*not finite"),
+        (f"{BEAM},2\n{BEAM}\n", "some lines have 6 numbers and some 7; use one form"),
+        (f"a,b,c,d,e,f,tilt\n{BEAM},2\n", ":1: the last of 7 columns is mas, not 'tilt'"),
         (f"{BEAM},0,0,1,0,1,0\n", ":1: u x v points away from the source"),
     ],
 )

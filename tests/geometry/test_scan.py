@@ -79,6 +79,8 @@ def test_indexing_picks_views(random_geometry) -> None:
         ({"v": [[0, 1.0, 0]]}, "not orthogonal"),
         ({"v": [[0, 0, -1.0]]}, "points away from the source"),
         ({"source": [[np.nan, 0, 0]]}, "not finite"),
+        # From a damaged store: finite, but what kernels index by is not.
+        ({"detector": [[-1e308, -1e308, -1e308]]}, r"detector of view 0 is farther than 1e\+09 mm"),
         ({"detector": [[0, 0, 0], [1, 1, 1]]}, r"shape \(2, 3\)"),
     ],
 )

@@ -12,6 +12,7 @@ from twinct.cell import CellModel, build_cell
 from twinct.errors import TrajectoryError
 from twinct.geometry import Pose
 from twinct.motion import Asked, MotionPlan, checked_plan
+from twinct.motion.plan_check import _moving
 from twinct.scenario import Cell, Detector, Motion
 from twinct.views import Target
 
@@ -87,6 +88,15 @@ def test_limits_count(
     hurried = replace(plan, time_s=plan.time_s / faster, state=state)
     with pytest.raises(TrajectoryError, match=said):
         checked_plan(hurried, cell, motion, Asked(targets), "p.npz")
+
+
+def test_rounding_is_no_motion(plan: MotionPlan) -> None:
+    """What a spline through resting waypoints leaves there, found in a plan of free views."""
+    state = plan.state.copy()
+    state[plan.waypoints, 1] = 2.4e-18
+    assert not _moving(replace(plan, state=state))
+    state[plan.waypoints[3], 1, 0] = 1e-6
+    assert _moving(replace(plan, state=state)) == [(3, 3)]
 
 
 def test_a_joint_outside_its_range_is_named(

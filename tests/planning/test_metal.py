@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.planning import metal_paths, starved_share
+from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.planning import metal_paths, spectral_shift, starved_share
+from twinct.planning.metal import metal_lengths, seen_lengths
+from twinct.recon import Projector
 from twinct.shadow import Body
 from twinct.trajectory import panel_axes
 
@@ -57,3 +59,23 @@ def test_starved_rays_are_those_of_the_region() -> None:
     photons[2, 60, 80] = 1000
     points = [[0.0, 0, 0], [0.0, 0, 10]]
     assert starved_share(GEOMETRY, photons, points, 10).tolist() == [0, 0.5, 0.5]
+
+
+def test_metal_of_a_volume_is_as_long_as_its_mesh(screw) -> None:
+    """Voxels of 0.5 mm of the same screw: half of one more or less at each end."""
+    grid, points = VolumeGrid((24, 100, 24), 0.5), [[0.0, 0, 0], [0.0, 12, 0]]
+    z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij")
+    there = (x * x + z * z < 4) & (abs(y) < 20)
+    seen = seen_lengths(Projector(GEOMETRY, grid), there, points)
+    for of_volume, of_mesh in zip(seen, metal_lengths(GEOMETRY, [screw], points), strict=True):
+        assert of_volume == pytest.approx(of_mesh, abs=0.5)
+
+
+def test_a_beam_of_two_energies_shifts_as_its_formula_says() -> None:
+    mu, lengths = np.array([[0.5, 0.2]]), np.array([[0.0, 1e-3, 10.0]])
+    none, thin, thick = spectral_shift(lengths, mu, [3.0, 1.0])
+    assert none == pytest.approx(0, abs=1e-12)
+    variance = 0.75 * 0.25 * 0.3**2
+    assert thin == pytest.approx(variance * 1e-6 / 2, rel=1e-2)  # the first term of its series
+    assert thick == pytest.approx(4.25 + np.log(0.75 * np.exp(-5) + 0.25 * np.exp(-2)))
+    assert spectral_shift(lengths, [[0.3]], [1.0]) == pytest.approx(0, abs=1e-12)

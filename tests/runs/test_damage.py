@@ -114,6 +114,40 @@ def test_manifests_of_two_views_exchanged_are_told(path: Path, finished: Run) ->
     assert not one.exists() and not other.exists()
 
 
+def vouch_for_what_is_there(path: Path) -> None:
+    known = [name for name in unsealed((path / FRAME_FILE).read_bytes()) if (path / name).exists()]
+    now = {name: digest_of((path / name).read_bytes()) for name in known}
+    (path / FRAME_FILE).write_bytes(sealed(now))
+
+
+def test_an_array_in_the_place_of_the_plan_is_told(path: Path) -> None:
+    shutil.rmtree(path / "plan")
+    shutil.copytree(path / "joints", path / "plan")
+    vouch_for_what_is_there(path)
+    with pytest.raises(InputError, match="plan: an array, expected a group"):
+        _ = ScanStore(path).plan
+
+
+def test_a_plan_larger_than_any_is_told_before_it_is_read(path: Path) -> None:
+    header = path / "plan/state/zarr.json"
+    told = json.loads(header.read_text())
+    told["shape"][2] = 2**31
+    header.write_text(json.dumps(told))
+    vouch_for_what_is_there(path)
+    with pytest.raises(InputError, match="plan: its arrays are said to hold"):
+        _ = ScanStore(path).plan
+
+
+def test_an_array_of_thousands_of_dimensions_is_told(path: Path) -> None:
+    """A chunk's name would be longer than any file's."""
+    header = path / "state/zarr.json"
+    told = json.loads(header.read_text())
+    told["shape"] += [1] * 3000
+    header.write_text(json.dumps(told))
+    shutil.rmtree(path / "manifest")
+    assert verify(path).problems
+
+
 def test_a_folder_in_a_status_place_is_damage(path: Path) -> None:
     (path / "status/c.3").unlink()
     (path / "status/c.3").mkdir()

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from twinct.errors import InputError, ScanExistsError, ScenarioError
+from twinct.geometry import Pose, VolumeGrid
+from twinct.pool import LocalPool
 from twinct.runs import view_family, view_plan
 from twinct.runs.view_goals import Patient
 from twinct.runs.view_plan import plan_views
 from twinct.scan import Workshop
 from twinct.scenario import load_scenario
-from twinct.trajectory import CircleTrajectory, commanded_views
+from twinct.trajectory import CircleTrajectory, commanded_mas, commanded_views
+from twinct.volume import Volume
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
@@ -52,6 +55,11 @@ FAMILY = [
     "{key: tilt_axis_deg, low: -90, high: 90}], generations: 5, population: 6}",
 ]
 
+MONO = "source={energy_kev: 60, photons_per_mm2_mas: 1.0e+6}"
+
+PIECES = 3
+"""Of work in each generation."""
+
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
@@ -83,6 +91,40 @@ def test_detectability_takes_views_across_the_thin_side(file: Path, tmp_path: Pa
     assert x > 1.5 * y
     told = figures(tmp_path / "out")["detectability"]
     assert told["planned"] > 1.2 * told["spread_evenly"]
+
+
+def test_what_is_achieved_is_tried(file: Path, tmp_path: Path) -> None:
+    """Images are made once."""
+    keys = ["task.views=10", "reconstruction.grid={voxels: 24, voxel_mm: 4}"]
+    found = plan_views(file, tmp_path / "out", keys, try_views=True)
+    assert found.tried is not None and set(found.tried) == {"own_path", "planned"}
+    assert all(0 < error < 1 for error in found.tried.values())
+    told = json.loads((tmp_path / "out" / "plan.json").read_text())
+    assert told["region_rmse_rel"] == dict(found.tried)
+    assert (tmp_path / "out" / "tried.png").stat().st_size > 10_000
+    written = (tmp_path / "out" / "tried" / "planned.zarr" / "zarr.json").stat().st_mtime_ns
+    again = plan_views(file, tmp_path / "out", keys, try_views=True, resume=True)
+    assert again.tried == found.tried
+    assert (tmp_path / "out" / "tried" / "planned.zarr" / "zarr.json").stat().st_mtime_ns == written
+
+
+def test_mas_go_where_they_tell_most(file: Path, tmp_path: Path) -> None:
+    """Views across the 40 mm get more than those along the 120 mm; the sum is kept, so is dose."""
+    keys = [DETECT, "task.completeness.weight=20", "task.exposure={}", "source.current_ma=2"]
+    plan_views(file, tmp_path / "out", keys)
+    written = load_scenario(tmp_path / "out" / "planned.yaml")
+    mas, geometry = commanded_mas(written.trajectory), Workshop(written).commanded
+    assert mas is not None and mas.mean() == pytest.approx(each := 0.02)
+    assert mas.min() >= 0.25 * each * (1 - 1e-9) and mas.max() <= 4 * each * (1 + 1e-9)
+    along_y = np.abs(geometry.source[:, 1]) / 300
+    assert mas[along_y.argmin()] > mas[along_y.argmax()]
+    told = json.loads((tmp_path / "out" / "plan.json").read_text())
+    equal = told["exposure"]["at_equal_mas"]["detectability"]
+    assert told["goals"]["detectability"]["planned"] > 1.05 * equal
+    dose = [*keys, "task.dose={part: lens, weight: 0, at_most_rel: 0.9}"]
+    plan_views(file, tmp_path / "dose", dose)
+    told = figures(tmp_path / "dose")
+    assert told["dose"]["planned"] <= told["dose"]["at_most"] * (1 + 1e-6)
 
 
 def test_metal_is_seen_past(file: Path, tmp_path: Path) -> None:
@@ -135,6 +177,41 @@ def test_the_best_path_of_a_family_looks_past_metal(file: Path, tmp_path: Path) 
     assert len(found.views) == 6
 
 
+@pytest.mark.parametrize("counts", ["length", "shift", "starved"])
+def test_metal_is_avoided_whatever_counts_of_it(file: Path, tmp_path: Path, counts: str) -> None:
+    """Of the pin as a scout's volume shows it, too: the prior has none there."""
+    tube = "source={spectrum: {kind: tube, kvp: 100}, photons_per_mm2_mas: null}"
+    metal = f"weight: 5, counts: {counts}, least_photons: 3.0e+4"
+    plan_views(file, tmp_path / "mesh", [tube, f"task.metal={{parts: [pin], {metal}}}"])
+    told = figures(tmp_path / "mesh")["metal"]
+    assert told["planned"] < 0.7 * told["spread_evenly"]
+    grid = VolumeGrid((48, 48, 48), 1.0, Pose.from_euler((0, 12, 0), (0, 0, 0)))
+    z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij")
+    there = (x * x + y * y < 4) & (abs(z) < 20)
+    Volume(np.where(there, 0.2, 0.02).astype(np.float32), grid).write(tmp_path / "scout.nii")
+    seen = f"seen: {{path: {tmp_path / 'scout.nii'}}}"
+    keys = [tube, "specimen.parts.2.material=water", f"task.metal={{{seen}, {metal}}}"]
+    plan_views(file, tmp_path / "seen", keys)
+    found = figures(tmp_path / "seen")["metal"]
+    assert found["planned"] < 0.7 * found["spread_evenly"]
+    if counts != "starved":  # which are two or six rays of 78 there
+        assert found["spread_evenly"] == pytest.approx(told["spread_evenly"], rel=0.3)
+
+
+def test_paths_are_tried(file: Path, tmp_path: Path) -> None:
+    """Six views of a circle about z see no z in the block; a tilted circle's volume is better."""
+    grid = "reconstruction={algorithm: sart, iterations: 3, grid: {voxels: 24, voxel_mm: 6}}"
+    family = FAMILY[2].replace("5, population: 6", "3, population: 4")
+    keys = [FAMILY[0], family, grid, "task.completeness=null", "task.trying={}"]
+    found = plan_views(file, tmp_path / "out", keys)
+    told = json.loads((tmp_path / "out" / "plan.json").read_text())
+    errors = told["trying"]
+    assert 0 < errors["planned"] < errors["own_path"]
+    assert told["worth"][-1] == pytest.approx(-errors["planned"] / errors["spread_evenly"])
+    assert found.figures["error in the region"] == errors
+    assert plan_views(file, tmp_path / "out", keys, resume=True).views == found.views
+
+
 def test_a_search_in_a_family_goes_on_where_it_was_stopped(
     file: Path, tmp_path: Path, monkeypatch
 ) -> None:
@@ -143,7 +220,7 @@ def test_a_search_in_a_family_goes_on_where_it_was_stopped(
 
     def stopped(*args):
         calls.append(1)
-        if len(calls) == 3:
+        if len(calls) == 2 * PIECES + 1:
             raise KeyboardInterrupt
         return judged(*args)
 
@@ -151,7 +228,7 @@ def test_a_search_in_a_family_goes_on_where_it_was_stopped(
     with pytest.raises(KeyboardInterrupt):
         plan_views(file, tmp_path / "out", FAMILY)
     assert plan_views(file, tmp_path / "out", FAMILY, resume=True).views == whole.views
-    assert len(calls) == 2 + 1 + 3  # two generations are not judged again
+    assert len(calls) == 5 * PIECES + 1  # two generations are not judged again
 
 
 def test_paths_that_cannot_be_had_are_told_with_the_nearest(file: Path, tmp_path: Path) -> None:
@@ -198,6 +275,8 @@ def test_it_goes_on_where_it_was_stopped(file: Path, tmp_path: Path, monkeypatch
         ("task.metal={parts: [pin, nail]}", r"task\.metal\.parts\.1: there is no part 'nail'"),
         ("task.candidates=5", r"task\.views \(6\) must be at most task\.candidates \(5\)"),
         ("task.completeness=null", "completeness, detectability or known must count"),
+        ("task.trying={}", r"task\.trying: whole paths are tried, .* it needs task\.family"),
+        ("task.metal={parts: []}", r"task\.metal: parts of the specimen, or seen in a volume"),
         (FAMILY[2].replace("80", "0"), r"parameters\.0: low \(0\) must be below high \(0\)"),
         (FAMILY[2].replace("tilt_axis_deg", "tilt_deg"), r"'tilt_deg' is sought twice"),
     ],
@@ -214,6 +293,8 @@ def test_what_does_not_go_together_is_told_by_its_key(file: Path, override, said
         (["task.position_mm=[0, 400, 0]"], r"no view .* sees the region at \(0, 400, 0\)"),
         (["task.dose={part: lens, at_most_rel: 0.01}"], "at most .* is asked for, the 6 candid"),
         (["source.photons_per_mm2_mas=null", DETECT], "needs a photon number"),
+        (["task.metal={parts: [pin], counts: shift}", MONO], r"metal\.counts: shift: one energy"),
+        ([f"task.metal={{seen: {{path: {DEMO}}}}}"], r"demo\.yaml"),
         ([*FAMILY, "trajectory={kind: uniform, views: 9}"], r"has no number 'tilt_deg': it has so"),
         (
             [
@@ -242,3 +323,18 @@ def test_arms_that_reach_too_little_say_how_much(file: Path, tmp_path: Path) -> 
     ]
     with pytest.raises(InputError, match=r"task\.views: 6 are asked for, the arms can have 0 of"):
         plan_views(file, tmp_path / "out", overrides)
+
+
+@pytest.mark.process
+def test_other_processes_find_the_same(file: Path, tmp_path: Path) -> None:
+    arms = ["cell={kind: arms}", "motion={detector_roll: free}", "task.candidates=60"]
+    arc = "trajectory={kind: arc, views: 9, longitude_range_deg: 120, centre_longitude_deg: 0}"
+    family = FAMILY[2].replace("80", "20").replace("5, population: 6", "2, population: 5")
+    keys = [*arms, arc, FAMILY[1], family]
+    alone = plan_views(file, tmp_path / "alone", keys)
+    with LocalPool(tmp_path / "work", workers=2) as pool:
+        shared = plan_views(file, tmp_path / "shared", keys, pool=pool)
+    assert shared.views == alone.views
+    assert shared.reachable == alone.reachable
+    assert shared.figures == alone.figures
+    assert list((tmp_path / "work" / "logs").iterdir())

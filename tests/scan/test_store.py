@@ -109,6 +109,18 @@ def test_a_scan_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> Non
         scan.poses("scenario")
 
 
+def test_mas_of_each_view_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> None:
+    mas = np.array([0.01, 0.02, 1 / 3, 0.04, 5.0])
+    path = tmp_path / "s.zarr"
+    ScanStore.create(path, scenario, commanded, NAMES, 9, mas=mas)
+    store = fill(path, scenario, commanded, range(VIEWS))
+    scan = store.read()
+    np.testing.assert_array_equal(scan.mas, mas)
+    np.testing.assert_array_equal(scan.exposures_rel, mas / scenario.source.mas)
+    assert not store.damage
+    assert fill(tmp_path / "t.zarr", scenario, commanded, range(VIEWS)).read().mas is None
+
+
 def test_instants_of_an_exposure_read_back_to_the_last_bit(tmp_path, scenario, commanded) -> None:
     blurred = scenario.model_copy(
         update={"source": scenario.source.model_copy(update={"motion_samples": 2})}

@@ -1,5 +1,7 @@
 """A scenario's source and detector, as images of the imager."""
 
+import sys
+
 import numpy as np
 import pytest
 from xray_scenes import box, front_view, sphere
@@ -309,3 +311,55 @@ def test_scatter_lifts_what_lies_in_the_shadow():
     # A ball of bone of 50 mm: a few per cent of the free beam, smooth over the panel.
     assert 0.002 < added[dark].mean() < 0.05
     assert added[dark].std() < 0.2 * added[dark].mean()
+
+
+def by_mas(detector, mas):
+    """Frames of views at one place, of these mAs in units of the source's."""
+    source = Source(photons_per_mm2_mas=PHOTONS, current_ma=2.0, exposure_ms=5.0)
+    commanded = ScanGeometry.joined([VIEW] * len(mas))
+    here, images = (VIEW, Pose.identity()), []
+    loads = np.array(mas) * source.mas
+    with Imager(
+        source, Detector(**PANEL, **detector), skull_of_two(), commanded=commanded, mas=loads
+    ) as imager:
+        for view in range(len(mas)):
+            images.append(imager.frame([here], view, here if view else None))
+    return images
+
+
+@pytest.mark.parametrize(
+    "noise", [QuantumNoise(kind="quantum"), SnrNoise(kind="snr", snr=60)], ids=["quantum", "snr"]
+)
+def test_four_times_the_mas_have_a_quarter_of_the_noise_variance(noise):
+    quiet = by_mas({"readout": Readout(bits=None)}, [1.0])[0].transmission
+    response = {"response": {"kind": "counting"}, "noise": noise}
+    one, four = (found.transmission - quiet for found in by_mas(response, [1.0, 4.0]))
+    # Two variances of 3600 pixels each: 2.4 % each, one deviation.
+    ratio = one[FREE].var() / four[FREE].var()
+    sys.stdout.write(f"free beam: variance at one mAs by that at 4 times as many: {ratio:.3f}\n")
+    assert ratio == pytest.approx(4, rel=0.12)
+    behind = quiet < 0.3
+    assert one[behind].var() / four[behind].var() == pytest.approx(4, rel=0.2)
+
+
+@pytest.mark.parametrize("way", ["view", "first", "commanded"])
+def test_without_noise_transmission_is_the_same_at_any_mas(way):
+    correction = Correction(flat_geometry=way)
+    detector = {"readout": Readout(bits=None), "correction": correction}
+    same, *others = by_mas(detector, [3.0, 1.0, 0.25])
+    for found in others:
+        np.testing.assert_allclose(found.transmission, same.transmission, rtol=2e-5)
+    ratio = (others[0].raw - 500) / (others[1].raw - 500)
+    np.testing.assert_allclose(ratio, 4, rtol=1e-4)
+
+
+def test_the_free_beam_of_the_largest_mas_sets_the_gain():
+    found = by_mas({"readout": Readout(free_beam=60000)}, [1.0, 4.0])
+    assert found[1].raw.max() == pytest.approx(60500, rel=1e-3)  # and not saturated
+    assert found[0].raw.max() == pytest.approx(15500, rel=1e-3)
+
+
+def test_lag_carries_on_what_the_mas_of_the_view_before_left():
+    found = by_mas({"readout": Readout(bits=None), "lag": 0.2}, [3.0, 1.0])
+    signal = found[1].raw[60, 10] - 500, found[0].raw[60, 10] - 500
+    assert signal[0] / signal[1] == pytest.approx((0.8 * 1 + 0.2 * 3) / 3, rel=1e-4)

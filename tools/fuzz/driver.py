@@ -120,7 +120,10 @@ class Worker:
 
 
 def fuzz(kind: str, seed: int, numbers: Iterable[int], seconds: float, place: Path) -> Outcome:
-    """Try cases until they or the time end; each failure is kept in a folder below ``place``."""
+    """Try cases until they or the time end; each failure is kept.
+
+    In ``place``, a folder named like the kind on the command line.
+    """
     found, end, last = Outcome(), time.monotonic() + seconds, time.monotonic()
     with Worker(kind, seed, place) as worker:
         for number in numbers:
@@ -131,7 +134,7 @@ def fuzz(kind: str, seed: int, numbers: Iterable[int], seconds: float, place: Pa
             found.slowest = max(found.slowest, (told["seconds"], number))
             found.largest = max(found.largest, (told["memory_bytes"], number))
             if not told["ok"]:
-                found.failures.append(_kept(told, kind, seed, number, worker.folder, place))
+                found.failures.append(_kept(told, seed, number, worker.folder, place))
                 print(found.failures[-1], flush=True)
             if time.monotonic() > last + 30:
                 last = time.monotonic()
@@ -139,15 +142,15 @@ def fuzz(kind: str, seed: int, numbers: Iterable[int], seconds: float, place: Pa
     return found
 
 
-def _kept(
-    told: dict[str, Any], kind: str, seed: int, number: int, folder: Path, place: Path
-) -> str:
+def _kept(told: dict[str, Any], seed: int, number: int, folder: Path, place: Path) -> str:
     kept = place / f"{seed}-{number}"
     shutil.rmtree(kept, ignore_errors=True)
     shutil.copytree(folder, kept, symlinks=True, copy_function=_copied)
     words = [f"{told['word']}: {told['told']}", told["trace"].strip().rpartition("\n")[2]]
     (kept / "failure.txt").write_text(f"{words[0]}\n\n{told['trace']}", encoding="utf-8")
-    return f"{kind} --seed {seed} --only {number}: " + " | ".join(word for word in words if word)
+    return f"{place.name} --seed {seed} --only {number}: " + " | ".join(
+        word for word in words if word
+    )
 
 
 def _copied(source: str, target: str) -> None:

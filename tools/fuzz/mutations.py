@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import random
+import sys
 from typing import Any
 
 NASTY_TEXTS = (
@@ -150,6 +151,8 @@ def nasty(rng: random.Random) -> Any:
 def number_near(rng: random.Random, value: float) -> int | float:
     """A number that may break what took a valid one."""
     pick = rng.random()
+    if abs(value) > sys.float_info.max:  # an integer that no float can be
+        return -value if pick < 0.5 else value + 1
     if pick < 0.3:
         return value * rng.choice((-1, 0, 2, 0.5, 10, 1e3, 1e6, 1e12, 1e-3, 1e-9))
     if pick < 0.5:

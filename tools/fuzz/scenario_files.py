@@ -46,8 +46,10 @@ class Kind:
         self._schema = Schema(scenario_schema())
         self._texts: list[str] = []
         self._data: list[dict[str, Any]] = []
-        for file in sorted(SCENARIOS.glob("*.yaml")):
+        files = sorted(SCENARIOS.glob("*.yaml"))
+        for file in files:  # all of them before any is read: one may extend another
             shutil.copy(file, material)
+        for file in files:
             self._texts.append(file.read_text(encoding="utf-8"))
             own = yaml.safe_load(self._texts[-1])
             self._data.append(own)

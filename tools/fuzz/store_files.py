@@ -69,7 +69,7 @@ class Kind:
             told.append(kind)
             try:
                 DAMAGES[kind](rng, store)
-            except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            except (OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError):
                 told[-1] += " (could not be done)"  # by the damage before
         sealed = name not in OLD and store.is_dir() and rng.random() < 0.5
         if sealed:

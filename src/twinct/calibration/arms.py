@@ -98,13 +98,20 @@ class CalibratedArms:
             ``phantom_from_tool`` of each arm, (views, 4, 4), mm.
         """
         first = len(self.chains[0])
-        source, detector = (
-            self.phantom_from_room.matrix @ changed_tools(chain, change, self.gear_periods, own)
-            for chain, change, own in zip(
-                self.chains, self.changes, (joints[:, :first], joints[:, first:]), strict=True
-            )
-        )
-        return source, detector
+        return self.tool(0, joints[:, :first]), self.tool(1, joints[:, first:])
+
+    def tool(self, side: int, joints: Floats) -> Floats:
+        """The same of one arm.
+
+        Args:
+            side: 0 source, 1 detector.
+            joints: of this arm, (..., views, joints), rad.
+
+        Returns:
+            ``phantom_from_tool``, (..., views, 4, 4), mm.
+        """
+        tools = changed_tools(self.chains[side], self.changes[side], self.gear_periods, joints)
+        return self.phantom_from_room.matrix @ tools
 
     def poses(self, joints: Floats) -> PosePairs:
         """The same as poses: the believed geometry of any trajectory."""

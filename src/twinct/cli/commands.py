@@ -278,6 +278,10 @@ def plan(
     scenario: ScenarioFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    scout: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None,
+    try_views: Annotated[Flag, tyro.conf.arg(name="try")] = False,
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|local|HOST:PORT")] = None,
+    jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     resume: Flag = False,
     threads: Threads = None,
     set_: Overrides = (),
@@ -288,11 +292,17 @@ def plan(
 
     Args:
         out: Folder for the results.
+        scout: Run of a few views, by which the specimen is put where it lies before planning.
+        try_views: Make images of the planned views and of the scenario's path, and compare the
+            volumes: tried.png.
+        address: Where Ray answers; local starts one on this machine. Default: local processes.
+        jobs: Processes that look for what the arms reach and judge paths of a family (default: as
+            many as there are threads).
         resume: Go on with a search that was interrupted.
     """
     from twinct.cli.plan import plan_command
 
-    plan_command(scenario, set_, out, resume, threads)
+    plan_command(scenario, set_, out, scout, try_views, address, jobs, resume, threads)
 
 
 @app.command

@@ -2,39 +2,96 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from rich.console import Console
 from rich.table import Table
 
 from twinct.cli.progress import on_terminal
+from twinct.errors import InputError
 from twinct.extras import require
+from twinct.pool import LocalPool, Pool
 from twinct.scenario import load_scenario, named_places
 from twinct.threads import limit_threads
 
 
 def plan_command(
-    scenario: Path, set_: Sequence[str], out: Path, resume: bool, threads: int | None
+    scenario: Path,
+    set_: Sequence[str],
+    out: Path,
+    scout: Path | None,
+    try_views: bool,
+    address: str | None,
+    jobs: int | None,
+    resume: bool,
+    threads: int | None,
 ) -> None:
     """Plan, and print what the views are worth."""
     from twinct.runs.view_plan import SCENARIO, plan_views
 
-    limit_threads(threads)
+    if jobs is not None and jobs < 1:
+        raise InputError(f"--jobs {jobs}: at least 1 needed")
+    bound = limit_threads(threads)
     if load_scenario(scenario, set_).cell.kind == "arms":
         require("robots")
-    with named_places(scenario, set_), on_terminal() as audience:
-        found = plan_views(scenario, out, set_, resume=resume, progress=audience)
+    with (
+        named_places(scenario, set_),
+        on_terminal() as audience,
+        _pool(address, jobs, bound) as pool,
+    ):
+        found = plan_views(
+            scenario,
+            out,
+            set_,
+            scout=scout,
+            try_views=try_views,
+            resume=resume,
+            pool=pool,
+            progress=audience,
+        )
     table = Table(
         title=f"{len(found.views)} views of {found.reachable} within reach of {found.candidates}"
     )
     for name in ("", "planned", "spread evenly", "the scenario's path"):
         table.add_column(name)
     for name, figures in found.figures.items():
-        table.add_row(name, *(f"{value:.4g}" for value in figures.values()))
+        table.add_row(
+            name, *("-" if value is None else f"{value:.4g}" for value in figures.values())
+        )
     console = Console()
     console.print(table)
+    if (seen := found.scouted) is not None:
+        moved = f"{seen.moved_mm:.2f} mm and {seen.turned_deg:.2f} deg"
+        console.print(f"{seen.views} scout views moved the specimen by {moved}", highlight=False)
+    if found.tried is not None:
+        own, planned = (100 * found.tried[name] for name in ("own_path", "planned"))
+        words = f"error in the region {planned:.2f} %, of the scenario's path {own:.2f} %"
+        console.print(words, highlight=False)
     if found.scan_s is not None:
         motion = f"motion {found.scan_s:.1f} s, smallest clearance {found.clearance_mm:.1f} mm"
         console.print(motion, highlight=False)
     console.print(f"wrote {out}; twinct run {out / SCENARIO} takes these views", highlight=False)
+
+
+@contextmanager
+def _pool(address: str | None, jobs: int | None, bound: int) -> Iterator[Pool | None]:
+    """Who else searches; nobody if this process may use one thread. Nothing of it is left."""
+    workers = jobs or bound
+    if address is None and workers == 1:
+        yield None
+        return
+    with TemporaryDirectory(prefix="twinct-plan-") as folder:
+        if address is None:
+            share = max(bound // workers, 1)
+            pool: Pool = LocalPool(Path(folder), workers=workers, threads=share)
+        else:
+            from twinct.cluster import RayPool
+
+            pool = RayPool(address, name=Path(folder).name, workers=jobs)
+        try:
+            yield pool
+        finally:
+            pool.close(clear=True)

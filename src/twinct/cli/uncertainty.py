@@ -5,19 +5,26 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from twinct.cli.progress import on_terminal
 from twinct.cli.reach import explained
 from twinct.extras import require
 from twinct.files.writing import check_folder, storage_errors, write_text
+from twinct.progress import Progress
 from twinct.report.errors import errors_picture
 from twinct.runs.propagating import errors_of, figures, summary, told_errors
 from twinct.scan import Workshop
 from twinct.scenario import load_scenario, named_places
+from twinct.uncertainty.propagation import Propagation
 
 UNITS = {"mm": "mm", "deg": "deg", "px": "px"}
+
+TASK_DRAWS = 5
+"""Scans for which a task is judged, at most: each takes as long as a plan's measures."""
 
 
 def uncertainty_command(
@@ -30,10 +37,35 @@ def uncertainty_command(
     if out is not None:
         check_folder(out)
     workshop = Workshop(loaded)
-    with named_places(scenario, set_), explained(workshop, picture):
-        found = errors_of(workshop, draws)
-    views = found.errors.shape[1]
-    table = Table(title=f"{loaded.name}: executed less believed, {draws} draws of {views} views")
+    told: dict[str, Any] = {}
+    drawn = None
+    # Other arms than those that were calibrated are not drawn.
+    if not (loaded.uncertainty.calibration and loaded.task):
+        with named_places(scenario, set_), explained(workshop, picture):
+            found = errors_of(workshop, draws)
+        rows = _of_poses(found, f"{loaded.name}: executed less believed, {draws} draws")
+        told = told_errors(found, workshop)
+        drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed less believed")
+    if loaded.task is not None:
+        with (
+            named_places(scenario, set_),
+            on_terminal() as audience,
+            explained(workshop, picture),
+        ):
+            told["task"] = _of_the_task(workshop, min(draws, TASK_DRAWS), audience)
+    if out is None:
+        return
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+        write_text(out / "uncertainty.json", json.dumps(told) + "\n")
+        if drawn is not None:
+            (out / "uncertainty.png").write_bytes(drawn.content)
+    Console().print(f"wrote {out}", highlight=False)
+
+
+def _of_poses(found: Propagation, title: str) -> list[dict[str, Any]]:
+    """Print what the errors do to poses and images, and what causes it; the causes."""
+    table = Table(title=f"{title} of {found.errors.shape[1]} views")
     for name in ("", "mean", "median", "95 %", "largest"):
         table.add_column(name)
     for name, spread in summary(found).items():
@@ -49,11 +81,25 @@ def uncertainty_command(
     for row in rows:
         table.add_row(str(row["term"]), *(f"{row[name]:.3f}" for name in names))
     Console().print(table)
-    if out is None:
-        return
-    with storage_errors(out):
-        out.mkdir(parents=True, exist_ok=True)
-        write_text(out / "uncertainty.json", json.dumps(told_errors(found, workshop)) + "\n")
-        drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed less believed")
-        (out / "uncertainty.png").write_bytes(drawn.content)
-    Console().print(f"wrote {out}", highlight=False)
+    return rows
+
+
+def _of_the_task(workshop: Workshop, draws: int, progress: Progress) -> dict[str, Any]:
+    """Print what the errors leave of what the views are for."""
+    from twinct.runs.view_rejudged import rejudged
+
+    judged, blur_mm = rejudged(workshop, draws, progress)
+    table = Table(
+        title=f"what they are for: {draws} scans, blurred by {blur_mm.mean():.3f} mm in the region"
+    )
+    for name in ("", "as planned", "mean", "least", "largest"):
+        table.add_column(name)
+    for name, goal in judged.items():
+        values = (goal.commanded, goal.drawn.mean(), goal.drawn.min(), goal.drawn.max())
+        table.add_row(name, *(f"{value:.4g}" for value in values))
+    Console().print(table)
+    goals = {
+        name: {"commanded": goal.commanded, "drawn": goal.drawn.tolist()}
+        for name, goal in judged.items()
+    }
+    return {"blur_mm": blur_mm.tolist(), "goals": goals}

@@ -30,8 +30,11 @@ class Description:
     materials: list[Json]
 
 
-def refuse_unsaid(scenario: Scenario) -> None:
-    """Refuse what CTSimU has no words for, with an ``InputError`` that names every key."""
+def refuse_unsaid(scenario: Scenario, *, uneven_mas: bool = False) -> None:
+    """Refuse what CTSimU has no words for, with an ``InputError`` that names every key.
+
+    ``uneven_mas``: views have mAs of their own.
+    """
     # ``photons_per_mm2_mas`` of a monochromatic source and photon counting at one energy have no
     # words either; without quantum noise they change no transmission.
     source, detector = scenario.source, scenario.detector
@@ -46,6 +49,7 @@ def refuse_unsaid(scenario: Scenario) -> None:
         # There it goes on from image to image, here from one into the next alone.
         "detector.lag": detector.lag > 0,
         "detector.scatter": detector.scatter is not None,
+        "trajectory.path (mas)": uneven_mas,
     }
     problems = [f"{key}: CTSimU cannot say this" for key, wrong in table.items() if wrong]
     if problems:

@@ -75,7 +75,7 @@ def export_scan(
     if taken := [p.name for p in (files.scenario, files.trajectory) if p.exists()]:
         raise ScanExistsError(f"{folder} already holds {', '.join(taken)}: choose another --out")
     if not ideal:
-        refuse_unsaid(scan.scenario)
+        refuse_unsaid(scan.scenario, uneven_mas=scan.mas is not None)
     make_folder(folder)
     with storage_errors(folder):
         write_json(files.scenario, _scenario(scan, known, specimen, folder, name, ideal))

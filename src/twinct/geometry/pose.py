@@ -79,6 +79,10 @@ class Pose:
         matrix[:3, 3:] = np.cross(self.position, rotation.T).T
         return matrix
 
+    def to_euler(self) -> tuple[Floats, Floats]:
+        """Origin in mm, and extrinsic x, y, z rotations in degrees: of ``from_euler``."""
+        return self.position, Rotation.from_quat(self.quat).as_euler("xyz", degrees=True)
+
     def to_metres(self) -> tuple[Floats, Floats]:
         """Position in metres and quaternion (x, y, z, w)."""
         return self.position / MM_PER_M, self.quat

@@ -15,6 +15,9 @@ from twinct.geometry.pose import Pose
 
 _VECTORS = ("source", "detector", "u", "v")
 
+FARTHEST_MM = 1e9
+"""Nothing is farther from the origin; squares of much larger numbers have no end."""
+
 
 @dataclass(frozen=True, eq=False)
 class ScanGeometry:
@@ -40,8 +43,11 @@ class ScanGeometry:
         for name in _VECTORS:
             object.__setattr__(self, name, frozen(getattr(self, name), (views, 3), name))
         length_u, length_v = (np.linalg.norm(axis, axis=1) for axis in (self.u, self.v))
+        far = f"is farther than {FARTHEST_MM:g} mm from the origin of the world"
         behind = "points away from the source: the panel would be seen from behind"
         for what, bad, problem in (
+            ("source", (np.abs(self.source) > FARTHEST_MM).any(axis=1), far),
+            ("detector", (np.abs(self.detector) > FARTHEST_MM).any(axis=1), far),
             ("u", np.abs(length_u - 1.0) > UNIT_TOLERANCE, "is not a unit vector"),
             ("v", np.abs(length_v - 1.0) > UNIT_TOLERANCE, "is not a unit vector"),
             ("u and v", np.abs(_dot(self.u, self.v)) > UNIT_TOLERANCE, "are not orthogonal"),

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twinct.cell import CellModel
 from twinct.geometry import Floats
 from twinct.motion.feasible import Flags, Indices
 
@@ -57,6 +58,12 @@ class Speeds:
                 np.minimum(way, np.float32(2 * np.pi) - way, out=way)
             np.maximum(slowest, way / np.float32(limit), out=slowest)
         return slowest.astype(np.float64)
+
+
+def speeds_of(cell: CellModel) -> list[Speeds]:
+    """Of both arms; a joint that can go round more than once may take the shorter side."""
+    limits, turns = cell.speed_limits * cell.speed_scales, np.ptp(cell.joint_ranges, axis=1)
+    return [Speeds(limits[part], turns[part] > 3 * np.pi) for part in cell.arm_joints]
 
 
 def promising(layers: Sequence[Floats], speeds: Speeds) -> list[Indices]:

@@ -25,6 +25,9 @@ SAME_MM, SAME_DEG = 1e-3, 1e-3
 OVER = 1.02
 """A limit exceeded by less is kept: between waypoints the joints go as a polynomial does."""
 
+RESTS_RAD_S = 1e-9
+"""A joint that is slower rests, but for rounding: a thousandth of a micrometre in a second."""
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -151,4 +154,4 @@ def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
 
 def _moving(plan: MotionPlan) -> list[tuple[int, int]]:
     speeds: Floats = np.abs(plan.state[plan.waypoints, 1]).max(axis=1)
-    return runs(np.flatnonzero(speeds > 0).tolist())
+    return runs(np.flatnonzero(speeds > RESTS_RAD_S).tolist())

@@ -22,7 +22,7 @@ FORMAT = "twinct plan 1"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Time of each member of a file, so that the same plan gives the same bytes."""
 
-LARGEST_BYTES = 2**30
+LARGEST_PLAN_BYTES = 2**30
 """Of all arrays in a file; the plan of 10,000 views has a tenth of that."""
 
 
@@ -119,6 +119,6 @@ def load_plan(path: Path) -> MotionPlan:
     Raises:
         InputError: it is no such file, or damaged.
     """
-    arrays = read_npz(path, f"{path}: no plan: the file", LARGEST_BYTES)
+    arrays = read_npz(path, f"{path}: no plan: the file", LARGEST_PLAN_BYTES)
     with library_errors(f"{path}: no plan: its content"):  # arrays of any kind and shape
         return plan_of_arrays(arrays, str(path))

@@ -16,15 +16,13 @@ GAIN_S = 1e-6
 """A change of the order must save this much."""
 
 
-def shortest_tour(candidates: Sequence[Sequence[Floats]], arms: Sequence[Speeds]) -> list[int]:
-    """Views in an order that moves little, from view 0 on.
+def moving_seconds(candidates: Sequence[Sequence[Floats]], arms: Sequence[Speeds]) -> Floats:
+    """How long the arms take from view to view at least, s, (views, views).
 
-    Distances are those of the nearest configurations, of the slower arm. The tour starts with
-    nearest neighbours; then parts of it are turned round as long as that shortens it (2-opt: Croes,
-    "A method for solving traveling-salesman problems", Operations Research 6, 1958).
+    That is between the nearest configurations, of the slower arm, at full speed.
 
     Args:
-        candidates: of each arm for each view, rad, (m, k).
+        candidates: of each arm for each view, rad, (m, k); none empty.
         arms: the speeds of both.
     """
     views = len(candidates[0])
@@ -36,6 +34,20 @@ def shortest_tour(candidates: Sequence[Sequence[Floats]], arms: Sequence[Speeds]
         for view, q in enumerate(few):
             nearest = np.minimum.reduceat(speeds.seconds(q, stacked).min(axis=0), starts)
             seconds[view] = np.maximum(seconds[view], nearest)
+    return seconds
+
+
+def shortest_tour(seconds: Floats) -> list[int]:
+    """Views in an order that moves little, from view 0 on.
+
+    The tour starts with nearest neighbours; then parts of it are turned round as long as that
+    shortens it (2-opt: Croes, "A method for solving traveling-salesman problems", Operations
+    Research 6, 1958).
+
+    Args:
+        seconds: from view to view, (views, views).
+    """
+    views = len(seconds)
     order, left = [0], set(range(1, views))
     while left:
         here = order[-1]

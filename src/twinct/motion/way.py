@@ -28,13 +28,13 @@ from twinct.motion.layers import (
     DETOUR_S,
     ROUNDS,
     Choice,
-    Speeds,
     clear_pairs,
     lifted,
     promising,
+    speeds_of,
 )
 from twinct.motion.refusals import far_problems, gap_problems, gap_text
-from twinct.motion.tour import shortest_tour
+from twinct.motion.tour import moving_seconds, shortest_tour
 from twinct.scenario import Motion
 from twinct.views import Target
 
@@ -153,10 +153,8 @@ class _Finder:
         self._kinematics = Kinematics(cell, motion.ik)
         self._both, self._cross = Feasible(cell), Feasible(cell, "cross")
         self._speeds = cell.speed_limits * cell.speed_scales
-        ranges = cell.joint_ranges
-        # A joint that can go round more than once may take the shorter side.
-        self._turns = np.ptp(ranges, axis=1) > 3 * np.pi
-        self._arms = [Speeds(self._speeds[part], self._turns[part]) for part in cell.arm_joints]
+        self._arms = speeds_of(cell)
+        self._turns = np.concatenate([arm.turns for arm in self._arms])
         self._detours = Detours(cell, self._both, self._turns, seed, most_looks)
         full = np.arange(0.0, 360.0, ROLL_STEP_DEG)
         self._rolls = [np.radians(full if free else full[:1]) for free in roll_free]
@@ -170,7 +168,8 @@ class _Finder:
         candidates = [of_arm for of_arm, _ in found]
         order = list(range(len(self._targets)))
         if self._motion.order == "shortest":
-            order = shortest_tour([[c.joints for c in arm] for arm in candidates], self._arms)
+            joints = [[c.joints for c in arm] for arm in candidates]
+            order = shortest_tour(moving_seconds(joints, self._arms))
         layers = [[arm[view] for view in order] for arm in candidates]
         views = np.array(order)
         if start is not None:

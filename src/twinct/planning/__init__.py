@@ -5,9 +5,11 @@ from twinct.planning.detectability import Detectability, Task, detectability_of
 from twinct.planning.dose import primary_kerma
 from twinct.planning.exposure import best_exposures
 from twinct.planning.family import Tuned, best_parameters
-from twinct.planning.goals import Coverage, Goal, Mean, Measure
-from twinct.planning.metal import metal_paths, starved_share
-from twinct.planning.search import Searched, search_views, worth_of
+from twinct.planning.goals import Coverage, Goal, Mean, Measure, worth_of
+from twinct.planning.metal import metal_paths, spectral_shift, starved_share
+from twinct.planning.moving import PathTime, TourTime
+from twinct.planning.prices import has_limit
+from twinct.planning.search import Searched, search_views
 from twinct.planning.selection import Choice, covered_share, exact_choice, exchanged, greedy_choice
 from twinct.planning.variance import KnownShare, prior_covariance
 
@@ -18,8 +20,10 @@ __all__ = [
     "Goal",
     "Mean",
     "Measure",
+    "PathTime",
     "Searched",
     "Task",
+    "TourTime",
     "Tuned",
     "best_exposures",
     "best_parameters",
@@ -30,11 +34,13 @@ __all__ = [
     "exact_choice",
     "exchanged",
     "greedy_choice",
+    "has_limit",
     "local_completeness",
     "metal_paths",
     "plane_normals",
     "primary_kerma",
     "search_views",
+    "spectral_shift",
     "starved_share",
     "worth_of",
     "prior_covariance",

@@ -102,8 +102,8 @@ class Detectability:
     def slopes(self, exposures: ArrayLike) -> Floats:
         """Derivatives of d'^2 with each view's exposure, (views,)."""
         f = np.tensordot(np.asarray(exposures, dtype=np.float64), self.fisher, axes=1)
+        known = f > 0
         both = f + self._penalty
-        known = both > 0
         f, both = f[known], both[known]
         power, penalty = self._power[known], self._penalty[known]
         a = (power * (f / both) ** 2).sum()
@@ -114,15 +114,42 @@ class Detectability:
         by_f[known] = (2 * a * gain * b - a * a * loss) / b**2
         return np.tensordot(self.fisher, by_f, axes=3)
 
+    def blurred(
+        self, views: Sequence[int], sigma: float, exposures: ArrayLike | None = None
+    ) -> float:
+        """D' of a choice of views where what is there is blurred and the template is not.
+
+        The observer looks for what was to be expected: d' times sum |W MTF|^2 B / sum |W MTF|^2,
+        B that of a Gaussian. A blurred template would not only expect less, but also let less noise
+        through, and d' might rise.
+
+        Args:
+            views: of the choice.
+            sigma: of the Gaussian, in voxels.
+            exposures: of each of these; None: unit ones.
+        """
+        each = np.ones(len(views)) if exposures is None else np.asarray(exposures, np.float64)
+        f = np.tensordot(each, self.fisher[list(views)], axes=1)
+        z, y, x = self.task.signal.shape
+        squared = np.fft.fftfreq(z)[:, None, None] ** 2 + np.fft.fftfreq(y)[:, None] ** 2
+        blur = np.exp(-2 * (np.pi * sigma) ** 2 * (squared + np.fft.rfftfreq(x) ** 2))
+        transfer = self._transfer(np.maximum(f, 0.0))
+        seen = self._power * transfer * transfer
+        return self._of(f) * float((seen * blur).sum() / seen.sum()) if seen.any() else 0.0
+
     def _of(self, f: Floats) -> float:
-        """D' of the whole choice's f."""
-        both = f + self._penalty
-        # Of a constant neither views nor penalty may say anything.
-        transfer = np.divide(f, both, out=np.zeros_like(f), where=both > 0)
+        """D' of f over a whole choice; powers that are still negative, of the grid's end, are 0."""
+        f = np.maximum(f, 0.0)
+        transfer, both = self._transfer(f), f + self._penalty
         seen = self._power * transfer * transfer
         per_f = np.divide(transfer, both, out=np.zeros_like(f), where=both > 0)
         noise = float((seen * per_f).sum())
         return float(seen.sum() / np.sqrt(noise)) if noise > 0 else 0.0
+
+    def _transfer(self, f: Floats) -> Floats:
+        """MTF; of a constant neither views nor penalty may say anything."""
+        both = f + self._penalty
+        return np.divide(f, both, out=np.zeros_like(f), where=both > 0)
 
 
 def detectability_of(
@@ -158,9 +185,9 @@ def detectability_of(
             one = A[view]
             column = one.T(photons[view : view + 1] * one(delta))
             spectrum = np.fft.rfftn(np.roll(column, [-n for n in place], axis=(0, 1, 2)))
-            # Even about the place to first order; what is left makes no filter, nor do negative
-            # powers that come of the grid's end.
-            fisher[view] = np.maximum(spectrum.real, 0.0)
+            # Even about the place to first order; what is left makes no filter. The negative side
+            # lobes of a ray that ends with the grid stay: they cancel in the sum over views.
+            fisher[view] = spectrum.real
             step()
     fisher.setflags(write=False)
     return Detectability(task, fisher)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, lock
+from twinct.planning.moving import TourTime
 
 
 class Measure(Protocol):
@@ -73,7 +74,8 @@ class Goal:
         measure: of a choice.
         weight: how much a change by ``unit`` is worth; negative where less is better.
         unit: what the measure is counted in, such as that of views spread evenly.
-        at_most: limit of a ``Mean``, None: there is none.
+        at_most: limit of what no view lessens by much: a ``Mean``, or a time; None: there is none.
+        at_least: what a whole choice must have; None: anything.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Goal:
     weight: float
     unit: float = 1.0
     at_most: float | None = None
+    at_least: float | None = None
 
     def __post_init__(self) -> None:
         """Check.
@@ -88,8 +91,8 @@ class Goal:
         Raises:
             InputError: a limit that cannot be kept to view by view, or a unit of 0.
         """
-        if self.at_most is not None and not isinstance(self.measure, Mean):
-            raise InputError(f"{self.name}: only a mean over the views can have a limit")
+        if self.at_most is not None and not isinstance(self.measure, (Mean, TourTime)):
+            raise InputError(f"{self.name}: only a mean over the views or a time can have a limit")
         if not self.unit > 0:
             raise InputError(f"{self.name}: it is counted in units of {self.unit:g}")
 
@@ -105,7 +108,13 @@ class Goal:
         Returns:
             (candidates,): whether each may be taken.
         """
-        assert isinstance(self.measure, Mean) and self.at_most is not None
+        assert self.at_most is not None
+        if not isinstance(self.measure, Mean):  # it only grows
+            allowed = free.copy()
+            allowed[free] = self.measure.added(chosen, np.flatnonzero(free).tolist()) <= (
+                self.at_most + 1e-9 * abs(self.at_most)
+            )
+            return allowed
         each, left = self.measure.each[: len(free)], number - len(chosen) - 1
         budget = self.at_most * number - each[list(chosen)].sum() + 1e-9 * abs(self.at_most)
         cheapest = np.sort(each[free])
@@ -115,3 +124,48 @@ class Goal:
         following = cheapest[left] if left < len(cheapest) else np.inf
         needed = np.where(among, rest + following, rest + each)
         return needed <= budget
+
+
+def worth_of(goals: Sequence[Goal], views: Sequence[int]) -> float:
+    """What a choice is worth."""
+    return sum(goal.weight * goal.of(views) / goal.unit for goal in goals if goal.weight)
+
+
+def best_added(
+    goals: Sequence[Goal],
+    candidates: int,
+    number: int,
+    chosen: Sequence[int],
+    instead_of: Sequence[int] | None = None,
+) -> tuple[int | None, float]:
+    """The view that adds most to a choice, and what the choice is worth with it.
+
+    Args:
+        goals: what counts.
+        candidates: how many there are.
+        number: of views that the choice will have: the limits are those of all of them.
+        chosen: so far.
+        instead_of: the whole choice that one with the view replaces: it has no less of what there
+            must be enough of, unless it still has enough.
+
+    Returns:
+        None where no view keeps within the limits.
+    """
+    free = np.ones(candidates, np.bool_)
+    free[list(chosen)] = False
+    may = free.copy()
+    for goal in goals:
+        if goal.at_most is not None:
+            may &= goal.room(number, chosen, free)
+    views = np.flatnonzero(may).tolist()
+    if not views:
+        return None, -np.inf
+    worth: Floats = np.zeros(len(views))
+    for goal in goals:
+        if goal.weight or goal.at_least is not None:
+            figures = goal.measure.added(chosen, views)
+            worth = worth + goal.weight * figures / goal.unit
+            if goal.at_least is not None and instead_of is not None:
+                worth[figures < min(goal.at_least, goal.of(instead_of))] = -np.inf
+    best = int(worth.argmax())
+    return views[best], float(worth[best])

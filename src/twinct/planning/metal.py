@@ -11,9 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
 
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.planning.sight import sees
+from twinct.recon import Projector
 from twinct.shadow import Body, Rays
 
 
@@ -35,15 +37,72 @@ def metal_paths(
     Raises:
         InputError: metal that reaches behind a source.
     """
-    lengths = np.empty(geometry.panel.shape)
-    rays, found = Rays(geometry), np.empty(len(geometry))
+    return mean_of_views([one.sum(axis=0) for one in metal_lengths(geometry, metal, points)])
+
+
+def metal_lengths(
+    geometry: ScanGeometry, metal: Sequence[tuple[Body, Pose]], points: ArrayLike
+) -> list[Floats]:
+    """Lengths in each body of each view's rays through points, as in ``metal_paths``.
+
+    Returns:
+        (bodies, points seen) of each view, mm.
+    """
+    images = np.empty((len(metal), *geometry.panel.shape))
+    rays, found = Rays(geometry), []
     for view, (row, column) in enumerate(_pixels(geometry, points)):
-        lengths[:] = 0.0
-        for body, world_from_body in metal:
+        images[:] = 0.0
+        for image, (body, world_from_body) in zip(images, metal, strict=True):
             shadow = rays.shadow(body, world_from_body, view)
-            lengths[shadow.box] += shadow.lengths
-        found[view] = lengths[row, column].mean() if len(row) else np.nan
+            image[shadow.box] += shadow.lengths
+        found.append(images[:, row, column])
     return found
+
+
+def seen_lengths(A: Projector, metal: ArrayLike, points: ArrayLike) -> list[Floats]:
+    """The same of metal that a volume shows, such as a reconstruction of scout views.
+
+    Args:
+        A: of the views, on the volume's grid.
+        metal: 1 where there is metal, (z, y, x).
+        points: of the region, (points, 3), mm.
+
+    Returns:
+        (1, points seen) of each view, mm.
+    """
+    there = np.asarray(metal, np.float32)
+    return [
+        A[[view]](there)[0][row, column][None].astype(np.float64)
+        for view, (row, column) in enumerate(_pixels(A.geometry, points))
+    ]
+
+
+def spectral_shift(lengths: ArrayLike, attenuation_per_mm: ArrayLike, photons: ArrayLike) -> Floats:
+    """How much metal hardens a beam: what a line integral falls short of that of its thin parts.
+
+        sum_E w_E d_E + ln(sum_E w_E exp(-d_E)),   d_E = sum over the bodies of mu_E l
+
+    with w_E the shares of the photons, each weighted with its signal. It is 0 of one energy and of
+    thin metal, grows with the square of the length at first, and is what streaks between bodies of
+    metal come from (P. Wu et al., 2020).
+
+    Args:
+        lengths: in each body, (bodies, rays), mm.
+        attenuation_per_mm: of each body at each energy, (bodies, energies), 1/mm.
+        photons: at each energy, weighted, (energies,).
+
+    Returns:
+        (rays,), 0 or more.
+    """
+    depths = np.asarray(lengths, np.float64).T @ np.asarray(attenuation_per_mm, np.float64)
+    share = np.asarray(photons, np.float64)
+    share = share / share.sum()
+    return depths @ share + logsumexp(-depths, b=share, axis=1)
+
+
+def mean_of_views(values: Sequence[Floats]) -> Floats:
+    """Mean over the rays of each view, (views,); NaN where there is none."""
+    return np.array([one.mean() if one.size else np.nan for one in values])
 
 
 def starved_share(

@@ -16,7 +16,7 @@ from twinct.files.writing import storage_errors
 from twinct.record.contents import Contents
 from twinct.record.foreign import foreign_scan
 from twinct.record.recorder import COMMANDED, PLAN, SCENARIO
-from twinct.scan import NamedGeometry, ScanStore, View
+from twinct.scan import NamedGeometry, ScanStore, View, Workshop
 from twinct.scenario import Scenario, parse_scenario
 from twinct.trajectory import write_views
 from twinct.views import PosePairs, Reached
@@ -80,7 +80,10 @@ class Recorded:
                 write_views(path.with_name(VIEWS_FILE), self.commanded.geometry(panel))
         any_ = next(iter(self.reached.values()))
         robots = any_.joint_names, len(any_.state), self.plan
-        store = ScanStore.create(path, self.scenario, self.commanded, *robots, digests=self.digests)
+        # A recording of another tool's has no chain of ours, whose mAs would have to be known.
+        mas = None if self.digests is None else Workshop(self.scenario, self.plan).mas
+        more = {"digests": self.digests, "mas": mas}
+        store = ScanStore.create(path, self.scenario, self.commanded, *robots, **more)
         try:
             for stamp, pixels in self.contents.images(self.reached):
                 index = self.views[stamp]

@@ -70,6 +70,7 @@ class ReportData:
         reference: name of the material whose attenuation that is.
         room_png: picture of the robot cell, or None.
         others: further reconstructions.
+        mas: tube load of each view, (views,), mAs; None: the scenario's for all.
         nearest: the two bodies that the plan brings nearest to each other; empty: not known.
     """
 
@@ -87,6 +88,7 @@ class ReportData:
     room_png: bytes | None = None
     nearest: tuple[str, ...] = ()
     others: Sequence[Another] = ()
+    mas: Floats | None = None
 
 
 PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}

@@ -232,7 +232,7 @@ def _setting(report: ReportData) -> dict[str, str]:
         ),
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
         **_machine(scenario.cell),
-        **physics_in_words(scenario, report.commanded.source[0], report.commanded.detector[0]),
+        **physics_in_words(scenario, *report.commanded[0], report.mas),
         "Reconstruction": scenario.reconstruction.in_words,
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
     }

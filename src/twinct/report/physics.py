@@ -5,26 +5,30 @@ from __future__ import annotations
 import numpy as np
 
 from twinct import scenario as sections
-from twinct.geometry import MM_PER_M, Pose
+from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.scenario import Detector, Scenario, Source
 from twinct.scenario.composition import Composition
 from twinct.xray.build import build_spectrum, effective_energy_kev
 
 
-def physics_in_words(scenario: Scenario, source: Pose, panel: Pose) -> dict[str, str]:
+def physics_in_words(
+    scenario: Scenario, source: Pose, panel: Pose, mas: Floats | None = None
+) -> dict[str, str]:
     """One line each for source and detector, for the report and the log.
 
-    The photons are counted at the panel's middle, in the view of these two poses.
+    The photons are counted at the panel's middle, in the view of these two poses, the first;
+    ``mas`` is of all views, ``source.mas`` where None.
 
     Raises:
         InputError: a file that cannot be used any more.
         MissingExtraError: SpekPy is needed and not installed.
     """
-    words = [*_beam(scenario.source), *_exposure(scenario.source)]
+    loads = np.atleast_1d(scenario.source.mas if mas is None else mas)
+    words = [*_beam(scenario.source), *_exposure(scenario.source, loads)]
     if scenario.source.spectrum is not None:
         energy = effective_energy_kev(scenario.source, scenario.detector)
         words.append(f"mean energy seen by the detector {energy:.1f} keV")
-    photons = _photons(scenario, source, panel)
+    photons = _photons(scenario, source, panel, float(loads[0]))
     if photons is not None:
         words.append(f"{photons:.3g} photons per pixel in the free beam")
     lattice, n = scenario.detector.panel, scenario.detector.binning
@@ -36,7 +40,7 @@ def physics_in_words(scenario: Scenario, source: Pose, panel: Pose) -> dict[str,
     }
 
 
-def _photons(scenario: Scenario, source: Pose, panel: Pose) -> float | None:
+def _photons(scenario: Scenario, source: Pose, panel: Pose, mas: float) -> float | None:
     """Photons that meet an image pixel in the free beam; None where their number is not known."""
     spectrum = build_spectrum(scenario.source)
     if not spectrum.absolute:
@@ -45,7 +49,7 @@ def _photons(scenario: Scenario, source: Pose, panel: Pose) -> float | None:
     to_source = np.subtract(source.position, panel.position)
     distance = float(np.linalg.norm(to_source))
     cosine = float(abs(panel.rotation[:, 2] @ to_source)) / distance
-    per_mm2 = spectrum.total * scenario.source.mas * (MM_PER_M / distance) ** 2 * cosine
+    per_mm2 = spectrum.total * mas * (MM_PER_M / distance) ** 2 * cosine
     return per_mm2 * lattice.pitch_u * lattice.pitch_v
 
 
@@ -61,10 +65,11 @@ def _beam(source: Source) -> list[str]:
     return [kind, *([f"filtered by {' and '.join(plates)}"] if plates else [])]
 
 
-def _exposure(source: Source) -> list[str]:
+def _exposure(source: Source, mas: Floats) -> list[str]:
     words = []
     if source.photons_per_mm2_mas or isinstance(source.spectrum, sections.TubeSpectrum):
-        words.append(f"{source.mas:g} mAs")
+        low, high = mas.min(), mas.max()
+        words.append(f"{low:g} mAs" if low == high else f"{low:g} to {high:g} mAs")
     spot = source.focal_spot
     if isinstance(spot, sections.GaussianSpot):
         words.append(f"Gaussian spot, sigma {_size(spot.sigma_mm)} mm")

@@ -23,7 +23,7 @@ def draw_view_plan(
     title: str,
     sources: Mapping[str, Floats],
     worth: Sequence[float],
-    figures: Mapping[str, Mapping[str, float]],
+    figures: Mapping[str, Mapping[str, float | None]],
 ) -> None:
     """Write the picture (PNG).
 
@@ -32,7 +32,7 @@ def draw_view_plan(
         title: name of the scenario.
         sources: of views by what they are, a key of ``LOOKS``, from the isocentre, (views, 3), mm.
         worth: after each step of the search.
-        figures: of each goal: planned, spread_evenly and own_path.
+        figures: of each goal: planned, spread_evenly and own_path, None where it has none.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -62,7 +62,7 @@ def draw_view_plan(
         "own_path": ("scenario's path", "tab:orange"),
     }
     for k, (key, (label, colour)) in enumerate(kinds.items()):
-        heights = [f[key] / (f["spread_evenly"] or 1.0) for f in figures.values()]
+        heights = [(f[key] or 0.0) / (f["spread_evenly"] or 1.0) for f in figures.values()]
         bars.bar(np.arange(len(figures)) + 0.27 * (k - 1), heights, 0.25, label=label, color=colour)
     bars.set_xticks(range(len(figures)), list(figures))
     bars.set_ylabel("against views spread evenly")

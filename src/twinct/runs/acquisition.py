@@ -94,7 +94,7 @@ def simulate(
             step()
 
         acquire(rig, workshop.targets, keep)
-    return Scan.from_views(scenario, workshop.commanded_poses, views)
+    return Scan.from_views(scenario, workshop.commanded_poses, views, workshop.mas)
 
 
 def acquire_to_store(
@@ -124,7 +124,9 @@ def acquire_to_store(
             view = with_frames(view, index, imager, scenario.detector.panel)
         if store is None:
             robots = reached.joint_names, len(reached.state), workshop.followed
-            store = ScanStore.create(path, scenario, workshop.commanded_poses, *robots)
+            store = ScanStore.create(
+                path, scenario, workshop.commanded_poses, *robots, mas=workshop.mas
+            )
         store.write(index, view)
         log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
         audience.tell(ViewStored(index, len(targets), view.frozen()))

@@ -120,7 +120,7 @@ def findings(workshop: Workshop) -> dict[str, str]:
     """
     scenario, plan = workshop.scenario, workshop.plan
     grid = scenario.reconstruction.volume_grid
-    physics = physics_in_words(scenario, *workshop.commanded_poses[0])
+    physics = physics_in_words(scenario, *workshop.commanded_poses[0], workshop.mas)
     if plan is None:
         clearance = {"motion": "a gantry, exactly where it is told"}
     else:

@@ -261,7 +261,9 @@ def _note(workshop: Workshop, folder: Folder, link: Link, warnings: list[str]) -
     scenario = workshop.scenario
     write_text(folder.scenario, as_yaml(scenario))
     log.info("twinct run %s, %s link, digests %s", scenario.name, link, stage_digests(scenario))
-    for name, words in physics_in_words(scenario, *workshop.commanded_poses[0]).items():
+    for name, words in physics_in_words(
+        scenario, *workshop.commanded_poses[0], workshop.mas
+    ).items():
         log.info("%s: %s", name.lower(), words)
     for warning in warnings:
         log.warning(warning)

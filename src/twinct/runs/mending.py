@@ -47,7 +47,7 @@ def mend_frame(path: Path, workshop: Workshop, error: DamagedError) -> None:
     robots = reached.joint_names, len(reached.state), workshop.followed
     shutil.rmtree(draft, ignore_errors=True)
     try:
-        write_frame(draft, scenario, workshop.commanded_poses, *robots)
+        write_frame(draft, scenario, workshop.commanded_poses, *robots, mas=workshop.mas)
         fresh = read_frame_manifest(draft) or {}
         broken = [damage.file for damage in error.found]
         if FRAME_FILE in broken:  # all that tells which scan this is

@@ -55,7 +55,8 @@ def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
     scenario = workshop.scenario
     if file := scenario.uncertainty.calibration:
         raise InputError(
-            f"uncertainty.calibration: {file} is of one pair of arms, and here others are drawn"
+            f"uncertainty.calibration: {file} is of one pair of arms, and here others are drawn; "
+            "with a section task its views are judged for this pair"
         )
     return propagate(
         scenario.uncertainty,

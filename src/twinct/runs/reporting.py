@@ -263,6 +263,7 @@ def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData
         reference=workshop.specimen.reference_part.material.name,
         room_png=_room(workshop),
         nearest=plan.nearest[int(plan.clearance_mm.argmin())] if plan else (),
+        mas=scan.mas,
     )
 
 

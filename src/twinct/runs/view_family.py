@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,16 +14,22 @@ from pydantic import ValidationError
 from twinct.errors import InputError
 from twinct.geometry import ScanGeometry
 from twinct.planning import best_parameters, worth_of
+from twinct.pool import Pool
 from twinct.progress import SILENT, Progress
 from twinct.runs.view_candidates import orbit_of, reachable
 from twinct.runs.view_goals import goals_of
 from twinct.runs.view_journal import Journal
+from twinct.runs.view_tried import trial
+from twinct.runs.view_work import spread
 from twinct.scan import Workshop
-from twinct.scenario import FamilySearch, ViewTask
+from twinct.scenario import FamilySearch, Scenario, ViewTask
 from twinct.trajectory import OrbitSettings, commanded_views
 
 MISSED = -1e3
 """Worth of a path that cannot be had, and more so the more of it is missed: the search is led."""
+
+TOGETHER = 2
+"""Paths that are judged as one piece of work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +50,11 @@ class TunedPath:
 
 
 def best_path(
-    workshop: Workshop, reference: ScanGeometry, journal: Journal, progress: Progress
+    workshop: Workshop,
+    reference: ScanGeometry,
+    journal: Journal,
+    progress: Progress,
+    pool: Pool | None = None,
 ) -> TunedPath:
     """Search for the path that is worth most, all of whose views the arms can have.
 
@@ -51,6 +63,7 @@ def best_path(
         reference: views spread evenly, which measures are counted in.
         journal: what is known of an earlier search; hears of each generation.
         progress: hears how far it is.
+        pool: other processes that judge paths; this one, if there is none.
 
     Raises:
         InputError: keys that the trajectory does not have or values that it refuses; no path
@@ -61,13 +74,21 @@ def best_path(
     assert task is not None and task.family is not None
     _check(workshop, task, task.family)
     kept, judged = list(journal.generations), 0
+    tried = None
+    if task.trying is not None and len(kept) < task.family.generations:
+        tried = error_of(workshop.scenario, reference)
+
+    def starts(sets: Sequence[object]) -> range:
+        return range(0, len(sets), TOGETHER)
 
     def worth(sets: Sequence[Mapping[str, float]]) -> Sequence[float]:
         nonlocal judged
         judged += 1
         if judged <= len(kept):
             return kept[judged - 1]
-        values = [value for value, _ in _judged(workshop, task, reference, sets)]
+        pieces = [_Piece(reference, tried, sets[k : k + TOGETHER]) for k in starts(sets)]
+        judgements = spread(_judged, workshop, pieces, pool)
+        values = [value for piece in judgements for value, _ in piece]
         journal.judged(values)
         return values
 
@@ -81,7 +102,7 @@ def best_path(
         progress=progress,
     )
     if found.worth <= MISSED:
-        ((_, words),) = _judged(workshop, task, reference, [found.parameters])
+        ((_, words),) = _judged(workshop, _Piece(reference, None, [found.parameters]))
         near = ", ".join(f"{key} {value:.3g}" for key, value in found.parameters.items())
         raise InputError(
             f"task.family: none of the paths tried can be had; the nearest, with {near}, {words}: "
@@ -92,30 +113,53 @@ def best_path(
     return TunedPath(section, found.parameters, views, found.history)
 
 
-def _judged(
-    workshop: Workshop,
-    task: ViewTask,
-    reference: ScanGeometry,
-    sets: Sequence[Mapping[str, float]],
-) -> list[tuple[float, str]]:
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Paths to be judged.
+
+    Attributes:
+        reference: views spread evenly.
+        tried: error of a volume of these; None: paths are not tried.
+        sets: parameters of each path.
+    """
+
+    reference: ScanGeometry
+    tried: float | None
+    sets: Sequence[Mapping[str, float]]
+
+
+def error_of(scenario: Scenario, views: ScanGeometry) -> float:
+    """Error in the task's region of a volume of the views, of which nothing is kept."""
+    with TemporaryDirectory(prefix="twinct-trial-") as folder:
+        return trial(scenario, views, None, Path(folder), "path").error_rel
+
+
+def _judged(workshop: Workshop, piece: _Piece) -> list[tuple[float, str]]:
     """Worth of each path, and what it misses."""
+    reference, task = piece.reference, workshop.scenario.task
+    assert task is not None
     panel, count = workshop.scenario.detector.panel, task.views
-    paths = [commanded_views(_section(workshop, task, one), panel) for one in sets]
-    held = np.zeros(count * len(paths), bool)
-    held[reachable(workshop, ScanGeometry.joined(paths), SILENT)] = True
+    paths = [commanded_views(_section(workshop, task, one), panel) for one in piece.sets]
+    held = np.array([len(reachable(workshop, path, SILENT)) for path in paths])
     both = ScanGeometry.joined([reference, *paths])
     goals = goals_of(workshop, both, len(reference), range(len(reference)), SILENT)
     found: list[tuple[float, str]] = []
     for k in range(len(paths)):
         views = range(len(reference) + k * count, len(reference) + (k + 1) * count)
-        missed = count - int(held[k * count : (k + 1) * count].sum())
+        missed = count - int(held[k])
         words = [f"has {missed} of {count} views out of reach"] if missed else []
         far = missed / count
         for goal in goals:
             if goal.at_most is not None and (has := goal.of(views)) > goal.at_most:
                 far += has / goal.at_most - 1
                 words.append(f"comes to {has:.4g} of {goal.name}, {goal.at_most:.4g} at most")
-        found.append((MISSED * (1 + far) if words else worth_of(goals, views), ", ".join(words)))
+            if goal.at_least is not None and (has := goal.of(views)) < goal.at_least:
+                far += 1 - has / goal.at_least
+                words.append(f"comes to {has:.4g} of {goal.name}, {goal.at_least:.4g} at least")
+        worth = MISSED * (1 + far) if words else worth_of(goals, views)
+        if piece.tried is not None and task.trying is not None and not words:
+            worth -= task.trying.weight * error_of(workshop.scenario, paths[k]) / piece.tried
+        found.append((worth, ", ".join(words)))
     return found
 
 

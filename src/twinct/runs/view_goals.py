@@ -5,7 +5,7 @@ The specimen of the scenario stands for the patient, as a prior volume would.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,25 +20,40 @@ from twinct.planning import (
     KnownShare,
     Mean,
     Measure,
+    PathTime,
     Task,
+    TourTime,
     crossed_planes,
     detectability_of,
-    metal_paths,
     primary_kerma,
     prior_covariance,
+    spectral_shift,
+    starved_share,
 )
 from twinct.planning.detectability import difference_spectrum
+from twinct.planning.metal import mean_of_views, metal_lengths, seen_lengths
 from twinct.planning.sight import sees
 from twinct.progress import Progress
 from twinct.recon import Projector
 from twinct.runs.named import contrast_at
+from twinct.runs.view_candidates import seconds_between
 from twinct.scan import Workshop
-from twinct.scenario import DetectabilityGoal, DoseGoal, KnownGoal, MetalGoal, ViewTask
+from twinct.scenario import (
+    Cell,
+    CompletenessGoal,
+    DetectabilityGoal,
+    DoseGoal,
+    KnownGoal,
+    MetalGoal,
+    MovingGoal,
+    ViewTask,
+)
 from twinct.shadow import Body
-from twinct.specimen import BuiltPart
+from twinct.specimen import BuiltPart, Material, material
 from twinct.specimen.voxels import volume_fractions
 from twinct.volume import Volume
-from twinct.xray.build import build_spectrum, effective_energy_kev
+from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+from twinct.xray.spectrum import attenuation
 
 PRIOR_MM = 3.0
 """Voxels of the patient through which photons go."""
@@ -71,9 +86,11 @@ class Patient:
 
     Attributes:
         workshop: of the scenario.
+        voxel_mm: of the volume that stands for it.
     """
 
     workshop: Workshop
+    voxel_mm: float = PRIOR_MM
 
     @cached_property
     def _fractions(self) -> tuple[VolumeGrid, list[tuple[BuiltPart, NDArray[np.float32]]]]:
@@ -81,8 +98,8 @@ class Patient:
         specimen = self.workshop.specimen
         low, high = specimen.bounds
         pose = specimen.world_from_specimen @ Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
-        count = np.maximum(np.ceil((high - low) / PRIOR_MM).astype(int) + 2, 2)[::-1]
-        grid = VolumeGrid(count.tolist(), PRIOR_MM, pose)
+        count = np.maximum(np.ceil((high - low) / self.voxel_mm).astype(int) + 2, 2)[::-1]
+        grid = VolumeGrid(count.tolist(), self.voxel_mm, pose)
         place = specimen.world_from_specimen
         return grid, [
             (part, volume_fractions(part.mesh.vertices, part.mesh.faces, grid, place))
@@ -187,28 +204,57 @@ def goals_of(
     if task.completeness is not None:
         angle = task.completeness.within_deg
         covers = crossed_planes(geometry, points, angle, NORMALS)
-        goals.append(_goal("completeness", Coverage(covers), task.completeness.weight, even))
+        goals.append(_goal("completeness", Coverage(covers), task.completeness, even))
     if (section := task.detectability) is not None:
         measure = _detectability(patient, section, geometry, points[0], even, progress)
-        goals.append(_goal("detectability", measure, section.weight, even))
+        goals.append(_goal("detectability", measure, section, even))
     if (section := task.known) is not None:
         measure = _known(patient, task, section, geometry, points[0])
-        goals.append(_goal("known", measure, section.weight, even))
+        goals.append(_goal("known", measure, section, even))
     if (section := task.metal) is not None:
         goals.append(_cost("metal", section, _metal(patient, section, geometry, points), even))
     if (section := task.dose) is not None:
         goals.append(_cost("dose", section, _dose(patient, section, geometry), even))
+    if (section := task.moving) is not None:
+        goals.append(_moving(workshop, section, geometry, even, in_order=task.family is not None))
     return goals
 
 
-def _goal(name: str, measure: Measure, weight: float, even: Sequence[int]) -> Goal:
-    unit = Goal(name, measure, weight).of(even)
+def _moving(
+    workshop: Workshop,
+    section: MovingGoal,
+    geometry: ScanGeometry,
+    even: Sequence[int],
+    *,
+    in_order: bool,
+) -> Goal:
+    """Seconds that the arms take; in the order of the views, as on a path, or the shortest."""
+    if not isinstance(workshop.scenario.cell, Cell):
+        raise InputError("task.moving: a gantry has no arms that take time (cell.kind: arms)")
+    from twinct.motion import shortest_tour
+
+    seconds = seconds_between(workshop, geometry)
+    tour = TourTime(seconds, shortest_tour)
+    spread = Goal("moving", tour, 0.0).of(even)
+    limit = None if section.at_most_rel is None else section.at_most_rel * spread
+    measure = PathTime(seconds) if in_order else tour
+    return Goal("moving", measure, -section.weight, spread or 1.0, limit)
+
+
+def _goal(
+    name: str,
+    measure: Measure,
+    section: CompletenessGoal | DetectabilityGoal | KnownGoal,
+    even: Sequence[int],
+) -> Goal:
+    unit = Goal(name, measure, 0.0).of(even)
     if not unit > 0:
         raise InputError(
             f"task.{name}: views spread evenly over all that can be had have none of it: only few "
             "see the region (task.position_mm); the isocentre of the trajectory is seen by all"
         )
-    return Goal(name, measure, weight, unit)
+    least = None if section.at_least_rel is None else section.at_least_rel * unit
+    return Goal(name, measure, section.weight, unit, at_least=least)
 
 
 def _cost(name: str, section: MetalGoal | DoseGoal, each: Floats, even: Sequence[int]) -> Goal:
@@ -219,20 +265,81 @@ def _cost(name: str, section: MetalGoal | DoseGoal, each: Floats, even: Sequence
     return Goal(name, measure, -section.weight, spread or 1.0, limit)
 
 
+@dataclass(frozen=True, eq=False)
+class _Metal:
+    """Metal as views see it.
+
+    Attributes:
+        substances: of each body.
+        points: of the metal, (points, 3), mm.
+        lengths: in each body of rays through points, (bodies, points seen) of each view.
+    """
+
+    substances: list[Material]
+    points: Callable[[], Floats]
+    lengths: Callable[[ScanGeometry, Floats], list[Floats]]
+
+
+def _metal_of(patient: Patient, section: MetalGoal) -> _Metal:
+    """Metal of the specimen's parts, or that a volume shows.
+
+    Raises:
+        InputError: a volume that is none or shows no metal, an unknown material.
+    """
+    if (seen := section.seen) is None:
+        place, seed = patient.workshop.specimen.world_from_specimen, patient.workshop.scenario.seed
+        parts = [patient.part(name) for name in section.parts]
+        bodies = [(Body(one.mesh.vertices, one.mesh.faces), place) for one in parts]
+        return _Metal(
+            [one.material for one in parts],
+            lambda: np.vstack([patient.points_of(name, seed) for name in section.parts]),
+            lambda geometry, points: metal_lengths(geometry, bodies, points),
+        )
+    volume = Volume.read(seen.path)
+    there = volume.array > seen.above_per_mm
+    if not there.any():
+        raise InputError(
+            f"task.metal.seen.above_per_mm: no voxel of {seen.path} is above {seen.above_per_mm:g} "
+            f"1/mm: the largest is {float(volume.array.max()):.3g}"
+        )
+    grid, index = volume.grid, np.argwhere(there)[:, ::-1]
+    some = np.random.default_rng(patient.workshop.scenario.seed).permutation(len(index))
+    local = index[some[:PART_POINTS]] * grid.voxel + grid.first_voxel_mm
+    return _Metal(
+        [material(seen.material, "task.metal.seen.material")],
+        lambda: grid.world_from_grid.apply(local),
+        lambda geometry, points: seen_lengths(Projector(geometry, grid), there, points),
+    )
+
+
 def _metal(patient: Patient, section: MetalGoal, geometry: ScanGeometry, points: Floats) -> Floats:
-    """Mean length in metal of each view, mm; as long as the longest where it sees no point."""
-    panel = geometry.panel
-    factors = (max(1, int(PIXEL_MM / pitch)) for pitch in (panel.pitch_v, panel.pitch_u))
-    place = patient.workshop.specimen.world_from_specimen
-    metal: list[tuple[Body, Pose]] = []
-    for name in section.parts:
-        mesh = patient.part(name).mesh
-        metal.append((Body(mesh.vertices, mesh.faces), place))
+    """What metal does to each view; as much as it does at most where a view sees no point."""
+    scenario, panel = patient.workshop.scenario, geometry.panel
+    metal = _metal_of(patient, section)
     if section.rays == "metal":
-        seed = patient.workshop.scenario.seed
-        points = np.vstack([patient.points_of(name, seed) for name in section.parts])
-    lengths = metal_paths(geometry.binned(*factors), metal, points)
-    return np.nan_to_num(lengths, nan=float(np.nanmax(lengths)))
+        points = metal.points()
+    factors = (max(1, int(PIXEL_MM / pitch)) for pitch in (panel.pitch_v, panel.pitch_u))
+    lengths = metal.lengths(geometry.binned(*factors), points)
+    if section.counts == "length":
+        found = mean_of_views([one.sum(axis=0) for one in lengths])
+    elif section.counts == "shift":
+        spectrum = build_spectrum(scenario.source)
+        if len(spectrum.photons) < 2:
+            raise InputError("task.metal.counts: shift: one energy is not hardened: a tube is")
+        weights = spectrum.photons * build_response(scenario.detector).mean(spectrum.energies_kev)
+        mu = [attenuation(one, spectrum.energies_kev) for one in metal.substances]
+        found = mean_of_views([spectral_shift(one, mu, weights) for one in lengths])
+    else:
+        coarse, photons = patient.photons(geometry, points[0], PRIOR_MM, "task.metal.counts")
+        if section.seen is not None:  # of which the prior may know nothing
+            energy = effective_energy_kev(scenario.source, scenario.detector)
+            volume = Volume.read(section.seen.path)
+            there = (volume.array > section.seen.above_per_mm).astype(np.float32)
+            mu_per_mm = metal.substances[0].mu_per_mm(energy)
+            photons = photons * np.exp(-mu_per_mm * Projector(coarse, volume.grid)(there))
+        pixels = coarse.panel.pitch_u * coarse.panel.pitch_v / (panel.pitch_u * panel.pitch_v)
+        found = starved_share(coarse, photons, points, section.least_photons * pixels)
+    return np.nan_to_num(found, nan=float(np.nanmax(found)))
 
 
 def _dose(patient: Patient, section: DoseGoal, geometry: ScanGeometry) -> Floats:

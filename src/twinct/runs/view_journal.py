@@ -48,7 +48,11 @@ class Journal:
         self.within_reach = np.array(kept["reachable"], np.intp)
         state = kept["state"]
         self.state = Searched(
-            tuple(state["chosen"]), tuple(state["worth"]), state["place"], state["unchanged"]
+            tuple(state["chosen"]),
+            tuple(state["worth"]),
+            state["place"],
+            state["unchanged"],
+            state["priced"],
         )
         self.generations = kept["generations"]
 

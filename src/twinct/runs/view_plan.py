@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +14,26 @@ import numpy as np
 from twinct.errors import InputError, TrajectoryError
 from twinct.files.lock import sole_owner
 from twinct.files.writing import check_folder, storage_errors, write_json
-from twinct.geometry import ScanGeometry
-from twinct.planning import Goal, Searched, search_views
+from twinct.geometry import Floats, ScanGeometry
+from twinct.planning import Goal, Searched, has_limit, search_views
+from twinct.pool import Pool
 from twinct.progress import SILENT, Progress
 from twinct.report.view_plan import draw_view_plan
+from twinct.runs import view_tried
 from twinct.runs.view_candidates import candidates_of, orbit_of, own_path, reachable, spread_evenly
-from twinct.runs.view_family import best_path
+from twinct.runs.view_exposure import share_exposure
+from twinct.runs.view_family import best_path, error_of
 from twinct.runs.view_goals import goals_of
 from twinct.runs.view_journal import Journal
+from twinct.runs.view_scout import Scouted, scouted
+from twinct.runs.view_tried import tried
 from twinct.scan import Workshop
 from twinct.scenario import Cell, Scenario, ViewTask, load_scenario, write_scenario
 from twinct.trajectory import OrbitSettings, write_views
 
 SEARCH, VIEWS, SCENARIO, JOINTS = "search.json", "views.csv", "planned.yaml", "plan.npz"
 RESULT, PICTURE, LOCK = "plan.json", "plan.png", "plan.lock"
+TRIED = (view_tried.FOLDER, view_tried.PICTURE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,19 +43,24 @@ class ViewPlan:
     Attributes:
         views: the chosen views, rising by candidate.
         figures: of each goal, of the chosen views, of views spread evenly and of the scenario's own
-            path with as many, by name.
+            path with as many, by name; None where the arms cannot have them.
         candidates: how many there were.
         reachable: how many of them the arms can have.
         scan_s: duration of the motion plan; None with a gantry.
         clearance_mm: smallest on the way; None likewise.
+        scouted: where scout views saw the patient; None: it lies where the scenario says.
+        tried: error of volumes in the region, by views, of the reference's attenuation; None: no
+            images were made.
     """
 
     views: ScanGeometry
-    figures: dict[str, dict[str, float]]
+    figures: dict[str, dict[str, float | None]]
     candidates: int
     reachable: int
     scan_s: float | None
     clearance_mm: float | None
+    scouted: Scouted | None = None
+    tried: Mapping[str, float] | None = None
 
 
 def plan_views(
@@ -56,7 +68,10 @@ def plan_views(
     out: Path,
     overrides: Sequence[str] = (),
     *,
+    scout: Path | None = None,
+    try_views: bool = False,
     resume: bool = False,
+    pool: Pool | None = None,
     progress: Progress = SILENT,
 ) -> ViewPlan:
     """Choose views for the task of a scenario, and plan how the arms take them.
@@ -67,12 +82,19 @@ def plan_views(
         source: scenario file.
         out: folder for the results.
         overrides: of keys of the scenario.
+        scout: run of a few views to which the scenario's specimen is registered before; what is
+            written has it there.
+        try_views: make images of the planned views and of the scenario's path, as by a gantry, and
+            reconstruct both: what is achieved.
         resume: go on with a search that was interrupted.
+        pool: other processes that look for what is within reach and judge paths of a family; what
+            they find is what this one would.
         progress: hears how far it is.
 
     Raises:
         InputError: no task, a region that no view sees, limits that no choice keeps, fewer
-            candidates within reach than views; each with the nearest that is possible.
+            candidates within reach than views; each with the nearest that is possible. Scout views
+            that show something else than the specimen.
         ScanExistsError: the folder holds a search, and nobody asked to resume, or another one.
         TrajectoryError: no way joins the chosen views.
     """
@@ -80,15 +102,20 @@ def plan_views(
     task = scenario.task
     if task is None:
         raise InputError(f"{source}: has no section task: it says what views are planned for")
-    check_folder(out, {SEARCH, VIEWS, SCENARIO, JOINTS, RESULT, PICTURE, LOCK})
+    check_folder(out, {SEARCH, VIEWS, SCENARIO, JOINTS, RESULT, PICTURE, LOCK, *TRIED})
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with storage_errors(out), sole_owner(out / LOCK):
+        seen = None
+        if scout is not None:
+            seen = scouted(scenario, scout, progress)
+            overrides = [*overrides, *seen.overrides]
+            scenario = load_scenario(source, overrides)
         journal = Journal(out / SEARCH, scenario, resume)
         workshop = Workshop(scenario)
         all_views = candidates_of(scenario)
         if journal.within_reach is None:
-            journal.found(reachable(workshop, all_views, progress))
+            journal.found(reachable(workshop, all_views, progress, pool))
         assert journal.within_reach is not None
         within = all_views[journal.within_reach]
         if len(within) < task.views:
@@ -98,12 +125,18 @@ def plan_views(
                 "or motion.detector_roll: free; twinct place finds a better place for the arms"
             )
         own = own_path(scenario, task.views)
-        choose = _chosen if task.family is None else _tuned
+        choose = _chosen if task.family is None else partial(_tuned, pool=pool)
         choice = choose(workshop, task, within, own, journal, progress)
-        write_views(out / VIEWS, choice.views)
+        write_views(out / VIEWS, choice.views, choice.mas)
         scan_s, clearance = _driven(source, overrides, scenario, out, choice.section)
         figures, found = choice.figures, choice.views
-        plan = ViewPlan(found, figures, len(all_views), len(within), scan_s, clearance)
+        errors = None
+        if try_views:
+            every = {"own_path": (own, None), "planned": (found, choice.mas)}
+            errors = tried(scenario, every, out, progress)
+        plan = ViewPlan(
+            found, figures, len(all_views), len(within), scan_s, clearance, seen, errors
+        )
         write_json(out / RESULT, _told(plan, choice))
         centre = np.asarray(orbit_of(scenario).isocentre_mm)
         draw_view_plan(
@@ -132,14 +165,16 @@ class _Choice:
         worth: of the best choice after each step of the search.
         told: what plan.json says of them besides.
         section: the trajectory that has them; None: they are a file's.
+        mas: of each, (views,); None: the source's.
     """
 
     views: ScanGeometry
     goals: Sequence[Goal]
-    figures: dict[str, dict[str, float]]
+    figures: dict[str, dict[str, float | None]]
     worth: Sequence[float]
     told: Mapping[str, Any]
     section: OrbitSettings | None = None
+    mas: Floats | None = None
 
 
 def _chosen(
@@ -154,7 +189,8 @@ def _chosen(
     even = spread_evenly(within.source, task.views)
     together = ScanGeometry.joined([within, own])
     goals = goals_of(workshop, together, len(within), even, progress)
-    steps = task.views * (1 + task.rounds)
+    limited = any(has_limit(goal) for goal in goals)
+    steps = task.views * (1 + task.rounds + limited)
     with progress.stage("choosing views", steps, len(journal.state.worth)) as step:
 
         def heard(state: Searched) -> None:
@@ -166,9 +202,15 @@ def _chosen(
         )
     chosen, path = sorted(found.chosen), range(len(within), len(together))
     assert journal.within_reach is not None
-    told = {"chosen": journal.within_reach[chosen].tolist()}
-    figures = _figures(goals, chosen, even, path)
-    return _Choice(within[chosen], goals, figures, found.worth, told)
+    told: dict[str, Any] = {"chosen": journal.within_reach[chosen].tolist()}
+    figures, mas = _figures(goals, chosen, even, path), None
+    if task.exposure is not None:
+        shared = share_exposure(task.exposure, goals, chosen)
+        mas = shared.exposures * workshop.scenario.source.mas
+        told["exposure"] = {"mas": mas.tolist(), "at_equal_mas": shared.equal}
+        for name, value in shared.figures.items():
+            figures[name]["planned"] = value
+    return _Choice(within[chosen], goals, figures, found.worth, told, mas=mas)
 
 
 def _tuned(
@@ -178,24 +220,34 @@ def _tuned(
     own: ScanGeometry,
     journal: Journal,
     progress: Progress,
+    pool: Pool | None,
 ) -> _Choice:
     """The best path of the scenario's family."""
     count = task.views
     reference = within[spread_evenly(within.source, count)]
-    found = best_path(workshop, reference, journal, progress)
+    found = best_path(workshop, reference, journal, progress, pool)
     together = ScanGeometry.joined([reference, found.views, own])
     even, planned, path = (range(k * count, (k + 1) * count) for k in range(3))
     goals = goals_of(workshop, together, count, even, SILENT)
     figures = _figures(goals, planned, even, path)
-    told = {"parameters": dict(found.parameters)}
+    told: dict[str, Any] = {"parameters": dict(found.parameters)}
+    if task.trying is not None:
+        sets = {"planned": found.views, "spread_evenly": reference, "own_path": own}
+        error = "error in the region"
+        figures[error] = {n: error_of(workshop.scenario, views) for n, views in sets.items()}
+        told["trying"] = figures[error]
     return _Choice(found.views, goals, figures, found.worth, told, found.section)
 
 
 def _figures(
     goals: Sequence[Goal], planned: Sequence[int], even: Sequence[int], path: Sequence[int]
-) -> dict[str, dict[str, float]]:
+) -> dict[str, dict[str, float | None]]:
     kinds = {"planned": planned, "spread_evenly": even, "own_path": path}
-    return {goal.name: {kind: goal.of(views) for kind, views in kinds.items()} for goal in goals}
+    found = {goal.name: {kind: goal.of(views) for kind, views in kinds.items()} for goal in goals}
+    return {
+        name: {kind: None if np.isnan(value) else value for kind, value in of.items()}
+        for name, of in found.items()
+    }
 
 
 def _driven(
@@ -232,16 +284,31 @@ def _driven(
 
 def _told(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
     """What plan.json says."""
+    seen = plan.scouted
     return {
+        "scouted": seen
+        and {
+            "views": seen.views,
+            "moved_mm": seen.moved_mm,
+            "turned_deg": seen.turned_deg,
+            "position_mm": seen.world_from_specimen.position.tolist(),
+            "rotation_deg": seen.world_from_specimen.to_euler()[1].tolist(),
+        },
         "candidates": plan.candidates,
         "reachable": plan.reachable,
         **choice.told,
         "worth": list(choice.worth),
         "goals": {
             goal.name: plan.figures[goal.name]
-            | {"weight": goal.weight, "unit": goal.unit, "at_most": goal.at_most}
+            | {
+                "weight": goal.weight,
+                "unit": goal.unit,
+                "at_most": goal.at_most,
+                "at_least": goal.at_least,
+            }
             for goal in choice.goals
         },
         "scan_s": plan.scan_s,
         "clearance_mm": plan.clearance_mm,
+        "region_rmse_rel": plan.tried and dict(plan.tried),
     }

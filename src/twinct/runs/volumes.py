@@ -174,6 +174,7 @@ def _reconstruct(
             projector=A,
             line_integrals=integrals,
             transmission=scan.transmission,
+            exposures=scan.exposures_rel,
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),

@@ -61,6 +61,7 @@ class Scan:
         exposure: instants of each view's exposure; empty where an image takes no time.
         derived: other geometries of these views, by name.
         bad_pixels: whose values are their neighbours' mean, (rows, columns); None: there are none.
+        mas: tube load of each view, (views,), mAs; None: ``source.mas`` of the scenario for all.
     """
 
     scenario: Scenario
@@ -75,6 +76,7 @@ class Scan:
     exposure: tuple[tuple[Instant, ...], ...] = ()
     derived: Mapping[str, NamedGeometry] = field(default_factory=dict[str, NamedGeometry])
     bad_pixels: NDArray[np.bool_] | None = None
+    mas: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Take no geometry that was derived from another scan.
@@ -127,8 +129,19 @@ class Scan:
             return self.executed
         return seen_from(self.stands, self.executed_object, self.executed)
 
+    @property
+    def exposures_rel(self) -> NDArray[np.float64] | None:
+        """Tube load of each view in units of ``source.mas``, (views,); None: 1 for all."""
+        return None if self.mas is None else self.mas / self.scenario.source.mas
+
     @classmethod
-    def from_views(cls, scenario: Scenario, commanded: PosePairs, views: list[View]) -> Scan:
+    def from_views(
+        cls,
+        scenario: Scenario,
+        commanded: PosePairs,
+        views: list[View],
+        mas: NDArray[np.float64] | None = None,
+    ) -> Scan:
         """Put views taken one by one together."""
         reached = [view.reached for view in views]
         executed = [(r.executed.source, r.executed.detector) for r in reached]
@@ -144,6 +157,7 @@ class Scan:
             clearance_mm=np.array([r.clearance_mm for r in reached]),
             exposure=tuple(r.exposure for r in reached) if reached[0].exposure else (),
             bad_pixels=bad_pixels_of(scenario),
+            mas=mas,
         )
 
     def __len__(self) -> int:

@@ -26,6 +26,9 @@ from twinct.scan.manifest import (
     view_of,
 )
 
+MOST_DIMENSIONS = 8
+"""Of a view's values; no array has more than half as many, and a file's name counts them."""
+
 
 def frame_damage(path: Path) -> list[Damage]:
     """Of the files that are not of a view; none can be found where there is no manifest."""
@@ -142,6 +145,8 @@ def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
             encoding = told.get("chunk_key_encoding", {}).get("configuration", {})
             if encoding.get("separator") == ".":
                 shape, plain = told["shape"][1:], len(told["codecs"]) == 1
+                if len(shape) > MOST_DIMENSIONS:
+                    raise ValueError
                 size = math.prod(shape) * np.dtype(told["data_type"]).itemsize
                 name = str(file.parent.relative_to(path))
                 found[name] = len(shape), size if plain else None

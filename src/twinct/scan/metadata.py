@@ -6,6 +6,7 @@ scan at all, also where there is no manifest, or one that somebody has made anew
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +26,8 @@ EXPOSURE = "executed/exposure"
 """Present where an exposure has several instants."""
 BAD_PIXELS = "bad_pixels"
 """Present where the detector has some."""
+MAS = "mas"
+"""Present where the trajectory gives each view its own."""
 FRAMES = ("raw", "flat", "dark")
 """Images that a scan may keep beside the transmission."""
 
@@ -32,10 +35,13 @@ _POSES = {"source": 3, "detector": 3, "u": 3, "v": 3, "source_quat": 4, "detecto
 _OBJECT = {"executed/object": 3, "executed/object_quat": 4}
 _JOINTS = ("joints", "joint_velocity", "joint_torque")
 _ARRAYS = (
-    *("status", "transmission", *FRAMES, BAD_PIXELS, EXPOSURE, *_OBJECT, *_JOINTS),
+    *("status", "transmission", *FRAMES, BAD_PIXELS, MAS, EXPOSURE, *_OBJECT, *_JOINTS),
     *("state", "simulated_s", "clearance_mm"),
     *(f"{which}/{name}" for which in ("commanded", "executed") for name in _POSES),
 )
+
+NO_FILE_OF_IT = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG)
+"""What stands where an array should be is none; its name is too long in thousands of dimensions."""
 
 
 @contextmanager
@@ -49,10 +55,15 @@ def readable(path: Path, what: str) -> Generator[None]:
         yield
     except InputError:
         raise
-    except (ValueError, TypeError, KeyError, LookupError, RuntimeError, ArithmeticError) as error:
+    except (
+        *(ValueError, TypeError, LookupError, RuntimeError, ArithmeticError),
+        MemoryError,  # of sizes that only the metadata have
+    ) as error:
         told = str(error).partition("\n")[0] or type(error).__name__
         raise InputError(f"{path}: {what} cannot be read: {told}") from error
-    except (IsADirectoryError, NotADirectoryError, FileNotFoundError) as error:
+    except OSError as error:
+        if error.errno not in NO_FILE_OF_IT:
+            raise
         raise InputError(f"{path}: {what} cannot be read: {error.strerror}") from error
 
 
@@ -118,6 +129,8 @@ def check_arrays(path: Path, group: Any) -> None:
     ]
     if BAD_PIXELS in found and not _fits(found[BAD_PIXELS], image.shape[1:], np.bool_):
         problems.append(f"{path}/{BAD_PIXELS}: not one truth value a pixel")
+    if MAS in found and not _fits(found[MAS], (views,), np.float64):
+        problems.append(f"{path}/{MAS}: not one number a view")
     if problems:
         raise InputError(problems)
 

@@ -42,6 +42,7 @@ from twinct.scan.metadata import (
     BAD_PIXELS,
     EXPOSURE,
     FRAMES,
+    MAS,
     check_arrays,
     check_attributes,
     readable,
@@ -134,11 +135,12 @@ class ScanStore:
         state_size: int,
         plan: MotionPlan | None = None,
         digests: dict[str, str] | None = None,
+        mas: NDArray[np.float64] | None = None,
     ) -> ScanStore:
         """Make a store without views; it appears under its name only when it is complete.
 
         A plan is kept where the arms follow one. The digests are of this scenario and its files as
-        they are now, unless others are given.
+        they are now, unless others are given. ``mas``: of each view, where they differ.
 
         Raises:
             ScanExistsError: there is one already.
@@ -150,7 +152,7 @@ class ScanStore:
         with storage_errors(path):
             shutil.rmtree(draft, ignore_errors=True)
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests)
+            write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests, mas)
             draft.rename(path)
         return cls(path)
 
@@ -312,11 +314,19 @@ class ScanStore:
         """
         if not self._has("plan"):
             return None
-        from twinct.motion import plan_of_arrays
+        from twinct.motion import LARGEST_PLAN_BYTES, plan_of_arrays
 
         with readable(self.path, "plan"):
             group = self._group["plan"]
-            arrays = {name: np.asarray(array[:]) for name, array in group.arrays()}
+            if not isinstance(group, zarr.Group):
+                raise InputError(f"{self.path}/plan: an array, expected a group")
+            told = dict(group.arrays())
+            if (total := sum(array.nbytes for array in told.values())) > LARGEST_PLAN_BYTES:
+                raise InputError(
+                    f"{self.path}/plan: its arrays are said to hold {total:.3g} bytes, at most "
+                    f"{LARGEST_PLAN_BYTES:.3g} are read"
+                )
+            arrays = {name: np.asarray(array[:]) for name, array in told.items()}
             return plan_of_arrays({**arrays, **group.attrs}, f"{self.path}/plan")
 
     @property
@@ -330,6 +340,20 @@ class ScanStore:
         if self._has(BAD_PIXELS):
             return self._read(BAD_PIXELS)
         return bad_pixels_of(self.scenario) if self._format < FORMAT else None
+
+    @property
+    def mas(self) -> NDArray[np.float64] | None:
+        """Tube load of each view, (views,), mAs; None: ``source.mas`` for all.
+
+        Raises:
+            InputError: one that no exposure has.
+        """
+        if not self._has(MAS):
+            return None
+        mas = self._read(MAS)
+        if (wrong := mas <= 0).any():
+            raise InputError(f"{self.path}: {MAS} of view {int(wrong.argmax())} is not above 0")
+        return mas
 
     def state(self, view: int) -> NDArray[np.float64]:
         """The full simulator state of a view."""
@@ -412,6 +436,7 @@ class ScanStore:
             clearance_mm=self._read("clearance_mm"),
             exposure=tuple(tuple(Instant(*map(tuple, at)) for at in view) for view in exposure),
             bad_pixels=self.bad_pixels,
+            mas=self.mas,
         )
 
     def readings(self, first: int, stop: int) -> Readings:
@@ -544,6 +569,7 @@ def write_frame(
     state_size: int,
     plan: MotionPlan | None,
     digests: dict[str, str] | None = None,
+    mas: NDArray[np.float64] | None = None,
 ) -> None:
     """Write all of a store but its views; the digests are of files as they are, unless given."""
     views, panel = len(commanded), scenario.detector.panel
@@ -590,6 +616,8 @@ def write_frame(
     of_a_view = tuple(last)
     if (bad := bad_pixels_of(scenario)) is not None:
         group.create_array(BAD_PIXELS, data=bad, chunks=bad.shape, compressors=None)
+    if mas is not None:
+        group.create_array(MAS, data=mas, chunks=mas.shape, compressors=None)
     add("status", (), "u1")
     if plan is not None:
         _write_plan(group, plan)

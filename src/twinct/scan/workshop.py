@@ -14,10 +14,10 @@ import numpy as np
 
 from twinct.errors import InputError
 from twinct.gantry import Gantry
-from twinct.geometry import Pose, ScanGeometry
+from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.scenario import Cell, GantryCell, Scenario
 from twinct.specimen import BuiltSpecimen, build_specimen
-from twinct.trajectory import commanded_views
+from twinct.trajectory import commanded_mas, commanded_views
 from twinct.uncertainty import TrueCell
 from twinct.views import PosePairs, Target
 
@@ -59,6 +59,21 @@ class Workshop:
         if not self.plan_chooses:
             return self.asked
         return self.commanded_poses.geometry(self.scenario.detector.panel)
+
+    @cached_property
+    def mas(self) -> Floats | None:
+        """Tube load of each view that is commanded, (views,), mAs; None: ``source.mas`` for all."""
+        mas = commanded_mas(self.scenario.trajectory)
+        if mas is None or not self.plan_chooses:
+            return mas
+        # Where the plan chose the order, a view is known by its place.
+        places = _places(PosePairs.from_geometry(self.asked).targets())
+        order: list[int] = []
+        for place in _places(self.targets):
+            far = np.abs(places - place).max(axis=1)
+            far[order] = np.inf
+            order.append(int(far.argmin()))
+        return mas[order]
 
     @cached_property
     def plan_chooses(self) -> bool:
@@ -223,4 +238,10 @@ class Workshop:
         from twinct.xray import Imager
 
         source, detector, seed = self.scenario.source, self.scenario.detector, self.scenario.seed
-        return Imager(source, detector, self.specimen, commanded=self.commanded, seed=seed)
+        commanded, mas = self.commanded, self.mas
+        return Imager(source, detector, self.specimen, commanded=commanded, seed=seed, mas=mas)
+
+
+def _places(targets: list[Target]) -> Floats:
+    """Where source and panel are, (views, 6), m."""
+    return np.array([(*target.source_m[:3], *target.detector_m[:3]) for target in targets])

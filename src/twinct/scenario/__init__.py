@@ -77,10 +77,12 @@ from twinct.scenario.task import (
     CompletenessGoal,
     DetectabilityGoal,
     DoseGoal,
+    ExposureSharing,
     FamilyParameter,
     FamilySearch,
     KnownGoal,
     MetalGoal,
+    MovingGoal,
     ViewTask,
 )
 from twinct.scenario.uncertainty import (
@@ -115,6 +117,7 @@ __all__ = [
     "DetectabilityGoal",
     "DetectorArm",
     "DoseGoal",
+    "ExposureSharing",
     "Ellipsoid",
     "Evaluation",
     "FileBadPixels",
@@ -136,6 +139,7 @@ __all__ = [
     "FamilySearch",
     "KnownGoal",
     "MetalGoal",
+    "MovingGoal",
     "KnownImplants",
     "MeshFile",
     "Motion",

@@ -113,7 +113,7 @@ class Readout(Section):
     free_beam: Positive = setting(
         50000.0,
         "Grey value of the free beam, above the offset, at the middle of the first "
-        "view's panel: it sets the gain.",
+        "view's panel, with the largest mAs of all views: it sets the gain.",
         unit="grey values",
     )
     offset: NonNegative = setting(500.0, "Grey value without beam.", unit="grey values")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -11,11 +12,15 @@ from twinct.scenario.specimen import Specimen
 from twinct.settings import Conflict, Finite, NonNegative, Positive, Section, Vector, setting
 
 Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
-AtMost = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 _LIMIT = (
     "Largest mean over the views, as a share of that of views spread evenly over all that can be "
     "had; none: no limit."
+)
+_ENOUGH = (
+    "Least of it, as a share of what views spread evenly over all that can be had have; none: as "
+    "much as comes of the weights."
 )
 
 
@@ -23,6 +28,7 @@ class CompletenessGoal(Section):
     """Planes through the region's points that the source crosses (Tuy): more is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
     within_deg: Positive = setting(3.0, "Angle from a plane within which a view crosses it.")
 
 
@@ -30,6 +36,7 @@ class DetectabilityGoal(Section):
     """Detectability d' of a signal in the region's middle: more is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
     signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
         description="What shall be detected."
     )
@@ -42,17 +49,38 @@ class DetectabilityGoal(Section):
     )
 
 
+class SeenMetal(Section):
+    """Metal that a volume shows, such as one of a few scout views."""
+
+    path: Path = Field(
+        description="NIfTI file of attenuation, 1/mm, in the world, as a run's volume.nii."
+    )
+    above_per_mm: Positive = setting(
+        0.1, "Attenuation above which a voxel is metal: bone stays below.", unit="1/mm"
+    )
+    material: str = setting("titanium", "What it is made of, by name.")
+
+
 class MetalGoal(Section):
-    """Length in metal of some rays: less is better."""
+    """Metal on some rays: less is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
-    parts: tuple[str, ...] = Field(min_length=1, description="Names of the parts of metal.")
+    parts: tuple[str, ...] = setting((), "Names of the parts of metal.")
+    seen: SeenMetal | None = setting(None, "Metal as a volume shows it, instead of parts.")
+    counts: Literal["length", "starved", "shift"] = setting(
+        "length",
+        "What counts of a ray: its length in metal; whether fewer photons than least_photons are "
+        "left of it; by how much metal hardens it.",
+    )
+    least_photons: Positive = setting(
+        100.0, "Photons in a pixel below which a ray is starved.", unit="1"
+    )
     rays: Literal["region", "metal"] = setting(
         "region",
         "Whose rays: those through the region, or through the metal itself, where what lies about "
         "it is looked for.",
     )
-    at_most_rel: AtMost | None = setting(None, _LIMIT, unit="1")
+    at_most_rel: Share | None = setting(None, _LIMIT, unit="1")
 
 
 class DoseGoal(Section):
@@ -60,13 +88,26 @@ class DoseGoal(Section):
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
     part: str = Field(description="Name of the part.")
-    at_most_rel: AtMost | None = setting(None, _LIMIT, unit="1")
+    at_most_rel: Share | None = setting(None, _LIMIT, unit="1")
+
+
+class MovingGoal(Section):
+    """Time that the arms take from view to view at full speed: less is better."""
+
+    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    at_most_rel: Share | None = setting(
+        None,
+        "Most of it, as a share of what as many views spread evenly over all that can be had take; "
+        "none: no limit.",
+        unit="1",
+    )
 
 
 class KnownGoal(Section):
     """How much of the region few views tell, as a linear model foresees: more is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
     correlation_mm: Positive = setting(
         20.0, "Distance at which attenuations are correlated by 1 / e, before any view."
     )
@@ -77,6 +118,23 @@ class KnownGoal(Section):
         unit="1",
     )
     voxels: int = setting(600, "Voxels of the coarse grid about the specimen.", ge=8, le=5000)
+
+
+class TryingGoal(Section):
+    """Error in the region of a volume that is made of images of each path: less is better."""
+
+    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+
+
+class ExposureSharing(Section):
+    """The mAs shared among the chosen views so that detectability is largest, at a fixed sum."""
+
+    least_rel: float = setting(
+        0.25, "Least mAs of a view, as a share of the source's.", unit="1", gt=0, le=1
+    )
+    most_rel: float = setting(
+        4.0, "Most mAs of a view, as a share of the source's.", unit="1", ge=1, le=1000
+    )
 
 
 class FamilyParameter(Section):
@@ -116,6 +174,15 @@ class ViewTask(Section):
     known: KnownGoal | None = setting(None, "What few views tell counts.")
     metal: MetalGoal | None = setting(None, "Metal counts.")
     dose: DoseGoal | None = setting(None, "Dose counts.")
+    moving: MovingGoal | None = setting(None, "Time that the arms take counts.")
+    trying: TryingGoal | None = setting(
+        None,
+        "Paths of a family are tried: images as by a gantry, reconstructed as the scenario says; "
+        "the error in the region counts.",
+    )
+    exposure: ExposureSharing | None = setting(
+        None, "Views get mAs of their own; none: all have the source's."
+    )
     family: FamilySearch | None = setting(
         None, "The views are those of the best path of a family; none: they are chosen freely."
     )
@@ -125,12 +192,20 @@ class ViewTask(Section):
         names = [part.label for part in specimen.parts]
         having = f"there {'are' if len(names) > 1 else 'is'} {', '.join(map(repr, names))}"
         found: list[Conflict] = []
-        if not (self.completeness or self.detectability or self.known):
+        if not (self.completeness or self.detectability or self.known or self.trying):
             found.append(
                 Conflict(
-                    "task: completeness, detectability or known must count: by metal and dose "
-                    "alone all views would be the same one",
+                    "task: completeness, detectability or known must count: by metal, dose and "
+                    "moving alone all views would be the same one",
                     ("task",),
+                )
+            )
+        if self.trying and not self.family:
+            found.append(
+                Conflict(
+                    "task.trying: whole paths are tried, not views one by one: it needs "
+                    "task.family; twinct plan --try tries what was chosen",
+                    ("task.trying", "task.family"),
                 )
             )
         if self.views > self.candidates:
@@ -141,6 +216,22 @@ class ViewTask(Section):
                     ("task.views", "task.candidates"),
                 )
             )
+        if self.exposure and not self.detectability:
+            found.append(
+                Conflict(
+                    "task.exposure: mAs are shared for the sake of detectability: it needs "
+                    "task.detectability",
+                    ("task.exposure", "task.detectability"),
+                )
+            )
+        if self.exposure and self.family:
+            found.append(
+                Conflict(
+                    "task.exposure: only a file of views has mAs of its own, not a path of "
+                    "task.family: one of them",
+                    ("task.exposure", "task.family"),
+                )
+            )
         family = self.family.parameters if self.family else ()
         for i, one in enumerate(family):
             key = f"task.family.parameters.{i}"
@@ -149,6 +240,13 @@ class ViewTask(Section):
                 found.append(Conflict(message, (f"{key}.low", f"{key}.high")))
             if one.key in [other.key for other in family[:i]]:
                 found.append(Conflict(f"{key}.key: {one.key!r} is sought twice", (f"{key}.key",)))
+        if self.metal and bool(self.metal.parts) == (self.metal.seen is not None):
+            found.append(
+                Conflict(
+                    "task.metal: parts of the specimen, or seen in a volume: one of them",
+                    ("task.metal.parts", "task.metal.seen"),
+                )
+            )
         metal = self.metal.parts if self.metal else ()
         wanted = [(f"metal.parts.{i}", part) for i, part in enumerate(metal)]
         wanted += [("dose.part", self.dose.part)] if self.dose else []

@@ -3,7 +3,7 @@
 from twinct.trajectory.arc import ArcTrajectory
 from twinct.trajectory.circle import CircleTrajectory
 from twinct.trajectory.circle_arc import CircleArcTrajectory
-from twinct.trajectory.families import commanded_views, leaves_roll
+from twinct.trajectory.families import commanded_mas, commanded_views, leaves_roll
 from twinct.trajectory.family import Family, TrajectorySettings
 from twinct.trajectory.helix import HelixTrajectory
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, panel_axes, stops
@@ -26,6 +26,7 @@ __all__ = [
     "SpiralTrajectory",
     "TrajectorySettings",
     "UniformTrajectory",
+    "commanded_mas",
     "commanded_views",
     "leaves_roll",
     "on_sphere",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from twinct.extensions import Offers, offers
-from twinct.geometry import Panel, ScanGeometry
+from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.arc import ARC
 from twinct.trajectory.circle import CIRCLE
 from twinct.trajectory.circle_arc import CIRCLE_ARC
@@ -43,3 +43,12 @@ def leaves_roll(section: TrajectorySettings) -> bool:
         TrajectoryError: a file of views that cannot be read.
     """
     return families()[name_in(type(section))].leaves_roll(section)
+
+
+def commanded_mas(section: TrajectorySettings) -> Floats | None:
+    """Tube load of each view that a trajectory commands, (views,), mAs; None: it says none.
+
+    Raises:
+        TrajectoryError: a file of views that cannot be read.
+    """
+    return families()[name_in(type(section))].mas(section)

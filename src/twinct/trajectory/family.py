@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from twinct.geometry import Panel, ScanGeometry
+from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.settings import Section
 
 
@@ -31,11 +31,13 @@ class Family:
         settings: its keys.
         views: the geometry that these settings command, for a panel.
         leaves_roll: whether these settings say nothing of the panel's turn about its normal.
+        mas: tube load of each view, (views,), mAs; None: these settings say nothing of it.
     """
 
     settings: type[TrajectorySettings]
     views: Callable[[Any, Panel], ScanGeometry]
     leaves_roll: Callable[[Any], bool] = lambda section: False
+    mas: Callable[[Any], Floats | None] = lambda section: None
 
     @property
     def name(self) -> str:

@@ -24,26 +24,41 @@ MOST_PROBLEMS = 20
 """That are told of a file."""
 
 _COLUMNS = [f"{name}_{axis}" for name in ("source", "detector", "u", "v") for axis in "xyz"]
+_MAS = "mas"
+_FORMS = (6, 7, 12, 13)
+"""Numbers of a line: with 7 and 13 the last is mAs."""
 
 
 class FileTrajectory(TrajectorySettings):
-    """Views from a CSV file: S and D, or S, D, u, v for each row, mm."""
+    """Views from a CSV file: S and D, or S, D, u, v for each row, mm; mAs may follow."""
 
     kind: Literal["file"]
     path: Path = Field(description="CSV file.")
 
 
-def write_views(path: Path, geometry: ScanGeometry) -> None:
-    """Write a file of views that ``kind: file`` reads back to the same numbers."""
+def write_views(path: Path, geometry: ScanGeometry, mas: Floats | None = None) -> None:
+    """Write a file of views that ``kind: file`` reads back to the same numbers.
+
+    Args:
+        path: of the file.
+        geometry: the views.
+        mas: tube load of each, (views,), mAs; None: the file says nothing of it.
+    """
     rows = np.hstack([geometry.source, geometry.detector, geometry.u, geometry.v])
+    columns = list(_COLUMNS)
+    if mas is not None:
+        rows, columns = np.column_stack([rows, mas]), [*columns, _MAS]
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(_COLUMNS)
+        writer.writerow(columns)
         writer.writerows([[repr(float(x)) for x in row] for row in rows])
 
 
 def _table(path: Path) -> tuple[Floats, list[int]]:
-    """Rows of 6 numbers (S, D) or 12 (S, D, u, v), mm, and their lines; names may come first."""
+    """Rows of 6 numbers (S, D) or 12 (S, D, u, v), mm, or one more (mAs), and their lines.
+
+    Names may come first.
+    """
     problems: list[str] = []
     rows: list[list[float]] = []
     numbers: list[int] = []
@@ -62,19 +77,26 @@ def _table(path: Path) -> tuple[Floats, list[int]]:
         except ValueError:
             if position > 0 or any(map(_is_number, row)):
                 problems.append(f"{path}:{number}: {_told(row)} holds something not a number")
+            elif len(row) in (7, 13) and (name := row[-1].strip()) != _MAS:
+                what = f"the last of {len(row)} columns is {_MAS}, not {shortened(name, 50)!r}"
+                problems.append(f"{path}:{number}: {what}")
             continue
         numbers.append(number)
-        if len(row) not in (6, 12):
-            forms = "a view is 6 numbers (S, D) or 12 (S, D, u, v), mm"
+        if len(row) not in _FORMS:
+            forms = "a view is 6 numbers (S, D) or 12 (S, D, u, v), mm, and may have its mAs last"
             problems.append(f"{path}:{number}: {forms}; this line has {len(row)}")
         elif not np.isfinite(rows[-1]).all():
             problems.append(f"{path}:{number}: {_told(row)} holds a number that is not finite")
+        elif len(row) in (7, 13) and rows[-1][-1] <= 0:
+            problems.append(f"{path}:{number}: mAs of {rows[-1][-1]:g}: it must be above 0")
     if len(rows) > MOST_VIEWS:
         problems.append(f"{path}: more than the {MOST_VIEWS} views that a scan may have")
     if not problems and not rows:
         problems.append(f"{path}: holds no view")
-    if not problems and len({len(row) for row in rows}) > 1:
-        problems.append(f"{path}: some lines have 6 numbers and some 12; use one form")
+    if not problems and len(forms := sorted({len(row) for row in rows})) > 1:
+        problems.append(
+            f"{path}: some lines have {forms[0]} numbers and some {forms[1]}; use one form"
+        )
     if problems:
         raise TrajectoryError(problems)
     return np.array(rows), numbers
@@ -112,7 +134,7 @@ def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
 
 def _geometry(table: Floats, panel: Panel) -> ScanGeometry:
     source, detector = table[:, 0:3], table[:, 3:6]
-    if table.shape[1] == 12:
+    if _has_axes(table):
         return ScanGeometry(source, detector, table[:, 6:9], table[:, 9:12], panel)
     beam = source - detector
     length = np.linalg.norm(beam, axis=1)
@@ -122,4 +144,13 @@ def _geometry(table: Floats, panel: Panel) -> ScanGeometry:
     return ScanGeometry(source, detector, u, v, panel)
 
 
-FILE = Family(FileTrajectory, _views, lambda section: _table(section.path)[0].shape[1] == 6)
+def _has_axes(table: Floats) -> bool:
+    return table.shape[1] >= 12
+
+
+def _mas(section: FileTrajectory) -> Floats | None:
+    table, _ = _table(section.path)
+    return table[:, -1] if table.shape[1] in (7, 13) else None
+
+
+FILE = Family(FileTrajectory, _views, lambda section: not _has_axes(_table(section.path)[0]), _mas)

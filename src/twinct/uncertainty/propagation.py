@@ -12,7 +12,7 @@ gear error of any phase is a cosine and a sine of independent amplitudes: that c
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -298,19 +298,37 @@ class Draws:
     believed: Floats
 
 
+Told = Callable[[int, Floats], Floats]
+"""Where the controllers take a tool to be, ``world_from_tool``, by the side and its encoders."""
+
+
 def draw(
-    section: Uncertainty, scan: NominalScan, draws: int, seed: int, arms_seed: int
+    section: Uncertainty,
+    scan: NominalScan,
+    draws: int,
+    seed: int,
+    arms_seed: int,
+    told_by: Told | None = None,
 ) -> Iterator[tuple[slice, Draws]]:
     """Draw a scenario's errors, some views after the other.
 
     What stays the same in a scan is in the first draw as in the scan with these seeds.
+
+    Args:
+        section: how large the errors are.
+        scan: the views.
+        draws: how many scans.
+        seed: of what changes from scan to scan.
+        arms_seed: of what does not.
+        told_by: a model of the pair of arms with this seed, which was calibrated: all scans are
+            theirs. None: other arms in each, taken to be nominal.
 
     Yields:
         the views, and their draws.
     """
     views = len(scan.time_s)
     deviations = [
-        drawn(section.arms, chain, arms_seed, side, draws)
+        drawn(section.arms, chain, arms_seed, side, 1 if told_by else draws)
         for chain, side in zip(scan.chains, SIDES, strict=bool(scan.chains))
     ]
     towards = directions(arms_seed, draws)
@@ -336,7 +354,7 @@ def draw(
             here = scan.poses[side][None, part]
             known = here
             if deviations:
-                known = _encoded(section, scan, side, part, encoders, draws)
+                known = _encoded(section, scan, side, part, encoders, draws, told_by)
                 here = _true(section, scan, side, part, deviations[side], late_s)
             here = here @ exp_matrices(own[side][:, part].astype(float))
             noise = told[side][:, part].astype(float)
@@ -376,12 +394,15 @@ def _encoded(
     part: slice,
     rng: np.random.Generator,
     draws: int,
+    told_by: Told | None,
 ) -> Floats:
-    """What the nominal model makes of encoders whose joints are anywhere within their steps."""
-    if not (step := np.radians(section.encoder_step_deg)):
+    """What a model makes of encoders whose joints are anywhere within their steps."""
+    joints = scan.moments[side].joints[part][None]
+    if step := np.radians(section.encoder_step_deg):
+        joints = joints + step * rng.uniform(-0.5, 0.5, (draws, *joints.shape[1:]))
+    elif told_by is None:
         return scan.poses[side][None, part]
-    joints = scan.moments[side].joints[part]
-    return scan.chains[side].tools(joints + step * rng.uniform(-0.5, 0.5, (draws, *joints.shape)))
+    return scan.chains[side].tools(joints) if told_by is None else told_by(side, joints)
 
 
 def _patient(section: Uncertainty, towards: Floats, time_s: Floats) -> Floats | None:

@@ -63,7 +63,7 @@ class Chain:
         spot: points of the focal spot in the source frame's x and y, (points, 2), mm.
         samples: along each edge of a physical pixel.
         free: expected signal and its variance of a physical pixel in the free beam at the middle
-            of the first commanded view's panel, (2,).
+            of the first commanded view's panel, at ``source.mas``, (2,).
     """
 
     def __init__(
@@ -73,6 +73,7 @@ class Chain:
         materials: Sequence[Material],
         commanded: ScanGeometry,
         seed: int = 0,
+        mas: Floats | None = None,
     ) -> None:
         """Build what the sections name.
 
@@ -82,15 +83,17 @@ class Chain:
             materials: of the path lengths, in their order.
             commanded: views; the first sets the gain, and where flat images are taken once.
             seed: every random draw is keyed by it.
+            mas: tube load of each commanded view, (views,), mAs; ``source.mas`` where None.
         """
+        self._loads = None if mas is None else np.asarray(mas, dtype=np.float64) / source.mas
         spectrum = build_spectrum(source)
         self.spot = build_spot(source)
         self.panel = physical_panel(detector)
         self.samples = detector.pixel_samples
         self._detector, self._seed = detector, seed
         self._signal = Signal(spectrum, materials, build_response(detector))
-        mas = source.mas if spectrum.absolute else 1.0
-        self._scale = np.float32(mas * self.panel.pitch_u * self.panel.pitch_v)
+        unit = source.mas if spectrum.absolute else 1.0
+        self._scale = np.float32(unit * self.panel.pitch_u * self.panel.pitch_v)
         self._commanded = self.physical(commanded)
         at_middle = np.mean([_at_middle(seen) for seen in self.from_spot(commanded[0])])
         self.free: Floats = self._signal.free * float(self._scale) * float(at_middle)
@@ -103,10 +106,18 @@ class Chain:
         self._bad = build_bad_pixels(detector, seed)
         self._amplifier, self._electronic = Amplifier(1 / float(self.free[0])), 0.0
         if (readout := detector.readout) is not None:
-            gain = readout.free_beam / float(self.free[0])
+            # One gain for the whole scan: no view's free beam is above ``free_beam``.
+            brightest = 1.0 if self._loads is None else float(self._loads.max())
+            gain = readout.free_beam / (float(self.free[0]) * brightest)
             self._amplifier = Amplifier(gain, readout.offset, readout.bits, readout.saturation)
             # Of a physical pixel, in grey values.
             self._electronic = readout.electronic_noise * detector.binning
+
+    def load(self, index: int) -> float:
+        """MAs of a view by its index, in units of ``source.mas``: 1 where none is commanded."""
+        if self._loads is None or not 0 <= index < len(self._loads):
+            return 1.0
+        return float(self._loads[index])
 
     def physical(self, view: ScanGeometry) -> ScanGeometry:
         """The same view on the physical pixels."""
@@ -203,11 +214,16 @@ class Chain:
         """The flat image: normal noise, as of many photons, with one pattern for the whole scan."""
         way, commanded = self._detector.correction.flat_geometry, self._commanded
         if way == "view":
-            return self._flat_at(self._free_beam(view))
-        if way == "first" or index == 0:
+            return self._flat_at(self._free_beam(view) * np.float32(self.load(index)))
+        # Taken at the first view's mAs; another view's is known of the generator.
+        more = np.float32(self.load(index) / self.load(0))
+        if index == 0 or (way == "first" and more == 1):
             return self._first_flat
-        here = commanded[index] if index < len(commanded) else view
-        scale = binned(self._free_beam(here) / self._first_beam, self._detector.binning)
+        scale: Image | np.float32 = more
+        if way != "first":
+            here = commanded[index] if index < len(commanded) else view
+            beams = self._free_beam(here) / self._first_beam
+            scale = binned(beams, self._detector.binning) * more
         lit = self._first_flat - self._dark
         return (self._dark + lit * scale).astype(np.float32, copy=False)
 
@@ -217,7 +233,7 @@ class Chain:
 
     @cached_property
     def _first_flat(self) -> Image:
-        return self._flat_at(self._first_beam)
+        return self._flat_at(self._first_beam * np.float32(self.load(0)))
 
     def _free_beam(self, view: ScanGeometry) -> Image:
         """Fall-off at each physical pixel."""

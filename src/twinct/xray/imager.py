@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import SpecimenError, TwinctError
-from twinct.geometry import Pose, ScanGeometry
+from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltSpecimen
 from twinct.xray._engine import ENGINE, SceneOwner, Upload
@@ -52,6 +52,7 @@ class Imager(SceneOwner):
         *,
         commanded: ScanGeometry | None = None,
         seed: int = 0,
+        mas: Floats | None = None,
     ) -> None:
         """Upload the specimen.
 
@@ -63,6 +64,7 @@ class Imager(SceneOwner):
                 image, which each scales; the first view rendered where None. A view beyond them
                 counts as commanded where it is.
             seed: keys the noise, with the index of the view.
+            mas: tube load of each commanded view, (views,), mAs; ``source.mas`` where None.
 
         Raises:
             SpecimenError: nothing to image, an open mesh, or an attenuation that is no number.
@@ -71,7 +73,7 @@ class Imager(SceneOwner):
         """
         self.panel = detector.panel
         self._source, self._detector, self._seed = source, detector, seed
-        self._commanded = commanded
+        self._commanded, self._mas = commanded, mas
         self._paths: PathRenderer | None = None
         self._chain: Chain | None = None
         edge = longest_edge(_nearest_mm(specimen, commanded))
@@ -153,8 +155,8 @@ class Imager(SceneOwner):
         chain = self._chain = self._chain or self._new_chain(self._commanded or middle)
         last = None
         if self._detector.lag and before is not None:
-            last = self._expected(chain, [before]), self._object_mm(*before)
-        expected = self._expected(chain, path)
+            last = self._expected(chain, [before], view - 1), self._object_mm(*before)
+        expected = self._expected(chain, path, view)
         return chain.frame(expected, chain.physical(middle), view, self._object_mm(*path[0]), last)
 
     def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
@@ -162,17 +164,18 @@ class Imager(SceneOwner):
         centre = world_from_object.apply(self._centre)
         return float((centre - geometry.detector[0]) @ geometry.normal[0])
 
-    def _expected(self, chain: Chain, path: Sequence[Placed]) -> NDArray[np.float32]:
+    def _expected(self, chain: Chain, path: Sequence[Placed], index: int) -> NDArray[np.float32]:
         assert self._paths is not None
         expected = chain.blank()
-        share = 1.0 / (len(path) * len(chain.spot))
+        share = chain.load(index) / (len(path) * len(chain.spot))
         for geometry, world_from_object in path:
             for seen in chain.from_spot(chain.physical(geometry)):
                 chain.add(self._paths.render(seen, world_from_object), seen, expected, share)
         return expected
 
     def _new_chain(self, commanded: ScanGeometry) -> Chain:
-        return Chain(self._source, self._detector, self._materials, commanded, self._seed)
+        sections = self._source, self._detector
+        return Chain(*sections, self._materials, commanded, self._seed, self._mas)
 
     def _ideal(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
         view = world_from_object.inverse() @ geometry

@@ -1,0 +1,136 @@
+"""What a scenario's errors leave of what its views were planned for, without an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinct.calibration import CalibratedArms
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry, lock
+from twinct.planning import Detectability, Goal, Mean
+from twinct.progress import SILENT, Progress
+from twinct.runs.propagating import nominal_scan
+from twinct.runs.view_goals import goals_of
+from twinct.scan import Workshop
+from twinct.scenario import ViewTask
+from twinct.uncertainty.propagation import draw, project
+
+
+@dataclass(frozen=True, eq=False)
+class Rejudged:
+    """A goal of a task without errors and with them.
+
+    Attributes:
+        commanded: of the views where they were planned.
+        drawn: of each scan that was drawn, (draws,).
+    """
+
+    commanded: float
+    drawn: Floats
+
+    def __post_init__(self) -> None:
+        """Freeze."""
+        lock(self, "drawn")
+
+
+def rejudged(
+    workshop: Workshop, draws: int, progress: Progress = SILENT
+) -> tuple[dict[str, Rejudged], Floats]:
+    """Judge the views of a scenario by its task, as its errors have them.
+
+    What views tell is told of where they are executed. Detectability is lowered besides by their
+    being believed elsewhere: that images disagree where the region's middle is blurs the signal, as
+    a Gaussian of their root mean square in each direction does (``Detectability.blurred``).
+
+    A penalty is relative to these views, as no others are known here. Where arms were calibrated
+    (``uncertainty.calibration``) all scans are those of this pair, believed as it was calibrated;
+    else other arms are drawn for each.
+
+    Args:
+        workshop: of a scenario with a task.
+        draws: how many scans.
+        progress: hears how far it is.
+
+    Returns:
+        Each goal by its name; the blur of each scan, one sigma in each direction, (draws,), mm.
+
+    Raises:
+        InputError: calibrated arms that are no such file, or of another cell.
+        TrajectoryError: views that cannot be reached, or would collide.
+    """
+    scenario = workshop.scenario
+    task = scenario.task
+    assert task is not None
+    scan, panel = nominal_scan(workshop), scenario.detector.panel
+    told_by = None
+    if file := scenario.uncertainty.calibration:
+        source, detector = scan.chains
+        told_by = CalibratedArms.read(file, (source, detector)).tool
+    views = len(scan.time_s)
+    seeds = scenario.seed, scenario.arms_seed
+    parts = list(draw(scenario.uncertainty, scan, draws, *seeds, told_by))
+    true, believed = (
+        np.concatenate([getattr(one, name) for _, one in parts], axis=2)
+        for name in ("true", "believed")
+    )
+    planned = _geometry(scan.poses[0], scan.poses[1], panel)
+    executed = [_geometry(true[0, k], true[1, k], panel) for k in range(draws)]
+    place = workshop.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
+    blur = _blur_mm(true, believed, planned, place)
+    without_moving = task.model_copy(update={"moving": None})  # which takes as long
+    quiet = Workshop(scenario.model_copy(update={"task": without_moving}))
+    together = ScanGeometry.joined([planned, *executed])
+    mas = workshop.mas
+    exposures = np.ones(views) if mas is None else mas / scenario.source.mas
+    found: dict[str, Rejudged] = {}
+    for goal in goals_of(quiet, together, views, range(views), progress):
+        drawn = [
+            _judged(goal, range((k + 1) * views, (k + 2) * views), sigma, task, exposures)
+            for k, sigma in enumerate(blur.tolist())
+        ]
+        found[goal.name] = Rejudged(
+            _judged(goal, range(views), 0.0, task, exposures), np.array(drawn)
+        )
+    return found, blur
+
+
+def _geometry(sources: Floats, detectors: Floats, panel: Panel) -> ScanGeometry:
+    """Of poses as matrices, (views, 4, 4)."""
+    source, detector = (
+        [Pose.from_matrix(one[:3, 3], one[:3, :3]) for one in side] for side in (sources, detectors)
+    )
+    return ScanGeometry.from_poses(source, detector, panel)
+
+
+def _blur_mm(true: Floats, believed: Floats, planned: ScanGeometry, place: Floats) -> Floats:
+    """How far images of a place disagree about it, at the place, in each direction, (draws,), mm.
+
+    What all of them agree upon moves the place and blurs nothing: it is taken out, to first order.
+    """
+    panel = planned.panel
+    around = place + np.vstack([np.zeros(3), np.eye(3)])
+    pitch = np.array([panel.pitch_u, panel.pitch_v])
+    shrink = np.linalg.norm(planned.source - place, axis=1) / planned.sdd_to_centre
+    seen, told = (
+        project(poses, panel, around) * pitch * shrink[:, None, None] for poses in (true, believed)
+    )
+    draws = seen.shape[0]
+    off = (seen - told)[:, :, 0].reshape(draws, -1)
+    slopes = np.moveaxis(told[:, :, 1:] - told[:, :, :1], 2, -1).reshape(draws, -1, 3)
+    left: list[Floats] = [
+        one - slope @ np.linalg.lstsq(slope, one, rcond=None)[0]
+        for one, slope in zip(off, slopes, strict=True)
+    ]
+    return np.sqrt(np.square(np.array(left)).mean(axis=1))
+
+
+def _judged(goal: Goal, views: range, sigma_mm: float, task: ViewTask, exposures: Floats) -> float:
+    """A goal with blur and exposures, where it depends on them."""
+    if isinstance(goal.measure, Detectability):
+        assert task.detectability is not None
+        sigma = sigma_mm / task.detectability.voxel_mm
+        return goal.measure.blurred(views, sigma, exposures)
+    if goal.name == "dose" and isinstance(goal.measure, Mean):
+        return float((exposures * goal.measure.each[list(views)]).mean())
+    return goal.of(views)

@@ -1,0 +1,123 @@
+"""Planned views tried beside the scenario's own path: images, volumes, errors in the region."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.progress import Progress
+from twinct.report.view_tried import draw_tried
+from twinct.runs.acquisition import acquire_to_store
+from twinct.runs.reporting import truth_of
+from twinct.runs.volumes import reconstruct
+from twinct.scan import Workshop, local_rig
+from twinct.scenario import Scenario, parse_scenario
+from twinct.trajectory import write_views
+
+FOLDER, PICTURE = "tried", "tried.png"
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What came of a set of views.
+
+    Attributes:
+        error_rel: root mean square error in the task's region, of the reference's attenuation.
+        volume: of these views, (z, y, x).
+        truth: likewise.
+    """
+
+    error_rel: float
+    volume: NDArray[np.float32]
+    truth: NDArray[np.float32]
+
+
+def trial(
+    scenario: Scenario, geometry: ScanGeometry, mas: Floats | None, folder: Path, name: str
+) -> Trial:
+    """Make images of views as by a gantry, and reconstruct them as the scenario says.
+
+    Args:
+        scenario: with a task.
+        geometry: the views.
+        mas: of each, (views,); None: the source's.
+        folder: keeps the scan, where a later call goes on.
+        name: of the scan.
+    """
+    region, _, _ = _region(scenario)
+    file, store = (folder / f"{name}{ending}" for ending in (".csv", ".zarr"))
+    write_views(file, geometry, mas)
+    workshop = Workshop(_of_gantry(scenario, file))
+    scan = acquire_to_store(workshop, store, local_rig, resume=True).read()
+    volume, truth = reconstruct(scan).array, truth_of(scan, workshop)
+    off = volume[region].astype(float) - truth.volume[region]
+    error = float(np.sqrt(np.mean(off**2))) / truth.mu_reference
+    return Trial(error, volume, truth.volume)
+
+
+def tried(
+    scenario: Scenario,
+    views: Mapping[str, tuple[ScanGeometry, Floats | None]],
+    out: Path,
+    progress: Progress,
+) -> dict[str, float]:
+    """Try sets of views, and draw the volumes side by side in ``PICTURE``.
+
+    The scans are kept in ``FOLDER``, where a later call goes on.
+
+    Args:
+        scenario: with a task.
+        views: the sets, by name, with the mAs of each view; None: the source's for all.
+        out: folder of both.
+        progress: hears how far it is.
+
+    Returns:
+        Root mean square error in the task's region, of the reference's attenuation, by name.
+    """
+    task = scenario.task
+    assert task is not None
+    (out / FOLDER).mkdir(exist_ok=True)
+    found: dict[str, Trial] = {}
+    with progress.stage("trying views", len(views)) as step:
+        for name, (geometry, mas) in views.items():
+            found[name] = trial(scenario, geometry, mas, out / FOLDER, name)
+            step()
+    shown = {"truth": next(iter(found.values())).truth}
+    for name, one in found.items():
+        shown[f"{name.replace('_', ' ')}, error {100 * one.error_rel:.1f} %"] = one.volume
+    _, grid, place = _region(scenario)
+    draw_tried(
+        out / PICTURE,
+        f"{scenario.name}: planned for the region in the circle",
+        shown,
+        grid.axes(),
+        place,
+        task.radius_mm,
+    )
+    return {name: one.error_rel for name, one in found.items()}
+
+
+def _region(
+    scenario: Scenario,
+) -> tuple[NDArray[np.bool_], VolumeGrid, tuple[float, float, float]]:
+    """Voxels of the task's region, (z, y, x); the grid, and the region's middle in it, mm."""
+    task, grid = scenario.task, scenario.reconstruction.volume_grid
+    assert task is not None
+    place = scenario.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
+    px, py, pz = grid.world_from_grid.inverse().apply(place).tolist()
+    z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij", sparse=True)
+    far = np.sqrt((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2)
+    return far <= max(task.radius_mm, float(far.min())), grid, (px, py, pz)
+
+
+def _of_gantry(scenario: Scenario, file: Path) -> Scenario:
+    """The scenario with the views of a file, and nothing that has to reach them."""
+    told = scenario.model_dump(mode="json")
+    told |= {"cell": {"kind": "gantry"}, "motion": {}, "task": None}
+    told["trajectory"] = {"kind": "file", "path": str(file.resolve())}
+    return parse_scenario(told)

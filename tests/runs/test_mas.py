@@ -1,0 +1,62 @@
+"""mAs that differ from view to view, from the file of views to the store."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from twinct.errors import ScanExistsError
+from twinct.runs import simulate
+from twinct.scan import ScanStore, Workshop
+from twinct.scenario import parse_scenario
+from twinct.trajectory import commanded_views, write_views
+
+MAS = np.array([0.02, 0.005, 0.01, 0.04])
+
+
+def scenario(path, mas=None, **more):
+    told = {
+        "source": {"photons_per_mm2_mas": 1e6},
+        "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8.0, **more},
+        "trajectory": {"kind": "circle", "views": 4},
+        "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 40}}]},
+        "cell": {"kind": "gantry"},
+    }
+    circle = parse_scenario(told)
+    write_views(path, commanded_views(circle.trajectory, circle.detector.panel), mas)
+    return parse_scenario(told | {"trajectory": {"kind": "file", "path": str(path)}})
+
+
+def test_a_scan_takes_and_keeps_the_mas_of_its_file(tmp_path):
+    noise = {"noise": {"kind": "quantum"}, "response": {"kind": "counting"}}
+    uneven = simulate(scenario(tmp_path / "a.csv", MAS, **noise))
+    even = simulate(scenario(tmp_path / "b.csv", **noise))
+    np.testing.assert_array_equal(uneven.mas, MAS)
+    assert even.mas is None
+    free = np.s_[:, :, :8]
+    relative = uneven.transmission[free].var(axis=(1, 2)) / even.transmission[free].var(axis=(1, 2))
+    # The source has 0.01 mAs. A variance of 240 pixels: 9 %, one deviation.
+    np.testing.assert_allclose(relative, 0.01 / MAS, rtol=0.5)
+    assert (np.argsort(relative) == np.argsort(-MAS)).all()
+
+
+def test_other_mas_are_another_scan(tmp_path):
+    first = scenario(tmp_path / "a.csv", MAS)
+    path = tmp_path / "scan.zarr"
+    store = ScanStore.create(path, first, Workshop(first).commanded_poses, (), 15, mas=MAS)
+    assert store.refuse_other(first) is None
+    for other in (MAS[::-1], None):
+        with pytest.raises(ScanExistsError, match="of another scenario"):
+            store.refuse_other(scenario(tmp_path / "b.csv", other))
+
+
+def test_mas_stay_with_their_views_where_the_plan_chooses_the_order(tmp_path):
+    given = scenario(tmp_path / "a.csv", MAS)
+    arms = parse_scenario(
+        given.model_dump(mode="json", exclude={"cell"}) | {"motion": {"order": "shortest"}}
+    )
+    turned = Workshop(given).targets[::-1]
+    workshop = Workshop(arms, kept_plan=cast(Any, SimpleNamespace(targets=tuple(turned))))
+    assert workshop.plan_chooses
+    np.testing.assert_array_equal(workshop.mas, MAS[::-1])
