@@ -12,7 +12,7 @@ that was found, the latter two moved as a whole to where the executed lies; each
 iteration, by the RMSE within 3 mm of bone. Won back is the share of what the believed geometry
 costs. One JSON line a case in DIR; those that are there are not done again. ``--factor 2``: pixels
 and voxels twice as large, an eighth of the time. ``--real``: the skull of ``make paper``, which
-tools/fetch-cranium fetches.
+tools/fetch-cranium fetches. ``--photons N``: in each pixel without a specimen, with their noise.
 """
 
 from __future__ import annotations
@@ -144,6 +144,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=(1, 2, 3))
     parser.add_argument("--factor", type=int, default=1)
     parser.add_argument("--real", action="store_true")
+    parser.add_argument("--photons", type=float)
     parser.add_argument("--rounds", nargs="+", type=int, help="how much larger pixels are in each")
     parser.add_argument("--out", type=Path, default=Path("out/selfcal"))
     options = parser.parse_args()
@@ -151,6 +152,10 @@ def main() -> None:
     scenario = scenario_of(options.factor, options.real)
     name = f"{options.factor}{'_real' if options.real else ''}"
     p, executed, truth, mu, region = scanned(scenario, options.out / f"scan{name}.pkl")
+    if options.photons:
+        name += f"_{options.photons:g}"
+        counts = np.random.default_rng(14).poisson(options.photons * np.exp(-p, dtype=np.float64))
+        p = line_integrals((np.maximum(counts, 1) / options.photons).astype(np.float32))
     grid = scenario.reconstruction.volume_grid
     lines = options.out / f"cases{name}.jsonl"
     told = [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
