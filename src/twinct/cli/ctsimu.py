@@ -11,6 +11,8 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from twinct.cli.arguments import Flag
+
 ctsimu = tyro.extras.SubcommandApp()
 
 MOST_SAMPLES = 64
@@ -18,8 +20,6 @@ MOST_SAMPLES = 64
 
 MOST_SPOT_POINTS = 10_000
 """Each is a render of the whole panel."""
-
-_Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
 @ctsimu.command
@@ -30,7 +30,7 @@ def render(
     samples: int = 3,
     spot_points: int = 32,
     seed: int = 0,
-    resume: _Flag = False,
+    resume: Flag = False,
 ) -> None:
     """Render a CTSimU scenario: TIFF projections, dark and flat images, metadata.
 
@@ -71,7 +71,7 @@ def export(
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")],
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
-    ideal: _Flag = False,
+    ideal: Flag = False,
     geometry: Annotated[str, tyro.conf.arg(metavar="NAME")] = "believed",
 ) -> None:
     """Write a finished scan as a CTSimU scenario and as an OpenCT free trajectory.

@@ -12,6 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from twinct.cli.arguments import Flag
 from twinct.cli.progress import on_terminal
 from twinct.errors import InputError
 from twinct.report.template import duration
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
 _LINE_EVERY_S = 30.0
 _MOST_SHOWN = 40
-
-Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
 def study(

@@ -1,0 +1,37 @@
+"""Arguments that several commands take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+ScenarioFile = Annotated[
+    tyro.conf.Positional[Path],
+    tyro.conf.arg(metavar="SCENARIO", help="Scenario file (YAML), such as scenarios/demo.yaml."),
+]
+Overrides = Annotated[
+    tyro.conf.UseAppendAction[tuple[str, ...]],
+    tyro.conf.arg(
+        name="set",
+        metavar="KEY=VALUE",
+        help="Override a key of the scenario, such as --set detector.columns=320; may be given "
+        "several times.",
+    ),
+]
+Threads = Annotated[
+    int | None,
+    tyro.conf.arg(
+        metavar="N",
+        help="Threads that each process may use (default: TWINCT_THREADS, or all there are).",
+    ),
+]
+Flag = tyro.conf.FlagCreatePairsOff[bool]
+
+LOOPBACK, PAGE_PORT = "127.0.0.1", 8080
+Host = Annotated[str, tyro.conf.arg(help="Address that the page listens on.")]
+Port = Annotated[int, tyro.conf.arg(help="Port of the page; 0: any that is free.")]
+Network = Annotated[
+    Flag, tyro.conf.arg(help="Let --host be another than loopback; the page has no password.")
+]

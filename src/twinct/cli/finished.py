@@ -1,0 +1,271 @@
+"""Commands on what was scanned: judged, compared, reconstructed and calibrated again."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from twinct.cli.arguments import Flag, Overrides, Threads
+from twinct.cli.progress import on_terminal, say
+from twinct.cli.results import percent, say_result
+from twinct.scenario import named_places
+
+
+def import_(
+    files: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="FILE", help="What run --record wrote, or another tool's MCAP file."),
+    ],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+) -> None:
+    """Rebuild a scan from recordings of it: DIR/scan.zarr and DIR/scenario.yaml.
+
+    Several files are those of a scan that was interrupted and resumed. Views that they miss are
+    named; run --resume takes them. Of another tool's recording of the same topics poses, cameras
+    and images are taken, as a gantry's scan of an unknown specimen.
+
+    Args:
+        out: Folder to write, without a run in it.
+    """
+    from twinct.runs import import_scan
+
+    found = import_scan(files, out)
+    for problem in found.contents.problems:
+        say(problem, warning=True)
+    if found.missing:
+        say(f"missing: {found.missing_in_words}", warning=True)
+    count = len(found.views)
+    say(f"{count} of {count + len(found.missing)} views imported to {out}")
+
+
+def export(
+    scan: Annotated[
+        tyro.conf.Positional[Path],
+        tyro.conf.arg(metavar="SCAN", help="What twinct run --out wrote, or the scan.zarr in it."),
+    ],
+    *,
+    to: Literal["rtk", "astra", "leap", "cil", "tigre", "openct"],
+    geometry: Annotated[str, tyro.conf.arg(metavar="NAME")] = "believed",
+    values: Literal["line-integrals", "transmission"] = "line-integrals",
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+) -> None:
+    """Write a scan so that another toolkit reconstructs it as it is.
+
+    DIR gets the projections, the geometry, the voxel grid of the scenario, a script load.py that
+    loads them into the toolkit and reconstructs, and a README. A scan under way is written as far
+    as it is.
+
+    Args:
+        to: The toolkit, or openct for programs that read an OpenCT free trajectory.
+        geometry: believed (what the system reports), executed (where the arms really were),
+            commanded (what was asked of them), or one that twinct geometry has made.
+        values: Pixels as -ln(I/I0), or as I/I0.
+        out: Folder to write, which must not exist; export-TOOLKIT beside the scan unless given.
+    """
+    from twinct.cli.export import export_scan
+
+    export_scan(scan, to, geometry, values, out)
+
+
+def report(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    set_: Overrides = (),
+) -> None:
+    """Judge a finished run again and rewrite its metrics.json and report.html.
+
+    ``--set evaluation.KEY=VALUE`` measures other things in its volumes; none is made anew.
+
+    Args:
+        folder: What ``twinct run --out`` wrote.
+    """
+    from twinct.runs import report_again
+
+    with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
+        again = report_again(folder, audience, set_)
+    say_result(again)
+
+
+def compare(
+    folders: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DIR")],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="HTML")] = Path("compare.html"),
+) -> None:
+    """Compare finished runs on one page: slices, figures, pose errors, times, and their scenarios.
+
+    Slices are at the same places in the same windows; differences are against the first run.
+
+    Args:
+        folders: What ``twinct run --out`` wrote, or DIR/reconstructions/NAME for what ``twinct
+            reconstruct`` made beside it; two or more.
+        out: File to write.
+    """
+    from twinct.files.writing import check_page, storage_errors
+    from twinct.runs import compare
+
+    check_page(out)
+    with on_terminal() as audience:
+        comparison = compare(folders, audience)
+    for note in comparison.notes:
+        say(note, warning=True)
+    with storage_errors(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        comparison.write(out)
+    say(f"wrote {out}: {len(comparison.keys)} scenario keys differ")
+
+
+def verify(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]) -> None:
+    """Compare each file of a scan with the digest that was kept of it, and look at its results.
+
+    Ends with 1 where anything is damaged, missing or not finished; what is damaged of a scan
+    'twinct run --resume' takes again.
+
+    Args:
+        folder: What ``twinct run --out`` wrote, or the scan.zarr in it.
+    """
+    from twinct.runs import verify
+
+    found = verify(folder)
+    for problem in found.problems:
+        say(problem, warning=True)
+    for file in found.unknown:
+        say(f"{file}: unknown, left alone")
+    told = f"{len(found.problems)} problems" if found.problems else "whole"
+    say(f"{folder}: {told} ({found.in_words})")
+    if found.problems:
+        sys.exit(1)
+
+
+def reconstruct(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    geometry: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
+    threads: Threads = None,
+    set_: Overrides = (),
+) -> None:
+    """Reconstruct a finished run once more, beside what there is, and show both in its report.
+
+    Args:
+        folder: What ``twinct run --out`` wrote.
+        geometry: commanded, executed, believed, or one that twinct geometry has made.
+        as_: Name of the result, below DIR/reconstructions; after its algorithm where left out.
+    """
+    from twinct.runs import reconstruct_again
+    from twinct.threads import limit_threads
+
+    limit_threads(threads)
+    with on_terminal() as audience:
+        made = reconstruct_again(folder, set_, geometry=geometry, name=as_, observers=audience)
+    rmse, near = (percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))
+    say(
+        f"{made.name}: {made.in_words}, {made.geometry} geometry; RMSE {rmse}, {near} near "
+        f"the reference material\n{made.path}; report: {folder / 'report.html'}"
+    )
+
+
+def geometry(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
+    set_: Overrides = (),
+) -> None:
+    """List the geometries of a scan, or derive one more: what its robots would report.
+
+    Args:
+        folder: What ``twinct run --out`` wrote.
+        as_: Name of the new geometry; without it those that there are are listed.
+        set_: Keys of uncertainty, such as --set uncertainty.seed=3.
+    """
+    from twinct.errors import InputError
+    from twinct.evaluate import pose_errors
+    from twinct.runs import derive_geometry, load_scan
+    from twinct.scan import OWN
+
+    if as_ is not None:
+        with on_terminal() as audience:
+            derive_geometry(folder, as_, set_, audience)
+    elif set_:
+        raise InputError(f"--set {set_[0]}: a new geometry needs a name (--as)")
+    scan = load_scan(folder)
+    table = Table("geometry", "source to executed, mm", "detector to executed, mm", "made by")
+    for name in (*OWN, *(n for n in scan.derived if n not in OWN)):
+        errors = pose_errors(scan.executed, scan.poses(name))
+        means = (f"{arm.position_mm.mean():.4f}" for arm in (errors.source, errors.detector))
+        made_by = scan.derived[name].made_by if name in scan.derived else {}
+        words = ", ".join(f"{k} {v}" for k, v in made_by.items() if not isinstance(v, dict))
+        table.add_row(name, *means, words)
+    Console().print(table)
+
+
+def calibrate(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    with_: Annotated[
+        Literal["beads", "balls", "kinematics", "self"], tyro.conf.arg(name="with")
+    ] = "beads",
+    as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
+    to: Annotated[Sequence[Path], tyro.conf.arg(metavar="DIR")] = (),
+    from_: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None,
+    sigma_mm: float = 0.5,
+    sigma_deg: float = 0.2,
+    correlation_views: float = 0.0,
+    what: Literal["arms", "patient"] = "arms",
+    align: Flag = False,
+    ball_radius_mm: float = 1.5,
+) -> None:
+    """Find where source and detector really were, and add that to a scan as a geometry.
+
+    ``twinct reconstruct DIR --geometry NAME`` reconstructs from it.
+
+    Args:
+        folder: What ``twinct run --out`` wrote; for beads and kinematics of a specimen with a
+            ball_helix.
+        with_: beads: the balls of a phantom, whose places are known; balls: a few balls at unknown
+            places on the specimen; kinematics: both arms, from all views of a phantom, kept in
+            DIR/arms.json; self: the projections alone, each view moved until they agree.
+        as_: Name of the new geometry; that of the method unless given.
+        to: Folders of scans that get the geometry, too: of the same views (beads), or of the same
+            arms along any trajectory (kinematics).
+        from_: An arms.json; the scan then need not be of balls (kinematics).
+        sigma_mm: What source and panel, or the patient, are off along each axis, as far as is
+            known (self, balls).
+        sigma_deg: The same of the rotation of panel or patient about each axis (self, balls).
+        correlation_views: Over how many views errors are alike; 0: each view's own (self, balls).
+        what: What may have moved: source and panel, or the patient between them (self).
+        align: Keep what was found moved as a whole to where the executed geometry lies, for figures
+            that compare volumes (self, balls).
+        ball_radius_mm: Of each ball (balls).
+    """
+    from twinct.calibration import PosePrior
+    from twinct.cli.calibrate import (
+        balls_command,
+        beads_command,
+        kinematics_command,
+        self_command,
+    )
+    from twinct.errors import InputError
+
+    if from_ is not None and with_ != "kinematics":
+        raise InputError(f"--from {from_}: arms are of --with kinematics")
+    if with_ == "kinematics":
+        kinematics_command(folder, as_, to, from_)
+    elif with_ == "beads":
+        beads_command(folder, as_, to)
+    else:
+        if to:
+            raise InputError(f"--to {to[0]}: what a scan finds of itself is of no other one")
+        prior = PosePrior(sigma_mm, sigma_deg, correlation_views)
+        if with_ == "self":
+            self_command(folder, as_, prior, what, align=align)
+        elif what == "patient":
+            raise InputError("--what patient: with balls, source and panel are what may have moved")
+        else:
+            balls_command(folder, as_, ball_radius_mm, prior, align=align)

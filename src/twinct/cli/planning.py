@@ -1,0 +1,122 @@
+"""Commands that look for places, views and errors before anything is run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from twinct.cli.arguments import Flag, Overrides, ScenarioFile, Threads
+
+
+def reach(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    radii: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MM")] = (),
+    odd: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None,
+    directions: int = 1000,
+    connected: Flag = False,
+    set_: Overrides = (),
+) -> None:
+    """Where source and panel can go: directions all over the sphere, at one radius or several.
+
+    Source and panel may be turned about the beam.
+
+    Args:
+        out: Folder for reach.json, reach.csv, and pictures of the sphere and of the room.
+        radii: Distances from the isocentre to the source (default: the scenario's).
+        odd: Distance from the isocentre to the panel (default: the scenario's).
+        directions: How many.
+        connected: Also seek collision-free ways between them, which takes minutes.
+    """
+    from twinct.cli.reach import reach_command
+
+    reach_command(scenario, set_, out, radii, odd, directions, connected)
+
+
+def place(
+    scenario: ScenarioFile,
+    *,
+    sphere: Flag = False,
+    save: Annotated[Path | None, tyro.conf.arg(metavar="YAML")] = None,
+    x: tuple[float, float] = (-1000.0, 1000.0),
+    y: tuple[float, float] = (-1000.0, 1000.0),
+    z: tuple[float, float] = (-800.0, 400.0),
+    standoff: tuple[float, float] = (100.0, 300.0),
+    tool_rotation: tuple[float, float] = (-180.0, 180.0),
+    samples: int = 128,
+    seed: int = 0,
+    set_: Overrides = (),
+) -> None:
+    """Where the arms had better stand for a scenario's trajectory, or for most of the sphere.
+
+    Args:
+        sphere: Serve as many directions as can be, source and panel turned about the beam.
+        save: Write a scenario with the keys that were found.
+        x: Lowest and highest position of a base, mm.
+        y: Lowest and highest position of a base, mm.
+        z: Lowest and highest position of a base, mm.
+        standoff: From flange to focal spot and panel centre, mm.
+        tool_rotation: Turn of the tools about the flange axis, deg.
+        samples: Places of each arm alone that are looked at first.
+        seed: Of the search.
+    """
+    from twinct.cli.reach import place_command
+    from twinct.reach import Bounds
+
+    place_command(
+        scenario, set_, sphere, save, Bounds(x, y, z, standoff, tool_rotation), samples, seed
+    )
+
+
+def plan(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    scout: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None,
+    try_views: Annotated[Flag, tyro.conf.arg(name="try")] = False,
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|local|HOST:PORT")] = None,
+    jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    resume: Flag = False,
+    threads: Threads = None,
+    set_: Overrides = (),
+) -> None:
+    """Choose views for the section task of a scenario, among those that the arms can have.
+
+    Writes views.csv, planned.yaml, which twinct run executes, plan.npz, plan.json and plan.png.
+
+    Args:
+        out: Folder for the results.
+        scout: Run of a few views, by which the specimen is put where it lies before planning.
+        try_views: Make images of the planned views and of the scenario's path, and compare the
+            volumes: tried.png.
+        address: Where Ray answers; local starts one on this machine. Default: local processes.
+        jobs: Processes that look for what the arms reach and judge paths of a family (default: as
+            many as there are threads).
+        resume: Go on with a search that was interrupted.
+    """
+    from twinct.cli.plan import plan_command
+
+    plan_command(scenario, set_, out, scout, try_views, address, jobs, resume, threads)
+
+
+def uncertainty(
+    scenario: ScenarioFile,
+    *,
+    draws: int = 1000,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
+    set_: Overrides = (),
+) -> None:
+    """What the errors of a scenario do to its geometry: poses, images, causes; nothing is rendered.
+
+    Args:
+        draws: How many scans are drawn.
+        out: Folder for uncertainty.json, with all covariances, and uncertainty.png.
+        picture: File for the picture of a view that cannot be had.
+    """
+    from twinct.cli.uncertainty import uncertainty_command
+
+    uncertainty_command(scenario, set_, draws, out, picture)

@@ -1,0 +1,135 @@
+"""Commands that run simulations, or show them."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from twinct.cli.arguments import (
+    LOOPBACK,
+    PAGE_PORT,
+    Flag,
+    Host,
+    Network,
+    Overrides,
+    Port,
+    ScenarioFile,
+    Threads,
+)
+from twinct.cli.progress import on_terminal
+from twinct.cli.results import say_result
+from twinct.cli.view import live_page, view_command
+from twinct.scenario import load_scenario, named_places
+
+
+def run(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    link: Literal["ros2", "local"] = "ros2",
+    resume: Flag = False,
+    record: Flag = False,
+    view: Flag = False,
+    host: Host = LOOPBACK,
+    port: Port = PAGE_PORT,
+    allow_network: Network = False,
+    threads: Threads = None,
+    set_: Overrides = (),
+) -> None:
+    """Run a scenario: plan, move, expose, reconstruct, judge, report.
+
+    Writes scan.zarr, volume.nii, metrics.json, report.html and twinct.log into DIR.
+
+    Args:
+        out: Folder for the results; a scan that is there is never touched without --resume.
+        link: ros2 starts both simulations as processes; local runs them in this one.
+        resume: Go on with a scan that was interrupted.
+        record: Write all messages of the scan to DIR/scan.mcap, which ROS tools read.
+        view: Show the run on a page while it goes on, see twinct view; the page stays when the run
+            is over, until Ctrl-C.
+    """
+    from twinct import runs
+    from twinct.scan import Workshop
+
+    loaded = load_scenario(scenario, set_)
+    with ExitStack() as page:
+        live, workshop = [], None
+        if view:
+            workshop = Workshop(loaded)  # what the run builds the page need not build again
+            told = live_page(out, workshop, host, port, allow_network)
+            live = [page.enter_context(told).observer]
+        with named_places(scenario, set_), on_terminal(live) as audience:
+            finished = runs.run(
+                loaded,
+                out,
+                link=link,
+                resume=resume,
+                record=record,
+                threads=threads,
+                workshop=workshop,
+                observers=audience,
+            )
+        say_result(finished)
+
+
+def view(
+    targets: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(
+            metavar="SCENARIO|DIR",
+            help="Scenario file, or what twinct run --out wrote; two folders: side by side.",
+        ),
+    ],
+    *,
+    host: Host = LOOPBACK,
+    port: Port = PAGE_PORT,
+    allow_network: Network = False,
+    export: Annotated[Path | None, tyro.conf.arg(metavar="HTML")] = None,
+    movie: Annotated[Path | None, tyro.conf.arg(metavar="MP4")] = None,
+    set_: Overrides = (),
+) -> None:
+    """Look into a run with a browser: room, beam, images, volume, errors; also while it goes on.
+
+    Of a scenario that was not run: room, plan, reach of the path and field of view.
+
+    Args:
+        export: Write a page that needs no server instead: it plays all views, with a free camera.
+        movie: Write a film of the scan instead.
+    """
+    view_command(targets, host, port, allow_network, export, movie, set_)
+
+
+def node(
+    which: Annotated[
+        tyro.conf.Positional[Literal["robots", "xray"]], tyro.conf.arg(metavar="{robots,xray}")
+    ],
+    scenario: ScenarioFile,
+    *,
+    set_: Overrides = (),
+) -> None:
+    """Start one simulation as a ROS 2 node of its own, until it is interrupted.
+
+    The robots node takes targets on /scan/target and answers on /scan/reached; the xray node takes
+    /scan/reached and answers on /xray/image.
+
+    Args:
+        which: The robot simulation or the X-ray simulation.
+    """
+    from twinct.extras import require
+    from twinct.ros import spin_robots, spin_xray
+    from twinct.runs import check_physics
+    from twinct.scan import Workshop
+
+    loaded = load_scenario(scenario, set_)
+    if which == "xray" or loaded.cell.kind == "arms":
+        require("robots" if which == "robots" else "xray")
+    with named_places(scenario, set_):
+        if which == "xray":
+            check_physics(Workshop(loaded))
+        code = spin_robots(loaded) if which == "robots" else spin_xray(loaded)
+    if code:
+        sys.exit(code)

@@ -1,0 +1,194 @@
+"""What can be asked of a scenario file without running it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from twinct.cli.arguments import Overrides, ScenarioFile
+from twinct.cli.progress import say
+from twinct.scenario import load_scenario, named_places, scenario_schema
+
+if TYPE_CHECKING:
+    from twinct.scan import Workshop
+
+MIDDLE = -1
+"""Stands for the view in the middle of the scan."""
+
+
+def check(
+    scenario: ScenarioFile,
+    *,
+    save: Annotated[Path | None, tyro.conf.arg(metavar="NPZ")] = None,
+    picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
+    set_: Overrides = (),
+) -> None:
+    """Validate a scenario, build its specimen and plan its motion, without running it.
+
+    Names every view that an arm cannot reach or that would collide, a change that would cure that,
+    and draws the first of them.
+
+    Args:
+        save: File to write the plan to; with the key motion.plan a scenario follows it.
+        picture: File for the picture of a view that cannot be had.
+    """
+    from twinct.cli.reach import explained
+    from twinct.runs import (
+        check_geometries,
+        check_physics,
+        check_sight,
+        findings,
+        require_extras,
+        require_feasible,
+        require_memory,
+    )
+    from twinct.scan import Workshop
+
+    loaded = load_scenario(scenario, set_)
+    require_extras(loaded)
+    workshop = Workshop(loaded)
+    with named_places(scenario, set_):
+        require_memory(loaded)
+        check_geometries(loaded)
+        if workshop.plan_chooses:  # else what the views see is known without a plan
+            with explained(workshop, picture):
+                _ = workshop.plan
+        check_physics(workshop)
+        require_feasible(loaded, workshop.commanded)
+        for warning in check_sight(workshop):
+            say(warning, warning=True)
+        with explained(workshop, picture):
+            _ = workshop.plan
+        table = Table(title=f"{loaded.name}: can be run", show_header=False)
+        for name, words in findings(workshop).items():
+            table.add_row(name, words.replace("×", "x"))
+        if save is not None:
+            _save_plan(workshop, save)
+    Console().print(table)
+
+
+def _save_plan(workshop: Workshop, path: Path) -> None:
+    from twinct.errors import InputError
+    from twinct.motion import save_plan
+
+    if workshop.followed is None:
+        why = "a gantry" if workshop.plan is None else "motion.scheme: reactive"
+        raise InputError(f"--save {path}: {why} follows no plan")
+    if path.suffix != ".npz":
+        raise InputError(f"--save {path}: the file of a plan ends in .npz")
+    save_plan(workshop.followed, path)
+
+
+def render(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("room.png"),
+    view: Annotated[int, tyro.conf.arg(help_behavior_hint="(default: the middle one)")] = MIDDLE,
+    width: int = 1600,
+    height: int = 1000,
+    set_: Overrides = (),
+) -> None:
+    """Picture of the operating room at one view.
+
+    A view that cannot be had is drawn all the same: what collides in red, source or panel as a
+    ghost where it shall be, its arm in the nearest configuration.
+
+    Args:
+        out: File to write.
+        view: Which view source and panel shall be at.
+        width: Width of the picture in pixels.
+        height: Height of the picture in pixels.
+    """
+    from twinct.cell import check_drawing, check_picture_size
+    from twinct.cli.reach import draw_anyway
+    from twinct.errors import InputError
+    from twinct.extras import require
+    from twinct.files.writing import check_picture, storage_errors
+    from twinct.scan import Workshop
+
+    loaded = load_scenario(scenario, set_)
+    check_picture(out)
+    check_picture_size(width, height)
+    require("robots")
+    check_drawing()
+    workshop = Workshop(loaded)
+    views = len(workshop.asked)  # commanded ones need a plan, which there may not be
+    view = views // 2 if view == MIDDLE else view
+    if not 0 <= view < views:
+        raise InputError(f"--view {view}: the scenario has views 0 to {views - 1}")
+    with named_places(scenario, set_), storage_errors(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        for problem in draw_anyway(workshop, out, view, width, height):
+            say(problem, warning=True)
+    Console().print(f"wrote {out}", highlight=False)
+
+
+def specimen(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    set_: Overrides = (),
+) -> None:
+    """Build the specimen only: a mesh for each part, the voxel truth and a picture.
+
+    Args:
+        out: Folder for PART.stl, truth.nii and specimen.png.
+    """
+    from twinct.files.writing import check_folder, storage_errors
+    from twinct.scan import Workshop
+    from twinct.specimen.preview import preview_specimen
+    from twinct.volume import Volume
+    from twinct.xray.build import effective_energy_kev
+
+    loaded = load_scenario(scenario, set_)
+    check_folder(out)
+    with named_places(scenario, set_):
+        energy = effective_energy_kev(loaded.source, loaded.detector)
+        built = Workshop(loaded).specimen
+    grid = loaded.reconstruction.volume_grid
+    table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+        for index, part in enumerate(built.parts):
+            part.mesh.export(out / f"{index}-{part.name}.stl")
+            material, mesh = part.material, part.mesh
+            figures = f"{material.mu_per_mm(energy):.5f}", f"{len(mesh.faces)}"
+            table.add_row(part.name, material.name, *figures, f"{mesh.volume / 1000:.1f}")
+        preview_specimen(built, out / "specimen.png", title=loaded.name)
+        Volume(built.truth(grid, energy), grid).write(out / "truth.nii", "twinct truth, 1/mm")
+    Console().print(table)
+
+
+def urdf(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    set_: Overrides = (),
+) -> None:
+    """Robot description of the operating room, for ROS 2 and whatever reads URDF.
+
+    Args:
+        out: Folder for cell.urdf and its meshes.
+    """
+    from twinct.extras import require
+    from twinct.files.writing import check_folder, storage_errors, write_text
+    from twinct.scan import Workshop
+
+    loaded = load_scenario(scenario, set_)
+    check_folder(out)
+    require("robots")
+    file = out / "cell.urdf"
+    with named_places(scenario, set_), storage_errors(out):
+        write_text(file, Workshop(loaded).urdf(meshes=out))
+    Console().print(f"wrote {file}", highlight=False)
+
+
+def schema() -> None:
+    """Print the JSON Schema of the scenario file, for editors."""
+    sys.stdout.write(json.dumps(scenario_schema(), indent=2) + "\n")
