@@ -133,6 +133,7 @@ def profiles(x: np.ndarray, grid) -> dict[str, np.ndarray]:
 
 def fwhm_mm(cut: np.ndarray, voxel_mm: float) -> float:
     """Full width at half of the height above the background, of the highest peak."""
+    cut = np.asarray(cut, np.float64)
     peaks, _ = find_peaks(cut)
     highest = peaks[[cut[peaks].argmax()]]
     ground = np.median(np.concatenate([cut[:10], cut[-10:]]))

@@ -3,9 +3,10 @@
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.data import Scan, View, reported
 from twinct.scan.findings import frame_damage, unknown_files, view_damage
+from twinct.scan.layout import write_frame
 from twinct.scan.named import OWN, RELATIVE, NamedGeometry, checked_name, named_geometries
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
-from twinct.scan.store import Readings, ScanStore, check_space, write_frame
+from twinct.scan.store import Readings, ScanStore, check_space
 from twinct.scan.workshop import Workshop
 
 __all__ = [

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 import zarr as _zarr
 from numpy.typing import NDArray
-from zarr.codecs import BloscCodec
 
 from twinct.errors import DamagedError, InputError, ScanExistsError
 from twinct.files.plain_json import json_of
@@ -26,9 +25,9 @@ from twinct.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.scan.data import Scan, View, bad_pixels_of, reported
 from twinct.scan.findings import frame_damage, make_way, view_damage, views_taken
+from twinct.scan.layout import FORMAT, READABLE, columns_of, kept_digests, write_frame
 from twinct.scan.manifest import (
     ACQUIRED,
-    BY_VIEW,
     FOLDER,
     FRAME_FILE,
     CheckedStore,
@@ -36,7 +35,6 @@ from twinct.scan.manifest import (
     chunk_name,
     damaged,
     view_of,
-    write_frame_manifest,
 )
 from twinct.scan.metadata import (
     BAD_PIXELS,
@@ -48,7 +46,7 @@ from twinct.scan.metadata import (
     readable,
 )
 from twinct.scan.named import NamedGeometry
-from twinct.scenario import Scenario, parse_scenario, stage_digests
+from twinct.scenario import Scenario, parse_scenario
 from twinct.views import Instant, PosePairs
 
 if TYPE_CHECKING:
@@ -58,9 +56,6 @@ zarr: Any = _zarr
 """Typed in part only."""
 
 log = logging.getLogger(__name__)
-
-FORMAT = 4
-READABLE = (1, 2, 3, FORMAT)
 
 
 def check_space(folder: Path, scenario: Scenario, views: int) -> None:
@@ -187,7 +182,7 @@ class ScanStore:
         Raises:
             ScanExistsError: it is another one's.
         """
-        own, other = self.digests, _kept_digests(scenario)
+        own, other = self.digests, kept_digests(scenario)
         differ = [
             f"{name} {own.get(name, 'none')[:12]}, this one has {digest[:12]}"
             for name, digest in other.items()
@@ -292,7 +287,7 @@ class ScanStore:
         the believed poses besides, which were part of the store.
         """
         if self._format == 1:
-            return _kept_digests(self.scenario)
+            return kept_digests(self.scenario)
         return cast("dict[str, str]", self._group.attrs["digests"])
 
     @property
@@ -389,7 +384,7 @@ class ScanStore:
             InputError: something of the view has another shape than the store's arrays, whose
                 metadata are damaged then; nothing is written.
         """
-        columns = _columns(view)
+        columns = columns_of(view)
         if self._format < 3:  # begun by an older twinct, which did not keep them
             del columns["joint_velocity"], columns["joint_torque"]
         kept = {name: getattr(view.frames, name) for name in self.kept}
@@ -512,113 +507,3 @@ class ScanStore:
         for file in self.path.rglob("*"):
             if view_of(file.name) in unfinished or file.suffix == ".partial":
                 file.unlink()
-
-
-def _kept_digests(scenario: Scenario) -> dict[str, str]:
-    return {"images": stage_digests(scenario)["images"]}
-
-
-def _pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
-    """What is stored of one view's commanded or executed poses."""
-    axes = detector.rotation
-    return {
-        f"{which}/source": source.position,
-        f"{which}/detector": detector.position,
-        f"{which}/u": axes[:, 0],
-        f"{which}/v": axes[:, 1],
-        f"{which}/source_quat": source.quat,
-        f"{which}/detector_quat": detector.quat,
-    }
-
-
-def _columns(view: View) -> dict[str, Any]:
-    reached, executed = view.reached, view.reached.executed
-    columns = _pose_columns("executed", executed.source, executed.detector)
-    if reached.exposure:
-        columns[EXPOSURE] = reached.exposure
-    return columns | {
-        "executed/object": executed.object.position,
-        "executed/object_quat": executed.object.quat,
-        "joints": reached.position,
-        "joint_velocity": reached.velocity,
-        "joint_torque": reached.effort,
-        "state": reached.state,
-        "simulated_s": reached.time_s,
-        "clearance_mm": reached.clearance_mm,
-    }
-
-
-def _write_plan(root: Any, plan: MotionPlan) -> None:
-    """Numbers as arrays, words as attributes of their group."""
-    from twinct.motion import plan_arrays
-
-    group = root.create_group("plan")
-    for name, values in plan_arrays(plan).items():
-        if values.dtype.kind == "U":
-            group.attrs[name] = values.tolist()
-        else:
-            whole = BloscCodec(cname="lz4", shuffle="shuffle")
-            group.create_array(name, data=values, chunks=values.shape, compressors=whole)
-
-
-def write_frame(
-    path: Path,
-    scenario: Scenario,
-    commanded: PosePairs,
-    joint_names: tuple[str, ...],
-    state_size: int,
-    plan: MotionPlan | None,
-    digests: dict[str, str] | None = None,
-    mas: NDArray[np.float64] | None = None,
-) -> None:
-    """Write all of a store but its views; the digests are of files as they are, unless given."""
-    views, panel = len(commanded), scenario.detector.panel
-    group: Any = zarr.create_group(str(path), zarr_format=3)
-    attributes = {
-        "format": FORMAT,
-        "digests": digests or _kept_digests(scenario),
-        "scenario": scenario.resolved(),
-        "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
-        "joint_names": list(joint_names),
-    }
-    group.attrs.update(attributes)
-
-    last: list[str] = []
-
-    def add(name: str, shape: tuple[int, ...], dtype: str = "f8", compressed: bool = False) -> None:
-        last.append(f"{name}/{chunk_name(views - 1, len(shape))}")
-        group.create_array(
-            name,
-            shape=(views, *shape),
-            chunks=(1, *shape),
-            dtype=dtype,
-            fill_value=0 if dtype == "u1" else np.nan,
-            compressors=BloscCodec(cname="lz4", shuffle="shuffle") if compressed else None,
-            chunk_key_encoding=BY_VIEW,
-        )
-
-    for name in dict.fromkeys(("transmission", *scenario.detector.keep)):
-        add(name, panel.shape, "f4", compressed=True)
-    rows = [_pose_columns("commanded", *commanded[view]) for view in range(views)]
-    for name, value in rows[0].items():
-        add(name.replace("commanded", "executed"), value.shape)
-        column = np.array([row[name] for row in rows])
-        group.create_array(name, data=column, compressors=None)
-    add("executed/object", (3,))
-    add("executed/object_quat", (4,))
-    if scenario.source.motion_samples > 1:
-        add(EXPOSURE, (scenario.source.motion_samples, 3, 7))
-    for name in ("joints", "joint_velocity", "joint_torque"):
-        add(name, (len(joint_names),))
-    add("state", (state_size,))
-    add("simulated_s", ())
-    add("clearance_mm", ())
-    of_a_view = tuple(last)
-    if (bad := bad_pixels_of(scenario)) is not None:
-        group.create_array(BAD_PIXELS, data=bad, chunks=bad.shape, compressors=None)
-    if mas is not None:
-        group.create_array(MAS, data=mas, chunks=mas.shape, compressors=None)
-    add("status", (), "u1")
-    if plan is not None:
-        _write_plan(group, plan)
-    write_frame_manifest(group, path, of_a_view, views)

@@ -1,0 +1,139 @@
+"""How a store lies on disk: its arrays and their chunks, and all of it but its views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import zarr as _zarr
+from numpy.typing import NDArray
+from zarr.codecs import BloscCodec
+
+from twinct.geometry import Pose
+from twinct.scan.data import View, bad_pixels_of
+from twinct.scan.manifest import BY_VIEW, chunk_name, write_frame_manifest
+from twinct.scan.metadata import BAD_PIXELS, EXPOSURE, MAS
+from twinct.scenario import Scenario, stage_digests
+from twinct.views import PosePairs
+
+if TYPE_CHECKING:
+    from twinct.motion import MotionPlan
+
+zarr: Any = _zarr
+"""Typed in part only."""
+
+FORMAT = 4
+READABLE = (1, 2, 3, FORMAT)
+
+
+def kept_digests(scenario: Scenario) -> dict[str, str]:
+    """What a store knows the stages by that its images depend on."""
+    return {"images": stage_digests(scenario)["images"]}
+
+
+def pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
+    """What is stored of one view's commanded or executed poses."""
+    axes = detector.rotation
+    return {
+        f"{which}/source": source.position,
+        f"{which}/detector": detector.position,
+        f"{which}/u": axes[:, 0],
+        f"{which}/v": axes[:, 1],
+        f"{which}/source_quat": source.quat,
+        f"{which}/detector_quat": detector.quat,
+    }
+
+
+def columns_of(view: View) -> dict[str, Any]:
+    """What is stored of a view beside its images."""
+    reached, executed = view.reached, view.reached.executed
+    columns = pose_columns("executed", executed.source, executed.detector)
+    if reached.exposure:
+        columns[EXPOSURE] = reached.exposure
+    return columns | {
+        "executed/object": executed.object.position,
+        "executed/object_quat": executed.object.quat,
+        "joints": reached.position,
+        "joint_velocity": reached.velocity,
+        "joint_torque": reached.effort,
+        "state": reached.state,
+        "simulated_s": reached.time_s,
+        "clearance_mm": reached.clearance_mm,
+    }
+
+
+def _write_plan(root: Any, plan: MotionPlan) -> None:
+    """Numbers as arrays, words as attributes of their group."""
+    from twinct.motion import plan_arrays
+
+    group = root.create_group("plan")
+    for name, values in plan_arrays(plan).items():
+        if values.dtype.kind == "U":
+            group.attrs[name] = values.tolist()
+        else:
+            whole = BloscCodec(cname="lz4", shuffle="shuffle")
+            group.create_array(name, data=values, chunks=values.shape, compressors=whole)
+
+
+def write_frame(
+    path: Path,
+    scenario: Scenario,
+    commanded: PosePairs,
+    joint_names: tuple[str, ...],
+    state_size: int,
+    plan: MotionPlan | None,
+    digests: dict[str, str] | None = None,
+    mas: NDArray[np.float64] | None = None,
+) -> None:
+    """Write all of a store but its views; the digests are of files as they are, unless given."""
+    views, panel = len(commanded), scenario.detector.panel
+    group: Any = zarr.create_group(str(path), zarr_format=3)
+    attributes = {
+        "format": FORMAT,
+        "digests": digests or kept_digests(scenario),
+        "scenario": scenario.resolved(),
+        "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
+        "joint_names": list(joint_names),
+    }
+    group.attrs.update(attributes)
+
+    last: list[str] = []
+
+    def add(name: str, shape: tuple[int, ...], dtype: str = "f8", compressed: bool = False) -> None:
+        last.append(f"{name}/{chunk_name(views - 1, len(shape))}")
+        group.create_array(
+            name,
+            shape=(views, *shape),
+            chunks=(1, *shape),
+            dtype=dtype,
+            fill_value=0 if dtype == "u1" else np.nan,
+            compressors=BloscCodec(cname="lz4", shuffle="shuffle") if compressed else None,
+            chunk_key_encoding=BY_VIEW,
+        )
+
+    for name in dict.fromkeys(("transmission", *scenario.detector.keep)):
+        add(name, panel.shape, "f4", compressed=True)
+    rows = [pose_columns("commanded", *commanded[view]) for view in range(views)]
+    for name, value in rows[0].items():
+        add(name.replace("commanded", "executed"), value.shape)
+        column = np.array([row[name] for row in rows])
+        group.create_array(name, data=column, compressors=None)
+    add("executed/object", (3,))
+    add("executed/object_quat", (4,))
+    if scenario.source.motion_samples > 1:
+        add(EXPOSURE, (scenario.source.motion_samples, 3, 7))
+    for name in ("joints", "joint_velocity", "joint_torque"):
+        add(name, (len(joint_names),))
+    add("state", (state_size,))
+    add("simulated_s", ())
+    add("clearance_mm", ())
+    of_a_view = tuple(last)
+    if (bad := bad_pixels_of(scenario)) is not None:
+        group.create_array(BAD_PIXELS, data=bad, chunks=bad.shape, compressors=None)
+    if mas is not None:
+        group.create_array(MAS, data=mas, chunks=mas.shape, compressors=None)
+    add("status", (), "u1")
+    if plan is not None:
+        _write_plan(group, plan)
+    write_frame_manifest(group, path, of_a_view, views)
