@@ -26,7 +26,6 @@ from pathlib import Path
 import numpy as np
 
 from twinct.calibration import PosePrior, Round, aligned, moved, self_calibrated
-from twinct.calibration.consistency import ROUNDS
 from twinct.evaluate import image_figures, region_of_interest
 from twinct.geometry import Pose, ScanGeometry
 from twinct.recon import Projector, sart
@@ -186,7 +185,7 @@ def main() -> None:
             }[errors]
             start = time.perf_counter()
             what = "patient" if errors == "nod" else "arms"
-            rounds = [Round(one) for one in options.rounds] if options.rounds else ROUNDS
+            rounds = [Round(one) for one in options.rounds] if options.rounds else None
             found = self_calibrated(p, believed, grid, prior, what=what, rounds=rounds)
             seconds = time.perf_counter() - start
             case: dict = {"errors": errors, "seed": seed, "seconds": round(seconds)}

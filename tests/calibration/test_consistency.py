@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.calibration.consistency import PosePrior, Round, self_calibrated
+from twinct.calibration.consistency import Round, self_calibrated
+from twinct.calibration.freedom import PosePrior
 from twinct.calibration.modes import aligned
 from twinct.calibration.resection import moved
+from twinct.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
 from twinct.trajectory import ArcTrajectory, on_sphere
@@ -78,3 +80,16 @@ def test_a_patient_who_nods_is_followed(scanned):
     # source and panel stand to each other as they were believed to
     apart = np.linalg.norm(found.geometry.source - found.geometry.detector, axis=1)
     np.testing.assert_allclose(apart, 600, atol=1e-9)
+
+
+def test_it_goes_on_from_a_start(scanned):
+    grid, executed, p = scanned
+    rng = np.random.default_rng(5)
+    sigma = np.array([PRIOR.sigma_mm] * 6 + [np.radians(PRIOR.sigma_deg)] * 3)
+    change = sigma * rng.normal(size=(VIEWS, 9))
+    believed = moved(executed, change)
+    # In the panel's own axes a small change is undone by its negative.
+    found = self_calibrated(p, believed, grid, PRIOR, start=-change, rounds=[Round(2)])
+    assert off_px(found.geometry, executed) < 0.05 * off_px(believed, executed)
+    with pytest.raises(InputError, match=r"start has shape \(24, 6\): \(24, 9\) needed"):
+        self_calibrated(p, believed, grid, PRIOR, start=change[:, :6])

@@ -83,6 +83,20 @@ def test_a_scan_may_calibrate_itself(finished, tmp_path):
     )
 
 
+def test_a_scan_may_start_from_planes_that_its_views_share(finished, tmp_path, capsys):
+    folder = tmp_path / "out"
+    shutil.copytree(finished.paths.path, folder)
+    keys = ["--sigma-mm", "0.3", "--sigma-deg", "0.1", "--start", "epipolar"]
+    assert run_command(["calibrate", str(folder), "--with", "self", *keys]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "start: 10 of 10 views by planes they share with others" in said
+    assert load_scan(folder).derived["self"].made_by["start"] == "epipolar"
+    told = calibrate_self(folder, PosePrior(0.3, 0.1), start="epipolar", name="again")
+    assert told.start is not None and told.started is not None
+    assert told.start.residuals[-1] < told.start.residuals[0]
+    assert told.started.after_px < told.believed.after_px
+
+
 def test_what_is_found_of_a_patient_may_be_kept_where_the_executed_lies(finished, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(finished.paths.path, folder)
@@ -143,6 +157,7 @@ def test_too_few_balls_and_names_that_are_taken_are_refused(finished):
         (["--sigma-mm", "0"], "--sigma-mm 0: more than 0 needed"),
         (["--what", "patient"], "--what patient"),
         (["--to", "elsewhere"], "--to elsewhere"),
+        (["--start", "epipolar"], "--start epipolar: only --with self"),
     ],
 )
 def test_the_command_refuses_what_makes_no_sense_with_balls(finished, keys, said, capsys):

@@ -3,13 +3,9 @@
 from twinct.calibration.arms import CalibratedArms, Change, frames_of, require_same_arms
 from twinct.calibration.beads import BallCalibration, calibrated, calibrated_view
 from twinct.calibration.bundle import Bundle, bundled
-from twinct.calibration.consistency import (
-    PosePrior,
-    Round,
-    SelfCalibration,
-    What,
-    self_calibrated,
-)
+from twinct.calibration.consistency import Round, SelfCalibration, self_calibrated
+from twinct.calibration.epipolar import EpipolarConsistency, epipolar_consistent
+from twinct.calibration.freedom import PosePrior, What
 from twinct.calibration.kinematics import (
     ArmPrior,
     KinematicCalibration,
@@ -38,6 +34,7 @@ __all__ = [
     "BallPhantom",
     "CalibratedArms",
     "Change",
+    "EpipolarConsistency",
     "KinematicCalibration",
     "PosePrior",
     "Resection",
@@ -51,6 +48,7 @@ __all__ = [
     "calibrated",
     "calibrated_arms",
     "calibrated_view",
+    "epipolar_consistent",
     "frames_of",
     "measured",
     "moved",

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from twinct.calibration.consistency import PosePrior
+from twinct.calibration.freedom import PosePrior
 from twinct.calibration.resection import LEAST_SPREAD_PX, OUTLIER, moved
 from twinct.geometry import Floats, ScanGeometry
 

@@ -17,27 +17,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.calibration.resection import moved
-from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
+from twinct.calibration.freedom import Freedom, PosePrior, What
+from twinct.errors import InputError
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.progress import SILENT, Progress
 from twinct.recon import Projector, fista_tv, sart
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.surroundings import coarse_grid
 from twinct.volume import Volume
-
-What = Literal["arms", "patient"]
-"""What may have moved: source and panel, nine numbers a view, or the patient between, six."""
-
-SHIFTS = {"arms": 6, "patient": 3}
-"""How many of the numbers are shifts; three turns follow."""
-
-STEP_MM, STEP_RAD = 0.3, 0.004
-"""Of the differences that stand for derivatives: about a third of a pixel."""
 
 ROBUST = 1.5
 """Residuals above so many standard deviations pull with that of one there (Huber)."""
@@ -53,34 +44,6 @@ MOMENTUM = 0.5
 
 SMALLEST = 16
 """Pixels and voxels along each axis that a round needs."""
-
-NUGGET = 0.02
-"""Share of a smooth error's variance that is not smooth: the covariance stays regular."""
-
-
-@dataclass(frozen=True)
-class PosePrior:
-    """What is known of the errors beforehand.
-
-    Attributes:
-        sigma_mm: of source and panel, or of the patient, along each axis.
-        sigma_deg: of the panel, or of the patient, about each axis.
-        correlation_views: over how many views errors stay alike (a Gaussian process); 0: each view
-            has its own.
-    """
-
-    sigma_mm: float = 0.5
-    sigma_deg: float = 0.2
-    correlation_views: float = 0.0
-
-    def precision(self, views: int, what: What = "arms") -> Floats:
-        """Inverse covariance of all errors, (views * n, views * n)."""
-        own = np.array([self.sigma_mm] * SHIFTS[what] + [np.radians(self.sigma_deg)] * 3)
-        over = np.eye(views)
-        if self.correlation_views > 0:
-            apart = np.subtract.outer(np.arange(views), np.arange(views)) / self.correlation_views
-            over = (1 - NUGGET) * np.exp(-(apart**2) / 2) + NUGGET * over
-        return np.asarray(np.kron(np.linalg.inv(over), np.diag(1 / own**2)), np.float64)
 
 
 @dataclass(frozen=True)
@@ -98,6 +61,8 @@ class Round:
 
 ROUNDS = (*[Round(4)] * 4, *[Round(2)] * 4)
 
+FROM_START = ROUNDS[4:]
+"""A start by planes is about as near as coarse rounds come, or nearer: these would lead away."""
 
 FEW_PIXELS = (Round(1),) * 4
 """Where none of the rounds asked for leaves enough."""
@@ -120,32 +85,6 @@ class SelfCalibration:
     residuals: tuple[float, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Freedom:
-    """What may move, and how each view follows."""
-
-    what: What
-    middle: Floats
-
-    @property
-    def steps(self) -> Floats:
-        return np.array([STEP_MM] * SHIFTS[self.what] + [STEP_RAD] * 3)
-
-    def view(self, believed: ScanGeometry, change: Floats) -> ScanGeometry:
-        """One view, moved."""
-        if self.what == "arms":
-            return moved(believed, change)
-        about = Pose(self.middle, Pose.identity().quat)
-        return (about @ Pose.exp(change) @ about.inverse()) @ believed
-
-    def all(self, believed: ScanGeometry, change: Floats) -> ScanGeometry:
-        """Each view, moved by its own numbers, (views, n)."""
-        if self.what == "arms":
-            return moved(believed, change)
-        parts = [self.view(view, one) for view, one in zip(believed, change, strict=True)]
-        return ScanGeometry.joined(parts)
-
-
 def self_calibrated(
     line_integrals: NDArray[np.float32],
     believed: ScanGeometry,
@@ -153,8 +92,9 @@ def self_calibrated(
     prior: PosePrior,
     *,
     what: What = "arms",
-    rounds: Sequence[Round] = ROUNDS,
+    rounds: Sequence[Round] | None = None,
     mask: NDArray[np.bool_] | None = None,
+    start: Floats | None = None,
     progress: Progress = SILENT,
 ) -> SelfCalibration:
     """Move each view until projections and reconstruction agree.
@@ -165,19 +105,30 @@ def self_calibrated(
         grid: that holds the specimen, at full resolution.
         prior: what is known of the errors.
         what: may have moved; of a patient who does, the geometry found is relative to the patient.
-        rounds: from coarse to fine; those that leave hardly any pixels or voxels are
-            left out; where none is left, four at full resolution.
+        rounds: from coarse to fine, ``ROUNDS`` unless given, with a start ``FROM_START``; those
+            that leave hardly any pixels or voxels are left out; where none is left, four at full
+            resolution.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
+        start: changes to go on from, as in ``SelfCalibration.change`` and such as
+            ``epipolar_consistent`` finds; none unless given. The prior stays one of errors about
+            what was believed.
         progress: hears of each round.
+
+    Raises:
+        InputError: ``start`` is of other views or numbers.
     """
-    free = _Freedom(what, grid.world_from_grid.position)
+    free = Freedom(what, grid.world_from_grid.position)
     size = len(free.steps)
-    change = np.zeros((len(believed), size))
+    change = np.zeros((len(believed), size)) if start is None else start
+    if change.shape != (len(believed), size):
+        raise InputError(f"start has shape {change.shape}: {(len(believed), size)} needed")
     precision = prior.precision(len(believed), what)
     residuals: list[float] = []
     volume: Volume | None = None
     before = change
     smallest = min(*grid.shape, *line_integrals.shape[1:])
+    if rounds is None:
+        rounds = ROUNDS if start is None else FROM_START
     rounds = [one for one in rounds if smallest // one.factor >= SMALLEST] or FEW_PIXELS
     with progress.stage("self-calibration", len(rounds)) as step:
         for one in rounds:
@@ -225,7 +176,7 @@ def _normal_equations(
     p: NDArray[np.float32],
     counts: NDArray[np.bool_] | None,
     believed: ScanGeometry,
-    free: _Freedom,
+    free: Freedom,
     change: Floats,
     grid: VolumeGrid,
     factor: int,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.calibration.bundle import LEAST_SHADOWS, Bundle, bundled
-from twinct.calibration.consistency import PosePrior
+from twinct.calibration.freedom import PosePrior
 from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.shadows import measured, overlapping, shadow_radius_px
 from twinct.calibration.tracks import inside, tracked

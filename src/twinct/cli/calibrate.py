@@ -7,23 +7,31 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.calibration import Aligned, PosePrior, What
+from twinct.calibration import Aligned, EpipolarConsistency, PosePrior, What
 from twinct.cli.progress import on_terminal, say
 from twinct.errors import InputError
-from twinct.runs.calibrating import calibrate_balls, calibrate_beads, calibrate_self
+from twinct.runs.calibrating import Start, calibrate_balls, calibrate_beads, calibrate_self
 from twinct.runs.folder import Folder
 from twinct.runs.kinematics import apply_kinematics, calibrate_kinematics
 
 
 def self_command(
-    folder: Path, name: str | None, prior: PosePrior, what: What, *, align: bool
+    folder: Path, name: str | None, prior: PosePrior, what: What, start: Start, *, align: bool
 ) -> None:
     """Calibrate by the scan itself, and say what was found."""
     _require(prior)
     with on_terminal() as audience:
         told = calibrate_self(
-            folder, prior, what=what, align=align, name=name or "self", observers=audience
+            folder,
+            prior,
+            what=what,
+            start=start,
+            align=align,
+            name=name or "self",
+            observers=audience,
         )
+    if told.start is not None and told.started is not None:
+        _say_start(told.start, told.started)
     found = told.found
 
     def rms(part: slice) -> float:
@@ -38,6 +46,18 @@ def self_command(
         f"{found.residuals[0]:.4g}, in the last round {found.residuals[-1]:.4g}"
     )
     _say_against_executed(told.believed, told.after)
+
+
+def _say_start(start: EpipolarConsistency, started: Aligned) -> None:
+    views, planes = len(start.planes), int(start.planes.sum())
+    say(
+        f"start: {views - len(start.problems)} of {views} views by planes they share with others, "
+        f"{np.median(start.planes):.0f} in the middle view, {start.complete.sum() / planes:.0%} "
+        f"of them with the specimen inside both panels; differences {start.residuals[0]:.4g}, "
+        f"after it {start.residuals[-1]:.4g}; {started.after_px:.3f} px from the executed geometry"
+    )
+    for view, problem in sorted(start.problems.items()):
+        say(f"view {view} starts as it was believed: {problem}", warning=True)
 
 
 def balls_command(

@@ -218,6 +218,7 @@ def calibrate(
     sigma_deg: float = 0.2,
     correlation_views: float = 0.0,
     what: Literal["arms", "patient"] = "arms",
+    start: Literal["believed", "epipolar"] = "believed",
     align: Flag = False,
     ball_radius_mm: float = 1.5,
 ) -> None:
@@ -240,6 +241,8 @@ def calibrate(
         sigma_deg: The same of the rotation of panel or patient about each axis (self, balls).
         correlation_views: Over how many views errors are alike; 0: each view's own (self, balls).
         what: What may have moved: source and panel, or the patient between them (self).
+        start: What to go on from; epipolar: each view is first moved until it tells the same as
+            others of planes through both sources, without a volume (self).
         align: Keep what was found moved as a whole to where the executed geometry lies, for figures
             that compare volumes (self, balls).
         ball_radius_mm: Of each ball (balls).
@@ -255,6 +258,8 @@ def calibrate(
 
     if from_ is not None and with_ != "kinematics":
         raise InputError(f"--from {from_}: arms are of --with kinematics")
+    if start != "believed" and with_ != "self":
+        raise InputError(f"--start {start}: only --with self goes on from a start")
     if with_ == "kinematics":
         kinematics_command(folder, as_, to, from_)
     elif with_ == "beads":
@@ -264,7 +269,7 @@ def calibrate(
             raise InputError(f"--to {to[0]}: what a scan finds of itself is of no other one")
         prior = PosePrior(sigma_mm, sigma_deg, correlation_views)
         if with_ == "self":
-            self_command(folder, as_, prior, what, align=align)
+            self_command(folder, as_, prior, what, start, align=align)
         elif what == "patient":
             raise InputError("--what patient: with balls, source and panel are what may have moved")
         else:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -13,12 +14,14 @@ from twinct.calibration import (
     Aligned,
     BallCalibration,
     BallPhantom,
+    EpipolarConsistency,
     OnlineCalibration,
     PosePrior,
     SelfCalibration,
     What,
     aligned,
     calibrated,
+    epipolar_consistent,
     online_calibrated,
     self_calibrated,
 )
@@ -35,6 +38,9 @@ from twinct.scenario import BallHelix, FileSpread, GaussianSpread, Scenario
 from twinct.specimen.balls import nominal_centres
 from twinct.views import PosePairs
 
+Start = Literal["believed", "epipolar"]
+"""What self-calibration goes on from: what was believed, or epipolar consistency."""
+
 SAME_MM = 1e-6
 """Views asked for within this are the same."""
 
@@ -47,11 +53,15 @@ class SelfCalibrated:
         found: what was found.
         believed: what was believed, moved as a whole to where the executed geometry lies.
         after: what was found, moved so.
+        start: what planes that views share say, where asked for.
+        started: its geometry, moved so.
     """
 
     found: SelfCalibration
     believed: Aligned
     after: Aligned
+    start: EpipolarConsistency | None = None
+    started: Aligned | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +223,7 @@ def calibrate_self(
     prior: PosePrior | None = None,
     *,
     what: What = "arms",
+    start: Start = "believed",
     align: bool = False,
     name: str = "self",
     observers: Observers = (),
@@ -223,6 +234,8 @@ def calibrate_self(
         path: folder of a run; the grid of its scenario should hold the whole specimen.
         prior: what is known of the errors; 0.5 mm and 0.2 deg, each view's own, unless given.
         what: may have moved: source and panel, or the patient between them.
+        start: what to go on from; epipolar first moves each view, without a volume, until it tells
+            the same as others of planes through both sources.
         align: keep the geometry moved as a whole to where the executed one lies, by the seven modes
             that no image shows: figures then compare volumes, not where they lie.
         name: of the geometry.
@@ -230,6 +243,7 @@ def calibrate_self(
 
     Raises:
         InputError: a name that is taken, no scan; nothing is written.
+        CalibrationError: no view shares planes with others that tell something.
     """
     refuse_own(name)
     folder, prior = Folder(Path(path)), prior or PosePrior()
@@ -237,13 +251,21 @@ def calibrate_self(
     with audience_of(observers) as audience, sole_owner(folder.lock):
         panel, grid = scan.scenario.detector.panel, scan.scenario.reconstruction.volume_grid
         believed = scan.believed.geometry(panel)
+        p = line_integrals(scan.transmission)
+        mask = None if scan.bad_pixels is None else ~scan.bad_pixels
+        first = None
+        if start == "epipolar":
+            first = epipolar_consistent(
+                p, believed, grid, prior, what=what, mask=mask, progress=audience
+            )
         found = self_calibrated(
-            line_integrals(scan.transmission),
+            p,
             believed,
             grid,
             prior,
             what=what,
-            mask=None if scan.bad_pixels is None else ~scan.bad_pixels,
+            mask=mask,
+            start=None if first is None else first.change,
             progress=audience,
         )
         executed, points = scan.relative.geometry(panel), _points_of(grid)
@@ -255,6 +277,7 @@ def calibrate_self(
             {
                 "model": "self",
                 "what": what,
+                "start": start,
                 "aligned": align,
                 "executed": poses_digest(scan.executed),
                 "believed": scan.reported.digest,
@@ -262,7 +285,13 @@ def calibrate_self(
             },
         )
         keep([geometry], [(folder, scan)])
-    return SelfCalibrated(found, aligned(believed, executed, points), at_executed)
+    return SelfCalibrated(
+        found,
+        aligned(believed, executed, points),
+        at_executed,
+        first,
+        None if first is None else aligned(first.geometry, executed, points),
+    )
 
 
 def _points_of(grid: VolumeGrid) -> Floats:
