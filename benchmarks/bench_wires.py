@@ -1,6 +1,6 @@
 """How sharp two thin wires among bone are, from the executed, the believed and the found geometry.
 
-    python benchmarks/bench_wires.py [--seeds 1 2 3] [--out DIR]
+    python benchmarks/bench_wires.py [--seeds 1 2 3] [--out DIR]    (half an hour a seed)
 
 Two tungsten wires of 0.2 mm lie across each other in the great opening of the built-in skull's
 base, 6 mm apart, one along x, one along y; the paper's path, 200 views of 640 x 480 pixels of
@@ -45,6 +45,9 @@ MIDDLES = {"x": (0.0, -22.0, -20.0), "y": (0.0, -22.0, -14.0)}
 TURNS = {"x": (0.0, 90.0, 0.0), "y": (90.0, 0.0, 0.0)}
 MASKED_MM = 1.5
 """Pixels whose centres lie as near to a wire's believed trace do not count."""
+
+SHOWN_MM = 1.5
+"""Of the picture, to each side."""
 
 ALONG_MM, PASSES, RELAXATION = 6.0, 5, 0.3
 
@@ -165,8 +168,9 @@ def picture(found: dict[str, dict[str, np.ndarray]], voxel_mm: float, file: Path
             half = voxel_mm * planes[axis].shape[0] / 2
             shown = {"cmap": "gray", "vmin": 0, "vmax": top, "origin": "lower"}
             image = panel.imshow(planes[axis].T, extent=[-half, half, -half, half], **shown)
-            panel.set(title=f"{name}, wire along {axis}", xlabel=f"{across[0]} (mm)")
-            panel.set_ylabel(f"{across[1]} (mm)")
+            panel.set(title=f"{name}, along {axis}", xlabel=f"{across[0]} (mm)")
+            panel.set(ylabel=f"{across[1]} (mm)", xlim=(-SHOWN_MM, SHOWN_MM))
+            panel.set_ylim(-SHOWN_MM, SHOWN_MM)
             figure.colorbar(image, ax=panel, label="attenuation (1/mm)", shrink=0.7)
     figure.tight_layout()
     figure.savefig(file, dpi=120)
