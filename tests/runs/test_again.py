@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +14,10 @@ import pytest
 from twinct import load_scan, reconstruct, run
 from twinct.errors import InputError, ScanExistsError
 from twinct.recon.algorithms import algorithms
-from twinct.runs import Run, derive_geometry, reconstruct_again, verify
+from twinct.runs import Run, derive_geometry, reconstruct_again, report_again, verify
 from twinct.runs.kept import Reconstruction
 from twinct.scan import NamedGeometry
-from twinct.scenario import load_scenario
+from twinct.scenario import Scenario, load_scenario
 from twinct.uncertainty import believed_poses
 
 AFFINE_MM = 1e-5
@@ -59,6 +60,30 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
     assert (again.name, again.digest, again.seconds) == (made.name, made.digest, made.seconds)
     with pytest.raises(ScanExistsError, match="cgls-executed is another reconstruction"):
         reconstruct_again(folder, geometry="executed", name="cgls-executed")
+
+
+STOPPING = ["reconstruction.stop=auto", "reconstruction.iterations=20"]
+
+
+def test_passes_that_another_reconstruction_made_are_told(folder: Path) -> None:
+    made = reconstruct_again(folder, STOPPING, geometry="executed", name="stopped")
+    assert made.passes is not None and 1 <= made.passes < 20
+    assert len(made.residuals) == made.passes
+    assert Reconstruction.read(made.path).passes == made.passes
+    figures = json.loads((folder / "metrics.json").read_text())
+    assert figures["reconstructions"]["stopped"]["passes"] == made.passes
+    assert "passes" not in figures
+
+
+def test_a_run_that_stops_by_itself_tells_of_its_passes(
+    folder: Path, tiny: Callable[..., Scenario]
+) -> None:
+    run(tiny(*STOPPING), folder, link="local", resume=True)
+    for _ in range(2):
+        figures = json.loads((folder / "metrics.json").read_text())
+        assert 1 <= figures["passes"] == len(figures["residuals"]["believed"]) < 20
+        assert f"stop auto: {figures['passes']} were best" in (folder / "report.html").read_text()
+        report_again(folder)
 
 
 def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> None:

@@ -8,11 +8,12 @@ import pytest
 
 from twinct.errors import InputError, MemoryShortageError
 from twinct.recon import Projector, memory
+from twinct.recon.stopping import VOLUMES
 from twinct.runs import line_integrals, reconstruct, require_feasible, volumes
 from twinct.runs.integrals import hardening_corrected
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Scan
-from twinct.scenario import parse_scenario
+from twinct.scenario import parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
 from twinct.views import PosePairs
 
@@ -196,3 +197,42 @@ def test_an_engine_that_is_none_is_refused_before_any_work(monkeypatch):
     monkeypatch.setenv("TWINCT_ENGINE", "fast")
     with pytest.raises(InputError, match="TWINCT_ENGINE is 'fast': vector or plain needed"):
         require_feasible(scenario, views)
+
+
+def with_edges(scan):
+    """Passes of a ball in voxels of 5 mm, which soon have nothing left to gain."""
+    return scan(stop="auto", iterations=12, relaxation=1.0)
+
+
+def test_stopping_goes_on_from_any_pass_to_the_last_bit(scan, tmp_path):
+    one, told = with_edges(scan), []
+    whole = reconstruct(one, watch=lambda *step: told.append(step))
+    passes = whole.extras["passes"]
+    assert 1 < passes < 12
+    assert [number for number, _ in told] == list(range(1, passes + 1))
+    for number in range(1, passes + 1):
+        folder, again = tmp_path / str(number), []
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(one, checkpoints=folder, watch=killed_after(number))
+        rest = reconstruct(one, checkpoints=folder, watch=lambda *step, to=again: to.append(step))
+        np.testing.assert_array_equal(rest, whole)
+        assert rest.extras["passes"] == passes
+        assert again == told
+
+
+def test_all_passes_are_told_where_none_is_too_many(scan, tmp_path):
+    one = scan(stop="auto", iterations=2, relaxation=0.1)
+    for _ in range(2):  # the second finds the checkpoint
+        assert reconstruct(one, checkpoints=tmp_path).extras["passes"] == 2
+
+
+def test_stopping_takes_memory_for_the_volume_before(scan):
+    views = scan().commanded.geometry(settings().detector.panel)
+    plain, stopping = memory_needed(settings(), views), memory_needed(settings(stop="auto"), views)
+    assert stopping["sart"] - plain["sart"] == pytest.approx(4 * VOLUMES * 24**3, abs=1)
+
+
+def test_a_volume_of_before_is_still_that_of_its_scenario():
+    """The new key at its default changes no digest; another value does."""
+    digests = [stage_digests(settings(**keys))["volume"] for keys in ({}, {"stop": None})]
+    assert digests[0] == digests[1] != stage_digests(settings(stop="auto"))["volume"]

@@ -78,6 +78,7 @@ class Algorithm(Generic[SettingsT]):
         updates: in each pass, of these settings and so many views; for the progress.
         check: raises InputError for views that it cannot work with, before any work.
         check_keys: the same for its keys and the files that they name, with the grid.
+        extra_volumes: beside ``volumes``, of these settings.
     """
 
     settings: type[SettingsT]
@@ -89,6 +90,7 @@ class Algorithm(Generic[SettingsT]):
     updates: Callable[[SettingsT, int], int] = field(default=lambda settings, views: 1)
     check: Callable[[ScanGeometry], object] = field(default=lambda geometry: None)
     check_keys: Callable[[SettingsT, VolumeGrid], object] = field(default=lambda own, grid: None)
+    extra_volumes: Callable[[SettingsT], float] = field(default=lambda settings: 0.0)
 
     @property
     def name(self) -> str:

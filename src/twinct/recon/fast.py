@@ -18,7 +18,9 @@ from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.resolution import binned, interpolated
+from twinct.recon.settings import Stop
 from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.recon.stopping import BestPass, StopName
 from twinct.recon.surroundings import coarse_grid
 from twinct.settings import NonNegative
 from twinct.volume import Volume
@@ -59,6 +61,7 @@ class Fast(AlgorithmSettings):
         "size: what lies there is taken out of the finer levels.",
     )
     allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
+    stop: Stop = None
 
 
 def fast(
@@ -73,6 +76,7 @@ def fast(
     margin: float = 0.2,
     nonnegative: bool = True,
     mask: ArrayLike | None = None,
+    stop: StopName | None = None,
     callback: Callback | None = None,
 ) -> Volume:
     """Reconstruct a volume from line integrals, most of the way in larger voxels and pixels.
@@ -104,8 +108,13 @@ def fast(
             each side.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
+        stop: ``auto``: after the last pass at full resolution that makes the volume better; see
+            ``BestPass``. As any may be the last, the relaxation falls anew in each of these.
         callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
             stops.
+
+    Returns:
+        The volume; with ``stop``, among the extras the number of ``passes`` at full resolution.
 
     Raises:
         InputError: as in ``sart``; or with its margin the grid reaches behind a source.
@@ -119,6 +128,7 @@ def fast(
     margin = checks.not_negative("margin", margin)
     if denoising is not None:
         denoising = checks.not_negative("denoising", denoising)
+    best = BestPass.checked(checks, stop)
     checks.done()
     require_memory(FAST, A)
     floor = 0.0 if nonnegative else LOWEST
@@ -131,17 +141,23 @@ def fast(
         x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
         grid = level.A.grid
         last = relaxation * min(1.0, float(np.mean(x.shape)) / len(A))
-        shares = np.geomspace(relaxation, last, number * len(A))
-        for share, view in zip(shares, np.tile(spread_order(len(A)), number), strict=True):
+        falls = number if stop and factor == 1 else 1
+        shares = np.tile(np.geomspace(relaxation, last, number * len(A) // falls), falls)
+        views = np.tile(spread_order(len(A)), number)
+        for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
             square, rays = level.update(x, int(view), float(share), floor, listener.wanted)
+            if factor == 1 and used % len(A) == 0 and best.is_over(x):
+                break
             if listener(0, done, square, rays, x):
-                return Volume(interpolated(x, grid, A.grid), A.grid)
+                return Volume(interpolated(x, grid, A.grid), A.grid, best.told)
             done += 1
         if outside is None and factor > 1:
             outside = _outside(A, level, x, factor)
     strength = SHARE * noise(x) if denoising is None else denoising
+    told = best.told
+    del best
     lower_variation(x, grid, A.kernels, strength * float(grid.voxel.mean()), floor)
-    return Volume(x, A.grid)
+    return Volume(x, A.grid, told)
 
 
 def _fits(A: Projector, factor: int) -> bool:

@@ -14,9 +14,12 @@ SPARE_BYTES = 96 * 2**20
 """Images, threads, compiled code."""
 
 
-def peak_bytes(algorithm: Algorithm[Any], voxels: int, pixels: int) -> int:
+def peak_bytes(
+    algorithm: Algorithm[Any], voxels: int, pixels: int, extra_volumes: float = 0.0
+) -> int:
     """Bytes that an algorithm takes beside what it is given; pixels of all views together."""
-    return int(4 * (algorithm.volumes * voxels + algorithm.projections * pixels)) + SPARE_BYTES
+    volumes = algorithm.volumes + extra_volumes
+    return int(4 * (volumes * voxels + algorithm.projections * pixels)) + SPARE_BYTES
 
 
 def refuse_if_short(needed: int, what: str, advice: str) -> None:
@@ -29,14 +32,14 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
         )
 
 
-def require_memory(algorithm: Algorithm[Any], A: Projector) -> None:
+def require_memory(algorithm: Algorithm[Any], A: Projector, extra_volumes: float = 0.0) -> None:
     """Refuse to start what cannot fit, beside what is in memory already."""
     voxels, pixels = math.prod(A.domain_shape), math.prod(A.range_shape)
-    parts = f"{algorithm.volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
+    parts = f"{algorithm.volumes + extra_volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
     if algorithm.projections:
         parts += f" and {algorithm.projections:g} x {pixels * 4 / 2**30:.2f} GiB of pixels"
     refuse_if_short(
-        peak_bytes(algorithm, voxels, pixels),
+        peak_bytes(algorithm, voxels, pixels, extra_volumes),
         f"{algorithm.name} with a grid of {A.domain_shape} voxels and {A.range_shape} pixels "
         f"({parts})",
         advice(algorithm),

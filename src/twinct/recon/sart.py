@@ -12,8 +12,9 @@ from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import LOWEST, Projector
-from twinct.recon.settings import Iterations, Nonnegative, Ordering, Relaxation
+from twinct.recon.settings import Iterations, Nonnegative, Ordering, Relaxation, Stop
 from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.recon.stopping import VOLUMES, BestPass, StopName
 from twinct.volume import Volume
 
 
@@ -25,6 +26,7 @@ class Sart(AlgorithmSettings):
     relaxation: Relaxation = 0.3
     order: Ordering = "golden"
     nonnegative: Nonnegative = False
+    stop: Stop = None
 
 
 def sart(
@@ -38,6 +40,7 @@ def sart(
     mask: ArrayLike | None = None,
     order: Order = "golden",
     rng: Rng | None = None,
+    stop: StopName | None = None,
     callback: Callback | None = None,
 ) -> Volume:
     """Reconstruct a volume from line integrals.
@@ -57,7 +60,7 @@ def sart(
     voxels), is stable below 2 / (A 1 / L): up to 1 always. With one or two views alone, B_i and A_i
     not being adjoint lets some errors grow, by 1 to 3 % a pass: stop early.
 
-    Memory at its peak: 1 volume, and a few images, beside the projections.
+    Memory at its peak: 1 volume, and a few images, beside the projections; 2.3 with ``stop``.
 
     Args:
         A: the projector, with the believed geometry.
@@ -72,7 +75,12 @@ def sart(
         order: ``golden`` (``spread_order``), ``sequential``, ``random``, ``weighted_distance``, or
             a permutation of the views.
         rng: generator or seed of the random order.
+        stop: ``auto``: after the last pass that makes the volume better, and ``x0`` where none
+            does; see ``BestPass``. The pass after it is not told to its end.
         callback: called after each update; see ``Step``. True stops.
+
+    Returns:
+        The volume; with ``stop``, among the extras the number of ``passes`` that made it.
 
     Raises:
         InputError: an argument is out of range, has another shape, or is not finite; or the memory
@@ -84,9 +92,12 @@ def sart(
     relaxation = checks.relaxation(relaxation)
     x0 = checks.start(x0, A.domain_shape)
     views = view_order(checks, A.geometry, order, rng)
+    best = BestPass.checked(checks, stop)
     checks.done()
-    require_memory(SART, A)
+    require_memory(SART, A, best.volumes)
     x = start_volume(A, x0, nonnegative)
+    if x0 is not None:
+        best.start(x)
     floor = 0.0 if nonnegative else LOWEST
     listener = Listener(callback, len(views))
     for iteration in range(iterations):
@@ -95,13 +106,20 @@ def sart(
             estimate, counts = A.update(
                 x, view, measured, relaxation=relaxation, mask=mask, floor=floor
             )
+            if update + 1 == len(views) and best.is_over(x):
+                return Volume(x, A.grid, best.told)
             if listener.wanted:
                 rest = (measured - estimate)[None, counts > 0]
                 if listener(iteration, update, sum_of_squares(rest), rest.size, x):
-                    return Volume(x, A.grid)
-    return Volume(x, A.grid)
+                    return Volume(x, A.grid, best.told)
+    return Volume(x, A.grid, best.told)
 
 
 SART = Algorithm(
-    Sart, partial(solve_by, sart), volumes=1, resumes=True, updates=lambda _, views: views
+    Sart,
+    partial(solve_by, sart),
+    volumes=1,
+    extra_volumes=lambda own: VOLUMES if own.stop else 0.0,
+    resumes=True,
+    updates=lambda _, views: views,
 )

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from twinct.recon.order import OrderName
+from twinct.recon.stopping import StopName
 from twinct.settings import facts
 
 _PAPER = facts(source="the paper")
@@ -32,5 +33,12 @@ Ordering = Annotated[
 ]
 Subsets = Annotated[
     int | None, Field(ge=1, description="Groups of views; one for each 10 views by default.")
+]
+Stop = Annotated[
+    StopName | None,
+    Field(
+        description="auto: before the first pass that makes the volume worse, as far as it can "
+        "tell of itself (docs/reconstruction.md); the number of passes is then the most."
+    ),
 ]
 Nonnegative = Annotated[bool, Field(description="Whether no voxel falls below 0.")]

@@ -225,6 +225,7 @@ def _setting(report: ReportData) -> dict[str, str]:
     scenario = report.scenario
     grid = scenario.reconstruction.volume_grid
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
+    passes = report.metrics.get("passes")
     return {
         "Specimen": ", ".join(
             f"{part.label} ({part.material if isinstance(part.material, str) else 'own material'})"
@@ -233,7 +234,8 @@ def _setting(report: ReportData) -> dict[str, str]:
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),
-        "Reconstruction": scenario.reconstruction.in_words,
+        "Reconstruction": scenario.reconstruction.in_words
+        + ("" if passes is None else f": {passes} were best"),
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
     }
 

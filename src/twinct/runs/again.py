@@ -168,6 +168,7 @@ def _made(
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),
         path=folder.reconstructions / name,
         implants=volume.extras.get("implants", ()),
+        passes=volume.extras.get("passes"),
     )
     return found, volume
 

@@ -36,7 +36,7 @@ from twinct.runs.kept import kept_reconstructions
 from twinct.runs.mending import resumable
 from twinct.runs.named import OF_KIND
 from twinct.runs.needs import require_memory
-from twinct.runs.reporting import Results, judge, truth_of, write_results
+from twinct.runs.reporting import FOUND, Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, named_geometries
@@ -219,7 +219,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
             figures.setdefault(which, ImageFigures.of(told))
         if asked_anew:
             _judge_others(now, workshop, audience)
-        found = {key: before[key] for key in ("implants",) if key in before}
+        found = {key: before[key] for key in FOUND if key in before}
         volume = replace(made.volume, extras={**made.volume.extras, **found})
         results = Results(volume, truth, figures, before.get("residuals", {}))
         timing = Timing(before["seconds"], before["real_time_factor"])

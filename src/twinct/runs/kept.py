@@ -42,6 +42,7 @@ class Reconstruction:
         slices: cross-sections, see ``twinct.report.cross_sections``.
         path: its folder; the voxels are in ``volume.nii`` there.
         implants: that it knew and found, as ``TakenOut.told`` has them.
+        passes: that made the volume, where its algorithm stops by itself.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Reconstruction:
     slices: Mapping[str, CrossSection]
     path: Path
     implants: Sequence[Mapping[str, Any]] = ()
+    passes: int | None = None
 
     @property
     def volume(self) -> Volume:

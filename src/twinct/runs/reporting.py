@@ -126,6 +126,10 @@ def judge(
     return replace(figures, further=further)
 
 
+FOUND = ("implants", "passes")
+"""What volumes have among their extras that ``metrics.json`` tells."""
+
+
 @dataclass(frozen=True, eq=False)
 class Results:
     """What a run found out, beside its scan.
@@ -157,10 +161,10 @@ def write_results(
     if isinstance(timing, Seconds):
         timing = timing.finished()
     digests = stage_digests(scenario)
-    implants = results.volume.extras.get("implants")
+    extras = results.volume.extras
     metrics = build_metrics(
         **_of_scan(scan),
-        **({} if implants is None else {"implants": implants}),
+        **{name: extras[name] for name in FOUND if name in extras},
         image=results.figures,
         seconds=timing.stages,
         real_time_factor=timing.real_time_factor,
@@ -175,6 +179,7 @@ def write_results(
                 "image": kept.figures.as_dict(),
                 "seconds": kept.seconds,
                 **({"implants": kept.implants} if kept.implants else {}),
+                **({} if kept.passes is None else {"passes": kept.passes}),
             }
             for kept in others.values()
         },

@@ -34,7 +34,15 @@ from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, v
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.metal import metal_replaced
 from twinct.scan import Scan
-from twinct.scenario import SECTIONS, KnownImplants, Nmar, Scenario, parse_scenario, stage_digests
+from twinct.scenario import (
+    SECTIONS,
+    KnownImplants,
+    Nmar,
+    Reconstruction,
+    Scenario,
+    parse_scenario,
+    stage_digests,
+)
 from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
@@ -134,7 +142,7 @@ def _reconstruct(
             watch(number, residual)
     iterations: int = getattr(section, "iterations", 1)
     if x0 is not None and done >= iterations and section.metal is None:
-        return Volume(x0, grid)
+        return _counted(Volume(x0, grid), section, done)
     A = Projector(poses, grid)
     integrals = line_integrals(scan.transmission)
     metal: WithoutMetal | TakenOut | None = None
@@ -155,7 +163,7 @@ def _reconstruct(
             metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
         integrals = metal.line_integrals
     if metal and x0 is not None and done >= iterations:
-        return metal.put_back(Volume(x0, grid))
+        return metal.put_back(_counted(Volume(x0, grid), section, done))
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
     updates = algorithm.updates(section, len(scan))
@@ -180,8 +188,17 @@ def _reconstruct(
             rng=view_rng(scenario.seed, "order of views", 0),
             callback=_Follower(tick, kept, told, done, residuals),
         )
-        volume = algorithm.solve(problem, section)
+        volume = _counted(algorithm.solve(problem, section), section, done)
     return metal.put_back(volume) if metal else volume
+
+
+def _counted(volume: Volume, section: Reconstruction, before: int) -> Volume:
+    """Where the section says when to stop: with the number of passes, those before it included."""
+    if getattr(section, "stop", None) is None:
+        return volume
+    passes = before + volume.extras.get("passes", 0)
+    log.info("%d passes made the best volume", passes)
+    return replace(volume, extras={**volume.extras, "passes": passes})
 
 
 def _good_pixels(scan: Scan, mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
@@ -214,7 +231,9 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     if isinstance(section.metal, KnownImplants):
         # Measured and corrected integrals, and paths in the dense material, live beside them.
         stages["implants"] = held + 12 * pixels + implant_bytes(voxels, pixels)
-    stages[algorithm.name] = held + peak_bytes(algorithm, voxels, pixels)
+    stages[algorithm.name] = held + peak_bytes(
+        algorithm, voxels, pixels, algorithm.extra_volumes(section)
+    )
     return stages
 
 

@@ -1,0 +1,239 @@
+"""Where `stop: auto` ends a reconstruction, against the best of 20 passes, by noise of the poses.
+
+python benchmarks/bench_stopping.py --out out/stopping
+python benchmarks/bench_stopping.py --out out/stopping --only sart --sigma 0.3 --seeds 1 --every 4
+
+The paper's path is scanned once, on 320 x 240 pixels, into OUT/scan (``--scan`` takes a run's
+folder instead; ``--factor 2`` voxels and pixels twice as large, ``--every 4`` each fourth view);
+the poses' noise is drawn anew for each seed, cut off at 1.5 sigma as the paper's. Errors are those
+within 3 mm of bone in the region that every view sees. `sart` makes ``--passes`` passes; the rule
+judges each and would have ended before the first that it finds worse. `fast` is run as it stops by
+itself, and against it without the rule after each of so many passes, and with 1 and 2 in all.
+
+Each pass is a line of OUT/passes-VOXELS-VIEWS.jsonl; what is there is not done again, and `sart`
+goes on from its newest volume. Another scan, or other photons, surroundings, relaxation or bounds
+belong into another OUT.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+from bench_quality import COARSE_MM, Case
+from scipy import ndimage
+
+import twinct
+from twinct.files.writing import complete
+from twinct.recon import fast, sart, without_surroundings
+from twinct.recon.denoise import SHARE, lower_variation, noise
+from twinct.recon.stopping import error_change
+from twinct.runs.again import derive_geometry
+from twinct.runs.volumes import line_integrals
+from twinct.scenario import load_scenario
+
+PAPER = Path(__file__).parents[1] / "scenarios" / "paper.yaml"
+SCAN = (
+    *("detector.columns=320", "detector.rows=240", "detector.pixel_pitch_mm=1.0"),
+    "reconstruction.grid={voxels: 256, voxel_mm: 0.62}",
+    "reconstruction.iterations=1",
+)
+NEAR_MM = 3.0
+CUT_OFF = 1.5
+"""Of the noise, in sigma: 0.15 mm for the paper's 0.1 mm."""
+
+
+class Lines:
+    """What was measured, a line each; a broken last line of a killed run counts for nothing."""
+
+    def __init__(self, path):
+        self.path = path
+        self.kept = []
+        for line in path.read_text().splitlines() if path.exists() else ():
+            try:
+                self.kept.append(json.loads(line))
+            except json.JSONDecodeError:
+                print(f"left aside: {line[:60]}")
+        path.write_text("".join(json.dumps(one) + "\n" for one in self.kept))
+
+    def add(self, **told):
+        """Keep a line, and show it."""
+        self.kept.append(told)
+        with self.path.open("a") as stream:
+            stream.write(json.dumps(told) + "\n")
+        print("  " + ", ".join(f"{key} {value}" for key, value in told.items()), flush=True)
+
+    def of(self, **asked):
+        """All lines with these values."""
+        return [one for one in self.kept if asked.items() <= one.items()]
+
+
+def geometry_of(folder, sigma, seed):
+    """The name of the believed poses with such noise, derived from the scan once."""
+    if not sigma:
+        return "executed"
+    name = f"noise-{sigma:g}-{seed}"
+    sides = [f"uncertainty.{side}" for side in ("source", "detector")]
+    sizes = [f"{side}.sigma_mm={sigma}" for side in sides]
+    cuts = [f"{side}.cutoff_mm={CUT_OFF * sigma:g}" for side in sides]
+    derive_geometry(folder, name, [*sizes, *cuts, f"uncertainty.seed={seed}"])
+    return name
+
+
+class Judged(Case):
+    """The scan with photon noise, without what lies around the grid, and its voxels near bone."""
+
+    def __init__(self, folder, geometry, options):
+        super().__init__(folder, geometry, options.factor, options.every)
+        far = ndimage.distance_transform_edt(
+            self.truth < 0.5 * self.mu, sampling=self.grid.voxel[::-1]
+        )
+        self.near = (far <= NEAR_MM) & self.region
+        if options.photons:
+            counts = np.random.default_rng(1).poisson(options.photons * np.exp(-self.p))
+            self.p = line_integrals((counts / options.photons).astype(np.float32))
+        if options.surroundings:
+            coarse = {"margin_mm": options.surroundings, "voxel_mm": COARSE_MM}
+            self.p = without_surroundings(self.A, self.p, **coarse)
+
+    def error(self, volume):
+        """RMSE within 3 mm of bone as ``ImageFigures`` has it, % of mu(bone)."""
+        square = np.square((volume - self.truth)[self.near], dtype=np.float64)
+        return round(100 * float(np.sqrt(square.mean())) / self.mu, 4)
+
+
+def of_sart(case, lines, options, which):
+    """Pass after pass, each from the volume before, as one run has them to the last bit."""
+    named = {"way": "sart", **which}
+    size = f"{case.grid.shape[0]}-{len(case.A)}-{which['sigma_mm']:g}-{which['seed']}"
+    newest, done, x = options.out / f"newest-{size}.npz", 0, None
+    if newest.exists():
+        with np.load(newest) as content:
+            done, x = int(content["done"]), content["x"]
+    for number in range(done + 1, options.passes + 1):
+        start = time.perf_counter()
+        keys = {"relaxation": options.relaxation, "nonnegative": options.nonnegative}
+        made = sart(case.A, case.p, iterations=1, x0=x, **keys).array
+        middle = time.perf_counter()
+        change = None if x is None else error_change(x, made)
+        end = time.perf_counter()
+        x = made
+        if not lines.of(**named, number=number):
+            seconds = {"pass_s": round(middle - start, 1), "judging_s": round(end - middle, 1)}
+            lines.add(**named, number=number, error=case.error(x), change=change, **seconds)
+        with complete(newest) as draft:
+            np.savez(draft, done=number, x=x)
+        left = (options.passes - number) * (time.perf_counter() - start)
+        print(f"  {left / 60:.0f} min to the end of this run", flush=True)
+
+
+def of_fast(case, lines, options, which):
+    """As it stops, in 1 and 2 passes, and after each pass of a run that does not stop."""
+    ways = {
+        "fast, auto": lambda: fast(case.A, case.p, passes=options.passes, stop="auto"),
+        "fast 1": lambda: fast(case.A, case.p, passes=1),
+        "fast 2": lambda: fast(case.A, case.p, passes=2),
+    }
+    for way, solve in ways.items():
+        if not lines.of(way=way, **which):
+            start = time.perf_counter()
+            volume = solve()
+            seconds = round(time.perf_counter() - start, 1)
+            number = volume.extras.get("passes", int(way[-1]) if way[-1].isdigit() else 0)
+            found = {"number": number, "error": case.error(volume.array), "pass_s": seconds}
+            lines.add(way=way, **which, **found)
+    named, views = {"way": f"fast of {options.passes}", **which}, len(case.A)
+    known = {one["number"] for one in lines.of(**named)}
+    if len(known) >= options.passes:
+        return
+
+    def watch(step):
+        number = (step.update + 1 - step.updates) // views + options.passes
+        if (step.update + 1) % views == 0 and number > 0 and number not in known:
+            x, edge = step.volume.copy(), float(case.grid.voxel.mean())
+            lower_variation(x, case.grid, case.A.kernels, SHARE * noise(x) * edge, 0.0)
+            lines.add(**named, number=number, error=case.error(x))
+
+    fast(case.A, case.p, passes=options.passes, callback=watch)
+
+
+def chosen(points):
+    """The last pass before the first that was found worse."""
+    for point in points:
+        if (point["change"] or 0) > 0:
+            return points[point["number"] - 2]
+    return points[-1]
+
+
+def summary(lines, sigmas):
+    """One line for each algorithm and noise."""
+    for sigma in sigmas:
+        seeds = sorted({one["seed"] for one in lines.of(sigma_mm=sigma)})
+        for name in ("sart", "fast"):
+            found = []
+            for seed in seeds:
+                which = {"sigma_mm": sigma, "seed": seed}
+                points = lines.of(way=name, **which)
+                if name == "fast":
+                    points = [one for one in lines.of(**which) if one["way"].startswith("fast ")]
+                if not points:
+                    continue
+                own = chosen(points) if name == "sart" else lines.of(way="fast, auto", **which)[0]
+                best = min(points, key=lambda point: point["error"])
+                found.append(
+                    (own["number"], own["error"], best["number"], best["error"], len(points))
+                )
+            if found:
+                over = [100 * (own / best - 1) for _, own, _, best, _ in found]
+                print(
+                    f"{name}, noise {sigma:g} mm: {max(over):.1f} % above the best at most", found
+                )
+
+
+def main():
+    """Measure what is asked for and not there yet."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--scan", type=Path)
+    parser.add_argument("--factor", type=int, default=1)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--photons", type=float, help="counts a pixel; none: without their noise")
+    parser.add_argument("--surroundings", type=float, help="margin that is taken out, mm")
+    parser.add_argument("--nonnegative", action="store_true", help="for sart")
+    parser.add_argument("--relaxation", type=float, default=0.3, help="for sart")
+    parser.add_argument("--passes", type=int, default=20)
+    parser.add_argument("--sigma", type=float, nargs="+", default=[0.0, 0.1, 0.3])
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--only", nargs="+", choices=("sart", "fast"), default=["sart", "fast"])
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    folder = options.scan or options.out / "scan"
+    if options.scan is None:
+        scenario = load_scenario(PAPER, list(SCAN))
+        twinct.run(scenario, folder, link="local", resume=folder.exists())
+    # All noises with one seed first: a run that is cut short has seen each.
+    wanted = [
+        (sigma, seed)
+        for seed in range(1, options.seeds + 1)
+        for sigma in options.sigma
+        if sigma or seed == 1
+    ]
+    lines = None
+    for sigma, seed in wanted:
+        case = Judged(folder, geometry_of(folder, sigma, seed), options)
+        name = f"passes-{case.grid.shape[0]}-{len(case.A)}.jsonl"
+        lines = lines or Lines(options.out / name)
+        which = {"sigma_mm": sigma, "seed": seed}
+        print(f"noise {sigma:g} mm, seed {seed}", flush=True)
+        if "sart" in options.only:
+            of_sart(case, lines, options, which)
+        if "fast" in options.only:
+            of_fast(case, lines, options, which)
+        summary(lines, options.sigma)
+
+
+if __name__ == "__main__":
+    main()
