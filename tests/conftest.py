@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.threads import available_threads, limit_threads
 
 if TYPE_CHECKING:
     import trimesh
@@ -22,6 +25,12 @@ if TYPE_CHECKING:
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # As in a shell's background job: what a test starts would not hear of Ctrl-C either.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+SHARE = max(available_threads() // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")), 1)
+"""Threads of a test process: where they outnumber the cores, kernels wait for each other."""
+
+if SHARE < available_threads():
+    limit_threads(SHARE)
 
 STARTS = {"subprocess.Popen": 0, "os.posix_spawn": 0, "os.system": 0}
 """Audit events of a process that starts, and the argument that names it."""
@@ -55,6 +64,11 @@ def _processes_are_marked(request: pytest.FixtureRequest) -> Iterator[None]:
     new, _accounted = _started[_accounted:], len(_started)
     if new and request.node.get_closest_marker("process") is None:
         pytest.fail(f"starts {', '.join(sorted(set(new)))} without the marker 'process'")
+
+
+@pytest.fixture(autouse=True)
+def _kernels_keep_to_their_share() -> None:
+    numba.set_num_threads(SHARE)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Footer, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_ros2.decoder import DecoderFactory
+from zstandard import ZstdError
 
 from twinct.errors import InputError
 from twinct.record.definitions import definition
@@ -23,7 +24,11 @@ from twinct.views import Instant, SevenNumbers
 
 Decode = Callable[[bytes], Any]
 
-_BROKEN = (McapError, ValueError, LookupError, struct.error, MemoryError)
+_BROKEN = (
+    *(McapError, ValueError, LookupError, struct.error, MemoryError),
+    OverflowError,  # of a length beyond what an address can hold
+    *(ZstdError, RuntimeError),  # of what unpacks chunks; the second is lz4's
+)
 """What reading raises: after a cut, or a wrong byte, comes anything."""
 
 LARGEST_RECORD = 2**31
