@@ -60,6 +60,7 @@ def lower_variation(
         own = slice(len(below), len(below) + last - first)
         below = slab[max(own.stop - around, 0) : own.stop].copy()
         x[first:last] = lowered[own]
+        del slab, lowered, weight, dual  # before the next ones are made
 
 
 def noise(x: Singles) -> float:
