@@ -20,7 +20,7 @@ def with_prior(A, p):
     prior = np.zeros(A.domain_shape, np.float32)
     prior[:, : len(prior) // 2] = 2 / A.grid.size_mm[1]
     p[:] = A(prior)  # it lies where it shall
-    settings = {"iterations": 2, "regularisation": 0.01, "subsets": 1, "tv_steps": 1}
+    settings = {"iterations": 2, "regularisation": 0.01, "subsets": 1, "tv_steps": 1, "rounds": 2}
     return prior_tv(A, p, Volume(prior, A.grid), **settings)
 
 
@@ -30,7 +30,9 @@ RUNS = {
     "os_sart": partial(os_sart, iterations=2, relaxation=0.8, subsets=2),
     "sirt": partial(sirt, iterations=2),
     "cgls": partial(cgls, iterations=2),
-    "fista_tv": partial(fista_tv, iterations=2, regularisation=0.01, subsets=1, tv_steps=1),
+    "fista_tv": partial(
+        fista_tv, iterations=2, rounds=2, regularisation=0.01, subsets=1, tv_steps=1
+    ),
     "prior_tv": with_prior,
     "fdk": fdk,
 }

@@ -87,7 +87,7 @@ def test_few_views_are_enough_and_what_is_new_survives(scan):
 @pytest.mark.tutorial
 def test_without_a_share_it_is_fista_tv_from_the_prior(scan):
     A, p, prior, _ = scan
-    settings = {"iterations": 40, "regularisation": 1e-4, "subsets": 1, "tv_steps": 20}
+    settings = {"iterations": 40, "regularisation": 1e-4, "subsets": 1, "tv_steps": 20, "rounds": 1}
     plain = fista_tv(A, p, **settings).array
     ours = prior_tv(A, p, prior, share=0.0, x0=np.zeros(A.domain_shape), **settings).array
     # Steps of the dual are half as long: the same minimum, on another way.

@@ -73,6 +73,23 @@ def test_masked_pixels_have_no_influence(truncated):
     assert np.abs(rest - whole)[mask].max() < 0.15 * p.max()
 
 
+def test_few_views_need_to_know_what_the_grid_holds(circle, ellipsoid_integrals):
+    """Nine views make a poor coarse volume; of what a known ball leaves they make a good one."""
+    grid = VolumeGrid((40, 40, 40), 1.0)
+    A = Projector(circle(9, Panel(60, 64, 2.0, 2.0)), grid)
+    x, y, z = grid.axes()
+    ball = 4 * ((z**2)[:, None, None] + (y**2)[:, None] + x**2 <= 12**2).astype(np.float32)
+    p = inside = 4 * ellipsoid_integrals(A.geometry, (0, 0, 0), (12, 12, 12))
+    for centre, radii in (((33, 8, 0), (12, 9, 20)), ((-6, -34, 10), (12, 12, 9))):
+        p = p + ellipsoid_integrals(A.geometry, centre, radii)
+    keys = {"margin_mm": 30.0, "voxel_mm": 4.0}
+    kept = [without_surroundings(A, p, **keys, expected=known) for known in (None, ball)]
+    plain, told = (float(np.sqrt(np.mean((rest - inside) ** 2))) for rest in kept)
+    assert told < 0.75 * plain  # measured 0.65; the rest are the borders of what lies around
+    with pytest.raises(InputError, match="expected has shape"):
+        without_surroundings(A, p, **keys, expected=ball[1:])
+
+
 def test_coarse_planes_include_the_borders_of_the_grid():
     grid = VolumeGrid((50, 40, 30), (1.0, 1.1, 0.9))
     coarse = coarse_grid(grid, 11.0, 4.0)

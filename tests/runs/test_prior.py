@@ -5,7 +5,8 @@ import pytest
 
 from twinct.errors import InputError, ScenarioError
 from twinct.geometry import Pose, VolumeGrid
-from twinct.recon import Projector, prior_tv
+from twinct.recon import Projector, prior_tv, without_surroundings
+from twinct.recon.registration import moved, registered, resampled
 from twinct.runs import line_integrals, reconstruct, require_feasible
 from twinct.scan import Scan
 from twinct.scenario import load_scenario, parse_scenario, stage_digests
@@ -75,6 +76,41 @@ def test_the_scenario_says_all_of_it(file):
     assert found.extras["world_from_prior"] == expected.extras["world_from_prior"]
     words = scenario.reconstruction.in_words
     assert "prior earlier.nii with a share of 0.7" in words and "huber 0.1" in words
+
+
+def test_what_lies_around_is_found_with_the_prior(file):
+    """To the last bit what the parts give: without it, registered, with it."""
+    around = {"margin_mm": 24.0, "voxel_mm": 8.0, "iterations": 3}
+    grid = {"voxels": 12, "voxel_mm": 4.0}
+    scenario = parse_scenario(settings(file, grid=grid, surroundings=around))
+    geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+    poses = PosePairs.from_geometry(geometry)
+    scan = Scan(
+        scenario=scenario,
+        transmission=np.exp(-Projector(geometry, GRID)(TISSUE)),
+        commanded=poses,
+        executed=poses,
+        executed_object=(),
+        joint_names=(),
+        joints=np.zeros((8, 0)),
+        simulated_s=np.arange(8, dtype=float),
+        clearance_mm=np.full(8, 50.0),
+    )
+    A = Projector(
+        scan.believed.geometry(scenario.detector.panel), scenario.reconstruction.volume_grid
+    )
+    p, prior = line_integrals(scan.transmission), Volume.read(file)
+    pose = registered(A, without_surroundings(A, p, **around), prior)
+    known = resampled(prior.array, moved(prior.grid, pose), A.grid, order=3)
+    rest = without_surroundings(A, p, **around, expected=known)
+    expected = prior_tv(A, rest, prior, iterations=2, regularisation=1e-4)
+    assert np.array_equal(reconstruct(scan), expected)
+
+
+@pytest.mark.parametrize("rounds", [3, 0])
+def test_rounds_without_a_pass_are_refused(file, rounds):
+    with pytest.raises(ScenarioError, match="rounds"):
+        parse_scenario(settings(file, rounds=rounds))
 
 
 def test_a_prior_counts_by_its_content(file, tmp_path):

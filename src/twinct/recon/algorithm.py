@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.recon.checks import Mask
+from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
 from twinct.recon.steps import Callback
 from twinct.settings import Section
@@ -79,6 +81,8 @@ class Algorithm(Generic[SettingsT]):
         check: raises InputError for views that it cannot work with, before any work.
         check_keys: the same for its keys and the files that they name, with the grid.
         extra_volumes: beside ``volumes``, of these settings.
+        expects: of A, p, the mask and these settings: what the volume will be like, (z, y, x), if
+            the algorithm knows of it beforehand; what lies around the grid is then found better.
     """
 
     settings: type[SettingsT]
@@ -91,6 +95,7 @@ class Algorithm(Generic[SettingsT]):
     check: Callable[[ScanGeometry], object] = field(default=lambda geometry: None)
     check_keys: Callable[[SettingsT, VolumeGrid], object] = field(default=lambda own, grid: None)
     extra_volumes: Callable[[SettingsT], float] = field(default=lambda settings: 0.0)
+    expects: Callable[[Projector, Singles, Mask | None, SettingsT], Singles] | None = None
 
     @property
     def name(self) -> str:

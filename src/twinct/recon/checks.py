@@ -117,15 +117,19 @@ class Checks:
             self.problems.append(f"huber is {value!r}: a finite number above 0 needed, or None")
         return value
 
-    def start(self, x0: ArrayLike | None, domain_shape: tuple[int, ...]) -> ArrayLike | None:
+    def start(
+        self, x0: ArrayLike | None, domain_shape: tuple[int, ...], name: str = "x0"
+    ) -> ArrayLike | None:
         """A volume to start from, finite."""
         if x0 is None:
             return None
         x = np.asarray(x0)
         if x.shape != domain_shape:
-            self.problems.append(f"x0 has shape {x.shape}: the grid needs {domain_shape} (z, y, x)")
+            self.problems.append(
+                f"{name} has shape {x.shape}: the grid needs {domain_shape} (z, y, x)"
+            )
         elif not all(np.isfinite(plane).all() for plane in x):
-            self.problems.append("x0 holds NaN or infinite voxels: all must be finite")
+            self.problems.append(f"{name} holds NaN or infinite voxels: all must be finite")
         return x
 
 

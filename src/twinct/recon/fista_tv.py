@@ -29,6 +29,7 @@ def fista_tv(
     *,
     iterations: int,
     regularisation: float,
+    rounds: int | None = None,
     subsets: int | None = None,
     tv_steps: int = 10,
     weights: ArrayLike | None = None,
@@ -56,11 +57,17 @@ def fista_tv(
     2 huber |r| - huber^2 (Huber 1964), which is bounded by the same surrogate. In the first half of
     the iterations the bound is at least twice the mean residual of a view.
 
+    Total variation takes contrast: of a ball as much as 3 regularisation over its radius, times d
+    over its own curvature, which is many times smaller in a large grid. With ``rounds`` the
+    iterations are done in as many parts; after each, p - A x is added to p (Osher et al.,
+    Multiscale Model. Simul. 4 (2005) 460). Contrast comes back, of what is large first, and of
+    noise last: few rounds leave it.
+
     n iterations and then m from their result are not n + m iterations: momentum and dual start
     afresh.
 
     Memory at its peak: 8 volumes and twice the projections (hardly more than once with many
-    subsets), beside the projections and weights.
+    subsets; once more with several rounds), beside the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.
@@ -68,6 +75,7 @@ def fista_tv(
         iterations: passes over all views, at least 1.
         regularisation: 0 or more; about 0.0001 for bone (0.04/mm) and 1e4 photons a pixel, in
             proportion to the contrast.
+        rounds: from 1 to the number of iterations; 1 if not given.
         subsets: from 1 to the number of views; one for each 10 views if not given.
         tv_steps: dual steps after each update, at least 1.
         weights: W, of the shape of the projections, 0 or more; for Poisson noise the expected
@@ -86,6 +94,7 @@ def fista_tv(
     p, pixels = checks.projections(line_integrals, mask)
     iterations = checks.count("iterations", iterations)
     radius = checks.not_negative("regularisation", regularisation)
+    rounds = checks.count("rounds", 1 if rounds is None else rounds, at_most=iterations)
     subsets = checks.count("subsets", subset_number(subsets, len(A)), at_most=len(A))
     tv_steps = checks.count("tv_steps", tv_steps)
     given = checks.weights(weights, pixels)
@@ -100,6 +109,7 @@ def fista_tv(
         start_volume(A, x0, nonnegative),
         Variation(A, radius, tv_steps, floor),
         iterations=iterations,
+        rounds=rounds,
         subsets=subsets,
         weights=given,
         huber=huber,
@@ -114,5 +124,5 @@ def _solve(problem: Problem, settings: FistaTv) -> Volume:
 
 
 FISTA_TV = Algorithm(
-    FistaTv, _solve, volumes=8, projections=2, updates=lambda own, n: subset_number(own.subsets, n)
+    FistaTv, _solve, volumes=8, projections=3, updates=lambda own, n: subset_number(own.subsets, n)
 )

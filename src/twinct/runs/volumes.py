@@ -153,11 +153,8 @@ def _reconstruct(
         integrals = metal.line_integrals
     else:
         integrals = hardening_corrected(scenario, integrals, A, pixels)
-    if around := section.around:
-        with audience.stage("surroundings", around.iterations * len(A)) as tick:
-            integrals = without_surroundings(
-                A, integrals, **around._asdict(), mask=pixels, callback=lambda _: tick()
-            )
+    if section.around is not None:
+        integrals = _grid_alone(A, integrals, section, pixels, audience)
     if isinstance(section.metal, Nmar):
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
             metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
@@ -190,6 +187,34 @@ def _reconstruct(
         )
         volume = _counted(algorithm.solve(problem, section), section, done)
     return metal.put_back(volume) if metal else volume
+
+
+def _grid_alone(
+    A: Projector,
+    integrals: NDArray[np.float32],
+    section: Reconstruction,
+    pixels: NDArray[np.bool_] | None,
+    audience: Audience,
+) -> NDArray[np.float32]:
+    """Line integrals without what lies around the grid, by what an algorithm expects in it."""
+    around, algorithm = section.around, algorithms()[section.algorithm]
+    assert around is not None
+
+    def alone(stage: str, expected: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        with audience.stage(stage, around.iterations * len(A)) as tick:
+            return without_surroundings(
+                A,
+                integrals,
+                **around._asdict(),
+                expected=expected,
+                mask=pixels,
+                callback=lambda _: tick(),
+            )
+
+    found = alone("surroundings")
+    if algorithm.expects is None:
+        return found
+    return alone("surroundings again", algorithm.expects(A, found, pixels, section))
 
 
 def _counted(volume: Volume, section: Reconstruction, before: int) -> Volume:
@@ -226,6 +251,8 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     if around := section.around:
         own = surroundings_bytes(views, grid, margin_mm=around.margin_mm, voxel_mm=around.voxel_mm)
         stages["surroundings"] = held + own
+        if algorithm.expects is not None:  # the first ones, the volume and its line integrals
+            stages["surroundings"] += 8 * pixels + 4 * voxels
     if section.metal is not None:
         stages["metal"] = held + metal_bytes(voxels, pixels)
     if isinstance(section.metal, KnownImplants):

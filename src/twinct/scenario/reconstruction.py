@@ -66,8 +66,8 @@ class Surroundings(Section):
         json_schema_extra=facts(source="Ziegler, Nielsen and Grass, Med. Phys. 35 (2008)"),
     )
     voxel_mm: Length = Field(description="Coarse voxel edge, such as four times the grid's.")
-    iterations: int = setting(5, "Of a coarse SART.", ge=1, le=10_000)
-    relaxation: float = setting(0.3, "Of the coarse SART.", gt=0, lt=2)
+    iterations: int = setting(20, "Of a coarse SART.", ge=1, le=10_000)
+    relaxation: float = setting(1.0, "Of the coarse SART.", gt=0, lt=2)
 
 
 class Zoom(Section):
