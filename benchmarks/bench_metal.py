@@ -40,7 +40,8 @@ WAYS = ("sart", "nmar", "known", "off", "alloy", "thick", "kvp")
 
 
 def scan(scenario: Scenario, folder: Path) -> Scan:
-    return acquire_to_store(Workshop(scenario), folder / "scan.zarr", local_rig, resume=True).read()
+    store = acquire_to_store(Workshop(scenario), folder / "scan.zarr", local_rig, resume=True)
+    return replace(store.read(), scenario=scenario)  # reconstructed as it says now
 
 
 def without_screws(scenario: Scenario) -> Scenario:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,8 @@ def now(factor: int, photons: float, overrides: list[str]) -> Scenario:
 
 
 def scanned(of: Scenario, folder: Path) -> Scan:
-    return acquire_to_store(Workshop(of), folder / "scan.zarr", local_rig, resume=True).read()
+    store = acquire_to_store(Workshop(of), folder / "scan.zarr", local_rig, resume=True)
+    return replace(store.read(), scenario=of)  # reconstructed as it says now
 
 
 class Judge:
