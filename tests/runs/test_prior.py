@@ -42,15 +42,13 @@ def file(tmp_path):
     return path
 
 
-def test_the_scenario_says_all_of_it(file):
-    prior = {"path": str(file), "share": 0.7, "position_mm": [1, 0, 0]}
-    scenario = parse_scenario(settings(file, prior=prior, huber=0.1, weighting="counts"))
+def scan_of(scenario):
+    """Of the tissue, from where the scenario commands, in the whole grid's voxels."""
     geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
-    A = Projector(geometry, GRID)
     poses = PosePairs.from_geometry(geometry)
-    scan = Scan(
+    return Scan(
         scenario=scenario,
-        transmission=np.exp(-A(TISSUE)),
+        transmission=np.exp(-Projector(geometry, GRID)(TISSUE)),
         commanded=poses,
         executed=poses,
         executed_object=(),
@@ -59,6 +57,12 @@ def test_the_scenario_says_all_of_it(file):
         simulated_s=np.arange(8, dtype=float),
         clearance_mm=np.full(8, 50.0),
     )
+
+
+def test_the_scenario_says_all_of_it(file):
+    prior = {"path": str(file), "share": 0.7, "position_mm": [1, 0, 0]}
+    scenario = parse_scenario(settings(file, prior=prior, huber=0.1, weighting="counts"))
+    scan = scan_of(scenario)
     A = Projector(scan.believed.geometry(scenario.detector.panel), GRID)
     expected = prior_tv(
         A,
@@ -83,19 +87,7 @@ def test_what_lies_around_is_found_with_the_prior(file):
     around = {"margin_mm": 24.0, "voxel_mm": 8.0, "iterations": 3}
     grid = {"voxels": 12, "voxel_mm": 4.0}
     scenario = parse_scenario(settings(file, grid=grid, surroundings=around))
-    geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
-    poses = PosePairs.from_geometry(geometry)
-    scan = Scan(
-        scenario=scenario,
-        transmission=np.exp(-Projector(geometry, GRID)(TISSUE)),
-        commanded=poses,
-        executed=poses,
-        executed_object=(),
-        joint_names=(),
-        joints=np.zeros((8, 0)),
-        simulated_s=np.arange(8, dtype=float),
-        clearance_mm=np.full(8, 50.0),
-    )
+    scan = scan_of(scenario)
     A = Projector(
         scan.believed.geometry(scenario.detector.panel), scenario.reconstruction.volume_grid
     )

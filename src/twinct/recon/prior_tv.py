@@ -28,7 +28,7 @@ DENSEST = 20.0
 """What attenuates more than this per mm is in another unit; gold has 10 at 80 keV."""
 
 
-FEWEST, MOST_ROUNDS = 6, 4
+ROUND, MOST_ROUNDS = 6, 4
 """Iterations of a round, and rounds, by default: what is new in ``bench_prior`` has 70 % of its
 contrast after the first and 97 % after the fourth."""
 
@@ -129,7 +129,7 @@ def prior_tv(
     iterations = checks.count("iterations", iterations)
     radius = checks.not_negative("regularisation", regularisation)
     if rounds is None:
-        rounds = max(min(iterations // FEWEST, MOST_ROUNDS), 1)
+        rounds = max(min(iterations // ROUND, MOST_ROUNDS), 1)
     rounds = checks.count("rounds", rounds, at_most=iterations)
     subsets = checks.count("subsets", subset_number(subsets, len(A)), at_most=len(A))
     tv_steps = checks.count("tv_steps", tv_steps)
