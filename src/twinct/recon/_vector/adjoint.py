@@ -28,6 +28,12 @@ _add_slab = slab_of(add_along, add_pairs_along, add_guarded)
 """Spread the rays' values over the voxels of the planes from start to end."""
 
 
+@njit(inline="always", **OPTIONS)
+def _slab(number, stop):
+    """First and last plane of a slab; none follow after ``stop``."""
+    return number * PLANES, min((number + 1) * PLANES - 1, stop)
+
+
 @kernel(f"({IMAGE}, {RAYS}, {CUBE}, i8)")
 def adjoint(y, view, out, parts):
     """Add the exact transpose of ``forward`` applied to ``y`` (rows, columns) to ``out`` (z, y, x).
@@ -43,7 +49,8 @@ def adjoint(y, view, out, parts):
         slabs = (planes + PLANES - 1) // PLANES
         for part in prange(parts):
             scratch = room()
-            rays, bounds, brick = scratch[0][axis], scratch[1][axis], scratch[6]
+            rays, bounds = scratch[0][axis], scratch[1][axis]
+            edges, brick = scratch[6][axis], scratch[7]
             own = slabs * part // parts, slabs * (part + 1) // parts
             for top in range(0, rows, TILE_ROWS):
                 bottom = min(top + TILE_ROWS, rows)
@@ -52,16 +59,21 @@ def adjoint(y, view, out, parts):
                     load(view, shape, (top, bottom), (left, right), True, scratch)
                     groups = scratch[4][axis]
                     _weigh(y, rays, scratch[2][axis], scratch[3][axis], groups)
+                    stop = min(own[1] * PLANES, planes) - 1
+                    box = box_of(edges, groups, axis, shape, *_slab(own[0], stop))
                     for slab in range(own[0], own[1]):
-                        start, end = slab * PLANES, min((slab + 1) * PLANES, planes) - 1
-                        box = box_of(rays, bounds, groups, axis, shape, start, end)
+                        start, end = _slab(slab, stop)
+                        then = box_of(edges, groups, axis, shape, *_slab(slab + 1, stop))
+                        ahead = flat, shape, axis, then
                         if box[1] == 0:
+                            box = then
                             continue
                         if fits(box):
                             move(flat, shape, axis, box, brick, False)
                             lattice = in_brick(box, axis, shape)
-                            _add_slab(brick, lattice, start, end, rays, bounds, groups)
+                            _add_slab(brick, lattice, start, end, rays, bounds, groups, ahead)
                             move(flat, shape, axis, box, brick, True)
                         else:
                             lattice = in_volume(axis, shape)
-                            _add_slab(flat, lattice, start, end, rays, bounds, groups)
+                            _add_slab(flat, lattice, start, end, rays, bounds, groups, ahead)
+                        box = then

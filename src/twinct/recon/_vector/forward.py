@@ -29,22 +29,25 @@ def forward(x, view, out):
         bottom, right = min(top + TILE_ROWS, rows), min(left + TILE_COLUMNS, columns)
         out[top:bottom, left:right] = 0.0
         scratch = room()
-        blocks, ranges, pixels, steps, groups, _, brick = scratch
+        blocks, ranges, pixels, steps, groups, _, edges, brick = scratch
         load(view, shape, (top, bottom), (left, right), False, scratch)
         for axis in range(3):
             if groups[axis] == 0:
                 continue
             planes, rays, bounds = shape[2 - axis], blocks[axis], ranges[axis]
+            box = box_of(edges[axis], groups[axis], axis, shape, 0, min(PLANES, planes) - 1)
             for start in range(0, planes, PLANES):
-                end = min(start + PLANES, planes) - 1
-                box = box_of(rays, bounds, groups[axis], axis, shape, start, end)
+                end, stop = min(start + PLANES, planes) - 1, min(start + 2 * PLANES, planes) - 1
+                then = box_of(edges[axis], groups[axis], axis, shape, end + 1, stop)
+                ahead = flat, shape, axis, then
                 if fits(box):
                     move(flat, shape, axis, box, brick, False)
                     lattice = in_brick(box, axis, shape)
-                    _sum_slab(brick, lattice, start, end, rays, bounds, groups[axis])
+                    _sum_slab(brick, lattice, start, end, rays, bounds, groups[axis], ahead)
                 else:
                     lattice = in_volume(axis, shape)
-                    _sum_slab(flat, lattice, start, end, rays, bounds, groups[axis])
+                    _sum_slab(flat, lattice, start, end, rays, bounds, groups[axis], ahead)
+                box = then
             for slot in range(groups[axis] * LANES):
                 pixel = pixels[axis, slot]
                 if pixel >= 0:

@@ -5,27 +5,27 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twinct.recon._vector.brick import ROOM
+from twinct.recon._vector.brick import ROOM, ask_for_box
 from twinct.recon._vector.march import (
     B_MIDDLE,
-    B_SLOPE,
     BLOCK,
     C_MIDDLE,
-    C_SLOPE,
-    FIRST,
-    LAST,
     VALUE,
 )
 from twinct.recon._vector.options import OPTIONS
 from twinct.recon._vector.rays import ray_of
 from twinct.recon._vector.vectors import LANES
 
-TILE_ROWS = 16
+TILE_ROWS = 32
 TILE_COLUMNS = 64
 """Rays of a tile: they go through the volume together, so that voxels are read once from memory."""
 
 TILE_GROUPS = TILE_ROWS * (TILE_COLUMNS // LANES)
 """Groups of one axis that a tile can have; none reaches beyond its row."""
+
+EDGE = 10
+"""Numbers of a group's edges: first and last plane, then place and slope of two lines along b (see
+``_edge``), and of two along c."""
 
 _MARGIN = 1e-2
 """Voxels by which unguarded samples keep away from the border: float32 rounding is far smaller."""
@@ -42,6 +42,7 @@ def room():
         np.empty((3, groups * LANES), np.float32),
         np.zeros(3, np.int64),
         np.empty((3, TILE_COLUMNS, 8), np.float64),
+        np.empty((3, EDGE, groups), np.float32),
         np.empty(ROOM, np.float32),
     )
 
@@ -69,6 +70,24 @@ def _clear(lo, hi, at_middle, slope, middle, cells):
     return lo, hi
 
 
+@njit(inline="always", **OPTIONS)
+def _edge(block, kind, near, far, edge):
+    """Two straight lines that eight rays lie between, from plane to plane counted from the middle.
+
+    The least place of some straight lines is a concave function of the plane: never below the line
+    that joins its ends; and the greatest one alike. Kept as place in the middle and slope.
+    """
+    low = high = block[kind] + near * block[kind + LANES]
+    low_far = high_far = block[kind] + far * block[kind + LANES]
+    for lane in range(1, LANES):
+        at, slope = block[kind + lane], block[kind + LANES + lane]
+        low, high = min(low, at + near * slope), max(high, at + near * slope)
+        low_far, high_far = min(low_far, at + far * slope), max(high_far, at + far * slope)
+    length = max(far - near, 1.0)
+    edge[1], edge[3] = (low_far - low) / length, (high_far - high) / length
+    edge[0], edge[2] = low - near * edge[1], high - near * edge[3]
+
+
 @njit(**OPTIONS)
 def load(view, shape, rows, columns, apart, room):
     """Sort the rays of a tile; rays that miss the volume are left out.
@@ -77,9 +96,10 @@ def load(view, shape, rows, columns, apart, room):
     neighbours in their row or, if ``apart``, so far from each other that they share no voxels.
     ``room`` receives, for each axis: blocks with value 0; ranges, the first and last plane that any
     ray of a group crosses and the first and last in which all are clear of the border; pixels
-    (row * 65536 + column, -1 where a lane is empty); mm per plane; and the number of groups.
+    (row * 65536 + column, -1 where a lane is empty); mm per plane; the number of groups; and the
+    groups' edges, see ``_edge``.
     """
-    blocks, ranges, pixels, steps, groups, found, _ = room
+    blocks, ranges, pixels, steps, groups, found, edges, _ = room
     nz, ny, nx = shape
     groups[:] = 0
     counts = np.zeros(3, np.int64)
@@ -119,33 +139,36 @@ def load(view, shape, rows, columns, apart, room):
                 ranges[axis, group, 0], ranges[axis, group, 1] = int(near), int(far)
                 ranges[axis, group, 2] = int(np.ceil(lo))
                 ranges[axis, group, 3] = int(np.floor(hi))
+                edges[axis, 0, group], edges[axis, 1, group] = near, far
+                block = blocks[axis, group * BLOCK : (group + 1) * BLOCK]
+                _edge(block, B_MIDDLE, near - middle, far - middle, edges[axis, 2:6, group])
+                _edge(block, C_MIDDLE, near - middle, far - middle, edges[axis, 6:10, group])
             groups[axis] += here
 
 
 @njit(**OPTIONS)
-def box_of(rays, ranges, groups, axis, shape, start, end):
+def box_of(edges, groups, axis, shape, start, end):
     """The box of voxels (see ``brick``) that the groups read in the planes from start to end.
 
     It has no planes where they read none.
     """
     b_cells, c_cells = cells_of(axis, shape)
     middle = np.float32(0.5 * (shape[2 - axis] - 1))
+    begin, stop = np.float32(start), np.float32(end)
     far = np.float32(1e9)
     b_low, b_high, c_low, c_high = far, -far, far, -far
     for group in range(groups):
-        if ranges[group, 0] > end or ranges[group, 1] < start:
-            continue
-        at = group * BLOCK
-        for lane in range(LANES):
-            first = max(rays[at + FIRST + lane], np.float32(start))
-            last = min(rays[at + LAST + lane], np.float32(end))
-            if first <= last:
-                b, b_slope = rays[at + B_MIDDLE + lane], rays[at + B_SLOPE + lane]
-                c, c_slope = rays[at + C_MIDDLE + lane], rays[at + C_SLOPE + lane]
-                b_first, b_last = b + (first - middle) * b_slope, b + (last - middle) * b_slope
-                c_first, c_last = c + (first - middle) * c_slope, c + (last - middle) * c_slope
-                b_low, b_high = min(b_low, b_first, b_last), max(b_high, b_first, b_last)
-                c_low, c_high = min(c_low, c_first, c_last), max(c_high, c_first, c_last)
+        first, last = max(edges[0, group], begin), min(edges[1, group], stop)
+        m, n = first - middle, last - middle
+        apart = far if first > last else np.float32(0.0)  # of a group that reads nothing
+        at, slope = edges[2, group] + apart, edges[3, group]
+        b_low = min(b_low, at + m * slope, at + n * slope)
+        at, slope = edges[4, group] - apart, edges[5, group]
+        b_high = max(b_high, at + m * slope, at + n * slope)
+        at, slope = edges[6, group] + apart, edges[7, group]
+        c_low = min(c_low, at + m * slope, at + n * slope)
+        at, slope = edges[8, group] - apart, edges[9, group]
+        c_high = max(c_high, at + m * slope, at + n * slope)
     if b_low > b_high:
         return start, 0, 0, 0, 0, 0
     b0, c0 = _below(b_low, b_cells), _below(c_low, c_cells)
@@ -164,11 +187,15 @@ def _below(lowest, cells):
 
 
 def slab_of(along, pairs_along, guarded):
-    """Takes groups through the planes of a slab, from start to end, by functions of ``march``."""
+    """Takes groups through the planes of a slab, from start to end, by functions of ``march``.
+
+    Meanwhile it asks for what comes next: ``ahead``, see ``ask_for_box``.
+    """
 
     @njit(**OPTIONS)
-    def slab(x, lattice, start, end, rays, ranges, groups):
+    def slab(x, lattice, start, end, rays, ranges, groups, ahead):
         for group in range(groups):
+            ask_for_box(ahead, group, groups)
             bounds, block = ranges[group], group * BLOCK
             first, last = max(start, bounds[0]), min(end, bounds[1])
             if first > last:
@@ -177,11 +204,13 @@ def slab_of(along, pairs_along, guarded):
             lo, hi = max(first, bounds[2]), min(last, bounds[3])
             if lo > hi:
                 lo, hi = last + 1, last
-            guarded(x, rays, block, first, lo - 1, lattice)
+            if first < lo:
+                guarded(x, rays, block, first, lo - 1, lattice)
             if lattice[6] == 1:
                 pairs_along(x, rays, block, lo, hi, lattice)
             else:
                 along(x, rays, block, lo, hi, lattice)
-            guarded(x, rays, block, hi + 1, last, lattice)
+            if hi < last:
+                guarded(x, rays, block, hi + 1, last, lattice)
 
     return slab

@@ -12,7 +12,10 @@ from twinct.recon._vector import vectors as vec
 
 @vec.intrinsic
 def sample_line(typingctx, out, image, width, first, count, a, e, d, a1, e1, d1):
-    """Bilinear samples of a C-ordered float32 image along a line of voxels, unchecked.
+    """Bilinear samples of an image along a line of voxels, unchecked.
+
+    ``image`` holds each pixel and the one below it, (rows, columns, 2) of float32: the four pixels
+    around a place then lie side by side. ``width`` is its number of columns.
 
     Voxel first + p projects to column (a + t a1) / (d + t d1) and row (e + t e1) / (d + t d1),
     t = first + p, which must not be negative. ``out`` must hold ``count`` rounded up to ``LANES``.
@@ -33,8 +36,6 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     start = builder.fadd(vec.splat(builder, builder.sitofp(first, vec.F32)), ramp)
     final = builder.sub(builder.add(first, count), ir.Constant(vec.I64, 1))
     last = vec.splat(builder, builder.sitofp(final, vec.F32))
-    above = builder.gep(image, [width])
-
     before = builder.block
     loop = builder.append_basic_block("eight")
     after = builder.append_basic_block("after")
@@ -54,8 +55,8 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     f = builder.fsub(column, builder.sitofp(c, vec.VECTOR), flags=fast)
     g = builder.fsub(row, builder.sitofp(r, vec.VECTOR), flags=fast)
     places = vec.lanes_of(builder, builder.add(c, builder.mul(r, widths, flags=["nsw"])))
-    pairs = (vec.read_pairs(builder, base, places) for base in (image, above))
-    low, high = (vec.mix(builder, *pair, f) for pair in pairs)
+    left_low, left_high, right_low, right_high = vec.read_fours(builder, image, places)
+    low, high = vec.mix(builder, left_low, right_low, f), vec.mix(builder, left_high, right_high, f)
     builder.store(vec.mix(builder, low, high, g), vec.vector_at(builder, out, done), align=4)
     following = builder.add(done, ir.Constant(vec.I64, vec.LANES))
     done.add_incoming(ir.Constant(vec.I64, 0), before)

@@ -7,10 +7,13 @@ from numba import njit, prange
 
 from twinct.recon._vector.options import CUBE, IMAGE, MATRIX, OPTIONS, kernel
 from twinct.recon._vector.sample import sample_line
-from twinct.recon._vector.vectors import LANES
+from twinct.recon._vector.vectors import CACHE_LINE, LANES, ask_for
 
 CHUNK = 128
 """Voxels of a line that are worked on together."""
+
+AHEAD = 2
+"""Lines after which one is worked on that was asked for: memory is slower than the work."""
 
 
 @njit(inline="always", **OPTIONS)
@@ -50,9 +53,10 @@ def _missing(missing, first_column, last_column, first_row, last_row):
 
 
 @njit(**OPTIONS)
-def _update_line(line, first, last, image, mask, missing, starts, slopes, floor, values, weights):
+def _update_line(line, first, last, images, missing, starts, slopes, floor, values, weights):
     """line[i] <- max(line[i] + mean of the counting pixels around the voxel's, bilinear, floor)."""
-    (a, e, d), (a1, e1, d1), width = starts, slopes, image.shape[1]
+    (image, mask), (a, e, d), (a1, e1, d1) = images, starts, slopes
+    width = image.shape[1]
     one, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
     for start in range(first, last + 1, CHUNK):
         end = min(start + CHUNK, last + 1)
@@ -72,16 +76,32 @@ def _update_line(line, first, last, image, mask, missing, starts, slopes, floor,
             for p in range(count):
                 change = values[p] / max(weights[p], least)
                 values[p] = change if weights[p] > least else zero
+        part = line[start:end]  # places in it cannot be negative: the loop becomes vector code
         for p in range(count):
-            line[start + p] = max(line[start + p] + values[p], floor)
+            part[p] = max(part[p] + values[p], floor)
+
+
+@njit(inline="always", **OPTIONS)
+def _with_next_row(image, row, out):
+    """Fill a row of ``out`` (rows, columns, 2): each pixel and the one below it."""
+    below = image[min(row + 1, len(image) - 1)]
+    for column in range(image.shape[1]):
+        out[row, column, 0] = image[row, column]
+        out[row, column, 1] = below[column]
 
 
 @kernel(f"({CUBE}, {MATRIX}, {IMAGE}, {IMAGE}, i4[:, ::1], f4)")
 def update(x, matrix, image, mask, missing, floor):
     """See ``engine``."""
     nz, ny, nx = x.shape
+    flat = x.reshape(-1)
     rows, columns = image.shape[0] - 2, image.shape[1] - 2
     a1, e1, d1 = matrix[0, 0], matrix[1, 0], matrix[2, 0]
+    fours = np.empty((rows + 2, columns + 2, 2), np.float32)
+    weight_fours = np.empty_like(fours)
+    for row in prange(rows + 2):
+        _with_next_row(image, row, fours)
+        _with_next_row(mask, row, weight_fours)
     for k in prange(nz):
         values = np.empty(CHUNK + LANES, np.float32)
         weights = np.empty(CHUNK + LANES, np.float32)
@@ -92,9 +112,11 @@ def update(x, matrix, image, mask, missing, floor):
             first, last = _shadow(a, e, d, a1, e1, d1, columns, rows, nx)
             if last < first:
                 continue
+            if j + AHEAD < ny:
+                for i in range(first, last + 1, CACHE_LINE):
+                    ask_for(flat, (k * ny + j + AHEAD) * nx + i)
             # In the framed image columns and rows count from one.
             starts = np.float32(a + d), np.float32(e + d), np.float32(d)
             slopes = np.float32(a1 + d1), np.float32(e1 + d1), np.float32(d1)
-            _update_line(
-                x[k, j], first, last, image, mask, missing, starts, slopes, floor, values, weights
-            )
+            line, images = x[k, j], (fours, weight_fours)
+            _update_line(line, first, last, images, missing, starts, slopes, floor, values, weights)

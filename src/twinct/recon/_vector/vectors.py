@@ -14,9 +14,12 @@ intrinsic: Any = numba_intrinsic
 LANES = 8
 """Samples that one call blends."""
 
+CACHE_LINE = 16
+"""Float32 that memory gives at once."""
+
 F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
 VECTOR, INTS = ir.VectorType(F32, LANES), ir.VectorType(I32, LANES)
-_PAIR = ir.VectorType(F32, 2)
+_PAIR, _FOUR = ir.VectorType(F32, 2), ir.VectorType(F32, 4)
 # Pairs in this order let one in-lane shuffle separate lower from upper neighbours.
 _HALVES = ((0, 1, 4, 5), (2, 3, 6, 7))
 _LOWER = (0, 2, 8, 10, 4, 6, 12, 14)
@@ -36,6 +39,24 @@ def arguments(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     for kind, value in zip(signature.args, args, strict=True):
         is_array = isinstance(kind, types.Array)
         yield context.make_array(kind)(context, builder, value).data if is_array else value
+
+
+@intrinsic
+def ask_for(typingctx, source, at):
+    """Have source.flat[at] brought near while other work goes on."""
+    n, void = types.int64, types.void
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source, at = arguments(context, builder, signature, args)
+        place = builder.bitcast(builder.gep(source, [at]), ir.IntType(8).as_pointer())
+        numbers = [ir.Constant(I32, number) for number in (0, 2, 1)]
+        kind = ir.FunctionType(ir.VoidType(), [place.type, I32, I32, I32])
+        prefetch = builder.module.declare_intrinsic("llvm.prefetch", [place.type], kind)
+        # To be read, into the L2 cache, as data.
+        builder.call(prefetch, [place, *numbers])
+        return context.get_dummy_value()
+
+    return void(source, n), codegen
 
 
 def vector_at(builder: Any, data: Any, first: Any) -> Any:
@@ -69,6 +90,27 @@ def read_pairs(builder: Any, base: Any, places: list[Any]) -> tuple[Any, Any]:
         halves.append(builder.shuffle_vector(low, high, _mask(range(8))))
     lower = builder.shuffle_vector(halves[0], halves[1], _mask(_LOWER))
     return lower, builder.shuffle_vector(halves[0], halves[1], _mask(_UPPER))
+
+
+def read_fours(builder: Any, base: Any, places: list[Any]) -> list[Any]:
+    """Vectors of base[2 i], base[2 i + 1], base[2 i + 2] and base[2 i + 3], by one load each."""
+    fours = []
+    for place in places:
+        at = builder.shl(place, ir.Constant(I64, 1))
+        four = builder.bitcast(builder.gep(base, [at]), _FOUR.as_pointer())
+        fours.append(builder.load(four, align=4))
+    a, b, c, d = (
+        builder.shuffle_vector(fours[n], fours[n + 4], _mask(range(8))) for n in range(LANES // 2)
+    )
+    pairs = [
+        [builder.shuffle_vector(*two, _mask(order)) for order in _INTERLEAVED]
+        for two in ((a, b), (c, d))
+    ]
+    return [
+        builder.shuffle_vector(first, second, _mask(order))
+        for first, second in zip(*pairs, strict=True)
+        for order in _PAIRED
+    ]
 
 
 def read_single(builder: Any, base: Any, places: list[Any]) -> Any:
