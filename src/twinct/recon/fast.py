@@ -19,7 +19,7 @@ from twinct.recon.order import spread_order
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.settings import Stop
-from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import BestPass, StopName
 from twinct.recon.surroundings import coarse_grid
 from twinct.settings import NonNegative
@@ -205,8 +205,7 @@ class _Level:
         )
         if not wanted:
             return 0.0, 0
-        rest = (measured - estimate)[None, counts > 0]
-        return sum_of_squares(rest), rest.size
+        return residual_of(measured, estimate, counts)
 
 
 def _level(

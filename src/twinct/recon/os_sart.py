@@ -13,7 +13,7 @@ from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number, subsets_of
 from twinct.recon.projector import Projector
 from twinct.recon.settings import Iterations, Nonnegative, Relaxation, Subsets
-from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.volume import Volume
 
 
@@ -89,9 +89,8 @@ def os_sart(
                     x, view, measured, relaxation=relaxation, mask=mask, change=change, seen=seen
                 )
                 if listener.wanted:
-                    rest = (measured - estimate)[None, counts > 0]
-                    square += sum_of_squares(rest)
-                    rays += rest.size
+                    own, number = residual_of(measured, estimate, counts)
+                    square, rays = square + own, rays + number
             np.maximum(seen, np.float32(1.0), out=seen)
             np.divide(change, seen, out=change)
             np.add(x, change, out=x)

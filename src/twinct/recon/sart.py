@@ -13,7 +13,7 @@ from twinct.recon.memory import require_memory
 from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.settings import Iterations, Nonnegative, Ordering, Relaxation, Stop
-from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import VOLUMES, BestPass, StopName
 from twinct.volume import Volume
 
@@ -109,8 +109,8 @@ def sart(
             if update + 1 == len(views) and best.is_over(x):
                 return Volume(x, A.grid, best.told)
             if listener.wanted:
-                rest = (measured - estimate)[None, counts > 0]
-                if listener(iteration, update, sum_of_squares(rest), rest.size, x):
+                square, rays = residual_of(measured, estimate, counts)
+                if listener(iteration, update, square, rays, x):
                     return Volume(x, A.grid, best.told)
     return Volume(x, A.grid, best.told)
 

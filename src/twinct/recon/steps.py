@@ -57,3 +57,9 @@ class Listener:
 def sum_of_squares(values: NDArray[Any]) -> float:
     """In float64, one part along the first axis at a time; without BLAS and its threads."""
     return float(sum(np.square(part, dtype=np.float64).sum() for part in values))
+
+
+def residual_of(measured: Singles, estimate: Singles, counts: Singles) -> tuple[float, int]:
+    """Of one view: sum of squares of p - A x over the rays with 1 in ``counts``; how many."""
+    rest = (measured - estimate) * counts
+    return sum_of_squares(rest[None]), int(np.count_nonzero(counts))
