@@ -4,11 +4,11 @@ python benchmarks/bench_quality.py out/paper --factor 2 --out quality
 python benchmarks/bench_quality.py out/paper --out quality --only sart fast
 
 The scan is a run's folder. ``--factor 2`` takes voxels and pixels twice as large, ``--every 4``
-each fourth view. Each way of reconstructing is judged after each of its passes, in the region that
-every view sees and against the run's truth; seconds are those of the algorithm alone. What is
-there already in OUT is not done again: a benchmark that was interrupted goes on. ``rtk`` is RTK's
-own SART, of ``--rtk`` passes. ``fdk`` is not among them: it wants a circle; nor is ``prior_tv``,
-which wants an earlier volume (bench_prior.py).
+each fourth view. Each way of reconstructing is judged after each of its passes (``--each 4``: each
+fourth), in the region that every view sees and against the run's truth; seconds are those of the
+algorithm alone. What is there already in OUT is not done again: a benchmark that was interrupted
+goes on. ``rtk`` is RTK's own SART, of ``--rtk`` passes. ``fdk`` is not among them: it wants a
+circle; nor is ``prior_tv``, which wants an earlier volume (bench_prior.py).
 """
 
 import argparse
@@ -81,26 +81,24 @@ def fewer_voxels(volume, factor):
     return np.stack([b.reshape(factor, y, factor, x, factor).mean((0, 2, 4)) for b in blocks])
 
 
-def passes_of(case, solve, number, seconds=0.0):
-    """Judge the volume after each pass of an algorithm that calls back; the clock stands still."""
+def passes_of(case, solve, options, seconds=0.0):
+    """Judge volumes between passes of an algorithm that calls back; the clock stands still."""
     points, clock = [], [time.perf_counter() - seconds]
 
     def watch(step):
-        if step.update + 1 == step.updates:
+        if step.update + 1 == step.updates and (step.iteration + 1) % options.each == 0:
             spent = time.perf_counter() - clock[0]
             points.append(case.judged(step.volume, spent, step.iteration + 1))
             print(f"  {points[-1]['seconds']:.1f} s: {points[-1]['rmse_bone_rel']:.4f}", flush=True)
             clock[0] = time.perf_counter() - spent
 
-    solve(iterations=number, callback=watch)
+    solve(iterations=options.iterations, callback=watch)
     return points
 
 
 def plain_sart(case, options, found):
     """The paper's."""
-    return passes_of(
-        case, lambda **more: sart(case.A, case.p, relaxation=0.3, **more), options.iterations
-    )
+    return passes_of(case, lambda **more: sart(case.A, case.p, relaxation=0.3, **more), options)
 
 
 def better(algorithm, **settings):
@@ -112,7 +110,7 @@ def better(algorithm, **settings):
         return passes_of(
             case,
             lambda **more: algorithm(case.A, rest, **settings, **more),
-            options.iterations,
+            options,
             time.perf_counter() - start,
         )
 
@@ -214,6 +212,7 @@ def main():
     parser.add_argument("--factor", type=int, default=1)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--iterations", type=int, default=10)
+    parser.add_argument("--each", type=int, default=1, help="passes between judgements")
     parser.add_argument("--rtk", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=WAYS, default=list(WAYS))
     options = parser.parse_args()
