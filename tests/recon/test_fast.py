@@ -77,9 +77,10 @@ def test_updates_are_those_that_were_promised(bodies):
     seen = []
     fast(A, p, callback=lambda step: seen.append((step.update, step.updates, step.volume.shape[0])))
     assert [update for update, _, _ in seen] == list(range(len(seen)))
-    assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 9}
+    assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 10}
     # The coarsest grid has its margin: 10 and 2 on each side.
-    assert [shape for _, _, shape in seen[:: 60 * 4]] == [14, 20, 40]
+    shapes = [shape for _, _, shape in seen]
+    assert shapes == [14] * 60 * 6 + [20] * 60 * 3 + [40] * 60
 
 
 def test_a_margin_behind_the_source_is_named(bodies):
@@ -128,3 +129,4 @@ def test_noise_is_that_of_the_even_parts(ball):
     # Of 27 values the deviation scatters by a seventh, and its lower quartile is a tenth lower.
     assert noise(noisy) == pytest.approx(0.09, rel=0.1)
     assert noise(even) == 0 == noise(np.zeros_like(even))
+    assert noise(noisy[20:22]) == pytest.approx(0.09, rel=0.2), "blocks as thin as the volume"

@@ -17,7 +17,7 @@ from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
 from twinct.recon.projector import LOWEST, Projector
-from twinct.recon.resolution import binned, interpolated
+from twinct.recon.resolution import binned, interpolated, resampled
 from twinct.recon.settings import Stop
 from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import BestPass, StopName
@@ -37,7 +37,11 @@ class Fast(AlgorithmSettings):
         default=1, ge=1, le=1000, description="Passes over all views at full resolution."
     )
     coarse_passes: int = Field(
-        default=4, ge=1, le=1000, description="Passes at each coarser level."
+        default=3,
+        ge=1,
+        le=1000,
+        description="Passes in voxels and pixels twice as large; twice as many at each coarser "
+        "level.",
     )
     levels: int = Field(
         default=3, ge=1, le=6, description="Resolutions, each with voxels and pixels twice as fine."
@@ -69,7 +73,7 @@ def fast(
     line_integrals: ArrayLike,
     *,
     passes: int = 1,
-    coarse_passes: int = 4,
+    coarse_passes: int = 3,
     levels: int = 3,
     first_relaxation: float = 1.5,
     denoising: float | None = None,
@@ -99,7 +103,7 @@ def fast(
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         passes: at full resolution, at least 1.
-        coarse_passes: at each coarser level, at least 1.
+        coarse_passes: at half the resolution, at least 1; twice as many at each coarser level.
         levels: at least 1; fewer where the coarsest would have less than 8 voxels or pixels.
         first_relaxation: of the first update of a level, between 0 and 2, both excluded.
         denoising: strength of the total variation in voxel edges times the unit of the result;
@@ -133,7 +137,7 @@ def fast(
     require_memory(FAST, A)
     floor = 0.0 if nonnegative else LOWEST
     factors = [2**n for n in reversed(range(levels)) if _fits(A, 2**n)]
-    numbers = [passes if factor == 1 else coarse_passes for factor in factors]
+    numbers = [passes if factor == 1 else coarse_passes * factor // 2 for factor in factors]
     listener = Listener(callback, len(A) * sum(numbers))
     done, x, grid, outside = 0, np.zeros((2, 2, 2), np.float32), A.grid, None
     for factor, number in zip(factors, numbers, strict=True):
@@ -174,12 +178,9 @@ class _Outside:
     def at(self, view: int, shape: tuple[int, ...], factor: int) -> Singles:
         """In pixels larger by another factor, bilinear."""
         image, ratio = self.images[view], self.factor / factor
-        for axis, (n, m) in enumerate(zip(image.shape, shape, strict=True)):
-            place = np.clip((np.arange(m) + 0.5) / ratio - 0.5, 0, n - 1)
-            low = np.minimum(place.astype(int), n - 2)
-            share = np.expand_dims((place - low).astype(np.float32), 1 - axis)
-            below = image.take(low, axis)
-            image = below + share * (image.take(low + 1, axis) - below)
+        for axis, pixels in enumerate(shape):
+            middles = np.arange(0.5, pixels) / ratio - 0.5
+            image = resampled(image, middles, axis)
         return image
 
 
@@ -252,5 +253,7 @@ FAST = Algorithm(
     _solve,
     volumes=3,
     projections=0.5,
-    updates=lambda own, views: views * (own.passes + own.coarse_passes * (own.levels - 1)),
+    updates=lambda own, views: (
+        views * (own.passes + own.coarse_passes * (2 ** (own.levels - 1) - 1))
+    ),
 )

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage as scipy_ndimage
 
 from twinct.geometry import Floats, VolumeGrid
 from twinct.recon.checks import Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
-
-ndimage: Any = scipy_ndimage  # it comes without types
+from twinct.threads import threads
 
 
 def binned(
@@ -65,10 +64,34 @@ def interpolated(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:
         )
     )
     fine = np.empty(at.shape, np.float32)
-    places = cast(list[Floats], np.meshgrid(y, x, indexing="ij"))
-    for plane, height in zip(fine, z, strict=True):
-        below = int(np.clip(height, 0, of.shape[0] - 2))
-        share = np.float32(np.clip(height - below, 0, 1))
-        slab = volume[below] + share * (volume[below + 1] - volume[below])
-        ndimage.map_coordinates(slab, places, output=plane, order=1, mode="nearest")
+
+    def fill(k: int) -> None:
+        below = int(np.clip(z[k], 0, max(of.shape[0] - 2, 0)))
+        plane = resampled(volume[below : below + 2], z[k : k + 1] - below, 0)[0]
+        fine[k] = resampled(resampled(plane, y, 0), x, 1)
+
+    # numpy lets go of the interpreter lock.
+    with ThreadPoolExecutor(threads()) as pool:
+        list(pool.map(fill, range(len(fine))))
     return fine
+
+
+def resampled(values: Singles, places: Floats, axis: int) -> Singles:
+    """Linear between values along an axis; beside them the outermost go on.
+
+    Args:
+        values: of any number of axes.
+        places: in steps from the first value.
+        axis: along which they lie.
+    """
+    last = values.shape[axis] - 1
+    place = np.clip(places, 0, last)
+    low = np.clip(place.astype(int), 0, max(last - 1, 0))
+    tail = (1,) * (values.ndim - 1 - axis)
+    share = (place - low).astype(np.float32).reshape(-1, *tail)
+    result = values.take(np.minimum(low + 1, last), axis)
+    below = values.take(low, axis)
+    result -= below
+    result *= share
+    result += below
+    return result

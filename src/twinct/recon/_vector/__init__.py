@@ -16,6 +16,7 @@ with kernels_from_disk():
     from twinct.recon._vector.options import CUBE, IMAGE, MATRICES, STACK, kernel
     from twinct.recon._vector.rays import chords
     from twinct.recon._vector.update import update
+    from twinct.recon._vector.variation import ascend
 
     # Fast as the plain engine has them: here with fast mathematics.
     ratio = kernel(
@@ -25,7 +26,6 @@ with kernels_from_disk():
     primal = kernel(f"({CUBE}, {CUBE}, f4[:, :, :, ::1], f8[::1], f4, {CUBE})")(
         _plain.primal.py_func
     )
-    ascend = kernel(f"({CUBE}, {CUBE}, f8[::1], f8, f8, f4[:, :, :, ::1])")(_plain.ascend.py_func)
 
 __all__ = ["adjoint", "ascend", "back_project", "chords", "forward", "primal", "ratio", "update"]
 
