@@ -20,6 +20,7 @@ from twinct.geometry import ScanGeometry
 from twinct.recon import (
     Projector,
     cgls,
+    fast,
     fdk,
     fista_tv,
     os_sart,
@@ -40,6 +41,7 @@ ALGORITHMS: dict[str, Callable[..., Volume]] = {
     "sart, 5 iterations of 0.3": lambda A, p: sart(
         A, p, iterations=5, relaxation=0.3, nonnegative=True
     ),
+    "fast": lambda A, p: fast(A, p),
     "os_sart, 10 subsets,\n12 iterations of 1": lambda A, p: os_sart(
         A, p, iterations=12, relaxation=1.0, nonnegative=True
     ),
@@ -86,14 +88,17 @@ def draw(path: Path, panels: Panels, columns: int) -> None:
     middle = grid.shape[2] // 2 + 6
     half = grid.size_mm[1] / 2, grid.size_mm[2] / 2
     extent = (-half[0], half[0], -half[1], half[1])
-    grid_of_axes = figure.subplots(rows, columns, squeeze=False)
+    grid_of_axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, (title, (volume, region)) in zip(grid_of_axes.flat, panels.items(), strict=False):
         axes.imshow(
             volume[:, :, middle], cmap="gray", vmin=0, vmax=1.15 * mu, origin="lower", extent=extent
         )
         axes.contour(region[:, :, middle], levels=[0.5], colors="#f2a33a", extent=extent)
         axes.set_title(title, fontsize=9)
-        axes.set_axis_off()
+    for axes in grid_of_axes[-1]:
+        axes.set_xlabel("y, mm")
+    for axes in grid_of_axes[:, 0]:
+        axes.set_ylabel("z, mm")
     figure.savefig(path, metadata={"Software": None})
 
 
@@ -111,7 +116,7 @@ def main() -> None:
 
     for name, run in ALGORITHMS.items():
         keep(name, run(A, p), geometry)
-    rest = without_surroundings(A, p, margin_mm=30.0, voxel_mm=5.0)
+    rest = without_surroundings(A, p, margin_mm=50.0, voxel_mm=2.5)
     tv = fista_tv(A, rest, iterations=10, regularisation=1e-4)
     keep("fista_tv,\nsurroundings taken out", tv, geometry)
     arc = commanded_views(
@@ -119,12 +124,12 @@ def main() -> None:
     )
     filtered = fdk(Projector(arc, grid), line_integrals(arc), window="hann", nonnegative=True)
     keep("fdk, hann,\non an arc of 212 deg", filtered, arc)
-    draw(IMAGES / "algorithms.png", panels, 4)
+    draw(IMAGES / "algorithms.png", panels, 3)
 
     panels = {"truth": (truth, region)}
     p = line_integrals(geometry, noisy=False)
-    rest = without_surroundings(A, p, margin_mm=30.0, voxel_mm=5.0)
-    for name, data in (("sart", p), ("sart, surroundings\ntaken out", rest)):
+    rest = without_surroundings(A, p, margin_mm=50.0, voxel_mm=2.5)
+    for name, data in (("sart", p), ("surroundings taken out", rest)):
         keep(name, sart(A, data, iterations=10, relaxation=0.3), geometry)
     draw(IMAGES / "truncation.png", panels, 3)
 
