@@ -87,6 +87,14 @@ def test_a_problem_of_a_section_names_who_made_it(tmp_path: Path) -> None:
     assert "expected KEY=VALUE" in problems("detector..columns=3")
 
 
+def test_an_override_opens_a_section_that_is_none() -> None:
+    """As in the scenario that a run writes, with all defaults."""
+    key = "reconstruction.surroundings"
+    keys = [f"{key}=null", f"{key}.margin_mm=50", f"{key}.voxel_mm=5"]
+    around = load_scenario(DEMO, keys).reconstruction.surroundings
+    assert around is not None and (around.margin_mm, around.voxel_mm) == (50, 5)
+
+
 def test_another_kind_by_override_starts_afresh_but_for_other_overrides() -> None:
     both = ["trajectory.views=5", "trajectory.kind=circle"]
     for overrides in (both, both[::-1]):

@@ -115,6 +115,7 @@ def compared(report, label, **changes):
         "scenario": report.scenario,
         "metrics": report.metrics,
         "image": report.metrics["image"],
+        "in_words": report.scenario.reconstruction.in_words,
         "seconds": report.metrics["seconds"],
         "slices": report.slices,
         "mu_reference": report.mu_reference,

@@ -67,12 +67,16 @@ STOPPING = ["reconstruction.stop=auto", "reconstruction.iterations=20"]
 
 def test_passes_that_another_reconstruction_made_are_told(folder: Path) -> None:
     made = reconstruct_again(folder, STOPPING, geometry="executed", name="stopped")
-    assert made.passes is not None and 1 <= made.passes < 20
-    assert len(made.residuals) == made.passes
-    assert Reconstruction.read(made.path).passes == made.passes
+    passes = made.found["passes"]
+    assert 1 <= passes < 20 and len(made.residuals) == passes
+    assert made.told.endswith(f"stop auto: {passes} were best")
+    assert Reconstruction.read(made.path).found == made.found
     figures = json.loads((folder / "metrics.json").read_text())
-    assert figures["reconstructions"]["stopped"]["passes"] == made.passes
+    assert figures["reconstructions"]["stopped"]["passes"] == passes
     assert "passes" not in figures
+    assert f"{made.told}, executed geometry" in (folder / "report.html").read_text()
+    log = (folder / "twinct.log").read_text()
+    assert "reconstruction stopped: " in log and f"{passes} passes made the best volume" in log
 
 
 def test_a_run_that_stops_by_itself_tells_of_its_passes(
@@ -89,16 +93,21 @@ def test_a_run_that_stops_by_itself_tells_of_its_passes(
 def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> None:
     keys = ["reconstruction.iterations=1"]
     made = reconstruct_again(folder, keys, geometry="executed", name="one")
-    assert made.implants == ()
+    assert made.found == {}
     screw = {"name": "screw", "position_mm": [1.0, 2.0, 3.0]}
-    known = replace(made, name="two", path=made.path.with_name("two"), implants=[screw])
+    known = replace(made, name="two", path=made.path.with_name("two"), found={"implants": [screw]})
     known.keep(made.volume)
-    assert Reconstruction.read(known.path).implants == [screw]
-    # Those of before this was told of have none.
+    assert Reconstruction.read(known.path).found == {"implants": [screw]}
+    # Those of before have it beside the rest, or nothing of it.
     told = json.loads((known.path / "reconstruction.json").read_text())
-    del told["implants"]
-    (known.path / "reconstruction.json").write_text(json.dumps(told))
-    assert Reconstruction.read(known.path).implants == ()
+    del told["found"]
+    for before, found in (
+        ({"implants": [screw], "passes": None}, {"implants": [screw]}),
+        ({"implants": [], "passes": 3}, {"passes": 3}),
+        ({}, {}),
+    ):
+        (known.path / "reconstruction.json").write_text(json.dumps(told | before))
+        assert Reconstruction.read(known.path).found == found
 
 
 @pytest.mark.tutorial

@@ -156,7 +156,7 @@ def test_what_cannot_be_is_refused_before_any_work(implant, words):
 def test_an_implant_without_a_part_is_described_in_full():
     with pytest.raises(InputError, match="give part, or all of shape, material"):
         settings(metal={"method": "known", "implants": [{"material": "titanium"}]})
-    whole = {name: value for name, value in SCREW.items() if name != "name"}
+    whole = {key: value for key, value in SCREW.items() if key not in ("name", "rotation_deg")}
     scenario = settings(metal={"method": "known", "implants": [whole]})
     (one,) = known_implants(scenario, scenario.reconstruction.metal)
     assert one.name == "implant 0"

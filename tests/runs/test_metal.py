@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from twinct.errors import InputError
+from twinct.observers import Said
 from twinct.recon import Projector, sart, without_metal
 from twinct.runs import line_integrals, reconstruct
 from twinct.runs.metal import check_metal
@@ -74,9 +75,20 @@ def test_line_integrals_are_replaced_and_metal_is_put_back(scan):
 
 
 def test_without_metal_no_bit_changes(scan):
-    assert np.array_equal(
-        reconstruct(scan(metal_mm=0, metal=NMAR)).array, reconstruct(scan(metal_mm=0)).array
-    )
+    heard = []
+    found = reconstruct(scan(metal_mm=0, metal=NMAR), observers=[heard.append])
+    assert np.array_equal(found.array, reconstruct(scan(metal_mm=0)).array)
+    assert found.extras == {"metal_voxels": 0}
+    (told,) = (one.text for one in heard if isinstance(one, Said))
+    assert "reconstruction.metal: no metal was found" in told and "threshold_per_mm" in told
+
+
+def test_what_leaves_no_ray_is_told_with_its_key(scan):
+    middle = np.zeros((30, 40), np.bool_)  # no ray that misses the grid
+    middle[12:18, 16:24] = True
+    words = "^reconstruction.metal: every ray of 16 of 16 views .* the threshold of 1e-09 per mm"
+    with pytest.raises(InputError, match=words):
+        reconstruct(scan(metal=NMAR | {"threshold_per_mm": 1e-9}), mask=middle)
 
 
 def test_a_reconstruction_goes_on_and_is_found_finished(scan, tmp_path):

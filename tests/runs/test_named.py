@@ -6,6 +6,7 @@ import json
 import math
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy import ndimage
 
 from twinct import run
 from twinct.errors import InputError
-from twinct.geometry import Pose
+from twinct.geometry import Pose, VolumeGrid
 from twinct.runs import Run, reconstruct_again, report_again
 from twinct.runs.checks import check_places
 from twinct.runs.named import OF_KIND, Places, named_figures
@@ -95,6 +96,18 @@ def test_they_are_those_that_were_promised(scenario: Scenario, places: Places, f
     }
     assert dotted == set(named_figures(scenario.evaluation))
     assert set(found) == set(OF_KIND) and "mtf.ball_1.f50_per_mm" in dotted
+
+
+def test_what_lies_outside_of_a_grid_has_no_figures(places: Places, found: dict) -> None:
+    """As of a zoom into another place."""
+    there = Pose.from_euler((500, 0, 0), (0, 0, 0))
+    grid = VolumeGrid((12, 12, 12), places.grid.voxel, there)
+    elsewhere = replace(places, grid=grid).figures(*np.zeros((2, *grid.shape), np.float32), 0.02)
+    for kind, names in found.items():
+        for name, figures in names.items():
+            single = {key for key, value in figures.items() if np.ndim(value) == 0}
+            nothing = elsewhere[kind][name]
+            assert set(nothing) == single and np.isnan([*nothing.values()]).all(), kind
 
 
 def test_regions_and_their_contrast(places: Places, found: dict) -> None:

@@ -77,7 +77,12 @@ def test_the_scenario_says_all_of_it(file):
     )
     found = reconstruct(scan)
     assert np.array_equal(found, expected)
-    assert found.extras["world_from_prior"] == expected.extras["world_from_prior"]
+    pose = found.extras["world_from_prior"]
+    assert pose == expected.extras["world_from_prior"]
+    told = found.extras["prior"]
+    # The grid's middle is the world's origin, and was believed at (-1, 0, 0) mm of the prior's.
+    assert told["moved_mm"] == pytest.approx(np.linalg.norm(pose.inverse().position + [1, 0, 0]))
+    assert told["position_mm"] == pose.position.tolist() and 0 < told["turned_deg"] < 5
     words = scenario.reconstruction.in_words
     assert "prior earlier.nii with a share of 0.7" in words and "huber 0.1" in words
 

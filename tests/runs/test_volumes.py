@@ -163,6 +163,22 @@ def test_two_materials_that_do_not_fit_are_refused_before_work(scan, monkeypatch
         require_feasible(settings(beam_hardening=TWO), views)
 
 
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"surroundings": {"margin_mm": 900, "voxel_mm": 20}}, "surroundings: with margin_mm 900"),
+        ({"algorithm": "fast", "levels": 2, "margin": 2}, r"margin: with a margin of 2 .720 mm."),
+    ],
+)
+def test_what_reaches_behind_a_source_is_refused_before_any_work(keys, words):
+    told = settings().model_dump(mode="json")
+    told["reconstruction"] = {"grid": {"voxels": 24, "voxel_mm": 15.0}} | keys
+    scenario = parse_scenario(told)
+    views = commanded_views(scenario.trajectory, scenario.detector.panel)
+    with pytest.raises(InputError, match=f"^reconstruction.{words}.* behind the source of view"):
+        require_feasible(scenario, views)
+
+
 @pytest.mark.parametrize("kind", [{"kind": "one_material"}, TWO], ids=["one", "two"])
 @pytest.mark.parametrize("large", ["volume", "projections"])
 def test_hardening_takes_what_is_told(scan, kind, large):

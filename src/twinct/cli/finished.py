@@ -162,11 +162,11 @@ def reconstruct(
     from twinct.threads import limit_threads
 
     limit_threads(threads)
-    with on_terminal() as audience:
+    with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = reconstruct_again(folder, set_, geometry=geometry, name=as_, observers=audience)
     rmse, near = (percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))
     say(
-        f"{made.name}: {made.in_words}, {made.geometry} geometry; RMSE {rmse}, {near} near "
+        f"{made.name}: {made.told}, {made.geometry} geometry; RMSE {rmse}, {near} near "
         f"the reference material\n{made.path}; report: {folder / 'report.html'}"
     )
 

@@ -78,8 +78,8 @@ class Algorithm(Generic[SettingsT]):
         resumes: n iterations and then m from their result, as ``x0``, are n + m, to the last bit.
         masks: leaves pixels out; with a mask it is refused otherwise.
         updates: in each pass, of these settings and so many views; for the progress.
-        check: raises InputError for views that it cannot work with, before any work.
-        check_keys: the same for its keys and the files that they name, with the grid.
+        check: raises InputError for keys, files that they name, views or a grid that it cannot
+            work with, before any work.
         extra_volumes: beside ``volumes``, of these settings.
         expects: of A, p, the mask and these settings: what the volume will be like, (z, y, x), if
             the algorithm knows of it beforehand; what lies around the grid is then found better.
@@ -92,8 +92,9 @@ class Algorithm(Generic[SettingsT]):
     resumes: bool = False
     masks: bool = True
     updates: Callable[[SettingsT, int], int] = field(default=lambda settings, views: 1)
-    check: Callable[[ScanGeometry], object] = field(default=lambda geometry: None)
-    check_keys: Callable[[SettingsT, VolumeGrid], object] = field(default=lambda own, grid: None)
+    check: Callable[[SettingsT, ScanGeometry, VolumeGrid], object] = field(
+        default=lambda own, views, grid: None
+    )
     extra_volumes: Callable[[SettingsT], float] = field(default=lambda settings: 0.0)
     expects: Callable[[Projector, Singles, Mask | None, SettingsT], Singles] | None = None
 

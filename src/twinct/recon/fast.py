@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from twinct.errors import InputError
+from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
-from twinct.recon.projector import LOWEST, Projector
+from twinct.recon.projector import LOWEST, Projector, check_grid
 from twinct.recon.resolution import binned, interpolated, resampled
 from twinct.recon.settings import Stop
 from twinct.recon.steps import Callback, Listener, residual_of
@@ -136,7 +137,7 @@ def fast(
     checks.done()
     require_memory(FAST, A)
     floor = 0.0 if nonnegative else LOWEST
-    factors = [2**n for n in reversed(range(levels)) if _fits(A, 2**n)]
+    factors = _factors(A.domain_shape, A.range_shape[1:], levels)
     numbers = [passes if factor == 1 else coarse_passes * factor // 2 for factor in factors]
     listener = Listener(callback, len(A) * sum(numbers))
     done, x, grid, outside = 0, np.zeros((2, 2, 2), np.float32), A.grid, None
@@ -164,8 +165,11 @@ def fast(
     return Volume(x, A.grid, told)
 
 
-def _fits(A: Projector, factor: int) -> bool:
-    return factor == 1 or min(*A.domain_shape, *A.range_shape[1:]) // factor >= SMALLEST
+def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> list[int]:
+    """By how much voxels and pixels are larger, level by level."""
+    least = min(*voxels, *pixels)
+    factors = [2**n for n in reversed(range(levels))]
+    return [factor for factor in factors if factor == 1 or least // factor >= SMALLEST]
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,16 +223,32 @@ def _level(
 ) -> _Level:
     if factor == 1:
         return _Level(A, p, pixels, 1, outside)
-    size = margin * A.grid.size_mm
-    grid = coarse_grid(A.grid, size, factor * A.grid.voxel)
-    try:
-        coarse = A.on(grid, A.geometry.binned(factor, factor))
-    except InputError as error:
-        told = [
-            f"with a margin of {margin:g} ({size.max():.0f} mm), {one}" for one in error.problems
-        ]
-        raise InputError(told) from None
+    views = A.geometry.binned(factor, factor)
+    coarse = A.on(_with_margin(views, A.grid, factor, margin), views)
     return _Level(coarse, *binned(p, pixels, (factor, factor)), factor, outside)
+
+
+def _with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: float) -> VolumeGrid:
+    """The grid of a level; refused where it does not lie before all sources."""
+    size = margin * grid.size_mm
+    wide = coarse_grid(grid, size, factor * grid.voxel)
+    try:
+        check_grid(views, wide)
+    except InputError as error:
+        told = f"with a margin of {margin:g} ({size.max():.0f} mm)"
+        raise InputError(f"{told}, {one}" for one in error.problems) from None
+    return wide
+
+
+def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
+    """Look at the coarsest grid."""
+    factor = _factors(grid.shape, views.panel.shape, settings.levels)[0]
+    if factor == 1:
+        return
+    try:
+        _with_margin(views, grid, factor, settings.margin)
+    except InputError as error:
+        raise InputError(f"reconstruction.margin: {one}" for one in error.problems) from None
 
 
 def _outside(A: Projector, level: _Level, x: Singles, factor: int) -> _Outside:
@@ -253,6 +273,7 @@ FAST = Algorithm(
     _solve,
     volumes=3,
     projections=0.5,
+    check=_check,
     updates=lambda own, views: (
         views * (own.passes + own.coarse_passes * (2 ** (own.levels - 1) - 1))
     ),

@@ -235,5 +235,9 @@ def _complete(image: Singles, mask: Mask | None, view: int) -> Singles:
 
 
 FDK = Algorithm(
-    Fdk, partial(solve_by, fdk), volumes=1, updates=lambda _, n: -(-n // BLOCK), check=circular
+    Fdk,
+    partial(solve_by, fdk),
+    volumes=1,
+    updates=lambda _, n: -(-n // BLOCK),
+    check=lambda own, views, grid: circular(views),
 )

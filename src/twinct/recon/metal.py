@@ -36,19 +36,23 @@ class WithoutMetal:
         line_integrals: (views, rows, columns), float32; the given ones where no ray passes metal.
         voxels: which ones are metal, flat indices into (z, y, x).
         values: of these in the first volume, float32.
+        threshold: from which on a voxel is metal, unit of the volume.
+        densest: the largest value of the first volume.
     """
 
     line_integrals: NDArray[Any]
     voxels: NDArray[np.intp]
     values: Singles
+    threshold: float
+    densest: float
 
     def put_back(self, volume: Volume) -> Volume:
-        """A volume of these line integrals with the metal in it."""
-        if not self.voxels.size:
-            return volume
-        array = np.array(volume.array)
-        array.flat[self.voxels] = self.values
-        return Volume(array, volume.grid, volume.extras)
+        """A volume of these line integrals with the metal in it; how much is among its extras."""
+        array = volume.array
+        if self.voxels.size:
+            array = np.array(array)
+            array.flat[self.voxels] = self.values
+        return Volume(array, volume.grid, {**volume.extras, "metal_voxels": self.voxels.size})
 
 
 def without_metal(
@@ -118,9 +122,9 @@ def without_metal(
     ).array
     least = math.sqrt(bone * metal) if threshold is None else threshold
     voxels = np.flatnonzero(first >= np.float32(least))
-    values = first.flat[voxels]
+    found = voxels, first.flat[voxels], least, float(first.max())
     if not voxels.size:
-        return WithoutMetal(p, voxels, values)
+        return WithoutMetal(p, *found)
     prior = np.empty_like(first)
     for plane, given in zip(prior, first, strict=True):
         bones = _share(given, tissue, bone)
@@ -129,7 +133,15 @@ def without_metal(
     del first
     solid = np.zeros_like(prior)
     solid.flat[voxels] = 1.0
-    return WithoutMetal(_replaced(A, p, pixels, prior, solid, OFFSET_MM * tissue), voxels, values)
+    replaced, lost = _replaced(A, p, pixels, prior, solid, OFFSET_MM * tissue)
+    if lost:
+        few = ", ".join(map(str, lost[:8])) + (", ..." if len(lost) > 8 else "")
+        raise InputError(
+            f"every ray of {len(lost)} of {len(A)} views ({few}) passes metal, and nothing is left "
+            f"to replace it by: {voxels.size} of {solid.size} voxels attenuate by the "
+            f"threshold of {least:.3g} per mm or more, the densest by {found[-1]:.3g}"
+        )
+    return WithoutMetal(replaced, *found)
 
 
 def metal_bytes(voxels: int, pixels: int) -> int:
@@ -144,11 +156,14 @@ def _share(values: Singles, low: float, high: float) -> Singles:
 
 def _replaced(
     A: Projector, p: NDArray[Any], mask: Mask | None, prior: Singles, solid: Singles, offset: float
-) -> Singles:
-    """The line integrals, those of rays through ``solid`` from the prior's and their neighbours."""
+) -> tuple[Singles, list[int]]:
+    """The line integrals, those of rays through ``solid`` from the prior's and their neighbours.
+
+    And the views of which no ray is left.
+    """
     neighbours = _laplacian(A.range_shape[1:])
     replaced = np.array(p, dtype=np.float32)
-    lost: list[str] = []
+    lost: list[int] = []
     for view, image in enumerate(replaced):
         counts = True if mask is None else mask_of(mask, view)
         hidden = (A[view](solid)[0] > 0) & counts
@@ -156,17 +171,12 @@ def _replaced(
             continue
         unknown = hidden | ~np.broadcast_to(counts, hidden.shape)
         if unknown.all():
-            lost.append(
-                f"every ray of view {view} passes metal: nothing is left to replace it by; is the "
-                "threshold for metal right?"
-            )
+            lost.append(view)
             continue
         expected = A[view](prior)[0] + offset
         ratio = (masked_image(p, view, mask) + offset) / expected
         image[hidden] = (_filled(ratio, unknown, neighbours) * expected - offset)[hidden]
-    if lost:
-        raise InputError(lost)
-    return replaced
+    return replaced, lost
 
 
 def _laplacian(shape: tuple[int, ...]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from twinct.errors import InputError
-from twinct.geometry import Pose, VolumeGrid
+from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, start_volume
 from twinct.recon.engine import Singles
@@ -220,10 +221,21 @@ def _solve(problem: Problem, settings: PriorTv) -> Volume:
         "start": prior.start,
         "weights": problem.counts if settings.weighting == "counts" else None,
     }
-    return solve_by(prior_tv, problem, settings, **others)
+    volume = solve_by(prior_tv, problem, settings, **others)
+    pose: Pose = volume.extras["world_from_prior"]
+    position, rotation = pose.to_euler()
+    middle = volume.grid.world_from_grid.position
+    there = prior.start.apply(pose.inverse().apply(middle))
+    told = {
+        "position_mm": position.tolist(),
+        "rotation_deg": rotation.tolist(),
+        "moved_mm": float(np.linalg.norm(middle - there)),
+        "turned_deg": pose.angle_deg(prior.start),
+    }
+    return replace(volume, extras={**volume.extras, "prior": told})
 
 
-def _check(settings: PriorTv, grid: VolumeGrid) -> None:
+def _check(settings: PriorTv, views: ScanGeometry, grid: VolumeGrid) -> None:
     """Look at the file."""
     path = settings.prior.path
     if problems := prior_problems(Volume.read(path), grid, settings.prior.start):
@@ -237,5 +249,5 @@ PRIOR_TV = Algorithm(
     projections=3,
     expects=_expected,
     updates=lambda own, n: subset_number(own.subsets, n),
-    check_keys=_check,
+    check=_check,
 )

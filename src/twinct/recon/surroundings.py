@@ -12,7 +12,7 @@ from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, mask_of, masked_image, remainder, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
-from twinct.recon.projector import Projector
+from twinct.recon.projector import Projector, check_grid
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
@@ -43,8 +43,8 @@ def without_surroundings(
 
     Why not one grid with coarse voxels around fine ones: every projector and algorithm would have
     to know both lattices, a border inside the volume brings artefacts of its own, and the coarse
-    voxels would be updated in all iterations, though they converge in a few. This way costs some
-    percent of an iteration and one more projection, and fits whatever algorithm comes after it.
+    voxels would be updated in every iteration. This way costs two projections and, where the coarse
+    voxels are many times larger, part of an iteration; and any algorithm may come after it.
 
     From few views the coarse volume is poor, and what it lacks around the grid harms the grid. With
     ``expected`` its line integrals are left out first, so that the coarse volume has little but
@@ -92,12 +92,8 @@ def without_surroundings(
         f"taking out the surroundings on {coarse.shape} voxels",
         advice(),
     )
-    try:
-        outer = A.on(coarse)
-    except InputError as error:
-        raise InputError(
-            f"with margin_mm {margins.max():g}, {problem}" for problem in error.problems
-        ) from None
+    check_margin(geometry, grid, margins, voxel_mm)
+    outer = A.on(coarse)
     unknown = p
     if expected is not None:
         inner = start_volume(A, expected, nonnegative=False)
@@ -121,6 +117,23 @@ def without_surroundings(
         outside = outer[view](volume.array)[0] - A[view](inside)[0]
         image -= outside if pixels is None else np.where(mask_of(pixels, view), outside, 0)
     return rest
+
+
+def check_margin(
+    geometry: ScanGeometry, grid: VolumeGrid, margin_mm: float | ArrayLike, voxel_mm: float
+) -> None:
+    """Look at whether the coarse grid lies before all sources, without a projector.
+
+    Raises:
+        InputError: it reaches behind one.
+    """
+    try:
+        check_grid(geometry, coarse_grid(grid, margin_mm, voxel_mm))
+    except InputError as error:
+        widest = float(np.max(margin_mm))
+        raise InputError(
+            f"with margin_mm {widest:g}, {problem}" for problem in error.problems
+        ) from None
 
 
 def surroundings_bytes(

@@ -2,6 +2,7 @@
 
 from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections
+from twinct.report.found import FOUND, found_of, with_found
 from twinct.report.metrics import STAGES, build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words
@@ -15,6 +16,7 @@ from twinct.report.study_page import (
 )
 
 __all__ = [
+    "FOUND",
     "STAGES",
     "Another",
     "Compared",
@@ -28,10 +30,12 @@ __all__ = [
     "build_metrics",
     "cross_sections",
     "draw_pictures",
+    "found_of",
     "physics_in_words",
     "plain",
     "render_report",
     "render_study",
+    "with_found",
     "write_report",
     "write_study",
 ]

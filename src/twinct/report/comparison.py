@@ -27,6 +27,7 @@ class Compared:
         scenario: what made it, the reconstruction as it was.
         metrics: of the run that it belongs to, see ``build_metrics``.
         image: its image figures, as ``ImageFigures.as_dict`` gives them.
+        in_words: algorithm, settings and what was found, in one line.
         seconds: of each stage; of a reconstruction beside a run's own, its own alone.
         slices: the same planes for all, by name; None where a plane passes its grid.
         mu_reference: attenuation that its figures are relative to, 1/mm.
@@ -39,6 +40,7 @@ class Compared:
     scenario: Scenario
     metrics: Mapping[str, Any]
     image: Mapping[str, float | None]
+    in_words: str
     seconds: Mapping[str, float | None]
     slices: Mapping[str, CrossSection | None]
     mu_reference: float

@@ -13,6 +13,7 @@ from twinct.files.writing import write_text
 from twinct.report import figures
 from twinct.report.data import ReportData
 from twinct.report.figures import Picture
+from twinct.report.found import with_found
 from twinct.report.measured import curves_picture, depth_picture, measured_rows, nested
 from twinct.report.physics import physics_in_words
 from twinct.report.template import rendered
@@ -225,7 +226,6 @@ def _setting(report: ReportData) -> dict[str, str]:
     scenario = report.scenario
     grid = scenario.reconstruction.volume_grid
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
-    passes = report.metrics.get("passes")
     return {
         "Specimen": ", ".join(
             f"{part.label} ({part.material if isinstance(part.material, str) else 'own material'})"
@@ -234,8 +234,7 @@ def _setting(report: ReportData) -> dict[str, str]:
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),
-        "Reconstruction": scenario.reconstruction.in_words
-        + ("" if passes is None else f": {passes} were best"),
+        "Reconstruction": with_found(scenario.reconstruction.in_words, report.metrics),
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
     }
 

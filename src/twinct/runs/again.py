@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import logging
 import shutil
 import time
 from collections.abc import Iterable
@@ -14,10 +15,12 @@ from twinct.errors import InputError, ScanExistsError
 from twinct.files.lock import sole_owner
 from twinct.files.writing import storage_errors
 from twinct.observers import Audience, Observers, audience_of
-from twinct.report import cross_sections
+from twinct.report import cross_sections, found_of
+from twinct.runs.checks import check_corrections
 from twinct.runs.folder import Folder, refuse_other_keys
 from twinct.runs.job import Run, finished_run, report_again
 from twinct.runs.kept import Reconstruction, kept_reconstructions
+from twinct.runs.log import logged_to
 from twinct.runs.reporting import judge, truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import (
@@ -32,6 +35,8 @@ from twinct.scan import (
 )
 from twinct.scenario import Scenario, stage_digests
 from twinct.volume import Volume
+
+log = logging.getLogger(__name__)
 
 
 def load_scan(path: str | Path) -> Scan:
@@ -129,6 +134,8 @@ def reconstruct_again(
         name = checked_name(name) if name else _free_name(scan.scenario, which, kept)
         if name in kept:
             raise ScanExistsError(f"{kept[name].path} is another reconstruction: --as")
+        stack.enter_context(logged_to(folder.log))
+        log.info("reconstruction %s: %s", name, scan.scenario.reconstruction.in_words)
         found, volume = _made(scan, folder, which, (name, digest, of_geometry), audience)
         found.keep(volume)
         shutil.rmtree(folder.checkpoints, ignore_errors=True)
@@ -141,6 +148,7 @@ def _made(
 ) -> tuple[Reconstruction, Volume]:
     scenario = scan.scenario
     workshop = Workshop(scenario, ScanStore(folder.scan).plan)
+    check_corrections(scenario)
     require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
     truth = truth_of(scan, workshop, audience)
     residuals: list[float] = []
@@ -167,8 +175,7 @@ def _made(
         seconds=seconds,
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),
         path=folder.reconstructions / name,
-        implants=volume.extras.get("implants", ()),
-        passes=volume.extras.get("passes"),
+        found=found_of(volume.extras),
     )
     return found, volume
 

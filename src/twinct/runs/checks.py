@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from twinct.errors import InputError, MissingExtraError, TrajectoryError
@@ -96,12 +97,24 @@ def check_physics(workshop: Workshop) -> None:
     from twinct.xray.check import check_parts
 
     scenario = workshop.scenario
-    problems: list[str] = []
-    for check in (
+    _check_all(
         lambda: check_parts(scenario.source, scenario.detector, workshop.commanded, scenario.seed),
-        lambda: check_hardening(scenario),
-        lambda: check_metal(scenario),
-    ):
+        lambda: check_corrections(scenario),
+    )
+
+
+def check_corrections(scenario: Scenario) -> None:
+    """Make sure that beam hardening and metal can be corrected, before any other work.
+
+    Raises:
+        InputError: every file, material or number that cannot be used, each with its key.
+    """
+    _check_all(lambda: check_hardening(scenario), lambda: check_metal(scenario))
+
+
+def _check_all(*checks: Callable[[], object]) -> None:
+    problems: list[str] = []
+    for check in checks:
         try:
             check()
         except MissingExtraError:

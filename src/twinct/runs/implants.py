@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twinct.errors import InputError
 from twinct.geometry import Pose, ScanGeometry
@@ -95,16 +94,15 @@ class TakenOut:
         for one, found in zip(self.known, self.found, strict=True):
             pose, believed = found.world_from_implant, one.implant.world_from_implant
             of_specimen = specimen_from_world @ pose
+            position, rotation = of_specimen.to_euler()
             turn = of_specimen.rotation  # a covariance is of the implant's own axes
             along = np.diag(turn @ found.covariance[:3, :3] @ turn.T)
             about = np.diag(found.covariance)[3:]
             told.append(
                 {
                     "name": one.name,
-                    "position_mm": of_specimen.position.tolist(),
-                    "rotation_deg": Rotation.from_quat(of_specimen.quat)
-                    .as_euler("xyz", degrees=True)
-                    .tolist(),
+                    "position_mm": position.tolist(),
+                    "rotation_deg": rotation.tolist(),
                     "moved_mm": pose.distance_mm(believed),
                     "turned_deg": pose.angle_deg(believed),
                     "position_sigma_mm": np.sqrt(along).tolist(),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Generator, Iterable
-from contextlib import ExitStack, closing, contextmanager, nullcontext
+from collections.abc import Iterable
+from contextlib import ExitStack, closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ from twinct.files.plain_yaml import read_file
 from twinct.files.writing import storage_errors, write_text
 from twinct.observers import Audience, Observers, audience_of
 from twinct.record import recorder_of
-from twinct.report import physics_in_words
+from twinct.report import found_of, physics_in_words
 from twinct.runs.acquisition import Link, RigFactory, acquire_to_store, rig_factory
 from twinct.runs.checks import (
     check_geometries,
@@ -33,10 +33,11 @@ from twinct.runs.checks import (
 )
 from twinct.runs.folder import Folder, as_yaml, read_metrics, refuse_other_keys
 from twinct.runs.kept import kept_reconstructions
+from twinct.runs.log import logged_to
 from twinct.runs.mending import resumable
 from twinct.runs.named import OF_KIND
 from twinct.runs.needs import require_memory
-from twinct.runs.reporting import FOUND, Results, judge, truth_of, write_results
+from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, named_geometries
@@ -144,7 +145,7 @@ def run(
         stack.enter_context(storage_errors(folder.path))
         folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
-        stack.enter_context(_logged_to(folder.log))
+        stack.enter_context(logged_to(folder.log))
         if not resume:  # somebody may have been faster while this one planned
             folder.refuse_if_taken()
         _note(workshop, folder, link, warnings)
@@ -219,8 +220,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
             figures.setdefault(which, ImageFigures.of(told))
         if asked_anew:
             _judge_others(now, workshop, audience)
-        found = {key: before[key] for key in FOUND if key in before}
-        volume = replace(made.volume, extras={**made.volume.extras, **found})
+        volume = replace(made.volume, extras={**made.volume.extras, **found_of(before)})
         results = Results(volume, truth, figures, before.get("residuals", {}))
         timing = Timing(before["seconds"], before["real_time_factor"])
         write_results(folder, workshop, now.scan, results, timing)
@@ -344,20 +344,3 @@ def _note_of_0_1(store: ScanStore, folder: Folder) -> str | None:
         return None
     told = read_file(folder.scenario, "scenario").value
     return f"twinct {volume_digest(store.digest_0_1, told['reconstruction'])[:32]}"
-
-
-@contextmanager
-def _logged_to(path: Path) -> Generator[None, None, None]:
-    """Keep what the package logs meanwhile."""
-    handler = logging.FileHandler(path, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logger = logging.getLogger("twinct")
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-        handler.close()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from twinct.errors import InputError
 from twinct.evaluate import ImageFigures
 from twinct.files.plain_json import read_json
 from twinct.files.writing import write_json
-from twinct.report import CrossSection, plain
+from twinct.report import CrossSection, plain, with_found
 from twinct.volume import Volume
 
 FORMAT = "twinct reconstruction 1"
@@ -41,8 +41,7 @@ class Reconstruction:
         seconds: that it took.
         slices: cross-sections, see ``twinct.report.cross_sections``.
         path: its folder; the voxels are in ``volume.nii`` there.
-        implants: that it knew and found, as ``TakenOut.told`` has them.
-        passes: that made the volume, where its algorithm stops by itself.
+        found: what its algorithm found out beside the voxels, see ``twinct.report.FOUND``.
     """
 
     name: str
@@ -56,8 +55,12 @@ class Reconstruction:
     seconds: float
     slices: Mapping[str, CrossSection]
     path: Path
-    implants: Sequence[Mapping[str, Any]] = ()
-    passes: int | None = None
+    found: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    @property
+    def told(self) -> str:
+        """How it was made, and what was found, in one line."""
+        return with_found(self.in_words, self.found)
 
     @property
     def volume(self) -> Volume:
@@ -107,6 +110,9 @@ class Reconstruction:
             if told.pop("format") != FORMAT:
                 raise ValueError(f"not of the format {FORMAT!r}")
             told.pop("files", None)
+            # Two of its values once lay beside what is found now.
+            before = {key: told.pop(key) for key in ("implants", "passes") if key in told}
+            told.setdefault("found", {key: value for key, value in before.items() if value})
             with np.load(path / "sections.npz") as arrays:
                 slices = {
                     plane: CrossSection(
@@ -165,11 +171,12 @@ def kept_reconstructions(folder: Path) -> dict[str, Reconstruction]:
 def _plain(kept: Reconstruction) -> dict[str, Any]:
     told = {
         name: getattr(kept, name)
-        for name in (field.name for field in dataclasses.fields(kept))
+        for name in (one.name for one in dataclasses.fields(kept))
         if name not in ("slices", "path", "figures")
     }
     return told | {
         "residuals": list(kept.residuals),
         "settings": dict(kept.settings),
+        "found": plain(kept.found),
         "figures": plain(kept.figures.as_dict()),
     }

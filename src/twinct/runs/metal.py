@@ -22,15 +22,33 @@ def metal_replaced(
     mask: NDArray[np.bool_] | None,
     callback: Callback,
 ) -> WithoutMetal:
-    """Line integrals (views, rows, columns) without metal, and the metal."""
-    return without_metal(
-        A,
-        integrals,
-        **_attenuations(scenario, section),
-        threshold=section.threshold_per_mm,
-        first_iterations=section.first_iterations,
-        mask=mask,
-        callback=callback,
+    """Line integrals (views, rows, columns) without metal, and the metal.
+
+    Raises:
+        InputError: see ``without_metal``, with the key.
+    """
+    try:
+        return without_metal(
+            A,
+            integrals,
+            **_attenuations(scenario, section),
+            threshold=section.threshold_per_mm,
+            first_iterations=section.first_iterations,
+            mask=mask,
+            callback=callback,
+        )
+    except InputError as error:
+        raise InputError(f"{_KEY}: {one}" for one in error.problems) from None
+
+
+def none_found(metal: WithoutMetal) -> str | None:
+    """What to tell where nothing was replaced."""
+    if metal.voxels.size:
+        return None
+    return (
+        f"{_KEY}: no metal was found, and nothing replaced: the densest voxel of the first volume "
+        f"attenuates by {metal.densest:.3g} per mm, metal by {metal.threshold:.3g} or more "
+        f"({_KEY}.threshold_per_mm)"
     )
 
 

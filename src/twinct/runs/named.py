@@ -178,26 +178,24 @@ class Places:
             found["mtf"][one.label] = _of_transfer(transfers[one.at])
         for one in section.nps:
             spectrum = self._spectrum(places[one.region], volume, truth, mu_reference)
-            found["nps"][one.label] = {
-                "noise_rel": math.sqrt(spectrum.variance),
-                "mean_frequency_per_mm": spectrum.mean_frequency_per_mm,
-                "frequency_per_mm": spectrum.frequency_per_mm,
-                "nps_mm3": spectrum.value,
-            }
+            found["nps"][one.label] = _of_spectrum(spectrum)
         for task in section.tasks:
             spectrum = self._spectrum(places[task.region], volume, truth, mu_reference)
             transfer = 1.0 if task.mtf is None else transfers[task.mtf]
             signal, edges = _signal(task.signal, self.grid), self.grid.voxel[::-1].tolist()
             index = math.nan
-            if transfer is not None:
+            if transfer is not None and spectrum is not None:
                 index = detectability(signal, edges, spectrum, transfer)
             found["tasks"][task.label] = {"detectability": index}
         for one in section.streaks:
             body = self.part(one.part)
             near = shell(body, self.grid, one.from_mm, one.to_mm)
-            error = (near.of(volume) - near.of(truth)) / mu_reference
-            where = around_axis(near.points(self.grid), body.points(self.grid))
-            found["streaks"][one.label] = {"streak_rel": streak_index(error, *where)}
+            index = math.nan
+            if len(near) and len(body):
+                error = (near.of(volume) - near.of(truth)) / mu_reference
+                where = around_axis(near.points(self.grid), body.points(self.grid))
+                index = streak_index(error, *where)
+            found["streaks"][one.label] = {"streak_rel": index}
         return {kind: figures for kind, figures in found.items() if figures}
 
     def _transfer(self, name: str, volume: Any) -> Mtf | None:
@@ -220,10 +218,23 @@ class Places:
             log.warning("no MTF at %s: %s", name, error)
             return None
 
-    def _spectrum(self, voxels: Voxels, volume: Any, truth: Any, mu_reference: float) -> Nps:
+    def _spectrum(self, voxels: Voxels, volume: Any, truth: Any, mu_reference: float) -> Nps | None:
+        if not len(voxels):
+            return None
         error = (volume[voxels.box] - truth[voxels.box]).astype(np.float64) / mu_reference
         noise = detrended(error, voxels.mask)
         return noise_power_spectrum(noise, self.grid.voxel[::-1].tolist(), voxels.mask)
+
+
+def _of_spectrum(spectrum: Nps | None) -> dict[str, Any]:
+    if spectrum is None:
+        return dict.fromkeys(OF_KIND["nps"], math.nan)
+    return {
+        "noise_rel": math.sqrt(spectrum.variance),
+        "mean_frequency_per_mm": spectrum.mean_frequency_per_mm,
+        "frequency_per_mm": spectrum.frequency_per_mm,
+        "nps_mm3": spectrum.value,
+    }
 
 
 def _of_transfer(transfer: Mtf | None) -> dict[str, Any]:

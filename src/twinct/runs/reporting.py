@@ -38,6 +38,7 @@ from twinct.report import (
     build_metrics,
     cross_sections,
     draw_pictures,
+    found_of,
     plain,
     write_report,
 )
@@ -126,10 +127,6 @@ def judge(
     return replace(figures, further=further)
 
 
-FOUND = ("implants", "passes")
-"""What volumes have among their extras that ``metrics.json`` tells."""
-
-
 @dataclass(frozen=True, eq=False)
 class Results:
     """What a run found out, beside its scan.
@@ -161,10 +158,9 @@ def write_results(
     if isinstance(timing, Seconds):
         timing = timing.finished()
     digests = stage_digests(scenario)
-    extras = results.volume.extras
     metrics = build_metrics(
         **_of_scan(scan),
-        **{name: extras[name] for name in FOUND if name in extras},
+        **found_of(results.volume.extras),
         image=results.figures,
         seconds=timing.stages,
         real_time_factor=timing.real_time_factor,
@@ -178,8 +174,7 @@ def write_results(
                 "digest": kept.digest,
                 "image": kept.figures.as_dict(),
                 "seconds": kept.seconds,
-                **({"implants": kept.implants} if kept.implants else {}),
-                **({} if kept.passes is None else {"passes": kept.passes}),
+                **kept.found,
             }
             for kept in others.values()
         },
@@ -240,7 +235,7 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
     return [
         Another(
             one.name,
-            f"{one.in_words}, {one.geometry} geometry",
+            f"{one.told}, {one.geometry} geometry",
             one.figures.as_dict(),
             one.residuals,
             one.slices,

@@ -29,10 +29,10 @@ from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, metal_bytes
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.steps import Step
-from twinct.recon.surroundings import surroundings_bytes, without_surroundings
+from twinct.recon.surroundings import check_margin, surroundings_bytes, without_surroundings
 from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
-from twinct.runs.metal import metal_replaced
+from twinct.runs.metal import metal_replaced, none_found
 from twinct.scan import Scan
 from twinct.scenario import (
     SECTIONS,
@@ -159,6 +159,9 @@ def _reconstruct(
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
             metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
         integrals = metal.line_integrals
+        if nothing := none_found(metal):
+            log.warning(nothing)
+            audience.say(nothing, warning=True)
     if metal and x0 is not None and done >= iterations:
         return metal.put_back(_counted(Volume(x0, grid), section, done))
     if done:
@@ -275,10 +278,15 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     section = scenario.reconstruction
     algorithm, grid = algorithms()[section.algorithm], section.volume_grid
     check_grid(commanded, grid)
-    algorithm.check(commanded)
+    if around := section.around:
+        try:
+            check_margin(commanded, grid, around.margin_mm, around.voxel_mm)
+        except InputError as error:
+            key = "zoom" if section.surroundings is None else "surroundings"
+            raise InputError(f"reconstruction.{key}: {one}" for one in error.problems) from None
     if isinstance(metal := scenario.reconstruction.metal, KnownImplants):
         check_implants(scenario, metal, commanded)
-    algorithm.check_keys(section, grid)
+    algorithm.check(section, commanded, grid)
     stages = memory_needed(scenario, commanded)
     most = max(stages, key=lambda stage: stages[stage])
     refuse_if_short(

@@ -50,9 +50,8 @@ class Implant(Section):
 
     @model_validator(mode="after")
     def _described(self) -> Implant:
-        told = self.shape, self.material, self.position_mm, self.rotation_deg
-        if not self.part and None in told:
-            raise ValueError("give part, or all of shape, material, position_mm and rotation_deg")
+        if not self.part and None in (self.shape, self.material, self.position_mm):
+            raise ValueError("give part, or all of shape, material and position_mm")
         return self
 
     def described_by(self, part: Part | None) -> Part:

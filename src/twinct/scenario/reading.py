@@ -210,7 +210,9 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
                 _change_algorithm(draft, key[:-1], value)
             here[index] = value
         elif is_mapping(here):
-            here = here.setdefault(index, {})
+            if here.get(index) is None:  # absent, or none: a section begins
+                here[index] = {}
+            here = here[index]
         else:
             here = here[index]
     draft.forget(key)
