@@ -239,7 +239,7 @@ def _check(settings: PriorTv, views: ScanGeometry, grid: VolumeGrid) -> None:
     """Look at the file."""
     path = settings.prior.path
     if problems := prior_problems(Volume.read(path), grid, settings.prior.start):
-        raise InputError([f"reconstruction.prior.path ({path}): {one}" for one in problems])
+        raise InputError([f"reconstruction.prior.path: {path}: {one}" for one in problems])
 
 
 PRIOR_TV = Algorithm(
