@@ -184,7 +184,7 @@ WAYS = {
 
 def draw(found, path, title):
     """Error near bone over seconds."""
-    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    figure, axes = plt.subplots(figsize=(8, 6), layout="constrained")
     for number, name in enumerate(name for name in WAYS if name in found):
         seconds = [point["seconds"] for point in found[name]]
         errors = [100 * point["rmse_bone_rel"] for point in found[name]]
@@ -204,7 +204,7 @@ def draw(found, path, title):
     axes.grid(alpha=0.3, which="both")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter("{x:g}")
-    axes.legend(fontsize=7)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=7)
     figure.savefig(path, dpi=120)
 
 
