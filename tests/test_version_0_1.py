@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import tarfile
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,7 @@ ALIKE = 1e-5
 @pytest.fixture(params=["local", "ros2"])
 def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """The run that version 0.1 made over a link."""
-    with tarfile.open(KEPT / f"{request.param}.tar.xz") as archive:
-        archive.extractall(tmp_path, filter="data")
+    shutil.unpack_archive(KEPT / f"{request.param}.tar.xz", tmp_path)
     return tmp_path
 
 

@@ -26,7 +26,6 @@ import logging
 import random
 import shutil
 import sys
-import tarfile
 import tempfile
 import time
 import traceback
@@ -62,8 +61,7 @@ class Trials:
             self.scenario = load_scenario(ROOT / "scenarios" / scenario, KEYS)
             run(self.scenario, folder, link="local")
         else:
-            with tarfile.open(ROOT / "tests" / "version_0_1" / "local.tar.xz") as archive:
-                archive.extractall(folder, filter="data")
+            shutil.unpack_archive(ROOT / "tests" / "version_0_1" / "local.tar.xz", folder)
             file = folder / "scenario.yaml"
             self.scenario = load_scenario(file, ["motion.scheme=reactive"])
             run(self.scenario, folder, link="local", resume=True)  # so that a report is there

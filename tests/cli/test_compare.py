@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import tarfile
+import shutil
 from pathlib import Path
 
 import pytest
@@ -16,8 +16,7 @@ KEPT = Path(__file__).parents[1] / "version_0_1"
 def runs(tmp_path: Path) -> list[str]:
     """What version 0.1 made over both links."""
     for link in ("local", "ros2"):
-        with tarfile.open(KEPT / f"{link}.tar.xz") as archive:
-            archive.extractall(tmp_path / link, filter="data")
+        shutil.unpack_archive(KEPT / f"{link}.tar.xz", tmp_path / link)
     return [str(tmp_path / link) for link in ("local", "ros2")]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-import tarfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -40,5 +39,4 @@ def make_scans(folder: Path, *more: str) -> None:
             [*command, *(part for key in (*SMALL, *keys) for part in ("--set", key))], check=True
         )
     for name, link in OLD.items():
-        with tarfile.open(ROOT / "tests" / "version_0_1" / f"{link}.tar.xz") as archive:
-            archive.extractall(folder / name, filter="data")
+        shutil.unpack_archive(ROOT / "tests" / "version_0_1" / f"{link}.tar.xz", folder / name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-import tarfile
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +16,15 @@ Bytes = NDArray[np.uint8]
 def pack(path: Path) -> Bytes:
     """A file or folder, whatever its name."""
     stream = io.BytesIO()
-    with tarfile.open(fileobj=stream, mode="w") as archive:
-        archive.add(path, arcname="content")
+    with zipfile.ZipFile(stream, "w", strict_timestamps=False) as archive:
+        for one in (path, *sorted(path.rglob("*"))):
+            archive.write(one, "content" / one.relative_to(path))
     return np.frombuffer(stream.getbuffer(), dtype=np.uint8)
 
 
 def unpack(content: Bytes, path: Path) -> None:
     """What was packed, under a name; its folder exists, and nothing has the name."""
-
-    def renamed(member: tarfile.TarInfo, folder: str) -> tarfile.TarInfo | None:
-        safe = tarfile.data_filter(member, folder)
-        return safe.replace(name=path.name + safe.name.removeprefix("content"), deep=False)
-
-    with tarfile.open(fileobj=io.BytesIO(content.data), mode="r") as archive:
-        archive.extractall(path.parent, filter=renamed)
+    with zipfile.ZipFile(io.BytesIO(content.data)) as archive:
+        for member in archive.infolist():
+            member.filename = path.name + member.filename.removeprefix("content")
+            archive.extract(member, path.parent)
