@@ -1,0 +1,114 @@
+"""Compile every kernel of twinct into its cache, so that neither a test nor a first run compiles.
+
+    python tools/compile_kernels.py
+
+``make setup`` calls it. Two processes work side by side: a kernel of the plain engine has one cache
+beside its source, and another one below the vector engine's.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+PARTS = ("vector", "rest")
+
+
+def main() -> int:
+    """Compile one part, or all of them in processes of their own; return the exit code."""
+    logging.getLogger("twinct").setLevel(logging.ERROR)  # make setup has said that it compiles
+    if len(sys.argv) > 1:
+        {"vector": compile_vector, "rest": compile_rest}[sys.argv[1]]()
+        return 0
+    workers = [subprocess.Popen([sys.executable, __file__, part]) for part in PARTS]
+    return max(worker.wait() for worker in workers)
+
+
+def compile_vector() -> None:
+    """Compile the vector engine, then the plain one from within its process."""
+    _reconstruct("vector")
+    _reconstruct("plain")
+
+
+def compile_rest() -> None:
+    """Compile the plain engine in its own place, and the kernels that belong to no engine."""
+    os.environ["TWINCT_ENGINE"] = "plain"
+    _reconstruct("plain")
+    _voxelise()
+    _cast_shadows()
+    _expose()
+
+
+def _reconstruct(engine: str) -> None:
+    """Call every kernel of an engine through the algorithms that need it."""
+    from twinct.geometry import Panel, VolumeGrid
+    from twinct.recon import Projector, fdk, fista_tv, sart
+    from twinct.trajectory import CircleTrajectory, commanded_views
+
+    circle = CircleTrajectory(kind="circle", views=4, sod_mm=200, sdd_mm=400)
+    geometry = commanded_views(circle, Panel(8, 9, 10.0, 10.0))
+    projector = Projector(geometry, VolumeGrid((6, 7, 8), 8.0), engine=engine)
+    projections = projector(np.ones(projector.domain_shape, np.float32))
+    projector.T(projections)
+    sart(projector, projections, iterations=1, relaxation=0.5)
+    fista_tv(projector, projections, iterations=1, regularisation=0.01)
+    fdk(projector, projections)
+
+
+def _specimen():
+    """Build a ball of bone with a ball of titanium."""
+    from twinct.scenario import Specimen
+    from twinct.specimen import build_specimen
+
+    ball = {"kind": "sphere", "radius_mm": 20}
+    screw = {"shape": {"kind": "sphere", "radius_mm": 4}, "material": "titanium"}
+    return build_specimen(Specimen.model_validate({"parts": [{"shape": ball}, screw]}))
+
+
+def _voxelise() -> None:
+    from twinct.geometry import Pose, VolumeGrid
+    from twinct.specimen.preview import shaded
+    from twinct.specimen.voxels import volume_fractions
+
+    specimen, grid = _specimen(), VolumeGrid((4, 5, 6), 10.0)
+    specimen.truth(grid, 80.0)
+    mesh = specimen.parts[0].mesh
+    for writable in (True, False):  # two types for numba
+        faces = np.array(mesh.faces, np.int64)
+        faces.setflags(write=writable)
+        volume_fractions(mesh.vertices, faces, grid, Pose.identity())
+    shaded(specimen, 0.0, 0.0, pixel_mm=5.0)
+
+
+def _cast_shadows() -> None:
+    from twinct.geometry import Panel, Pose
+    from twinct.shadow import Body, Rays
+    from twinct.trajectory import CircleTrajectory, commanded_views
+
+    mesh = _specimen().parts[0].mesh
+    circle = CircleTrajectory(kind="circle", views=4, sod_mm=200, sdd_mm=400)
+    rays = Rays(commanded_views(circle, Panel(8, 9, 10.0, 10.0)))
+    body = Body(mesh.vertices, mesh.faces)
+    for slopes in (False, True):
+        rays.shadow(body, Pose.identity(), 0, slopes=slopes)
+
+
+def _expose() -> None:
+    from twinct.specimen.materials import material
+    from twinct.xray.response import PhotonResponse
+    from twinct.xray.signal import Signal
+    from twinct.xray.spectrum import PhotonSpectrum
+
+    photons = PhotonSpectrum(np.array([60.0, 80.0]), np.array([1.0, 1.0]))
+    for names in (("bone",), ("bone", "titanium")):
+        paths = np.ones((len(names), 4, 5), np.float32)
+        signal = Signal(photons, [material(name) for name in names], PhotonResponse.counting())
+        signal(paths, np.ones(paths.shape[1:], np.float32))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
