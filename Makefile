@@ -12,6 +12,12 @@ SEED ?= 0
 VENV := .venv/bin
 # Markers of what test-all runs beside test.
 LONG := browser or cluster or tutorial or package
+# Tests that watch real time run alone, after the others; PYTEST_ARGS may leave none of either.
+define run_tests
+@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "($(1)) and not clock" $(PYTEST_ARGS) \
+	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
+@$(VENV)/python -m pytest -q -n 0 -m "($(1)) and clock" $(PYTEST_ARGS) || $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
+endef
 
 # Render without a display.
 export MUJOCO_GL ?= egl
@@ -35,11 +41,11 @@ paper: setup ## Fetch a real skull and run the paper's experiment (long)
 	@echo "Report: $(CURDIR)/out/paper/report.html"
 
 test: lint ## Check style and types, run the tests; PYTEST_ARGS="-k sart" chooses, JOBS=0: one process
-	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "not ($(LONG))" $(PYTEST_ARGS)
+	$(call run_tests,not ($(LONG)))
 
 test-all: test ## The same, then what takes long: a browser, a cluster, tutorials, the built package
 	@tools/system-libraries browser
-	@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "$(LONG)" $(PYTEST_ARGS)
+	$(call run_tests,$(LONG))
 
 lint: setup ## Check style, formatting, types and layers only
 	@$(VENV)/ruff check

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -12,13 +13,16 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 import pytest
+from numba.core import event as numba_event
 from scipy.spatial.transform import Rotation
+from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
 
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.threads import available_threads, limit_threads
 
 if TYPE_CHECKING:
     import trimesh
+    from xdist.remote import Producer
 
     from twinct.cell import CellModel
 
@@ -42,18 +46,52 @@ _started: list[str] = []
 _accounted = 0
 
 
-COMPILER = "import twinct.recon._vector"
-"""The process that compiles the kernels of reconstruction, once for all tests."""
-
-
 def _hear(event: str, arguments: tuple[object, ...]) -> None:
     if event in STARTS:
         name = Path(str(arguments[STARTS[event]])).name
-        if name not in LOOKUPS and COMPILER not in str(arguments):
+        if name not in LOOKUPS:
             _started.append(name)
 
 
 sys.addaudithook(_hear)
+
+
+class _Compilations(numba_event.Listener):
+    """Kernels of twinct that numba did not find in its cache."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def on_start(self, event: numba_event.Event) -> None:
+        function = event.data["dispatcher"].py_func
+        if function.__module__.startswith("twinct."):
+            self.names.append(f"{function.__module__}.{function.__name__}")
+
+    def on_end(self, event: numba_event.Event) -> None:
+        pass
+
+
+_compilations = _Compilations()
+numba_event.register("numba:compile", _compilations)
+
+
+CROWDED = frozenset({"cluster", "pool", "record", "ros", "study"})
+"""Folders whose tests start scans over ROS 2, pools of workers, or Ray: several processes each."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling:
+    """Give each file to one worker, and all crowds of processes to one of them.
+
+    So one crowd at most runs at any time, beside the tests of the other workers.
+    """
+
+    class OneCrowd(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return "crowds" if CROWDED & set(Path(file).parts) else file
+
+    return OneCrowd(config, log)
 
 
 @pytest.fixture(autouse=True)
@@ -64,6 +102,22 @@ def _processes_are_marked(request: pytest.FixtureRequest) -> Iterator[None]:
     new, _accounted = _started[_accounted:], len(_started)
     if new and request.node.get_closest_marker("process") is None:
         pytest.fail(f"starts {', '.join(sorted(set(new)))} without the marker 'process'")
+
+
+@pytest.fixture(autouse=True)
+def _kernels_are_compiled_beforehand() -> Iterator[None]:
+    """Fail a test that compiles a kernel: ``tools/compile_kernels.py`` lacks its types."""
+    _compilations.names.clear()
+    yield
+    if _compilations.names:
+        pytest.fail(f"compiles {', '.join(_compilations.names)}: see tools/compile_kernels.py")
+
+
+@pytest.fixture(autouse=True)
+def _libraries_draw_alike() -> None:
+    """Seed the generators that libraries share in a process, as trimesh does."""
+    random.seed(0)
+    np.random.seed(0)
 
 
 @pytest.fixture(autouse=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from waiting import HANG_S
 from xray_scenes import box, chords, front_view, specimen, sphere
 
 from twinct.errors import InputError, MissingExtraError, SpecimenError, TwinctError
@@ -36,7 +37,7 @@ def run_python(code, **environment):
         env=os.environ | {"PYTHONPATH": path} | environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANG_S,
         check=False,
     )
 
