@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 import tifffile
 import zarr
-from llvmlite.binding import get_host_cpu_name
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 
 from twinct.scan import ScanStore
 
@@ -50,7 +50,10 @@ def machine() -> dict[str, str]:
     status = Path("/var/lib/dpkg/status")
     text = status.read_text(encoding="utf-8", errors="replace") if status.exists() else ""
     mesa = re.search(r"^Package: libgl1-mesa-dri\n(?:.+\n)*?Version: (.+)$", text, re.MULTILINE)
-    return found | {"cpu": get_host_cpu_name(), "mesa": mesa[1] if mesa else "unknown"}
+    # Machines of one processor's name may offer other instructions, and kernels use them all.
+    features = hashlib.sha256(get_host_cpu_features().flatten().encode()).hexdigest()
+    processor = {"cpu": get_host_cpu_name(), "features": features}
+    return found | processor | {"mesa": mesa[1] if mesa else "unknown"}
 
 
 def twinct(*arguments: str) -> None:
