@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -195,11 +194,9 @@ def test_every_problem_is_named_at_once():
     assert "bonne" in caught.value.problems[0] and "no-such.stl" in caught.value.problems[1]
 
 
-def test_full_size_truth_takes_well_under_a_minute():
-    """512^3 with 500 k triangles; generous, as test machines are shared."""
+def test_full_size_truth_has_the_bodys_volume():
+    """512^3 with 500 k triangles; seconds: benchmarks/bench_truth.py."""
     ball = trimesh.creation.icosphere(subdivisions=7, radius=75.0)
     grid = VolumeGrid((512, 512, 512), 0.31)
-    started = time.perf_counter()
     volume = volume_fractions(ball.vertices, ball.faces, grid, Pose.identity())
-    assert time.perf_counter() - started < 45
     assert volume.sum(dtype=float) * 0.31**3 == pytest.approx(ball.volume, rel=1e-4)
