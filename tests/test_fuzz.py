@@ -8,71 +8,150 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import HANG_S
 
 FUZZ = Path(__file__).parents[1] / "tools" / "fuzz"
 
+sys.path.append(str(FUZZ))
+from hanging import Watch, used_s  # noqa: E402 - a module of the tool
+
 KIND = """
-import os, time
+import os, signal
+from pathlib import Path
 from cases import Case
 from twinct.errors import InputError
 
 def refused():
     raise InputError("no")
 
-def slow():
-    end = time.process_time() + 0.7
-    while time.process_time() < end:
-        pass
-    return "late"
-
 def wrong():
     raise KeyError("bug")
 
+def blocked():
+    Path("blocked").write_text(str(os.getpid()))
+    while True:
+        signal.pause()
+
 ACTS = [
-    lambda: "right", refused, wrong, slow, lambda: os._exit(3), lambda: time.sleep(60) or "x",
+    lambda: "right", refused, wrong, lambda: "late", lambda: os._exit(3), blocked,
     lambda: str(len(b"x" * 2**28)), lambda: "right",
 ]
 
 class Kind:
-    seconds, memory_bytes = 0.5, 200 * 2**20
+    seconds, memory_bytes = 1e6, 200 * 2**20
 
     def __init__(self, material):
-        self.number = 0
         self.counter = material / "counter"
 
     def case(self, rng, folder):
         number = int(self.counter.read_text()) if self.counter.exists() else 0
         self.counter.write_text(str(number + 1))
         (folder / "input").write_text(str(number))
+        self.seconds = 0.0 if number == 3 else 1e6  # any time is more than none
         return Case(f"act {number}", ACTS[number])
+"""
+
+
+DRIVER = """
+import itertools, math, sys
+from pathlib import Path
+from driver import fuzz
+from hanging import Limits
+
+place, turns = Path(sys.argv[1]), itertools.count()
+
+def clock():  # it goes on as long as the worker lives that is blocked
+    blocked = place / "blocked"
+    return float(next(turns) if blocked.exists() and is_there(blocked.read_text()) else 0)
+
+def is_there(pid):
+    return Path("/proc", pid).exists()
+
+limits = Limits(idle_s=0.5, look_s=0.01)
+found = fuzz("mischief", 5, range(8), math.inf, place, limits, clock)
+print(sorted(found.words.items()), len(found.failures))
 """
 
 
 @pytest.mark.process
 def test_each_way_to_fail_is_found_and_kept(tmp_path: Path) -> None:
     (tmp_path / "mischief.py").write_text(KIND)
-    code = f"""
-import sys; sys.path[:0] = [{str(FUZZ)!r}]
-from pathlib import Path
-from driver import fuzz
-found = fuzz("mischief", 5, range(8), 300, Path({str(tmp_path / "out")!r}))
-print(sorted(found.words.items()), len(found.failures))
-"""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(FUZZ)])}
     result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=120
+        [sys.executable, "-c", DRIVER, str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=HANG_S,
     )
     assert result.returncode == 0, result.stderr
     told = result.stdout.splitlines()[-1]
-    for word in ("'KeyError', 1", "'MemoryError', 1", "'died (3)', 1", "'hung', ", "'refused', 1"):
-        assert word in told
-    # On a machine that is busy enough what is slow cannot be told from what hangs.
-    assert "'too slow', 1" in told or "'hung', 2" in told
-    assert "'right', 2" in told and told.endswith(" 5")
+    words = {"KeyError", "MemoryError", "died (3)", "hung", "refused", "too slow"}
+    assert told == f"{sorted([*((word, 1) for word in words), ('right', 2)])} 5"
     kept = {path.parent.name: path.read_text() for path in tmp_path.glob("out/5-*/failure.txt")}
     assert set(kept) == {"5-2", "5-3", "5-4", "5-5", "5-6"}
     assert "act 2" in kept["5-2"] and "KeyError: 'bug'" in kept["5-2"]
     assert (tmp_path / "out" / "5-4" / "input").read_text() == "4"
+
+
+def test_who_uses_the_processor_may_be_slow_but_not_endless() -> None:
+    used, now = 100.0, 0.0
+    watch = Watch(1, 7.0, 60.0, used=lambda pid: used, clock=lambda: now)
+    said = []
+    for used in (101.0, 104.0, 107.0, 107.1):  # noqa: B007 - the watch sees it
+        now += 3600.0  # on a machine that is busy with other work
+        said.append(watch.hangs())
+    assert said == [False, False, False, True]
+
+
+def test_who_uses_none_is_blocked_once_the_clock_says_so() -> None:
+    used, now = 100.0, 0.0
+    watch = Watch(1, 7.0, 60.0, used=lambda pid: used, clock=lambda: now)
+    now = 60.0
+    assert not watch.hangs()
+    now, used = 100.0, 100.1
+    assert not watch.hangs()
+    now = 160.0
+    assert not watch.hangs()
+    now = 160.1
+    assert watch.hangs()
+
+
+@pytest.mark.clock
+@pytest.mark.process
+def test_processor_time_of_children_counts_while_they_live_and_after(tmp_path: Path) -> None:
+    """A process with a child that has ended and one that lives; each has used 0.2 s."""
+    burn = """
+import hashlib, resource, subprocess, sys
+
+def used():
+    own = resource.getrusage(resource.RUSAGE_SELF)
+    return own.ru_utime + own.ru_stime
+
+while used() < 0.2:
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 10_000)
+if not sys.argv[1:]:
+    subprocess.run([sys.executable, __file__, "ends"])
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    child = subprocess.Popen([sys.executable, __file__, "stays"], **pipes)
+    child.stdout.readline()
+if sys.argv[1:] != ["ends"]:
+    print("burnt", flush=True)
+    sys.stdin.read()
+"""
+    (tmp_path / "burn.py").write_text(burn)
+    with subprocess.Popen(
+        [sys.executable, str(tmp_path / "burn.py")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout is not None and process.stdout.readline() == "burnt\n"
+            floors_s = 6 * 0.01  # six numbers are rounded down to ticks
+            assert used_s(process.pid) > 3 * 0.2 - floors_s
+        finally:
+            process.kill()
 
 
 @pytest.mark.process
@@ -86,7 +165,7 @@ for turn in range(2):
     print(len(kind._data), kind._values(random.Random(3)))
 """
     result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S
     )
     assert result.returncode == 0, result.stderr
     first, second = result.stdout.splitlines()
@@ -103,17 +182,10 @@ for turn in range(2):
     ],
 )
 def test_a_few_cases_of_each_kind(tmp_path: Path, kind: str) -> None:
-    command = [
-        sys.executable,
-        str(FUZZ),
-        kind,
-        "--count",
-        "25",
-        "--seed",
-        "3",
-        "--out",
-        str(tmp_path),
-    ]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    cases = ["--count", "25", "--seed", "3", "--any-speed", "--out", str(tmp_path)]
+    # It ends a worker that hangs, and then itself.
+    result = subprocess.run(
+        [sys.executable, str(FUZZ), kind, *cases], capture_output=True, text=True
+    )
     assert result.returncode == 0, result.stdout + result.stderr
     assert f"{kind}, seed 3: 25 cases" in result.stdout and "0 failures" in result.stdout

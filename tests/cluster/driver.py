@@ -15,6 +15,6 @@ if __name__ == "__main__":
     os.environ["TWINCT_CACHE"] = sys.argv[1]
     with RayPool("local", name="study", workers=2, memory_bytes=2**32) as pool:
         for key in "abc":
-            pool.submit(Work(key, hold, 60.0))
+            pool.submit(Work(key, hold, None))
         (Path(sys.argv[1]) / "up").write_text("")
         pool.wait()

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import hashlib
 import os
-import secrets
+import shutil
 import signal
 import socket
 import subprocess
 import sys
-import time
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pool_jobs as jobs
 import pytest
+from waiting import HANG_S, Patience, until
 
 from twinct.cluster import RayPool, local
 from twinct.cluster.content import pack, unpack
@@ -32,21 +35,20 @@ def finish(pool: Pool) -> dict[str, Event]:
     return events
 
 
-def until(condition: Callable[[], bool], seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.05)
+MARK = "TWINCT_POOL_TEST"
 
 
-def alive(mark: str) -> list[str]:
-    """Command lines of the processes that have a mark in their environment; zombies have none."""
-    found = []
+def alive(folder_of_test: Path) -> dict[int, str]:
+    """Processes that have a test's mark in their environment, and their command lines.
+
+    Zombies have none.
+    """
+    mark, found = f"{MARK}={folder_of_test}", dict[int, str]()
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             words = (folder / "cmdline").read_bytes()
             if words and mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
-                found.append(words.replace(b"\0", b" ").decode())
+                found[int(folder.name)] = words.replace(b"\0", b" ").decode()
         except OSError:
             continue
     return found
@@ -77,25 +79,29 @@ def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts(monkeypatch) -
     with pytest.raises(InputError, match="nonsense: no Ray answers"):
         RayPool("nonsense", name="study")
     with socket.create_server(("127.0.0.1", 0)) as server:  # accepts, and says nothing
-        monkeypatch.setattr("twinct.cluster.pool.ANSWER_S", 0.5)
+        monkeypatch.setattr("twinct.cluster.pool.ANSWER_S", 0.01)  # it never would
         with pytest.raises(InputError, match="127.0.0.1:.*no Ray answers"):
             RayPool(f"127.0.0.1:{server.getsockname()[1]}", name="study")
 
 
 def test_what_killed_processes_left_is_removed(monkeypatch) -> None:
-    monkeypatch.setattr("twinct.cluster.local._PREFIX", f"pytest-{secrets.token_hex(8)}-")
-    folders = [Path(f"/tmp/{local._PREFIX}{name}") for name in ("held", "left", "starting")]
-    for folder in folders:
-        folder.mkdir()
-        if folder is not folders[2]:
-            os.mkfifo(folder / "lifeline")
-    writer = os.open(folders[0] / "lifeline", os.O_RDWR)
-    local._sweep()
-    assert [folder.exists() for folder in folders] == [True, False, True]
-    os.close(writer)
-    folders[2].rmdir()
-    local._sweep()
-    assert not folders[0].exists()
+    place = tempfile.mkdtemp(prefix="pytest-", dir="/tmp")
+    try:
+        monkeypatch.setattr("twinct.cluster.local._PREFIX", f"{Path(place).name}/ray-")
+        folders = [Path(f"/tmp/{local._PREFIX}{name}") for name in ("held", "left", "starting")]
+        for folder in folders:
+            folder.mkdir()
+            if folder is not folders[2]:
+                os.mkfifo(folder / "lifeline")
+        writer = os.open(folders[0] / "lifeline", os.O_RDWR)
+        local._sweep()
+        assert [folder.exists() for folder in folders] == [True, False, True]
+        os.close(writer)
+        folders[2].rmdir()
+        local._sweep()
+        assert not folders[0].exists()
+    finally:
+        shutil.rmtree(place)
 
 
 @pytest.mark.cluster
@@ -103,23 +109,25 @@ def test_what_killed_processes_left_is_removed(monkeypatch) -> None:
 def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, capfd) -> None:
     """All that needs no second node, on one Ray: it takes long to start."""
     monkeypatch.setenv("TWINCT_CACHE", str(tmp_path / "cache"))
-    mark = f"TWINCT_POOL_TEST={secrets.token_hex(8)}"
-    monkeypatch.setenv(*mark.split("="))
+    monkeypatch.setenv(MARK, str(tmp_path))
     with RayPool(None, name="study", workers=4, memory_bytes=8 * GIB) as pool:
         assert (pool.slots, pool.most_memory_bytes) == (4, 8 * GIB)
-        assert _loopback_only(mark)
+        assert _loopback_only(tmp_path)
 
         (said,) = [e.value for e in each(pool, [Work("who", jobs.who, 0)]) if isinstance(e, Done)]
         assert said["main"] and said["threads"] == (1, "1", "1")
         assert said["folder"].parent == tmp_path / "cache" / "study"
 
-        spans = [
-            event.value
-            for event in each(pool, [_three_gigabytes(key) for key in range(6)])
-            if isinstance(event, Done)
-        ]
-        most = max(sum(a <= begun < b for a, b in spans) for begun, _ in spans)
-        assert len(spans) == 6 and most == 2
+        with jobs.gate_at(tmp_path / "gate") as gate:
+            for key in ("3 a", "3 b", "3 c", "3 d", "3 e", "3 f"):
+                pool.submit(_at(gate, key, memory_bytes=3 * GIB))
+            until(lambda: len(gate.come) >= 2)
+            # What fits beside two of them comes, and of the others none.
+            pool.submit(_at(gate, "2", memory_bytes=2 * GIB))
+            until(lambda: "2" in gate.come or len(gate.come) > 2)
+            assert len(gate.come) == 3 and "2" in gate.come
+            gate.open()
+            assert sum(isinstance(event, Done) for event in finish(pool).values()) == 7
 
         with LocalPool(tmp_path / "local", workers=2, memory_bytes=GIB) as own:
             assert _told(pool, content, tmp_path / "ray") == _told(own, content, tmp_path / "own")
@@ -150,26 +158,24 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
         with pytest.raises(InputError, match=r"is refused: it has twinct .*needed: twinct 0\.0"):
             pool._compare()
 
-        pool.submit(Work("busy", jobs.hold, 60.0))
+        pool.submit(Work("busy", jobs.hold, None))
         pool.close(clear=True)
-    until(lambda: not alive(mark), 2.0)
+    until(lambda: not alive(tmp_path))
     assert not list((tmp_path / "cache" / "study").iterdir())
     assert capfd.readouterr() == ("", "")
 
 
-def _three_gigabytes(key: int) -> Work:
-    return Work(str(key), jobs.interval, 1.0, memory_bytes=3 * GIB)
+def _at(gate: jobs.Gate, key: str, memory_bytes: int = 0) -> Work:
+    """Work that lasts until the gate is open."""
+    return Work(key, jobs.gated, (gate, key, jobs.double, 1), memory_bytes)
 
 
-def _loopback_only(mark: str) -> bool:
+def _loopback_only(folder_of_test: Path) -> bool:
     """Nothing of Ray's listens where other machines could reach it."""
     inodes = set()
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
-                inodes |= {os.readlink(p) for p in (folder / "fd").iterdir()}
-        except OSError:
-            continue
+    for pid in alive(folder_of_test):
+        with contextlib.suppress(OSError):
+            inodes |= {os.readlink(path) for path in Path(f"/proc/{pid}/fd").iterdir()}
     rows = [
         line.split()
         for name in ("tcp", "tcp6")
@@ -208,27 +214,32 @@ def _told(pool: Pool, content: Path, out: Path) -> list[object]:
 def test_nothing_of_a_local_ray_outlives_its_driver(
     tmp_path: Path, number: signal.Signals, figure: Callable[[str], None]
 ) -> None:
-    mark = f"TWINCT_POOL_TEST={secrets.token_hex(8)}"
     driver = subprocess.Popen(
         [sys.executable, str(HERE / "driver.py"), str(tmp_path)],
         stderr=subprocess.DEVNULL,
         start_new_session=True,
-        env=os.environ | {"TWINCT_POOL_TEST": mark.partition("=")[2]},
+        env=os.environ | {MARK: str(tmp_path)},
     )
-    until(lambda: len(list(tmp_path.glob("study/*/held-*"))) == 2 or bool(driver.poll()), 90.0)
-    assert len(alive(mark)) > 5
-    os.killpg(driver.pid, number)
-    begun = time.monotonic()
-    driver.wait()
-    until(lambda: not alive(mark), 8.0)
-    figure(f"{number.name}: no process left after {time.monotonic() - begun:.1f} s")
+    try:
+        held = Path("study").joinpath("*", "held-*")
+        until(lambda: len(list(tmp_path.glob(str(held)))) == 2 or driver.poll() is not None)
+        assert len(alive(tmp_path)) > 5
+        os.killpg(driver.pid, number)
+        patience = Patience()
+        driver.wait(HANG_S)
+        until(lambda: not alive(tmp_path))
+        figure(f"{number.name}: no process left after {HANG_S - patience.left_s:.1f} s")
+    finally:
+        for pid in alive(tmp_path):
+            os.kill(pid, signal.SIGKILL)
+        driver.wait()
 
 
 @pytest.fixture
 def cluster(tmp_path: Path, monkeypatch) -> Iterator[tuple[str, Callable[[str], None], int]]:
     """Address, what steers it, and its process group: a process of its own."""
     monkeypatch.setenv("RAY_AUTH_MODE", "token")
-    monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
+    monkeypatch.setenv("RAY_AUTH_TOKEN", hashlib.sha256(str(tmp_path).encode()).hexdigest())
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     process = subprocess.Popen(
         [sys.executable, str(HERE / "simulated.py"), str(tmp_path)],
@@ -258,39 +269,54 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
     cluster, tmp_path: Path, content: Path
 ) -> None:
     address, steer, group = cluster
-    with RayPool(address, name="study") as pool:
+    with (
+        jobs.gate_at(tmp_path / "read") as reading,
+        jobs.gate_at(tmp_path / "write") as writing,
+        jobs.gate_at(tmp_path / "lose") as losing,
+        jobs.gate_at(tmp_path / "again") as again,
+        jobs.gate_at(tmp_path / "last") as last,
+        RayPool(address, name="study") as pool,
+    ):
         assert pool.slots == 2
         pool.offer("folder", content)
         for key in "abcd":
             pool.submit(Work(key, jobs.read, "folder", inputs=("folder",)))
-            pool.submit(Work(f"wait {key}", jobs.interval, 1.0))
+            pool.submit(_at(reading, f"wait {key}"))
+        until(lambda: len(reading.come) == 2)  # one on each node
+        reading.open()
         done = [event.value for event in finish(pool).values() if isinstance(event, Done)]
-        read = {path: text for path, text in done if text == "content"}
-        assert len(done) == 8 and set(read) <= {
+        read = {value[0] for value in done if value != 2}
+        assert len(done) == 8 and read <= {
             str(p.parent) for p in tmp_path.glob("*/study/*/inputs/*/content/a.txt")
         }
 
         for key in "wxyz":
-            pool.submit(Work(key, jobs.write, key))
+            pool.submit(Work(key, jobs.gated, (writing, key, jobs.write, key)))
+        until(lambda: len(writing.come) == 2)
+        writing.open()
         written = finish(pool)
         assert list(tmp_path.glob("second/study/*/made-*"))
         for key in ("one", "two"):
-            pool.submit(Work(key, jobs.hold, 5.0))
-        until(lambda: len(list(tmp_path.glob("*/study/*/held-*"))) == 2, 10.0)
+            pool.submit(_at(losing, key))
+        until(lambda: len(losing.come) == 2)
         steer("remove")
-        events = finish(pool)
-        (lost,) = [event for event in events.values() if isinstance(event, Died)]
-        assert not lost.blamed and lost.how == "its node was lost"
+        (lost,) = pool.wait(HANG_S)
+        assert isinstance(lost, Died) and not lost.blamed and lost.how == "its node was lost"
+        losing.open()
+        assert [isinstance(event, Done) for event in finish(pool).values()] == [True]
         for key, event in written.items():
             assert isinstance(event, Done)
             event.parcels["folder"].save(tmp_path / key)
             assert (tmp_path / key / "deep" / "a.txt").read_text() == key
         steer("add")
-        until(lambda: pool.slots == 2, 30.0)  # a dead node counts until it is missed
-        works = [Work(key, jobs.interval, 1.0) for key in "abcd"]
-        assert sum(isinstance(event, Done) for event in each(pool, works)) == 4
+        until(lambda: pool.slots == 2)  # a dead node counts until it is missed
+        for key in "abcd":
+            pool.submit(_at(again, key))
+        until(lambda: len(again.come) == 2)  # the new node works, too
+        again.open()
+        assert [isinstance(event, Done) for event in finish(pool).values()] == 4 * [True]
 
-        pool.submit(Work("busy", jobs.interval, 60.0))
+        pool.submit(_at(last, "busy"))
         os.killpg(group, signal.SIGKILL)
         with pytest.raises(LinkError, match="does not answer"):
             list(each(pool, [Work("late", jobs.double, 1)]))

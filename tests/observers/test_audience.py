@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from waiting import HANG_S, until
 
 from twinct.geometry import VolumeGrid
 from twinct.observers import (
@@ -23,6 +24,11 @@ from twinct.observers import (
     audience_of,
 )
 from twinct.volume import Volume
+
+
+@pytest.fixture(autouse=True)
+def _last_words_take_as_long_as_they_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(audience, "LAST_WORDS_S", HANG_S)
 
 
 def said(text: str) -> Said:
@@ -64,10 +70,12 @@ def test_one_that_raises_is_logged_once_and_told_no_more(
         raise RuntimeError("no such screen")
 
     with caplog.at_level(logging.ERROR), audience_of([broken, heard.append]) as told:
-        for k in range(5):
+        told.say("0")
+        told._seats[0]._thread.join(HANG_S)  # it has raised
+        for k in range(1, 5):
             told.say(str(k))
-            time.sleep(0.01)
         assert told.wants(Said)
+        assert not told._seats[0]._queue
     assert len(calls) == 1
     assert [e.text for e in heard] == list("01234")
     assert [r.getMessage() for r in caplog.records] == [
@@ -77,16 +85,16 @@ def test_one_that_raises_is_logged_once_and_told_no_more(
 
 
 def test_a_slow_one_holds_up_nobody_and_is_told_what_it_missed() -> None:
-    go, heard, quick = threading.Event(), [], []
+    began, go, heard, quick = threading.Event(), threading.Event(), [], []
 
     def slow(event: Event) -> None:
+        began.set()
         go.wait()
         heard.append(event)
 
     with audience_of([Observer(slow, (Said,), waiting=3), quick.append]) as told:
         told.say("first")
-        while not told._seats[0]._thread.is_alive() or told._seats[0]._queue:
-            time.sleep(0.001)
+        assert began.wait(HANG_S)
         for k in range(10):
             told.say(str(k))
         go.set()
@@ -94,42 +102,61 @@ def test_a_slow_one_holds_up_nobody_and_is_told_what_it_missed() -> None:
     assert heard == [said("first"), Missed({"Said": 7}, ()), *map(said, "789")]
 
 
-def test_the_end_waits_for_a_slow_one_but_not_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(audience, "LAST_WORDS_S", 0.05)
+def test_the_end_waits_for_a_slow_one() -> None:
     heard: list[Event] = []
-    never = threading.Event()
 
     def slow(event: Event) -> None:
+        until(lambda: told._seats[0]._ending, "the end of the run")
         heard.append(event)
-        never.wait(1.0 if isinstance(event, Missed) else 0.2)
 
-    def dead(event: Event) -> None:
-        never.wait()
-
-    start = time.monotonic()
-    with audience_of([slow, dead]) as told:
+    with audience_of([slow]) as told:
         for k in range(100):
             told.say(str(k))
-    assert time.monotonic() - start < 5
-    time.sleep(0.3)
+    assert heard == [said(str(k)) for k in range(100)]
+
+
+def test_the_end_waits_for_a_slow_one_but_not_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    began, never, heard = threading.Event(), threading.Event(), []
+    times = iter([0.0, 2 * HANG_S])  # the end begins; the first of its two waits is over
+
+    def slow(event: Event) -> None:
+        began.set()
+        if not isinstance(event, Missed):
+            seat = told._seats[0]
+            until(lambda: seat._ending and not seat._queue, "leaving out what it has not heard")
+        heard.append(event)
+
+    with monkeypatch.context() as patch, audience_of([slow]) as told:
+        patch.setattr(audience, "time", SimpleNamespace(monotonic=lambda: next(times)))
+        told.say("0")
+        assert began.wait(HANG_S)
+        for k in range(1, 100):
+            told.say(str(k))
+    assert heard == [said("0"), Missed({"Said": 99}, ())]
+
+    monkeypatch.setattr(audience, "LAST_WORDS_S", 0.0)
+    with audience_of([lambda event: never.wait()]) as told:
+        told.say("0")
+    assert told._seats[0]._thread.is_alive()  # and the end has come all the same
     never.set()
-    assert heard[0] == said("0")
-    assert heard[-1] == Missed({"Said": 99}, ())
 
 
 def test_a_lossless_one_makes_the_run_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(audience, "LAST_WORDS_S", 0.001)
+    monkeypatch.setattr(audience, "LAST_WORDS_S", 0.0)
     heard: list[Event] = []
+    ahead: list[int] = []
 
     def slow(event: Event) -> None:
-        time.sleep(0.002)
+        seat = told._seats[0]
+        until(lambda: len(seat._queue) >= 2 or seat._ending, "the run has said as much as it can")
         heard.append(event)
 
     with audience_of([Observer(slow, waiting=2, lossless=True)]) as told:
         for k in range(20):
             told.say(str(k))
-        assert len(heard) > 10
+            ahead.append(k - len(heard))
     assert [e.text for e in heard] == [str(k) for k in range(20)]
+    assert max(ahead) <= 2  # besides the one that is being heard
 
 
 def test_joints_come_at_the_rate_that_is_asked_for() -> None:
@@ -145,17 +172,17 @@ def test_joints_come_at_the_rate_that_is_asked_for() -> None:
 
 
 def test_of_volumes_only_the_newest_waits() -> None:
-    go, heard = threading.Event(), []
+    began, go, heard = threading.Event(), threading.Event(), []
     grid = VolumeGrid((2, 2, 2), 1.0)
 
     def slow(event: Event) -> None:
+        began.set()
         go.wait()
         heard.append(event)
 
     with audience_of([slow]) as told:
         told.say("first")
-        while told._seats[0]._queue:
-            time.sleep(0.001)
+        assert began.wait(HANG_S)
         for k in range(1, 5):
             volume = Volume(np.full((2, 2, 2), k, np.float32), grid)
             told.tell(IterationDone("sart", "believed", k, 4, 0.0, volume))

@@ -12,5 +12,5 @@ from twinct.pool import LocalPool, Work
 if __name__ == "__main__":
     with LocalPool(Path(sys.argv[1]), workers=2) as pool:
         for key in "abc":
-            pool.submit(Work(key, hold, 60.0))
+            pool.submit(Work(key, hold, None))
         pool.wait()

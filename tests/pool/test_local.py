@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pool_jobs as jobs
 import pytest
+from waiting import HANG_S, Patience, until
 
 from twinct.errors import InputError, MemoryShortageError
 from twinct.pool import Died, Done, Event, Failed, LocalPool, Work
@@ -32,11 +33,15 @@ def finish(pool: LocalPool) -> dict[str, Event]:
     return events
 
 
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
+@contextlib.contextmanager
+def ended_at_last(*numbers: int) -> Iterator[None]:
+    """Processes that are no children of this one are killed, whatever comes of the test."""
+    try:
+        yield
+    finally:
+        for pid in numbers:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
 
 
 def gone(pid: int) -> bool:
@@ -51,8 +56,8 @@ def gone(pid: int) -> bool:
 def test_workers_are_few_warm_bounded_and_work_in_their_main_thread(
     pool: LocalPool, tmp_path: Path
 ) -> None:
-    for key in range(6):
-        pool.submit(Work(str(key), jobs.who, 0.05))
+    for key in range(6):  # the pool hears of an end in wait() alone: the second has its own worker
+        pool.submit(Work(str(key), jobs.who, None))
     said = [event.value for event in finish(pool).values() if isinstance(event, Done)]
     assert len(said) == 6
     assert len({s["process"] for s in said}) == 2
@@ -68,23 +73,29 @@ def test_workers_are_few_warm_bounded_and_work_in_their_main_thread(
 def test_three_gigabytes_each_of_eight_are_never_more_than_two(tmp_path: Path) -> None:
     with LocalPool(tmp_path, workers=4, memory_bytes=8 * GIB) as pool:
         for key in range(6):
-            pool.submit(Work(str(key), jobs.interval, 0.1, memory_bytes=3 * GIB))
-        spans = [e.value for e in finish(pool).values() if isinstance(e, Done)]
-    most = max(sum(a <= begun < b for a, b in spans) for begun, _ in spans)
-    assert len(spans) == 6 and most == 2
+            pool.submit(Work(str(key), jobs.who, None, memory_bytes=3 * GIB))
+        said = [e.value for e in finish(pool).values() if isinstance(e, Done)]
+    # A worker is started whenever there is work that may start, and none is free.
+    assert len(said) == 6 and len({s["process"] for s in said}) == 2
 
 
 @pytest.mark.process
 def test_small_work_passes_what_waits_for_memory_but_not_for_ever(tmp_path: Path) -> None:
-    with LocalPool(tmp_path, workers=2, memory_bytes=4) as pool:
-        pool.submit(Work("first", jobs.interval, 0.3, memory_bytes=3))
-        pool.submit(Work("big", jobs.interval, 0.0, memory_bytes=4))
+    with (
+        jobs.gate_at(tmp_path / "gate") as gate,
+        LocalPool(tmp_path / "node", workers=2, memory_bytes=4) as pool,
+    ):
+        pool.submit(Work("first", jobs.gated, (gate, "first", jobs.double, 1), memory_bytes=3))
+        pool.submit(Work("big", jobs.double, 1, memory_bytes=4))
         for key in range(40):
-            pool.submit(Work(str(key), jobs.interval, 0.0, memory_bytes=1))
-        begun = {key: e.value[0] for key, e in finish(pool).items() if isinstance(e, Done)}
-    order = sorted(begun, key=begun.__getitem__)
-    assert len(order) == 42
-    assert 1 <= order.index("big") - 1 <= 16
+            pool.submit(Work(str(key), jobs.double, 1, memory_bytes=1))
+        passed: list[str] = []
+        while len(passed) < 16:
+            passed += [event.key for event in pool.wait(HANG_S)] or pytest.fail("nothing passes")
+        gate.open()
+        order = [*passed, *finish(pool)]
+    # One at a time passes beside the first, so that they end in the order in which they began.
+    assert order[:18] == [*map(str, range(16)), "first", "big"] and len(order) == 42
 
 
 @pytest.mark.process
@@ -136,9 +147,11 @@ def test_a_death_is_told_with_its_signal_and_the_next_work_is_done(
 @pytest.mark.process
 def test_what_a_dead_worker_started_ends_with_it(pool: LocalPool, tmp_path: Path) -> None:
     pool.submit(Work("leaves", jobs.leave, tmp_path / "child"))
-    assert finish(pool)["leaves"] == Died("leaves", "its worker ended with code 7")
+    events = finish(pool)
     child = int((tmp_path / "child").read_text())
-    until(lambda: gone(child))
+    with ended_at_last(child):
+        assert events["leaves"] == Died("leaves", "its worker ended with code 7")
+        until(lambda: gone(child))
 
 
 @pytest.mark.process
@@ -153,15 +166,18 @@ def test_workers_that_hold_the_interpreter_end_with_their_driver(
         start_new_session=True,
         text=True,
     )
-    until(lambda: len(list(tmp_path.glob("held-*"))) == 2)
-    held = list(tmp_path.glob("held-*"))
-    processes = [int(p.name.partition("-")[2]) for p in held] + [int(p.read_text()) for p in held]
-    assert not any(gone(pid) for pid in processes)
-    os.killpg(driver.pid, number)
-    begun = time.monotonic()
-    until(lambda: all(gone(pid) for pid in processes), 10.0)
-    figure(f"{number.name}: no process left after {time.monotonic() - begun:.2f} s")
-    assert driver.wait() == -number
+    with driver, ended_at_last(driver.pid):
+        until(lambda: len(list(tmp_path.glob("held-*"))) == 2 or driver.poll() is not None)
+        held = list(tmp_path.glob("held-*"))
+        workers = [int(path.name.partition("-")[2]) for path in held]
+        processes = [*workers, *(int(path.read_text()) for path in held)]
+        with ended_at_last(*processes):
+            assert len(processes) == 4 and not any(gone(pid) for pid in processes)
+            os.killpg(driver.pid, number)
+            patience = Patience()
+            until(lambda: all(gone(pid) for pid in processes))
+            figure(f"{number.name}: no process left after {HANG_S - patience.left_s:.2f} s")
+            assert driver.wait(HANG_S) == -number
 
 
 @pytest.mark.process
@@ -183,7 +199,7 @@ def test_a_lifeline_that_was_cut_before_is_noticed(tmp_path: Path, held: bool) -
 
 @pytest.mark.process
 def test_close_ends_busy_workers_and_clears_the_folder(pool: LocalPool, tmp_path: Path) -> None:
-    pool.submit(Work("busy", jobs.hold, 60.0))
+    pool.submit(Work("busy", jobs.hold, None))
     until(lambda: bool(list(pool.folder.glob("held-*"))))
     worker = int(next(pool.folder.glob("held-*")).name.partition("-")[2])
     pool.close(clear=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -101,9 +102,10 @@ def test_real_deaths_are_tried_again_three_times(tmp_path: Path) -> None:
 @pytest.mark.process
 def test_a_map_keeps_the_order_and_raises_what_failed(tmp_path: Path) -> None:
     with LocalPool(tmp_path, workers=2, memory_bytes=GIB) as pool:
-        delays = [0.2, 0.0, 0.1, 0.0, 0.0]
-        spans = list(map_over(jobs.interval, delays, pool=pool))
-        assert [round(b - a, 1) for a, b in spans] == delays
+        os.mkfifo(pipe := tmp_path / "pipe")
+        modes = ["r", "", "", "", "w"]  # the first ends when the last has begun
+        calls = [(pipe, mode, number) for number, mode in enumerate(modes)]
+        assert list(map_over(jobs.meet, calls, pool=pool)) == [0, 1, 2, 3, 4]
         unread = map_over(jobs.double, range(100), pool=pool)
         assert [next(unread) for _ in range(3)] == [0, 2, 4]
         assert list(map_over(jobs.double, ["a", "b"], pool=pool)) == ["aa", "bb"]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
+from waiting import HANG_S, Patience, until
 
 from twinct.ros.environment import Domain
 from twinct.scan import Workshop
@@ -19,6 +21,10 @@ from twinct.scenario import Scenario, load_scenario
 from twinct.views import Target
 
 HERE = Path(__file__).parent
+LOOK_S = 0.05
+"""Discovery wakes nobody who spins, so it is looked at this often."""
+AGAIN_S = 2.0
+"""Who gets no answer for so long asks again."""
 SCENARIO = HERE.parents[1] / "scenarios" / "demo.yaml"
 BALL = "specimen.parts=[{name: ball, shape: {kind: sphere, radius_mm: 60}, material: bone}]"
 TINY = [
@@ -67,10 +73,17 @@ def fakes() -> ModuleType:
 
 
 class Notes:
-    """What the tiny engines of all processes did, and how they are slowed down."""
+    """What the tiny engines of all processes did, and what they are told to do."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+
+    @contextmanager
+    def for_nodes(self) -> Iterator[None]:
+        """Give these notes to the nodes that start meanwhile."""
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("FAKE_NOTES", str(self.folder))
+            yield
 
     def count(self, what: str) -> int:
         """How often they worked: ``move`` or ``render``."""
@@ -78,19 +91,42 @@ class Notes:
         return len(file.read_text().splitlines()) if file.exists() else 0
 
     def tell(self, what: str, number: float) -> None:
-        """``render_s``, ``one_pixel`` or ``short_arm``; 0 for as usual."""
+        """``one_pixel`` or ``short_arm``; 0 for as usual."""
         (self.folder / what).write_text(str(number))
 
-    def render_takes(self, seconds: float) -> None:
-        self.tell("render_s", seconds)
+    @contextmanager
+    def renders_held(self, first: int = 0) -> Iterator[None]:
+        """No image from a first view on is finished meanwhile; it counts once it has begun."""
+        draft, gate = self.folder / "new_gate", self.folder / "gate"
+        with draft.open("w") as held:
+            fcntl.flock(held, fcntl.LOCK_EX)  # a render waits for this lock
+            held.write(str(first))
+            held.flush()
+            draft.replace(gate)
+            try:
+                yield
+            finally:
+                gate.unlink()
+
+
+@pytest.fixture
+def notes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Notes]:
+    """Of the nodes that this test starts."""
+    own = Notes(tmp_path_factory.mktemp("notes"))
+    with own.for_nodes():
+        yield own
 
 
 @pytest.fixture(scope="module")
-def notes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Notes]:
-    folder = tmp_path_factory.mktemp("notes")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FAKE_NOTES", str(folder))
-        yield Notes(folder)
+def lasting_notes(tmp_path_factory: pytest.TempPathFactory) -> Notes:
+    """For nodes that several tests share."""
+    return Notes(tmp_path_factory.mktemp("notes"))
+
+
+@pytest.fixture
+def asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However slow the machine is, no rig asks again: nothing is said twice."""
+    monkeypatch.setattr("twinct.ros.rig.FIRST_REPEAT_S", HANG_S)
 
 
 @pytest.fixture
@@ -122,39 +158,53 @@ class Foreign:
         self.executor.add_node(self.node)
         self.heard: dict[str, list[Any]] = {}
 
-    def listen(self, topic: str, kind: Any) -> list[Any]:
+    def listen(self, topic: str, kind: Any, *, latched: bool = True) -> list[Any]:
+        """What is heard of a topic: all that it keeps too, or, as rclpy's default is, only the new.
+
+        Only with the first nothing is missed until both nodes have discovered each other.
+        """
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
         messages = self.heard.setdefault(topic, [])
-        self.node.create_subscription(kind, topic, messages.append, 10)
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=1000, durability=durability)
+        self.node.create_subscription(kind, topic, messages.append, qos)
         return messages
 
     def publisher(self, topic: str, kind: Any) -> Any:
         return self.node.create_publisher(kind, topic, 10)
 
-    def until(self, done: Callable[[], object], timeout_s: float = 20.0) -> None:
-        deadline = time.monotonic() + timeout_s
+    def until(self, done: Callable[[], object], event: str = "what the test waits for") -> None:
+        """Handle what comes in until a condition holds."""
+        patience = Patience()
         while not done():
-            assert time.monotonic() < deadline, f"nothing within {timeout_s} s"
-            self.executor.spin_once(timeout_sec=0.1)
+            patience.check(event)
+            self.executor.spin_once(timeout_sec=LOOK_S)
 
-    def ask(
-        self, out: Any, message: Any, done: Callable[[], object], timeout_s: float = 20.0
-    ) -> None:
-        """Publish until there is an answer: nodes that discover each other may miss the first."""
-        last = 0.0
+    def ask(self, send: Callable[[], object], done: Callable[[], object]) -> None:
+        """Send until there is an answer: nodes that discover each other may miss the first."""
+        send()
+        again = self.node.create_timer(AGAIN_S, send)
+        self.until(done, "an answer")
+        self.node.destroy_timer(again)
 
-        def asked_and_done() -> object:
-            nonlocal last
-            if time.monotonic() > last + 2.0:
-                last = time.monotonic()
-                out.publish(message)
-            return done()
+    def call(self, client: Any, request: Any) -> Any:
+        """What a service answers: the same each time, for it may be asked more than once."""
+        self.until(client.service_is_ready, "a service")
+        sent: list[Any] = []
+        self.ask(
+            lambda: sent.append(client.call_async(request)),
+            lambda: any(future.done() for future in sent),
+        )
+        return next(future for future in sent if future.done()).result()
 
-        self.until(asked_and_done, timeout_s)
+    @staticmethod
+    def delivered(*publishers: Any) -> None:
+        """Wait until all subscriptions that these have matched hold what was published."""
+        from rclpy.duration import Duration
 
-    def stay(self, seconds: float) -> None:
-        deadline = time.monotonic() + seconds
-        while (left := deadline - time.monotonic()) > 0:
-            self.executor.spin_once(timeout_sec=left)
+        for publisher in publishers:
+            assert publisher.wait_for_all_acked(Duration(seconds=HANG_S)), publisher.topic_name
 
     def close(self) -> None:
         self.executor.shutdown()
@@ -218,22 +268,24 @@ def said() -> Said:
 
 
 @pytest.fixture
-def gone() -> Callable[..., bool]:
-    """Whether processes end within some seconds; what waits for its parent to look has ended."""
+def ended() -> Callable[[int], bool]:
+    """Whether a process has ended; one that only waits for its parent to look has."""
 
-    def ended(pid: int) -> bool:
+    def has_ended(pid: int) -> bool:
         try:
             stat = Path(f"/proc/{pid}/stat").read_text()
         except (FileNotFoundError, ProcessLookupError):
             return True
         return stat.rpartition(")")[2].split()[0] == "Z"
 
-    def wait(pids: list[int], within_s: float) -> bool:
-        deadline = time.monotonic() + within_s
-        while not all(ended(pid) for pid in pids):
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(0.02)
-        return True
+    return has_ended
+
+
+@pytest.fixture
+def wait_for_end(ended: Callable[[int], bool]) -> Callable[[list[int]], None]:
+    """Waits until all of some processes have ended."""
+
+    def wait(pids: list[int]) -> None:
+        until(lambda: all(map(ended, pids)), f"the end of the processes {pids}")
 
     return wait

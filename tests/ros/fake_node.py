@@ -1,9 +1,9 @@
 """``python fake_node.py {robots,xray} SCENARIO ...``: a node of a scan around a tiny engine."""
 
+import fcntl
 import json
 import os
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +77,7 @@ class FakeImager:
     def expose(self, path, view=0, before=None):
         geometry, world_from_object = path[0]
         _note("render", geometry.source[0].tolist())
-        time.sleep(_told("render_s"))
+        _wait_at_gate(view)
         poses = (geometry.source, geometry.detector, geometry.u, world_from_object.position)
         scale = sum(float(numbers.sum()) for numbers in poses)
         pixels = np.arange(np.prod(self.shape), dtype=np.float64) * scale
@@ -94,6 +94,18 @@ def _told(what):
     return float(file.read_text()) if file.exists() else 0
 
 
+def _wait_at_gate(view):
+    """Take no image, from a first view on, while a test holds the gate: ``Notes.renders_held``."""
+    gate = Path(os.environ.get("FAKE_NOTES", "/nowhere")) / "gate"
+    try:
+        held = gate.open()
+    except FileNotFoundError:
+        return
+    with held:
+        if view >= int(held.read()):
+            fcntl.flock(held, fcntl.LOCK_SH)
+
+
 def _note(what, value):
     """Keep count of the work done, where a test asks for it."""
     if folder := os.environ.get("FAKE_NOTES"):
@@ -102,8 +114,10 @@ def _note(what, value):
 
 
 if __name__ == "__main__":
+    from twinct.ros import pulse
     from twinct.ros.__main__ import main
 
+    pulse.SILENCE_S = float(os.environ.get("FAKE_SILENCE_S", pulse.SILENCE_S))
     sys.exit(
         main(
             build_robots=lambda scenario: FakeRobots(),

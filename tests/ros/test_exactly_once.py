@@ -2,16 +2,16 @@
 
 import os
 import sys
-import time
 from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
+from waiting import HANG_S, until
 
 from twinct.errors import LinkError, TargetRefusedError
 from twinct.ros import RosRig
@@ -26,6 +26,7 @@ from twinct.ros.messages import (
 from twinct.ros.node import Ledger, RefusedError
 from twinct.ros.processes import NodeProcess
 from twinct.ros.robots_node import Turns
+from twinct.ros.senders import participant_of
 from twinct.ros.topics import IMAGE
 from twinct.scan import Workshop
 from twinct.views import Target
@@ -58,11 +59,14 @@ def elsewhere(target):
 
 def home(somebody):
     """What the service answers to a node that asks for it."""
-    client = somebody.node.create_client(Trigger, "/scan/home")
-    somebody.until(client.service_is_ready)
-    future = client.call_async(Trigger.Request())
-    somebody.until(future.done)
-    return future.result()
+    return somebody.call(somebody.node.create_client(Trigger, "/scan/home"), Trigger.Request())
+
+
+def ends_well(process):
+    """Whether a node that is told to end does so by itself."""
+    process.request_stop()
+    until(lambda: process.exit_code is not None)
+    assert process.exit_code == 0, process.describe_end()
 
 
 @pytest.fixture
@@ -129,21 +133,15 @@ def test_turns_let_only_the_next_view_of_the_scan_pass(scenario, targets):
 class Disturbed:
     """A running scan, and a stranger on its domain."""
 
-    def __init__(self, rig, stranger, targets):
-        self.rig, self.stranger, self.targets = rig, stranger, targets
+    def __init__(self, rig, stranger, targets, notes):
+        self.rig, self.stranger, self.targets, self.notes = rig, stranger, targets, notes
         self.out = stranger.publisher("/scan/target", PoseArray)
         self.diagnostics = stranger.listen("/diagnostics", DiagnosticArray)
         self.reached = stranger.listen("/scan/reached", PoseArray)
         self.images = stranger.listen("/xray/image", Image)
         self.joints = stranger.listen("/joint_states", JointState)
         self.views = stranger.listen("/scan/views", TimeReference)
-        self.clock = stranger.listen("/clock", Clock)
-        stranger.until(
-            lambda: (
-                self.out.get_subscription_count()
-                and all(stranger.node.count_publishers(topic) for topic in stranger.heard)
-            )
-        )
+        stranger.until(self.out.get_subscription_count)
         self.next = 0
 
     def take(self):
@@ -155,70 +153,110 @@ class Disturbed:
     def shout(self, view, target):
         self.out.publish(target_message(self.rig.epoch.at(view), target))
 
+    def refusals(self):
+        """What the stranger was refused."""
+        me = participant_of(self.out)
+        return [error for error in errors(self.diagnostics) if error.get("asked_by") == me]
+
+    @property
+    def worked_once(self):
+        """Whether each view was reached once, and imaged once."""
+        return self.notes.count("move") == self.notes.count("render") == self.next
+
 
 @pytest.fixture(scope="module")
-def disturbed(scenario, targets, fake_command, foreign, notes):
-    with closing(RosRig(scenario, node_command=fake_command)) as rig:
-        yield Disturbed(rig, foreign(rig.domain_id), targets)
+def disturbed(scenario, targets, fake_command, foreign, lasting_notes):
+    with pytest.MonkeyPatch.context() as patch:
+        # However slow the machine is, the rig does not ask again.
+        patch.setattr("twinct.ros.rig.FIRST_REPEAT_S", HANG_S)
+        with lasting_notes.for_nodes():
+            rig = RosRig(scenario, node_command=fake_command)
+        with closing(rig):
+            yield Disturbed(rig, foreign(rig.domain_id), targets, lasting_notes)
 
 
-def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets, notes):
+def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets):
     stranger, epoch = disturbed.stranger, disturbed.rig.epoch
-    _, first, _ = disturbed.take()
+    v, first, _ = disturbed.take()
 
-    disturbed.out.publish(target_message(Stamp(17, 0), elsewhere(targets[1])))
-    disturbed.shout(1, elsewhere(targets[1]))
-    disturbed.shout(0, elsewhere(targets[0]))
-    disturbed.shout(3, targets[3])
-    stranger.until(lambda: len(errors(disturbed.diagnostics)) >= 4)
+    disturbed.out.publish(target_message(Stamp(17, 0), elsewhere(targets[v + 1])))
+    disturbed.shout(v + 1, elsewhere(targets[v + 1]))
+    disturbed.shout(v, elsewhere(targets[v]))
+    disturbed.shout(v + 3, targets[v + 3])
+    stranger.until(lambda: len(disturbed.refusals()) >= 4)
     for _ in range(3):
         disturbed.take()
-    stranger.until(lambda: len(disturbed.images) >= 4 and len(disturbed.joints) >= 8)
 
-    found = errors(disturbed.diagnostics)
-    assert [error["view"] for error in found] == ["", "1", "0", "3"]
+    found = disturbed.refusals()
+    assert [error["view"] for error in found] == ["", str(v + 1), str(v), str(v + 3)]
     for error, part in zip(
-        found, ["its stamps", "has others", "used before", "view 1 comes next"], strict=True
+        found,
+        ["its stamps", "has others", "used before", f"view {v + 1} comes next"],
+        strict=True,
     ):
         assert part in error["reason"]
-    expected = [taken(view + 1) for view in range(4)]
-    assert views_of(disturbed.views) == {epoch.at(v): expected[v] for v in range(4)}
-    assert [message.source for message in disturbed.views] == [f"view {v}" for v in range(4)]
-    for messages in (disturbed.reached, disturbed.images, disturbed.joints[1::2]):
+
+    def told(messages):
+        """Since this test began."""
+        return [m for m in messages if Stamp.of(m.header.stamp) > taken(v)]
+
+    views = range(v, v + 4)
+    each = (disturbed.reached, disturbed.images, disturbed.views)
+    stranger.until(
+        lambda: all(len(told(m)) >= 4 for m in each) and len(told(disturbed.joints)) >= 8
+    )
+    expected = [taken(view + 1) for view in views]
+    assert views_of(told(disturbed.views)) == {
+        epoch.at(view): when for view, when in zip(views, expected, strict=True)
+    }
+    assert [message.source for message in told(disturbed.views)] == [f"view {v}" for v in views]
+    for messages in (*map(told, each), told(disturbed.joints)[1::2]):
         assert [Stamp.of(message.header.stamp) for message in messages] == expected
-    assert executed_of(disturbed.reached[0]).view == first.executed
-    assert notes.count("move") == notes.count("render") == disturbed.next
+    assert executed_of(told(disturbed.reached)[0]).view == first.executed
+    assert disturbed.worked_once
 
 
-def test_a_repeated_target_is_answered_from_memory(disturbed, targets, notes):
+def test_a_repeated_target_is_answered_from_memory(disturbed, targets):
     view, _, image = disturbed.take()
-    disturbed.stranger.stay(0.3)
-    before = len(disturbed.images)
+
+    def heard():
+        return [m for m in disturbed.images if Stamp.of(m.header.stamp) == taken(view + 1)]
+
+    disturbed.stranger.until(heard)
     for _ in range(3):
         disturbed.shout(view, targets[view])
-    disturbed.stranger.until(lambda: len(disturbed.images) >= before + 3)
+    disturbed.stranger.until(lambda: len(heard()) >= 4)
     disturbed.take()
-    for message in disturbed.images[before : before + 3]:
+    for message in heard():
         assert image_of(message).tobytes() == image.tobytes()
-    assert notes.count("move") == notes.count("render") == disturbed.next
+    assert disturbed.worked_once
 
 
-def test_the_rig_asks_again_when_an_answer_is_lost(disturbed, targets, notes, monkeypatch):
-    view = disturbed.next
+def test_the_rig_asks_again_when_an_answer_is_lost(disturbed, targets, monkeypatch):
+    view, rig = disturbed.next, disturbed.rig
     disturbed.next += 1
-    notes.render_takes(0.5)
-    disturbed.rig.move(view, targets[view])
-    keep, lost = disturbed.rig._keep, []
-    monkeypatch.setattr(
-        disturbed.rig,
-        "_keep",
-        lambda topic, *what: keep(topic, *what) if lost else lost.append(topic),
-    )
-    start = time.monotonic()
-    disturbed.rig.expose(view)
-    notes.render_takes(0)
-    assert lost == [IMAGE] and time.monotonic() - start > 1.0
-    assert notes.count("move") == notes.count("render") == disturbed.next
+    keep, ask, lost, asked = rig._keep, rig._target.publish, [], []
+
+    def lossy(topic, *what):
+        """Lose the image until the rig has asked again."""
+        if topic == IMAGE and not asked:
+            lost.append(topic)
+        else:
+            keep(topic, *what)
+
+    def ask_again(message):
+        if lost:
+            asked.append(message)
+        ask(message)
+
+    with disturbed.notes.renders_held():
+        rig.move(view, targets[view])
+        monkeypatch.setattr(rig, "_keep", lossy)
+        monkeypatch.setattr(rig, "_target", SimpleNamespace(publish=ask_again))
+        monkeypatch.setattr("twinct.ros.rig.FIRST_REPEAT_S", 0.02)
+    rig.expose(view)
+    assert lost and asked
+    assert disturbed.worked_once
 
 
 def test_a_view_out_of_turn_is_refused_to_the_rig_too(disturbed, targets):
@@ -227,35 +265,41 @@ def test_a_view_out_of_turn_is_refused_to_the_rig_too(disturbed, targets):
     disturbed.take()
 
 
-def test_nobody_sends_the_arms_of_a_scan_home(disturbed, notes):
-    moves = notes.count("move")
+def test_nobody_sends_the_arms_of_a_scan_home(disturbed):
+    moves = disturbed.notes.count("move")
     answer = home(disturbed.stranger)
     assert not answer.success and answer.message.startswith("a scan is running")
-    assert notes.count("move") == moves
+    assert disturbed.notes.count("move") == moves
     disturbed.take()
 
 
-def test_an_answer_that_never_comes_is_an_error(disturbed, targets, notes, monkeypatch):
-    notes.render_takes(3)
-    monkeypatch.setattr(disturbed.rig, "_answer_s", 0.5)
-    disturbed.rig.move(disturbed.next, targets[disturbed.next])
-    with pytest.raises(LinkError, match="no image of view .* within"):
-        disturbed.rig.expose(disturbed.next)
-    notes.render_takes(0)
+def test_an_answer_that_never_comes_is_an_error(disturbed, targets):
+    view, rig = disturbed.next, disturbed.rig
+    disturbed.next += 1
+    with disturbed.notes.renders_held(), pytest.MonkeyPatch.context() as patch:
+        rig.move(view, targets[view])
+        patch.setattr(rig, "_answer_s", 0.0)
+        with pytest.raises(LinkError, match=f"no image of view {view} within"):
+            rig.expose(view)
+    rig.expose(view)
 
 
 def test_a_foreign_node_drives_the_standalone_nodes(
     targets, fake_command, foreign, domain, node, notes, fakes
 ):
-    moves, renders = notes.count("move"), notes.count("render")
     somebody = foreign(domain)
     out = somebody.publisher("/scan/target", PoseArray)
-    reached = somebody.listen("/scan/reached", PoseArray)
-    images = somebody.listen("/xray/image", Image)
-    cameras = somebody.listen("/xray/camera_info", CameraInfo)
-    states = somebody.listen("/scan/state", Float64MultiArray)
-    views = somebody.listen("/scan/views", TimeReference)
-    diagnostics = somebody.listen("/diagnostics", DiagnosticArray)
+
+    def listen(topic, kind):
+        """As a node does that knows of no other way: it may miss what is said before it is met."""
+        return somebody.listen(topic, kind, latched=False)
+
+    reached = listen("/scan/reached", PoseArray)
+    images = listen("/xray/image", Image)
+    cameras = listen("/xray/camera_info", CameraInfo)
+    states = listen("/scan/state", Float64MultiArray)
+    views = listen("/scan/views", TimeReference)
+    diagnostics = listen("/diagnostics", DiagnosticArray)
     nodes = [node(fake_command, "robots"), node(fake_command, "xray")]
     somebody.until(
         lambda: (
@@ -269,43 +313,48 @@ def test_a_foreign_node_drives_the_standalone_nodes(
         states.clear()
 
         def answered(stamp: Stamp = stamp) -> bool:  # an answer to one before may come late
-            told = {Stamp.of(m[-1].header.stamp) for m in (reached, images, cameras) if m}
-            return told == {views_of(views).get(stamp)} and bool(states)
+            each = (reached, images, cameras)
+            told = {Stamp.of(m[-1].header.stamp) for m in each if m}
+            return all((*each, states)) and told == {views_of(views).get(stamp)}
 
-        somebody.ask(out, target_message(stamp, target), answered)
+        message = target_message(stamp, target)
+        somebody.ask(lambda message=message: out.publish(message), answered)
         assert views_of(views)[stamp] == taken(view + 1) and views[-1].source == "target"
     far = Target((fakes.REFUSED_X_M + 1, *targets[0].source_m[1:]), targets[0].detector_m)
-    somebody.ask(out, target_message(Stamp(6, 0), far), lambda: errors(diagnostics))
+    refused = target_message(Stamp(6, 0), far)
+    somebody.ask(lambda: out.publish(refused), lambda: errors(diagnostics))
     assert errors(diagnostics)[0]["reason"] == "the source arm is too short"
     assert errors(diagnostics)[0]["stamp"] == "6.000000000"
     assert errors(diagnostics)[0]["arm"] == "source"
     notes.tell("short_arm", 1)
-    refused = home(somebody)
-    notes.tell("short_arm", 0)
-    assert (refused.success, refused.message) == (False, "the source arm is too short")
-    somebody.until(lambda: errors(diagnostics)[-1]["stamp"] == "0.000000000")
-    assert errors(diagnostics)[-1]["arm"] == "source"
+    answer = home(somebody)
+    assert (answer.success, answer.message) == (False, "the source arm is too short")
+
+    def of_home():
+        return [error for error in errors(diagnostics) if error["stamp"] == "0.000000000"]
+
+    somebody.until(of_home)
+    assert of_home()[0]["arm"] == "source"
     for process in nodes:
-        process.stop()
-        assert process.exit_code == 0, process.describe_end()
-    assert (notes.count("move"), notes.count("render")) == (moves + 4, renders + 4)
+        ends_well(process)
+    assert (notes.count("move"), notes.count("render")) == (4, 4)
 
 
 def test_a_late_x_ray_node_images_the_view_that_was_reached(
     targets, fake_command, foreign, domain, node, notes
 ):
-    renders = notes.count("render")
     somebody = foreign(domain)
     out = somebody.publisher("/scan/target", PoseArray)
     images = somebody.listen("/xray/image", Image)
     reached = somebody.listen("/scan/reached", PoseArray)
     node(fake_command, "robots")
-    somebody.until(lambda: out.get_subscription_count() >= 1)
-    somebody.ask(out, target_message(Stamp(5, 0), targets[0]), lambda: reached)
+    somebody.until(out.get_subscription_count)
+    out.publish(target_message(Stamp(5, 0), targets[0]))
+    somebody.until(lambda: reached)
     node(fake_command, "xray")
-    somebody.ask(out, target_message(Stamp(5, 0), targets[0]), lambda: images)
+    somebody.until(lambda: images)
     assert Stamp.of(images[0].header.stamp) == taken(1)
-    assert notes.count("render") == renders + 1
+    assert notes.count("render") == 1
 
 
 @pytest.mark.tutorial
@@ -317,13 +366,12 @@ def test_the_command_line_starts_the_real_nodes(short, foreign, domain, node):
     reached = somebody.listen("/scan/reached", PoseArray)
     command = (sys.executable, "-m", "twinct", "node")
     nodes = [node(command, "robots", short), node(command, "xray", short)]
-    somebody.until(lambda: out.get_subscription_count() >= 1, timeout_s=60)
+    somebody.until(out.get_subscription_count)
     message = target_message(Stamp(5, 0), targets[0])
-    somebody.ask(out, message, lambda: reached and images, timeout_s=60)
+    somebody.ask(lambda: out.publish(message), lambda: reached and images)
     source = executed_of(reached[0]).view.source_m[:3]
     asked = targets[0].source_m[:3]
     assert sum((a - b) ** 2 for a, b in zip(source, asked, strict=True)) ** 0.5 < 1.1e-3
     assert image_of(images[0]).min() < 0.9
     for process in nodes:
-        process.stop()
-        assert process.exit_code == 0, process.describe_end()
+        ends_well(process)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import HANG_S
 
 pytest.importorskip("rclpy")
 
@@ -15,7 +17,7 @@ from twinct.geometry import Pose
 from twinct.motion import MotionPlan
 from twinct.ros.messages import MalformedError, Stamp
 from twinct.ros.node import Diagnostics
-from twinct.ros.plan import PlanListener, plan_messages, plan_of, publish_plan
+from twinct.ros.plan import PARTS, PlanListener, plan_messages, plan_of, publish_plan
 from twinct.ros.senders import Members
 from twinct.ros.station import Station
 from twinct.ros.topics import COMMANDED, PLAN, PLAN_VIEWS, SCAN
@@ -81,6 +83,13 @@ def test_a_late_listener_takes_the_scans_plan_and_no_strangers(
     plan: MotionPlan, domain: int, tmp_path: Path
 ) -> None:
     taken: list[MotionPlan] = []
+    heard: list[object] = []
+
+    class Counting(PlanListener):
+        def _hear(self, *said: object) -> None:
+            super()._hear(*said)
+            heard.append(said)
+
     with (
         closing(Station(SCAN, domain)) as scan,
         closing(Station(SCAN, domain)) as stranger,
@@ -88,10 +97,8 @@ def test_a_late_listener_takes_the_scans_plan_and_no_strangers(
     ):
         members = Members(tmp_path)
         members.enter(SCAN, scan.participant)
-        publish_plan(stranger, STAMP, plan)
-        mine = Stamp(STAMP.sec, 8)
-        publish_plan(scan, mine, plan)
-        listener = PlanListener(robots, Diagnostics(robots), members, taken.append)
-        assert robots.wait(lambda: listener.taken, 20)
-        robots.wait(lambda: False, 0.5)
+        publish_plan(stranger, STAMP, replace(plan, time_s=plan.time_s + 1.0))
+        publish_plan(scan, Stamp(STAMP.sec, 8), plan)
+        Counting(robots, Diagnostics(robots), members, taken.append)
+        assert robots.wait(lambda: len(heard) == 2 * len(PARTS), HANG_S)
     assert [p.digest for p in taken] == [plan.digest]

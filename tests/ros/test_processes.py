@@ -4,11 +4,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
+from threading import Thread
+from types import SimpleNamespace
 
 import pytest
+from waiting import HANG_S, until
 
 from twinct.errors import InputError, LinkError
 from twinct.ros import RosRig
@@ -17,24 +19,22 @@ from twinct.scan import Workshop
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
-END_S = 20.0
-"""A couple of seconds, and some for a machine that others use too."""
 PARENT = Path(__file__).with_name("scan_parent.py")
+SILENCE_S = 2.0
+"""In place of six, where a process hangs."""
 
 
 class Scan:
     """A scan in a process of its own."""
 
-    def __init__(self, folder: Path, scenario, views: int) -> None:
+    def __init__(self, folder: Path, scenario) -> None:
         folder.mkdir()
         self.log_dir = folder / "logs"
         file = folder / "scenario.json"
-        long = scenario.model_dump(mode="json")
-        long["trajectory"]["views"] = max(views, 2)
-        file.write_text(type(scenario).model_validate(long).resolved())
+        file.write_text(scenario.resolved())
         self.process = subprocess.Popen(
             # A test started in the background of a script inherits SIGINT as ignored.
-            ["env", "--default-signal=INT", sys.executable, PARENT, file, self.log_dir, str(views)],
+            ["env", "--default-signal=INT", sys.executable, PARENT, file, self.log_dir],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -51,7 +51,7 @@ class Scan:
 
     def end(self) -> tuple[int, str]:
         """Exit code and what it complained about."""
-        _, complaint = self.process.communicate(timeout=30)
+        _, complaint = self.process.communicate(timeout=HANG_S)
         return self.process.returncode, complaint
 
 
@@ -59,8 +59,8 @@ class Scan:
 def scan(tmp_path, scenario, notes):
     made = []
 
-    def make(views=2000):
-        made.append(Scan(tmp_path / f"scan{len(made)}", scenario, views))
+    def make():
+        made.append(Scan(tmp_path / f"scan{len(made)}", scenario))
         return made[-1]
 
     yield make
@@ -69,79 +69,103 @@ def scan(tmp_path, scenario, notes):
         one.process.communicate()
 
 
+@pytest.fixture
+def hasty(monkeypatch):
+    """Nodes and their scan take a shorter silence for a hang."""
+    monkeypatch.setenv("FAKE_SILENCE_S", str(SILENCE_S))
+
+
 @pytest.mark.parametrize("victim", ["robots", "xray"])
-def test_a_node_that_dies_ends_the_scan(scan, gone, victim):
-    running = scan()
-    running.views(3)
-    os.kill(getattr(running, victim), signal.SIGKILL)
-    assert gone([running.pid, running.robots, running.xray], END_S)
+def test_a_node_that_dies_ends_the_scan(scan, notes, wait_for_end, victim):
+    with notes.renders_held(3):
+        running = scan()
+        running.views(3)
+        os.kill(getattr(running, victim), signal.SIGKILL)
+    wait_for_end([running.pid, running.robots, running.xray])
     code, complaint = running.end()
     assert code == 1
     assert complaint.startswith(f"LinkError: the {victim} node was ended by SIGKILL")
     assert sorted(path.name for path in running.log_dir.iterdir()) == ["robots.log", "xray.log"]
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("victim", [pytest.param("robots", marks=pytest.mark.tutorial), "xray"])
-def test_a_node_that_hangs_ends_the_scan(scan, gone, victim):
-    running = scan()
-    running.views(3)
-    os.kill(getattr(running, victim), signal.SIGSTOP)
-    assert gone([running.pid, running.robots, running.xray], END_S)
+def test_a_node_that_hangs_ends_the_scan(scan, notes, hasty, wait_for_end, victim):
+    with notes.renders_held(3):
+        running = scan()
+        running.views(3)
+        os.kill(getattr(running, victim), signal.SIGSTOP)
+    wait_for_end([running.pid, running.robots, running.xray])
     code, complaint = running.end()
     assert code == 1
     assert complaint.startswith(f"LinkError: the {victim} node hung, or was stopped: nothing was")
 
 
-def test_a_scan_that_is_stopped_loses_its_nodes_and_says_so(scan, gone):
-    running = scan()
-    running.views(3)
-    os.kill(running.pid, signal.SIGSTOP)
-    assert gone([running.robots, running.xray], END_S)
+@pytest.mark.clock
+def test_a_scan_that_is_stopped_loses_its_nodes_and_says_so(scan, notes, hasty, wait_for_end):
+    with notes.renders_held(3):
+        running = scan()
+        running.views(3)
+        os.kill(running.pid, signal.SIGSTOP)
+    wait_for_end([running.robots, running.xray])
     os.kill(running.pid, signal.SIGCONT)
     code, complaint = running.end()
     assert code == 1
-    assert "nothing was heard for 6 s of the process that started it" in complaint
+    told = f"nothing was heard for {SILENCE_S:.0f} s of the process that started it"
+    assert told in complaint
 
 
-def test_a_node_that_dies_takes_the_other_with_it_while_nobody_asks(scenario, fake_command, gone):
+def test_a_node_that_dies_takes_the_other_with_it_while_nobody_asks(
+    scenario, fake_command, wait_for_end
+):
     with closing(RosRig(scenario, node_command=fake_command)) as rig:
         robots, xray = (node.pid for node in rig._nodes)
         os.kill(robots, signal.SIGKILL)
-        assert gone([robots, xray], END_S)
+        wait_for_end([robots, xray])
         with pytest.raises(LinkError, match="robots node was ended by SIGKILL"):
             rig.move(0, Workshop(scenario).targets[0])
 
 
-def test_a_killed_parent_takes_its_nodes_with_it_even_at_work(scan, gone, notes):
-    running = scan()
-    running.views(3)
-    notes.render_takes(30)
-    time.sleep(0.3)
-    os.kill(running.pid, signal.SIGKILL)
-    try:
-        assert gone([running.pid, running.robots, running.xray], END_S)
-    finally:
-        notes.render_takes(0)
+def test_a_killed_parent_takes_its_nodes_with_it_even_at_work(scan, notes, wait_for_end):
+    with notes.renders_held(3):
+        running = scan()
+        running.views(3)
+        until(lambda: notes.count("render") == 4, "the fourth image is begun")
+        os.kill(running.pid, signal.SIGKILL)
+        wait_for_end([running.pid, running.robots, running.xray])
 
 
-def test_ctrl_c_is_the_parents_to_handle(scan, gone):
-    running = scan()
-    for node in (running.robots, running.xray):
-        assert os.getsid(node) == node != os.getsid(running.pid), "the terminal would reach it"
-    running.views(1)
-    os.kill(running.pid, signal.SIGINT)
-    assert gone([running.pid, running.robots, running.xray], END_S)
+def test_ctrl_c_is_the_parents_to_handle(scan, notes, wait_for_end):
+    with notes.renders_held(1):
+        running = scan()
+        for node in (running.robots, running.xray):
+            assert os.getsid(node) == node != os.getsid(running.pid), "the terminal would reach it"
+        running.views(1)
+        os.kill(running.pid, signal.SIGINT)
+    wait_for_end([running.pid, running.robots, running.xray])
     _, complaint = running.end()
     assert complaint.rstrip().endswith("KeyboardInterrupt")
 
 
+def free(domain):
+    """Whether a domain can be taken; scans of other tests may have it for a while."""
+    try:
+        Domain(domain).close()
+    except InputError:
+        return False
+    return True
+
+
 @pytest.mark.tutorial
-def test_two_scans_at_once_do_not_meet_and_leave_nothing(scan, gone):
-    one, other = scan(views=40), scan(views=40)
-    assert one.domain_id != other.domain_id
+def test_two_scans_at_once_do_not_meet_and_leave_nothing(scan, notes, ended):
+    with notes.renders_held(1):
+        one, other = scan(), scan()
+        assert one.domain_id != other.domain_id
+        one.views(1)
+        other.views(1)
     assert one.end() == other.end() == (0, "")
-    assert gone([one.robots, one.xray, other.robots, other.xray], 0.0)
-    Domain(one.domain_id).close()
+    assert all(map(ended, [one.robots, one.xray, other.robots, other.xray]))
+    until(lambda: free(one.domain_id), "the first scan's domain is free")
 
 
 def test_a_node_that_cannot_start_is_named_with_its_last_words(scenario, tmp_path):
@@ -151,18 +175,23 @@ def test_a_node_that_cannot_start_is_named_with_its_last_words(scenario, tmp_pat
         RosRig(scenario, node_command=(sys.executable, str(script)))
 
 
-def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_command):
+def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_command, asked_once):
     """``twinct run`` says its domain before it plans: then a follower misses nothing."""
     example = Path(__file__).parents[2] / "examples" / "follow_scan.py"
     domain = Domain()
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain.id), "PYTHONUNBUFFERED": "1"}
+    heard = []
     with subprocess.Popen(
         [sys.executable, example],
         env={**environment, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         stdout=subprocess.PIPE,
+        text=True,
     ) as follower:
+        reader = Thread(target=lambda: heard.extend(follower.stdout))
+        reader.start()
         try:
-            assert follower.stdout.readline() == b"waiting for images\n"
+            until(lambda: heard, "the follower listens")
+            assert heard.pop(0) == "waiting for images\n"
             targets = Workshop(scenario).targets[:8]  # of images the last ten are kept
             with closing(RosRig(scenario, node_command=fake_command, domain=domain)) as rig:
                 for view, target in enumerate(targets):
@@ -170,16 +199,11 @@ def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_comm
                     rig.expose(view)
                 # Nodes that miss each other's first call find each other seconds later: this scan
                 # takes less, and what it has said ends with its nodes.
-                os.set_blocking(follower.stdout.fileno(), False)
-                heard, deadline = "", time.monotonic() + END_S
-                while heard.count("\n") < len(targets) and time.monotonic() < deadline:
-                    # Of a text stream, a read that finds nothing yet is an error.
-                    with suppress(BlockingIOError):
-                        heard += os.read(follower.stdout.fileno(), 65536).decode()
-                    time.sleep(0.05)
+                until(lambda: len(heard) >= len(targets), "the follower hears of all views")
         finally:
             follower.kill()
-    told = [line.split(" at ")[0] for line in heard.splitlines()]
+            reader.join()
+    told = [line.split(" at ")[0] for line in heard]
     assert told == [f"view {view}" for view in range(len(targets))]
 
 
@@ -202,7 +226,7 @@ def test_a_domain_in_use_is_refused_and_free_again_afterwards(scenario, fake_com
         monkeypatch.setenv("ROS_DOMAIN_ID", str(rig.domain_id))
         with pytest.raises(InputError, match=f"ROS_DOMAIN_ID={rig.domain_id}: another scan"):
             RosRig(scenario, node_command=fake_command)
-    Domain().close()  # the one in ROS_DOMAIN_ID
+    until(lambda: free(None), "the domain in ROS_DOMAIN_ID is free again")
 
 
 @pytest.mark.parametrize("text", ["-1", "233", "five"])
@@ -215,14 +239,24 @@ def test_a_domain_that_is_none_is_refused(monkeypatch, text):
 def test_a_domain_where_others_speak_is_not_chosen(monkeypatch):
     from twinct.ros import environment
 
+    taken = set()
+
+    def hold(domain):
+        """In place of one that processes of other tests share."""
+        if domain in taken:
+            return None
+        taken.add(domain)
+        return SimpleNamespace(close=lambda: taken.remove(domain))
+
     monkeypatch.setattr(environment, "DOMAINS", range(60, 63))
-    silent = environment._silent
-    monkeypatch.setattr(environment, "_silent", lambda domain: domain == 61 and silent(domain))
+    monkeypatch.setattr(environment, "_hold", hold)
+    monkeypatch.setattr(environment, "_silent", lambda domain: domain == 61)
     held = Domain()
-    assert held.id == 61
+    assert taken == {held.id} == {61}
     with pytest.raises(LinkError, match="all ROS domains from 60 to 62 are in use"):
         Domain()
     held.close()
+    assert not taken
 
 
 def test_a_participant_makes_its_domain_loud(foreign):
@@ -247,18 +281,18 @@ def test_who_stays_when_the_first_is_gone_is_heard(foreign):
 
 
 @pytest.mark.parametrize("with_children", [False, True])
-def test_a_hold_ends_with_the_last_process_that_has_it(with_children, gone):
+def test_a_hold_ends_with_the_last_process_that_has_it(with_children):
     held = Domain()
     inherit = (held.hold,) if with_children else ()
-    with subprocess.Popen(["sleep", "60"], pass_fds=inherit) as child:
-        held.close()
-        if with_children:
-            with pytest.raises(InputError, match="another scan"):
-                Domain(held.id)
-        child.kill()
-        assert gone([child.pid], END_S)
-        child.wait()
-        Domain(held.id).close()
+    with subprocess.Popen(["sleep", "infinity"], pass_fds=inherit) as child:
+        try:
+            held.close()
+            if with_children:
+                with pytest.raises(InputError, match="another scan"):
+                    Domain(held.id)
+        finally:
+            child.kill()
+    until(lambda: free(held.id), "the domain is free again")
 
 
 def test_shared_memory_of_the_dead_is_swept_and_of_the_living_kept(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import socket
@@ -9,64 +10,116 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple, TextIO
 
 import pytest
+from waiting import until
 
-from twinct.ros import pulse
+from twinct.ros import processes, pulse
 from twinct.ros.processes import NodeProcess
 
 pytestmark = pytest.mark.process
 
-SILENCE_S = 2.0
-"""In place of six."""
-LONG_S = 2 * SILENCE_S
-NOTICED_S = 10.0
+LOOK_S, SILENCE_S = 0.1, 1.0
+"""In place of half a second and six."""
+LONG = 2 * round(SILENCE_S / LOOK_S)
+"""Looks at a process in twice the silence that would end it."""
 
-NODE = f"""
-import ctypes, sys, time
+HASTY = f"""
 from twinct.ros import pulse
-pulse.SILENCE_S = {SILENCE_S}
+pulse.LOOK_S, pulse.SILENCE_S = {LOOK_S}, {SILENCE_S}
+"""
+
+NODE = (
+    HASTY
+    + """
+import ctypes, fcntl, functools, signal, sys
 from twinct.ros.lifeline import Lifeline
+class Noted(pulse.Pulse):
+    def look(self):
+        print("looks", flush=True)
+        return super().look()
+sys.modules["twinct.ros.lifeline"].Pulse = Noted
 line = Lifeline(parent=True, on_end=lambda why: print(why, flush=True))
-def busy(seconds):
-    "Hold the interpreter in one call, as an engine does that computes."
-    start = time.perf_counter()
-    sum(range(10**7))
-    sum(range(int(10**7 * seconds / (time.perf_counter() - start))))
-def asleep(seconds):
+libc = ctypes.PyDLL(None)  # its functions hold the interpreter
+gate = open(sys.argv[2])
+def busy():
+    "Hold the interpreter in one call, as an engine does that computes, until the gate opens."
+    try_gate = functools.partial(libc.flock, gate.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    sum(iter(try_gate, 0))
+def idle():
+    "Wait for the gate and let others have the interpreter."
+    fcntl.flock(gate, fcntl.LOCK_SH)
+def asleep():
     "Hold the interpreter and do nothing, as an engine does that waits for ever."
-    ctypes.PyDLL(None).usleep(int(seconds * 1e6))
+    libc.pause()
 print("at work", flush=True)
 exec(sys.argv[1])
 print("done", flush=True)
-time.sleep(60)
+signal.pause()
 """
+)
 
-PARENT = f"""
-import os, sys, time
+PARENT = (
+    HASTY
+    + f"""
+import os, signal, sys
 from pathlib import Path
-from twinct.ros import pulse
-pulse.SILENCE_S = {SILENCE_S}
-from twinct.ros.processes import NodeProcess
-command = [sys.executable, "-c", {NODE!r}, "pass"]
-log = Path(sys.argv[1])
-node = NodeProcess("n", command, log, environment=os.environ, beats=True, on_end=lambda _: None)
+from twinct.ros import processes
+class Noted(pulse.Pulse):
+    def look(self):
+        print("looks", file=looks, flush=True)
+        return super().look()
+processes.Pulse = Noted
+log, looks = Path(sys.argv[1]), open(sys.argv[2], "w")
+command = [sys.executable, "-c", {NODE!r}, "pass", os.devnull]
+node = processes.NodeProcess(
+    "n", command, log, environment=os.environ, beats=True, on_end=lambda _: None
+)
 print(node.pid, flush=True)
-time.sleep(60)
+signal.pause()
 """
+)
 
 
 @pytest.fixture
-def node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], NodeProcess]]:
+def looks(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """What this process finds whenever it looks at another."""
+    found: list[bool] = []
+    look = pulse.Pulse.look
+
+    def noted(self: pulse.Pulse) -> bool:
+        found.append(look(self))
+        return found[-1]
+
+    monkeypatch.setattr(pulse.Pulse, "look", noted)
+    return found
+
+
+@pytest.fixture
+def gate(tmp_path: Path) -> Iterator[TextIO]:
+    """A file that is locked until a test opens it to all."""
+    with (tmp_path / "gate").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield file
+
+
+@pytest.fixture
+def node(
+    tmp_path: Path, gate: TextIO, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[[str], NodeProcess]]:
     """Starts a process that beats and does something."""
+    for module in (pulse, processes):
+        monkeypatch.setattr(module, "LOOK_S", LOOK_S)
     monkeypatch.setattr(pulse, "SILENCE_S", SILENCE_S)
     started: list[NodeProcess] = []
 
     def start(work: str) -> NodeProcess:
         process = NodeProcess(
             "busy",
-            [sys.executable, "-c", NODE, work],
+            [sys.executable, "-c", NODE, f"{work}()", gate.name],
             tmp_path / "log",
             environment=os.environ,
             beats=True,
@@ -78,71 +131,97 @@ def node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[
 
     yield start
     for process in started:
+        process._kill()
         process.stop()
 
 
-def until(done: Callable[[], object], within_s: float = 30.0) -> None:
-    deadline = time.monotonic() + within_s
-    while not done():
-        assert time.monotonic() < deadline, f"not within {within_s} s"
-        time.sleep(0.02)
-
-
-@pytest.mark.parametrize("work", [f"busy({LONG_S})", f"time.sleep({LONG_S})"])
-def test_long_work_is_no_hang(node: Callable[[str], NodeProcess], work: str) -> None:
+@pytest.mark.clock
+@pytest.mark.parametrize("work", ["busy", "idle"])
+def test_long_work_is_no_hang(
+    node: Callable[[str], NodeProcess], gate: TextIO, looks: list[bool], work: str
+) -> None:
     process = node(work)
-    until(lambda: process.exit_code is not None or "done" in process.log.read_text())
-    time.sleep(SILENCE_S / 2)
-    assert process.exit_code is None, process.describe_end()
+
+    def looked(times: int) -> None:
+        enough = len(looks) + times
+        until(lambda: len(looks) >= enough or process.exit_code is not None)
+        assert process.exit_code is None and all(looks), process.describe_end()
+
+    looked(LONG)
+    assert "done" not in process.log.read_text()
+    fcntl.flock(gate, fcntl.LOCK_UN)
+    until(lambda: "done" in process.log.read_text() or process.exit_code is not None)
+    looked(LONG // 4)
 
 
-@pytest.mark.parametrize("work", ["asleep(60)", "time.sleep(60)"])
+@pytest.mark.parametrize("work", ["asleep", "stopped"])
 def test_who_neither_beats_nor_works_is_ended(
     node: Callable[[str], NodeProcess], work: str
 ) -> None:
-    process = node(work)
-    if work.startswith("time"):
+    process = node("asleep" if work == "asleep" else "idle")
+    if work == "stopped":
         os.kill(process.pid, signal.SIGSTOP)
-    until(lambda: process.exit_code is not None, NOTICED_S)
+    until(lambda: process.exit_code is not None)
     assert process.exit_code == -signal.SIGKILL
     assert "the busy node hung, or was stopped: nothing was heard" in process.describe_end()
 
 
+class Pair(NamedTuple):
+    """Process ids of a parent and its node; what the node prints; a line for each parent's look."""
+
+    parent: int
+    child: int
+    log: Path
+    looks: Path
+
+
 @pytest.fixture
-def pair(tmp_path: Path) -> Iterator[tuple[int, int, Path]]:
-    """Process ids of a parent and its node, and the node's log."""
-    log = tmp_path / "log"
+def pair(tmp_path: Path, ended: Callable[[int], bool]) -> Iterator[Pair]:
+    """Two processes that look at each other and have nothing else to do."""
+    log, looks = tmp_path / "log", tmp_path / "looks"
     with subprocess.Popen(
-        [sys.executable, "-c", PARENT, str(log)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", PARENT, str(log), str(looks)], stdout=subprocess.PIPE, text=True
     ) as parent:
         assert parent.stdout is not None
+        child = None
         try:
             child = int(parent.stdout.readline())
             until(lambda: "done" in log.read_text())
-            yield parent.pid, child, log
+            yield Pair(parent.pid, child, log, looks)
         finally:
             parent.kill()
+            if child is not None and not ended(child):
+                with suppress(ProcessLookupError):
+                    os.kill(child, signal.SIGKILL)
 
 
 def test_a_node_ends_when_its_parent_is_stopped(
-    pair: tuple[int, int, Path], gone: Callable[..., bool]
+    pair: Pair, wait_for_end: Callable[[list[int]], None]
 ) -> None:
-    parent, child, log = pair
-    os.kill(parent, signal.SIGSTOP)
-    assert gone([child], NOTICED_S)
-    assert (
-        f"nothing was heard for {SILENCE_S:.0f} s of the process that started it" in log.read_text()
-    )
+    os.kill(pair.parent, signal.SIGSTOP)
+    wait_for_end([pair.child])
+    told = f"nothing was heard for {SILENCE_S:.0f} s of the process that started it"
+    assert told in pair.log.read_text()
 
 
+@pytest.mark.clock
 def test_all_that_are_stopped_together_go_on_together(
-    pair: tuple[int, int, Path], gone: Callable[..., bool]
+    pair: Pair, ended: Callable[[int], bool]
 ) -> None:
-    for number in (signal.SIGSTOP, signal.SIGCONT):
-        for pid in pair[:2]:
-            os.kill(pid, number)
-        time.sleep(1.5 * SILENCE_S)
-    assert not gone(list(pair[:2]), 0.0)
+    both = pair.parent, pair.child
+
+    def looks() -> int:
+        return min(file.read_text().count("looks") for file in (pair.log, pair.looks))
+
+    until(lambda: looks() > 0)
+    for pid in both:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(1.5 * SILENCE_S)
+    before = looks()
+    for pid in both:
+        os.kill(pid, signal.SIGCONT)
+    until(lambda: looks() > before + LONG or any(map(ended, both)))
+    assert not any(map(ended, both)), pair.log.read_text()
 
 
 @pytest.mark.parametrize(

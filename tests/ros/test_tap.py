@@ -7,17 +7,23 @@ import shutil
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
+from threading import Event
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.highlevel import AnyReader
+from waiting import HANG_S
 
 from twinct.motion import MotionPlan
 from twinct.record import recorder_of
-from twinct.ros import RosRig
-from twinct.ros.topics import TOPICS
+from twinct.ros import RosRig, messages
+from twinct.ros.senders import Members
+from twinct.ros.station import Station
+from twinct.ros.tap import Tap
+from twinct.ros.topics import CLOCK, ROBOTS, TOPICS
 from twinct.runs import acquire_to_store, import_scan
 from twinct.scan import LocalRig, Workshop
 
@@ -61,17 +67,15 @@ class Independent:
     def __init__(self, foreign, domain_id):
         self.node, self.heard = foreign(domain_id), {topic.name: [] for topic in TOPICS}
         latched = QoSProfile(depth=2000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        here = []
-        for topic in TOPICS:
-            if topic.name == "/robot_description":
-                continue  # of which tiny engines have none
+        # Tiny engines have no description.
+        self.spoken = [topic for topic in TOPICS if topic.name != "/robot_description"]
+        for topic in self.spoken:
             keep = self.heard[topic.name].append
-            listening = self.node.node.create_subscription(
-                topic.kind, topic.name, keep, latched, raw=True
-            )
-            here.append(listening)
-        # What waits for it is read after the scan.
-        self.node.until(lambda: all(listening.get_publisher_count() for listening in here))
+            self.node.node.create_subscription(topic.kind, topic.name, keep, latched, raw=True)
+
+    def meet(self):
+        """Hear the first view, and so of every speaker: from then on nothing is missed."""
+        self.node.until(lambda: all(self.heard[topic.name] for topic in self.spoken))
 
     @property
     def count(self):
@@ -81,23 +85,26 @@ class Independent:
 class LookedAt:
     """A rig that copies the recording before it moves to a view; the one before is stored then."""
 
-    def __init__(self, rig, bag, copy):
-        self._rig, self._bag, self._copy = rig, bag, copy
+    def __init__(self, rig, bag, copy, ears):
+        self._rig, self._bag, self._copy, self._ears = rig, bag, copy, ears
         self.expose, self.listen, self.close = rig.expose, rig.listen, rig.close
 
     def move(self, view, target):
+        if view == 1:
+            for ear in self._ears:
+                ear.meet()
         if view == KILLED:
             shutil.copy(self._bag, self._copy)
         return self._rig.move(view, target)
 
 
-def recorded(link, make_rig, workshop, folder):
+def recorded(link, make_rig, workshop, folder, ears):
     """A scan and its recording in a folder, and what a kill would have left of the recording."""
     recording = recorder_of(link, folder)
     rigs = recording.rigs(lambda *at: make_rig(recording.hear))
 
     def make(*at):
-        return LookedAt(rigs(*at), folder / "scan.mcap", folder / "scan_1.mcap")
+        return LookedAt(rigs(*at), folder / "scan.mcap", folder / "scan_1.mcap", ears)
 
     with closing(recording):
         store = acquire_to_store(workshop, folder / "scan.zarr", make, resume=False)
@@ -106,7 +113,7 @@ def recorded(link, make_rig, workshop, folder):
 
 
 def test_recordings_over_both_links(
-    workshop, fake_command, fakes, notes, foreign, tmp_path, monkeypatch
+    workshop, fake_command, fakes, asked_once, foreign, tmp_path, monkeypatch
 ):
     # The tiny engines have joints of their own, which no room has.
     monkeypatch.setattr(Workshop, "urdf", lambda self: "")
@@ -126,9 +133,9 @@ def test_recordings_over_both_links(
         return LocalRig(fakes.FakeRobots(), imager, workshop.scenario.detector.panel)
 
     folders = tmp_path / "ros2", tmp_path / "local"
-    for folder, make_rig in zip(folders, (ros_rig, local), strict=True):
+    for folder, make_rig, listening in zip(folders, (ros_rig, local), (ears, ()), strict=True):
         folder.mkdir()
-        recorded(folder.name, make_rig, workshop, folder)
+        recorded(folder.name, make_rig, workshop, folder, listening)
     over_ros, at_home = (told_in(folder / "scan.mcap") for folder in folders)
 
     frames = over_ros.pop("/tf")
@@ -150,3 +157,26 @@ def test_recordings_over_both_links(
         assert filecmp.cmpfiles(folder, again, files, shallow=False)[1:] == ([], [])
         killed = import_scan([folder / "scan_1.mcap"], tmp_path / f"{folder.name} killed")
         assert killed.missing == tuple(range(KILLED, VIEWS))
+
+
+def test_a_tap_that_comes_late_and_is_slow_hears_all(domain, tmp_path, monkeypatch):
+    monkeypatch.setattr("twinct.ros.tap.QUIET_S", 1e-6)
+    members, gate, heard = Members(tmp_path), Event(), []
+
+    def hear(message):
+        """As slow as a disk that others use."""
+        assert gate.wait(HANG_S)
+        heard.append(message.number)
+
+    with closing(Station(ROBOTS, domain)) as robots:
+        members.enter(ROBOTS, robots.participant)
+        out = robots.publisher(CLOCK)
+        for tick in range(5):
+            out.publish(messages.clock_message(float(tick)))
+        tap = Tap(domain, members, hear)
+        assert robots.wait(out.get_subscription_count, HANG_S)
+        assert out.wait_for_all_acked(Duration(seconds=HANG_S))
+        tap._ending.set()  # as close does, which then waits
+        gate.set()
+        tap.close()
+    assert heard == [1, 2, 3, 4, 5]

@@ -18,7 +18,7 @@ def tiny_keys() -> list[str]:
     return [
         "trajectory.views=10",
         "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
-        "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+        "specimen.parts=[{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 4}}]",
         "reconstruction.grid={voxels: 20, voxel_mm: 8}",
         "reconstruction.iterations=2",
     ]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import time
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import HANG_S
 
 from twinct import run
 from twinct.observers import (
@@ -37,26 +38,28 @@ def test_observers_hear_all_and_change_nothing(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr(audience, "LAST_WORDS_S", 2.0)
+    monkeypatch.setattr(audience, "LAST_WORDS_S", HANG_S)
     heard: list[Event] = []
     late: list[Event] = []
     on_disk: list[int] = []
     out = tmp_path / "out"
+    all_stored = threading.Event()
 
     def notes(event: Event) -> None:
         heard.append(event)
         if isinstance(event, ViewStored):
             on_disk.append(ScanStore(out / "scan.zarr").acquired)
+            if event.index == 9:
+                all_stored.set()
 
     def sleeps(event: Event) -> None:
-        time.sleep(1)
+        assert all_stored.wait(HANG_S)
         late.append(event)
 
     def raises(event: Event) -> None:
         raise RuntimeError
 
-    # More than ever wait, so that a machine with other work leaves none out.
-    listens = Observer(notes, joints_hz=50, waiting=10_000)
+    listens = Observer(notes, joints_hz=50, lossless=True)
     observers = [listens, Observer(sleeps, waiting=3), raises]
     watched = run(tiny(), out, link="local", observers=observers)
     assert files(watched.paths.scan) == files(finished.paths.scan)
@@ -83,5 +86,6 @@ def test_observers_hear_all_and_change_nothing(
     assert {e.name for e in heard if isinstance(e, StageBegan)} >= {"plan", "views", "truth"}
 
     missed = [e for e in late if isinstance(e, Missed)]
+    assert missed
     told = {e.index for e in late if isinstance(e, ViewStored)}
     assert told | {view for e in missed for view in e.views} == set(range(10))

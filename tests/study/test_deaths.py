@@ -6,20 +6,45 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
 import pytest
 import yaml
+from waiting import HANG_S, until
 
-from twinct.study import load_results, run_study
+from twinct.study import load_results
 
 from .conftest import SCENARIO
 
 MARK = "TWINCT_STUDY_TEST"
-PATIENCE_S = 90.0
+
+PATIENT = """
+import os
+from typing import Literal
+
+from twinct.recon.algorithm import Algorithm, solve_by
+from twinct.recon.sart import Sart, sart
+
+
+class Patient(Sart):
+    algorithm: Literal["patient"] = "patient"
+
+
+def _solve(problem, settings):
+    folder = os.environ["TWINCT_STUDY_TEST"]
+    with open(f"{folder}/begun", "a") as begun:
+        begun.write(f"{os.getpid()}\\n")
+    turns = os.open(f"{folder}/turns", os.O_RDWR)
+    os.read(turns, 1)
+    os.close(turns)
+    return solve_by(sart, problem, settings)
+
+
+PATIENT = Algorithm(Patient, _solve, volumes=3, projections=1)
+"""
+"""SART that says who begins, and then waits for its turn: a byte in a named pipe."""
 
 pytestmark = [pytest.mark.process, pytest.mark.tutorial]
 
@@ -38,53 +63,101 @@ def alive(mark: str) -> dict[int, str]:
     return found
 
 
-def workers(mark: str) -> list[int]:
-    return [pid for pid, line in alive(mark).items() if "twinct.pool.worker" in line]
+class Command:
+    """The command on the study, in a folder of its own; reconstructions wait for their turns.
 
+    Attributes:
+        out: the study's folder.
+        mark: that all its processes have.
+    """
 
-def until(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
+    def __init__(self, study: Path, folder: Path) -> None:
+        self.out, self.mark = folder / "out", str(folder)
+        self._words = ["study", str(study), "--out", str(self.out), "--jobs", "1"]
+        self._path = os.pathsep.join(filter(None, [str(study.parent), os.getenv("PYTHONPATH")]))
+        self._begun, turns = folder / "begun", folder / "turns"
+        self._begun.touch()
+        os.mkfifo(turns)
+        self._turns = os.open(turns, os.O_RDWR)
 
-
-@pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve trials of two scans."""
-    reconstruct = {"key": "reconstruction.relaxation", "label": "r", "values": [0.2, 0.4, 0.6]}
-    shared = {"key": "source.current_ma", "label": "current", "values": [10, 20]}
-    path = tmp_path_factory.mktemp("study") / "study.yaml"
-    again = {"number": 2, "key": "uncertainty.seed"}
-    told = {"scenario": SCENARIO, "axes": [reconstruct, shared], "repetitions": again}
-    told["set"] = {"reconstruction.iterations": 50}  # a trial lasts, so that it can be disturbed
-    path.write_text(yaml.safe_dump(told))
-    return path
-
-
-@pytest.fixture(scope="module")
-def undisturbed(study: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
-    return rows(run_study(study, tmp_path_factory.mktemp("base") / "out", jobs=1).folder.path)
-
-
-@pytest.fixture
-def started(study: Path, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """A starter of the command in a group of its own; whatever is left is killed in the end."""
-
-    def start(*more: str) -> subprocess.Popen[str]:
-        words = ["study", str(study), "--out", str(tmp_path / "out"), "--jobs", "1", *more]
+    def start(self, *more: str) -> subprocess.Popen[str]:
+        """The command, in a group of its own."""
         return subprocess.Popen(
-            [sys.executable, "-m", "twinct", *words],
-            env=os.environ | {MARK: str(tmp_path)},
+            [sys.executable, "-m", "twinct", *self._words, *more],
+            env=os.environ | {MARK: self.mark, "PYTHONPATH": self._path},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
         )
 
-    yield start
-    for pid in alive(str(tmp_path)):
-        os.kill(pid, signal.SIGKILL)
+    def let(self, reconstructions: int) -> None:
+        """Let so many go on, one after the other."""
+        os.write(self._turns, b"x" * reconstructions)
+
+    def at_work(self, reconstructions: int, rows: int) -> int:
+        """Wait until so many have begun and so many rows are there; the last one's worker."""
+
+        def there() -> list[str]:
+            begun = self._begun.read_text().splitlines()
+            return begun if len(begun) >= reconstructions and self.ended >= rows else []
+
+        begun = until(there, f"reconstruction {reconstructions} after {rows} rows")
+        assert (len(begun), self.ended) == (reconstructions, rows)
+        return int(begun[-1])
+
+    @property
+    def ended(self) -> int:
+        """Trials that are in the journal."""
+        journal = self.out / "journal.jsonl"
+        return journal.read_text().count("\n") if journal.exists() else 0
+
+    def close(self) -> None:
+        """Kill whatever is left."""
+        for pid in alive(self.mark):
+            os.kill(pid, signal.SIGKILL)
+        os.close(self._turns)
+
+
+def succeeds(process: subprocess.Popen[str]) -> None:
+    said = process.communicate(timeout=HANG_S)[1]
+    assert process.returncode == 0, said
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve trials of two scans; beside it the algorithm, as an installer leaves it."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "patient.py").write_text(PATIENT)
+    info = folder / "patient-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: patient\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[twinct.algorithms]\npatient = patient:PATIENT\n")
+    reconstruct = {"key": "reconstruction.relaxation", "label": "r", "values": [0.2, 0.4, 0.6]}
+    shared = {"key": "source.current_ma", "label": "current", "values": [10, 20]}
+    again = {"number": 2, "key": "uncertainty.seed"}
+    told = {"scenario": SCENARIO, "axes": [reconstruct, shared], "repetitions": again}
+    told["set"] = {"reconstruction.algorithm": "patient"}
+    (folder / "study.yaml").write_text(yaml.safe_dump(told))
+    return folder / "study.yaml"
+
+
+@pytest.fixture(scope="module")
+def undisturbed(study: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    command = Command(study, tmp_path_factory.mktemp("base"))
+    try:
+        command.let(12)
+        succeeds(command.start())
+        return rows(command.out)
+    finally:
+        command.close()
+
+
+@pytest.fixture
+def command(study: Path, tmp_path: Path) -> Iterator[Command]:
+    command = Command(study, tmp_path)
+    yield command
+    command.close()
 
 
 def rows(folder: Path) -> pd.DataFrame:
@@ -92,39 +165,35 @@ def rows(folder: Path) -> pd.DataFrame:
     return table[[name for name in table if not name.startswith("seconds.")]]
 
 
-def ended(out: Path) -> int:
-    """Trials that are in the journal."""
-    journal = out / "journal.jsonl"
-    return journal.read_text().count("\n") if journal.exists() else 0
-
-
-def test_a_worker_that_is_killed_is_replaced(started, undisturbed, tmp_path) -> None:
-    process, out, mark = started(), tmp_path / "out", str(tmp_path)
-    killed: set[int] = set()
-    for moment in (0, 5):  # before anything is there, and in the middle
-        until(lambda n=moment: ended(out) >= n and {*workers(mark)} - killed)
-        (pid,) = {*workers(mark)} - killed
-        os.kill(pid, signal.SIGKILL)
-        killed.add(pid)
-    assert process.wait() == 0, process.stderr.read()
-    pd.testing.assert_frame_equal(rows(out), undisturbed)
-    assert not alive(mark) and not (out / "work").exists()
+def test_a_worker_that_is_killed_is_replaced(command, undisturbed) -> None:
+    process = command.start()
+    first = command.at_work(1, rows=0)
+    os.kill(first, signal.SIGKILL)  # before anything is there
+    second = command.at_work(2, rows=0)
+    command.let(5)
+    assert command.at_work(7, rows=5) == second
+    os.kill(second, signal.SIGKILL)  # in the middle
+    assert command.at_work(8, rows=5) not in (first, second)
+    command.let(7)
+    succeeds(process)
+    pd.testing.assert_frame_equal(rows(command.out), undisturbed)
+    assert not alive(command.mark) and not (command.out / "work").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=lambda number: number.name)
 def test_a_driver_that_ends_leaves_no_process_and_its_study_goes_on(
-    started, undisturbed, tmp_path, number
+    command, undisturbed, number
 ) -> None:
-    process, out, mark = started(), tmp_path / "out", str(tmp_path)
-    until(lambda: ended(out) >= 3 and workers(mark))
+    process = command.start()
+    command.let(3)
+    command.at_work(4, rows=3)
     os.kill(process.pid, number)
-    said = process.communicate()[1]
+    said = process.communicate(timeout=HANG_S)[1]
     assert process.returncode == (-number if number == signal.SIGKILL else 1)
     assert "Traceback" not in said
-    until(lambda: not alive(mark))
-    before = ended(out)
-    assert 3 <= before < 12
-    again = started("--resume")
-    assert again.wait() == 0, again.stderr.read()
-    pd.testing.assert_frame_equal(rows(out), undisturbed)
-    assert ended(out) == 12 and not alive(mark)  # no trial twice
+    until(lambda: not alive(command.mark))
+    assert command.ended == 3
+    command.let(9)
+    succeeds(command.start("--resume"))
+    pd.testing.assert_frame_equal(rows(command.out), undisturbed)
+    assert command.ended == 12 and not alive(command.mark)  # no trial twice

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
 import multiprocessing
 import os
 import signal
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import HANG_S, until
 
 from twinct.study.shelf import Shelf
 
@@ -17,20 +18,31 @@ from twinct.study.shelf import Shelf
 PROCESSES = multiprocessing.get_context("fork")
 
 
-def make(draft: Path, *, die: bool = False) -> None:
-    """Slowly; goes on from what is there."""
+def make(draft: Path, folder: Path, *, die: bool = False) -> None:
+    """Say who begins, wait for the gate, a named pipe; goes on from what is there."""
     draft.mkdir(exist_ok=True)
     if (draft / "begun").exists():
         (draft / "went on").write_text("")
     (draft / "begun").write_text(str(os.getpid()))
     if die:
         os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(0.3)
+    (folder / f"makes {os.getpid()}").touch()
+    (folder / "gate").open().close()
     (draft / "made").write_text(str(os.getpid()))
 
 
 def ask(folder: Path, die: bool) -> None:
-    Shelf(folder).path("things", "digest", lambda draft: make(draft, die=die))
+    lock = fcntl.flock
+
+    def told(descriptor: int, how: int) -> None:
+        try:
+            lock(descriptor, how | fcntl.LOCK_NB)
+        except BlockingIOError:
+            (folder / f"waits {os.getpid()}").touch()
+            lock(descriptor, how)
+
+    fcntl.flock = told  # of this process alone
+    Shelf(folder).path("things", "digest", lambda draft: make(draft, folder, die=die))
 
 
 @pytest.mark.process
@@ -38,17 +50,27 @@ def ask(folder: Path, die: bool) -> None:
 def test_of_two_processes_one_makes_it_and_goes_on_from_a_dead_ones_draft(tmp_path: Path) -> None:
     killed = PROCESSES.Process(target=ask, args=(tmp_path, True))
     killed.start()
-    killed.join()
+    killed.join(HANG_S)
     assert killed.exitcode == -signal.SIGKILL
     made = tmp_path / "things" / "digest" / "made"
     assert not made.parent.exists()
+    os.mkfifo(tmp_path / "gate")
     both = [PROCESSES.Process(target=ask, args=(tmp_path, False)) for _ in range(2)]
-    for process in both:
-        process.start()
-    for process in both:
-        process.join()
-    assert [process.exitcode for process in both] == [0, 0]
-    assert int(made.read_text()) in [process.pid for process in both]
+    try:
+        for process in both:
+            process.start()
+        until(lambda: len(list(tmp_path.glob("makes *")) + list(tmp_path.glob("waits *"))) == 2)
+        (maker,) = tmp_path.glob("makes *")
+        gate = os.open(tmp_path / "gate", os.O_RDWR)
+        for process in both:
+            process.join(HANG_S)
+        os.close(gate)
+        assert [process.exitcode for process in both] == [0, 0]
+    finally:
+        for process in both:
+            process.kill()
+    assert maker.name == f"makes {made.read_text()}"
+    assert list(tmp_path.glob("makes *")) == [maker]
     assert (made.parent / "went on").exists()
     assert made.read_text() == (made.parent / "begun").read_text()  # by one of them alone
 

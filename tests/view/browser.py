@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import io
+import itertools
 import shutil
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -16,6 +17,9 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
+from waiting import HANG_S, Patience, until
+
+from twinct.view.page import Page
 
 WIDTH, HEIGHT = 1200, 760
 
@@ -34,8 +38,51 @@ KNOWN = ("THREE.Clock: This module", "KHR_parallel_shader_compile", "GPU stall d
 CHANGED = 12
 """Difference of grey values by which a pixel counts as another; what is drawn anew is the same."""
 
-REST_S = 2.0
-"""A machine with other work draws now and then: what came late must not count as a change."""
+ALIKE = 3
+"""Pictures in a row that are the same when a page is at rest."""
+
+BEFORE_ANY_PAGE = """
+    window.decoding = 0;
+    const image = HTMLImageElement.prototype;
+    const source = Object.getOwnPropertyDescriptor(image, "src");
+    Object.defineProperty(image, "src", {...source, set(value) {
+        window.decoding += 1;
+        let over = false;
+        const end = () => { window.decoding -= over ? 0 : 1; over = true; };
+        this.addEventListener("load", end, {once: true});
+        this.addEventListener("error", end, {once: true});
+        source.set.call(this, value);
+    }});
+    if (location.protocol === "file:") {
+        let now = 0;
+        Date.now = () => now;
+        window.passTime = (ms) => { now += ms; };
+    }
+"""
+"""Counts the images that are being decoded. The clock by which a page from disk plays only goes on
+when ``passTime`` is called."""
+
+DRAWN = """
+    const done = arguments[arguments.length - 1];
+    const page = window.__viserMutable;
+    let left = 4;
+    const frame = () => {
+        if (page.messageQueue.length > 0 || window.decoding > 0) left = 4;
+        left -= 1;
+        page.requestRender();
+        if (left > 0) requestAnimationFrame(frame); else done();
+    };
+    frame();
+"""
+"""Returns when the page has drawn several times what it has received, with its images."""
+
+PASS_TIME = """
+    const [ms, done] = arguments;
+    window.passTime(ms);
+    setTimeout(done, 20);  // comes after the timer by which the page plays, which is shorter
+"""
+
+_MARKS = itertools.count()
 
 
 class Browser:
@@ -55,17 +102,24 @@ class Browser:
             options.add_argument(switch)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self._said: list[str] = []
+        self._page: Page | None = None
         self._driver = webdriver.Chrome(options=options, service=Service(driver))
+        self._driver.set_script_timeout(HANG_S)
+        self._driver.execute_cdp_cmd(
+            "Page.addScriptToEvaluateOnNewDocument", {"source": BEFORE_ANY_PAGE}
+        )
 
     def close(self) -> None:
         self._driver.quit()
         shutil.rmtree(self._profile, ignore_errors=True)
 
-    def open(self, page: int | Path) -> None:
-        """A page by its port, or from disk; returns when something is drawn and stays."""
+    def open(self, page: Page | int | Path) -> None:
+        """Open a page, one of another process by its port, or one from disk, and see it drawn."""
         self.leave()
         self._said.clear()
-        url = f"http://localhost:{page}" if isinstance(page, int) else page.as_uri()
+        self._page = page if isinstance(page, Page) else None
+        port = page.server.get_port() if isinstance(page, Page) else page
+        url = port.as_uri() if isinstance(port, Path) else f"http://localhost:{port}"
         # Else the resolution follows how fast it draws, which is in software here.
         self._driver.get(f"{url}?fixedDpr=0.5")
         self.wait(lambda: self._driver.find_elements(By.TAG_NAME, "canvas"), "no canvas")
@@ -88,28 +142,37 @@ class Browser:
         return grey[rows // 5 : rows * 9 // 10, columns * 2 // 5 : columns * 7 // 10]
 
     def still(self) -> np.ndarray:
-        """The picture when it has not changed for ``REST_S``."""
-        before, since = self.picture(), time.monotonic()
+        """The picture when the page has drawn all that it was asked to show."""
+        if self._page is not None:
+            assert self._page.settle(HANG_S)
+            self._page.server.scene.add_frame(mark := f"/mark{next(_MARKS)}", show_axes=False)
+            self.wait(lambda: self._has(mark), "the page does not hear")
+        alike, last, patience = 1, self.drawn(), Patience()
+        while alike < ALIKE:
+            patience.check("a picture that rests")
+            before, last = last, self.drawn()
+            alike = alike + 1 if different(last, before) == 0 else 1
+        return last
 
-        def settled() -> bool:
-            nonlocal before, since
-            before, last = self.picture(), before
-            if different(before, last) > 0:
-                since = time.monotonic()
-            return time.monotonic() - since >= REST_S
+    def _has(self, node: str) -> bool:
+        told = "return arguments[0] in window.__viserSceneTree.getState()"
+        return self._driver.execute_script(told, node)
 
-        self.wait(settled, "the picture does not come to rest", 120.0)
-        return before
+    def drawn(self) -> np.ndarray:
+        """The picture of what the page has received by now."""
+        self._driver.execute_async_script(DRAWN)
+        return self.picture()
 
     def changes(self, before: np.ndarray, least: int = 40) -> None:
         """Wait until so many pixels are others."""
-        self.wait(lambda: different(self.picture(), before) >= least, "the picture stays as it was")
+        self.wait(lambda: different(self.drawn(), before) >= least, "the picture stays as it was")
 
-    def wait(self, done: Callable[[], object], problem: str, timeout_s: float = 60.0) -> None:
-        end = time.monotonic() + timeout_s
-        while not done():
-            assert time.monotonic() < end, problem
-            time.sleep(0.2)
+    def wait(self, done: Callable[[], object], problem: str) -> None:
+        until(done, problem)
+
+    def pass_time(self, seconds: float) -> None:
+        """Let the clock of a page from disk go on, and let it be seen there."""
+        self._driver.execute_async_script(PASS_TIME, 1000 * seconds)
 
     def number(self, label: str, value: float) -> None:
         """Type into the box of a slider or a number."""
@@ -117,6 +180,7 @@ class Browser:
         box = self._driver.find_element(By.XPATH, path)
         box.send_keys(Keys.CONTROL, "a")
         box.send_keys(str(value), Keys.ENTER)
+        self._arrives(label, value)
 
     def choose(self, label: str, option: str) -> None:
         """Choose from a drop-down."""
@@ -130,6 +194,14 @@ class Browser:
 
         self.wait(offered, f"no option {option}")
         offered()[0].click()
+        self._arrives(label, option)
+
+    def _arrives(self, label: str, value: Any) -> None:
+        """Wait until the page knows what was set."""
+        assert self._page is not None
+        handles = self._page.server.gui._gui_input_handle_from_uuid.values()
+        handle = next(h for h in handles if getattr(h, "label", None) == label)
+        self.wait(lambda: handle.value == value, f"{label} does not become {value}")
 
     def press(self, button: str) -> None:
         self._driver.find_element(By.XPATH, f"//button[normalize-space(.)='{button}']").click()

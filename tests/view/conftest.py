@@ -1,17 +1,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 import viser
+from waiting import HANG_S
 
 from twinct import run
 from twinct.runs import Run
+from twinct.scan import Workshop
 from twinct.scenario import Scenario, load_scenario
 from twinct.view import page
+from twinct.view.filling import fill
+from twinct.view.folder import RunFolder
+from twinct.view.page import Page
 from twinct.view.server import LOOPBACK, close, serve
+from twinct.view.show import Show
 
 HERE = Path(__file__).parent
 DEMO = HERE.parents[1] / "scenarios" / "demo.yaml"
@@ -23,8 +29,9 @@ KEYS = (
     "trajectory.views=8",
     "detector={columns: 48, rows: 32, pixel_pitch_mm: 6}",
     # Nothing about it is the same from two sides.
-    "specimen.parts=[{shape: {kind: sphere, radius_mm: 35}}, "
-    "{name: bump, shape: {kind: sphere, radius_mm: 22}, position_mm: [40, 30, 35]}]",
+    "specimen.parts=[{shape: {kind: sphere, radius_mm: 35, mesh_resolution_mm: 4}}, "
+    "{name: bump, shape: {kind: sphere, radius_mm: 22, mesh_resolution_mm: 4}, "
+    "position_mm: [40, 30, 35]}]",
     "reconstruction.grid={voxels: [20, 24, 28], voxel_mm: 6}",
     "reconstruction.iterations=2",
 )
@@ -40,6 +47,26 @@ def scenario() -> Scenario:
 def finished(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run of it; its folder must stay as it is."""
     return run(scenario, tmp_path_factory.mktemp("view") / "out", link="local")
+
+
+@pytest.fixture(scope="session")
+def workshop(finished: Run) -> Workshop:
+    """The run's, which builds its parts once."""
+    show = RunFolder(finished.paths.path).look()
+    return Workshop(show.scenario, show.plan)
+
+
+@pytest.fixture
+def put(workshop: Workshop) -> Callable[[Page, int, Show], None]:
+    """Puts the run on a page; returns when all of it is painted."""
+
+    def wait(page: Page, run: int, show: Show) -> None:
+        filling = fill(page, run, show, workshop)
+        filling.join(HANG_S)
+        assert not filling.is_alive()
+        assert page.settle(HANG_S)
+
+    return wait
 
 
 @pytest.fixture

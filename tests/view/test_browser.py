@@ -5,25 +5,25 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-import viser
 from browser import Browser
 from viser.infra import StateSerializer
+from waiting import until
 
 from twinct.observers import Audience
 from twinct.runs import Run
 from twinct.scan import Workshop
-from twinct.view import export
-from twinct.view.export import export_page
-from twinct.view.filling import fill
+from twinct.view.export import VIEWS_A_SECOND, export_page
 from twinct.view.folder import RunFolder
 from twinct.view.following import Follower
 from twinct.view.page import Page
 from twinct.view.server import LOOPBACK, close, serve
+from twinct.view.show import Show
 from twinct.view.stage import Stage
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
@@ -35,90 +35,108 @@ def browser() -> Iterator[Browser]:
         yield made
 
 
-def shown(stack: ExitStack, browser: Browser, finished: Run) -> viser.ViserServer:
-    """A page of the run, served until the end."""
-    server = serve(LOOPBACK, 0)
-    stack.callback(close, server)
-    page = stack.enter_context(closing(Page(server)))
-    fill(page, 0, RunFolder(finished.paths.path).look()).join(60)
-    assert page.settle()
-    stack.callback(browser.leave)
-    return server
+@dataclass
+class Tried:
+    """What a check works with."""
+
+    browser: Browser
+    finished: Run
+    workshop: Workshop
+    put: Callable[[Page, int, Show], None]
+    folder: Path
+
+    def show(self) -> Show:
+        return RunFolder(self.finished.paths.path).look()
+
+    @contextmanager
+    def page(self, show: Show, *, live: bool = False) -> Iterator[Page]:
+        """A page of the run, in the browser."""
+        with ExitStack() as stack:
+            server = serve(LOOPBACK, 0)
+            stack.callback(close, server)
+            page = stack.enter_context(closing(Page(server, live=live)))
+            self.put(page, 0, show)
+            stack.callback(self.browser.leave)
+            self.browser.open(page)
+            yield page
 
 
-def slider(browser: Browser, finished: Run, tmp_path: Path) -> None:
-    with ExitStack() as stack:
-        browser.open(shown(stack, browser, finished).get_port())
+@pytest.fixture
+def tried(
+    browser: Browser,
+    finished: Run,
+    workshop: Workshop,
+    put: Callable[[Page, int, Show], None],
+    tmp_path: Path,
+) -> Tried:
+    return Tried(browser, finished, workshop, put, tmp_path)
+
+
+def slider(tried: Tried) -> None:
+    browser = tried.browser
+    with tried.page(tried.show()):
         first = browser.still()
         browser.number("view", 5)
         browser.changes(first, least=2000)  # the arms are elsewhere
         browser.number("view", 0)
-        browser.wait(lambda: _same(browser.picture(), first), "the first view does not come back")
+        browser.wait(lambda: _same(browser.drawn(), first), "the first view does not come back")
 
 
-def play(browser: Browser, finished: Run, tmp_path: Path) -> None:
-    with ExitStack() as stack:
-        browser.open(shown(stack, browser, finished).get_port())
+def play(tried: Tried) -> None:
+    browser = tried.browser
+    with tried.page(tried.show()) as page:
         first = browser.still()
         browser.press("play")
         browser.changes(first, least=2000)
         browser.changes(browser.picture(), least=2000)
         browser.press("pause")
+        browser.wait(lambda: not page._playing, "it does not pause")
         browser.still()
 
 
-def slices(browser: Browser, finished: Run, tmp_path: Path) -> None:
-    with ExitStack() as stack:
-        browser.open(shown(stack, browser, finished).get_port())
+def slices(tried: Tried) -> None:
+    browser = tried.browser
+    with tried.page(tried.show()):
         browser.choose("slices of", "truth")
         first = browser.still()
         browser.number("z", 3)
         browser.changes(first)
 
 
-def geometry(browser: Browser, finished: Run, tmp_path: Path) -> None:
-    with ExitStack() as stack:
-        browser.open(shown(stack, browser, finished).get_port())
+def geometry(tried: Tried) -> None:
+    browser = tried.browser
+    with tried.page(tried.show()):
         browser.number("differences, times", 200)
         first = browser.still()
         browser.choose("beam and panel", "believed")
         browser.changes(first)
 
 
-def live(browser: Browser, finished: Run, tmp_path: Path) -> None:
-    out = tmp_path / "live"
-    shutil.copytree(finished.paths.path, out)
+def live(tried: Tried) -> None:
+    browser, out = tried.browser, tried.folder / "live"
+    shutil.copytree(tried.finished.paths.path, out)
     status = [out / "scan.zarr" / "status" / f"c.{view}" for view in range(8)]
     kept = [file.read_bytes() for file in status]
     for file in status[1:]:
         file.unlink()
-    with ExitStack() as stack:
-        server = serve(LOOPBACK, 0)
-        stack.callback(close, server)
-        page = stack.enter_context(closing(Page(server, live=True)))
-        folder = RunFolder(out)
-        show = folder.look()
-        fill(page, 0, show).join(60)
-        stack.enter_context(closing(Follower(page, 0, folder, show)))
-        assert page.settle()
-        stack.callback(browser.leave)
-        browser.open(server.get_port())
+    folder = RunFolder(out)
+    show = folder.look()
+    with tried.page(show, live=True) as page, closing(Follower(page, 0, folder, show)):
         first = browser.still()
         for file, data in list(zip(status, kept, strict=True))[1:6]:
             file.write_bytes(data)
         browser.changes(first, least=2000)  # nobody touched the page
 
 
-def exported(browser: Browser, finished: Run, tmp_path: Path) -> None:
-    show = RunFolder(finished.paths.path).look()
-    page = tmp_path / "page.html"
-    # Eight views in less than a second begin anew too often for a renderer in software.
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(export, "VIEWS_A_SECOND", 0.5)
-        export_page(show, Workshop(show.scenario, show.plan), page, Audience())
+def exported(tried: Tried) -> None:
+    browser, page = tried.browser, tried.folder / "page.html"
+    export_page(tried.show(), tried.workshop, page, Audience())
     browser.open(page)
-    browser.changes(browser.picture(), least=2000)  # it plays by itself
-    browser.changes(browser.picture(), least=2000)
+    first = browser.still()
+    for _ in range(2):  # it plays by itself
+        browser.pass_time(3 / VIEWS_A_SECOND)
+        browser.changes(first, least=2000)
+        first = browser.still()
     assert "slices" in browser.text() and "curves" in browser.text()
 
 
@@ -126,17 +144,15 @@ def _same(picture: np.ndarray, other: np.ndarray) -> bool:
     return bool((np.abs(picture - other) > 12).mean() < 0.002)
 
 
-CHECKS: dict[str, Callable[[Browser, Run, Path], None]] = {
+CHECKS: dict[str, Callable[[Tried], None]] = {
     check.__name__: check for check in (slider, play, slices, geometry, live, exported)
 }
 
 
 @pytest.mark.parametrize("check", CHECKS)
-def test_each_control_does_what_it_says(
-    check: str, browser: Browser, finished: Run, tmp_path: Path
-) -> None:
-    CHECKS[check](browser, finished, tmp_path)
-    assert browser.complaints() == []
+def test_each_control_does_what_it_says(check: str, tried: Tried) -> None:
+    CHECKS[check](tried)
+    assert tried.browser.complaints() == []
 
 
 BROKEN = {
@@ -154,27 +170,41 @@ NOTICED = "the picture stays as it was|does not come back"
 
 @pytest.mark.parametrize("check", BROKEN)
 def test_a_page_broken_on_purpose_is_noticed(
-    check: str,
-    browser: Browser,
-    finished: Run,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    check: str, tried: Tried, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Where a picture must change, the page has come to what is broken, and has drawn the rest."""
     owner, name = BROKEN[check]
-    monkeypatch.setattr(owner, name, lambda *told: None)
-    wait = browser.wait
+    asked: list[object] = []
+    monkeypatch.setattr(owner, name, lambda *told: asked.append(told))
+    browser, before = tried.browser, 0
+    wait, still = browser.wait, browser.still
 
-    def soon(done: Callable[[], object], problem: str, timeout_s: float = 60.0) -> None:
-        wait(done, problem, 6.0 if re.search(NOTICED, problem) else timeout_s)
+    def rests() -> np.ndarray:
+        nonlocal before
+        found = still()
+        before = len(asked)
+        return found
 
-    monkeypatch.setattr(browser, "wait", soon)
+    def once(done: Callable[[], object], problem: str) -> None:
+        if not re.search(NOTICED, problem):
+            return wait(done, problem)
+        if check == "live":  # which looks all the time: once more, now that there is something
+            seen = len(asked)
+            until(lambda: len(asked) > seen, "another look")
+        elif check != "exported":  # which was written before
+            until(lambda: len(asked) > before, "what is broken")
+        still()
+        assert done(), problem
+
+    monkeypatch.setattr(browser, "still", rests)
+    monkeypatch.setattr(browser, "wait", once)
     with pytest.raises(AssertionError, match=NOTICED):
-        CHECKS[check](browser, finished, tmp_path)
+        CHECKS[check](tried)
 
 
-def test_a_click_tells_numbers(browser: Browser, finished: Run) -> None:
-    with ExitStack() as stack:
-        browser.open(shown(stack, browser, finished).get_port())
+def test_a_click_tells_numbers(tried: Tried) -> None:
+    browser = tried.browser
+    with tried.page(tried.show()):
         browser.number("view", 4)
         browser.still()
         # Where the camera looks: what stands there is between the two side panels' middle.

@@ -2,43 +2,39 @@ from __future__ import annotations
 
 import base64
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
-import zstandard
-from listener import with_arrays
+from listener import recorded
 
 from twinct.observers import Audience
 from twinct.runs import Run
 from twinct.scan import Workshop
+from twinct.view import movie
 from twinct.view.export import export_page
 from twinct.view.folder import RunFolder
-from twinct.view.movie import HEIGHT, WIDTH, frames, write_movie
+from twinct.view.movie import HEIGHT, WIDTH, write_movie
 
 
 @pytest.fixture(scope="module")
-def page(finished: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page(finished: Run, workshop: Workshop, tmp_path_factory: pytest.TempPathFactory) -> Path:
     show = RunFolder(finished.paths.path).look()
     path = tmp_path_factory.mktemp("page") / "sub" / "page.html"
-    export_page(show, Workshop(show.scenario, show.plan), path, Audience())
+    export_page(show, workshop, path, Audience())
     return path
 
 
-def recorded(page: Path) -> list[tuple[float, dict]]:
+def messages_of(page: Path) -> list[tuple[float, dict]]:
     """The messages of an exported page, with their times."""
     data = re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page.read_text(encoding="utf-8"))
     assert data is not None
-    packed = base64.b64decode(data.group(1))
-    content = zstandard.ZstdDecompressor().decompressobj().decompress(packed[8:])
-    size = int.from_bytes(content[:8], "little")
-    packet = msgspec.msgpack.decode(content[8 : 8 + size])
-    return [(m[0], m[1]) for m in with_arrays(packet, content, 8 + size)]
+    return recorded(base64.b64decode(data.group(1)))
 
 
 def test_it_plays_all_views(page: Path, finished: Run) -> None:
-    messages = recorded(page)
+    messages = messages_of(page)
     executed = finished.scan.executed.geometry(finished.scenario.detector.panel)
     balls = [
         (time, np.array(m["position"]))
@@ -71,19 +67,29 @@ def test_it_needs_no_network(page: Path) -> None:
 
 
 @pytest.mark.process
-def test_a_film_has_a_picture_of_each_view(finished: Run, tmp_path: Path) -> None:
+def test_a_film_has_a_picture_of_each_view(
+    finished: Run, workshop: Workshop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import imageio_ffmpeg
 
     show = RunFolder(finished.paths.path).look()
     path = tmp_path / "film.mp4"
-    workshop = Workshop(show.scenario, show.plan)
+    drawn: list[np.ndarray] = []
+    frames = movie.frames
+
+    def noted(*told) -> Iterator[np.ndarray]:
+        for frame in frames(*told):
+            drawn.append(frame)
+            yield frame
+
+    monkeypatch.setattr(movie, "frames", noted)
     write_movie(show, workshop, path, Audience())
     reader = imageio_ffmpeg.read_frames(str(path))
     told = next(reader)
     found = [np.frombuffer(frame, np.uint8).reshape(HEIGHT, WIDTH, 3) for frame in reader]
     assert told["size"] == (WIDTH, HEIGHT) and told["codec"] == "h264"
     assert len(found) == len(show) == 8
-    for shown, frame in zip(frames(show, workshop), found, strict=True):
+    for shown, frame in zip(drawn, found, strict=True):
         # H.264 at this quality, and colours at half the resolution.
         assert np.abs(shown.astype(float) - frame).mean() < 4
     first, last = (frame.astype(float) for frame in (found[0], found[-1]))

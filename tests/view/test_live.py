@@ -1,16 +1,21 @@
 from __future__ import annotations
 
+import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import pytest
 import viser
-from listener import Listener
+from listener import Listener, recorded
+from waiting import HANG_S
 
 from twinct import run
+from twinct.observers import Event, JointSample, PlanMade
 from twinct.runs import Run
 from twinct.scenario import Scenario
 from twinct.view.folder import RunFolder
@@ -42,36 +47,54 @@ def test_a_page_follows_its_run_and_changes_nothing(
     tmp_path: Path,
 ) -> None:
     out = tmp_path / "out"
+    moments: list[JointSample] = []
+    scene = server.get_scene_serializer()  # browsers are sent only the newest of many places
     with closing(Page(server, live=True)) as page, closing(Listener(server.get_port())) as listener:
         live = LivePage(page, out)
-        watched = run(scenario, out, link="local", observers=[live.observer])
+
+        def hear(event: Event) -> None:
+            live.hear(event)
+            if isinstance(event, PlanMade):
+                listener.wait(lambda: "planned" in listener.texts())
+            if isinstance(event, JointSample):
+                moments.append(event)
+                assert page.settle(HANG_S)  # else the next place takes its place
+
+        observer = replace(live.observer, hear=hear, joints_hz=2.0, lossless=True)
+        watched = run(scenario, out, link="local", observers=[observer])
         live.close()
-        assert page.settle()
+        listener.catch_up(page)
         assert files(watched.paths.scan) == files(finished.paths.scan)
         assert np.array_equal(watched.volume.array, finished.volume.array)
 
-        listener.wait(lambda: "view 7 of 8" in listener.node("/label")["text"])
-        texts = "\n".join(_told(message) for _, message in listener.heard)
-        assert "planned" in texts
-        assert "8 of 8 views" in texts
-        # The arms moved. How many places a page paints depends on how busy the machine is.
-        moves = [m for _, m in listener.heard if m["type"] == "SetPositionMessage"]
-        hand = {tuple(m["position"]) for m in moves if "/room/source/" in m["name"]}
-        assert len(hand) > 3
+        assert "view 7 of 8" in listener.node("/label")["text"]
+        assert "8 of 8 views" in listener.texts()
         shown = page.shows[0]
         assert np.array_equal(shown.volumes["reconstruction"].array, finished.volume.array)
         assert list(shown.geometries) == ["commanded", "executed", "believed"]
+        room = page.stages[0]._room
+        assert room is not None
+        sources = [body.name for body in room.bodies].index("source")
+        wanted = [tuple(room.at(moment.position)[0][sources]) for moment in moments]
+        views = {tuple(room.at(joints)[0][sources]) for joints in shown.joints}
+    # The arms were drawn wherever they were, in this order.
+    drawn = iter([place for place, _ in groupby(places_of(scene.serialize(), "/room/source/"))])
+    assert all(place in drawn for place, _ in groupby(wanted))
+    assert len(set(wanted) - views) > 8  # between the views, too
 
 
-def _told(message: dict) -> str:
-    return _content(message.get("updates", {}))
+def places_of(scene: bytes, part: str) -> list[tuple[float, ...]]:
+    """All places of a node, one after the other."""
+    return [
+        tuple(message["position"])
+        for _, message in recorded(scene)
+        if message["type"] == "SetPositionMessage" and part in message["name"]
+    ]
 
 
 def test_a_folder_of_another_process_is_followed(
     server: viser.ViserServer, finished: Run, tmp_path: Path
 ) -> None:
-    import shutil
-
     out = tmp_path / "copy"
     shutil.copytree(finished.paths.path, out)
     status = [out / "scan.zarr" / "status" / f"c.{view}" for view in range(8)]
@@ -91,11 +114,7 @@ def test_a_folder_of_another_process_is_followed(
                     lambda view=view: f"view {view} of 8" in listener.node("/label")["text"]
                 )
             shutil.rmtree(out)
-            listener.wait(lambda: [c for c in listener.gui.values() if "is gone" in _content(c)])
+            listener.wait(lambda: "is gone" in listener.texts())
         follower.close()
         # What was shown stays.
         assert page.shows[0].acquired == 5
-
-
-def _content(control: dict) -> str:
-    return str(control.get("_markdown") or "")

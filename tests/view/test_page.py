@@ -1,23 +1,24 @@
 from __future__ import annotations
 
 import socket
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 
 import numpy as np
 import pytest
 import viser
 from listener import Listener
+from waiting import HANG_S, until
 
 from twinct.runs import Run
-from twinct.view.filling import fill
 from twinct.view.folder import RunFolder
 from twinct.view.page import Page
 from twinct.view.show import Show
 from twinct.view.slices import Plane, greys
 
 MM = 1e-3
+
+Put = Callable[[Page, int, Show], None]
 
 JPEG = 12.0
 """Mean difference of grey values that its compression leaves."""
@@ -29,10 +30,9 @@ def show(finished: Run) -> Show:
 
 
 @pytest.fixture
-def page(server: viser.ViserServer, show: Show) -> Iterator[Page]:
+def page(server: viser.ViserServer, show: Show, put: Put) -> Iterator[Page]:
     with closing(Page(server)) as made:
-        fill(made, 0, show).join(60)
-        assert made.settle()
+        put(made, 0, show)
         yield made
 
 
@@ -60,14 +60,15 @@ def label(listener: Listener) -> str:
     return listener.node("/label")["text"]
 
 
-def test_the_slider_shows_each_view_where_it_was_taken(listener: Listener, show: Show) -> None:
+def test_the_slider_shows_each_view_where_it_was_taken(
+    listener: Listener, page: Page, show: Show
+) -> None:
     executed = show.geometries["executed"]
     for view in (3, 7):
         listener.set("view", view)
         listener.wait(lambda view=view: f"view {view} of 8" in label(listener))
-        listener.wait(
-            lambda view=view: alike(listener.picture("/projection"), seen(show, view)) > 0.99
-        )
+        listener.catch_up(page)
+        assert alike(listener.picture("/projection"), seen(show, view)) > 0.99
         panel = listener.node("/projection")
         # Width along u and height along v; it stands 6 mm before the pixels' plane.
         front = executed.detector[view] + 6.0 * executed.normal[view]
@@ -94,13 +95,16 @@ def test_the_arms_stand_as_in_the_view(listener: Listener, page: Page, show: Sho
     assert room is not None
     listener.set("view", 6)
     listener.wait(lambda: "view 6 of 8" in label(listener))
+    listener.catch_up(page)
     positions, _ = room.at(show.joints[6])
     for body, position in zip(room.bodies, positions, strict=True):
         node = listener.node(f"/room/{body.name}/")
         np.testing.assert_allclose(node.get("position", np.zeros(3)), position, atol=1e-6)
 
 
-def test_differences_are_magnified_about_executed(listener: Listener, show: Show) -> None:
+def test_differences_are_magnified_about_executed(
+    listener: Listener, page: Page, show: Show
+) -> None:
     executed, believed = show.geometries["executed"], show.geometries["believed"]
     listener.set("beam and panel", "believed")
     listener.set("differences, times", 50)
@@ -109,6 +113,7 @@ def test_differences_are_magnified_about_executed(listener: Listener, show: Show
     listener.wait(
         lambda: np.allclose(listener.node("/balls/believed")["position"], shall * MM, atol=1e-6)
     )
+    listener.catch_up(page)
     front = executed.detector[4] + 50 * (believed.detector[4] - executed.detector[4])
     panel = listener.node("/projection")["position"] / MM
     # The panel of the believed geometry, magnified, with its 6 mm.
@@ -142,29 +147,51 @@ def test_the_surface_comes_and_goes(listener: Listener) -> None:
     listener.wait(lambda: not [name for name in listener.nodes if "/surface/" in name])
 
 
-def test_play_goes_on_and_stops(listener: Listener) -> None:
+class Beats:
+    """The time of play: the next view is due when the test says so."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._due = False
+        self.awaited = False
+        self.apart_s = 0.0
+
+    def wait(self, beat_s: float) -> None:
+        self.awaited, self.apart_s = True, beat_s
+        self._page._changed.wait_for(lambda: self._page._wishes or self._due)
+        self.awaited = False
+        if not self._page._wishes:
+            self._due = False
+
+    def give(self) -> None:
+        assert self._page.settle(HANG_S)
+        with self._page._changed:
+            self._due = True
+            self._page._changed.notify_all()
+
+
+def test_play_goes_on_and_stops(
+    listener: Listener, page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beats = Beats(page)
+    monkeypatch.setattr(page, "_await_beat", beats.wait)
     listener.set("views a second", 20)
     listener.press("play")
-    first = label(listener)
-    listener.wait(lambda: label(listener) != first)
-    shown = {message["updates"]["text"] for _, message in listener.heard if _text(message)}
-    listener.wait(
-        lambda: len({m["updates"]["text"] for _, m in listener.heard if _text(m)}) > len(shown) + 3
-    )
+    for view in (1, 2, 3, 4, 5):
+        beats.give()
+        listener.wait(lambda view=view: f"view {view} of 8" in label(listener))
+    assert page.settle(HANG_S)
+    assert beats.awaited and beats.apart_s == 1 / 20
     listener.press("pause")
-    time.sleep(0.5)
-    before = label(listener)
-    time.sleep(0.3)
-    assert label(listener) == before
+    listener.set("z", 5)
+    until(lambda: page.look.slices[2] == 5, "what comes after the press")
+    listener.catch_up(page)
+    assert page.settle(HANG_S)
+    assert not beats.awaited
+    assert "view 5 of 8" in label(listener)
 
 
-def _text(message: dict) -> bool:
-    return message["type"] == "SceneNodeUpdateMessage" and "text" in message["updates"]
-
-
-def test_a_second_browser_sees_the_same(
-    listener: Listener, server: viser.ViserServer, show: Show
-) -> None:
+def test_a_second_browser_sees_the_same(listener: Listener, server: viser.ViserServer) -> None:
     listener.set("view", 5)
     with closing(Listener(server.get_port())) as second:
         second.wait(lambda: "view 5 of 8" in label(second))
@@ -199,16 +226,15 @@ def test_a_click_on_the_panel_says_the_pixel(page: Page, show: Show) -> None:
 def test_a_click_on_a_path_goes_to_its_view(page: Page, show: Show) -> None:
     eye = np.array([100.0, -1700.0, 500.0])
     page._select(0, "path", "executed", eye, show.geometries["executed"].source[5] - eye)
-    assert page.settle()
+    assert page.settle(HANG_S)
     assert page.look.view == 5
     assert page._numbers.content.startswith("**View 5** of 8")
 
 
-def test_two_runs_stand_side_by_side(server: viser.ViserServer, show: Show) -> None:
+def test_two_runs_stand_side_by_side(server: viser.ViserServer, show: Show, put: Put) -> None:
     with closing(Page(server, 2)) as page:
         for run in (0, 1):
-            fill(page, run, show).join(60)
-        assert page.settle()
+            put(page, run, show)
         with closing(Listener(server.get_port())) as listener:
             listener.wait(lambda: listener.node("/run1/projection"))
             listener.set("view", 3)

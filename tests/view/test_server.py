@@ -7,6 +7,7 @@ import pytest
 import viser
 from listener import Listener
 from viser import _messages as messages
+from waiting import HANG_S, until
 
 from twinct.errors import InputError
 from twinct.view.server import LOOPBACK, by_ssh, close, serve
@@ -19,7 +20,7 @@ def bound_to(server: viser.ViserServer) -> list[str]:
         hosts |= {i[4][0] for i in socket.getaddrinfo(socket.gethostname(), None)}
     for host in hosts:
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
-            probe.settimeout(2)
+            probe.settimeout(HANG_S)
             if probe.connect_ex((host, server.get_port())) == 0:
                 found.append(host)
     return found
@@ -33,10 +34,12 @@ def test_it_listens_on_loopback_and_shares_nothing(server: viser.ViserServer) ->
     listener = Listener(server.get_port())
     listener.wait(lambda: listener.theme)
     assert listener.theme["show_share_button"] is False
+    after = server.gui.add_checkbox("after", False)
+    listener.wait(lambda: listener.control("after"))
     listener.send({"type": "ShareUrlRequest"})
     listener.send({"type": "ShareUrlDisconnect"})
-    server.scene.add_frame("/after")
-    listener.wait(lambda: "/after" in listener.nodes)  # it lives, and is deaf to that
+    listener.set("after", True)
+    until(lambda: after.value, "what was sent last")  # it lives, and is deaf to that
     assert server._share_tunnel is None
     listener.close()
 
@@ -82,8 +85,8 @@ def test_pages_of_other_sites_do_not_look_in(server: viser.ViserServer) -> None:
     own = Listener(server.get_port(), origin=f"http://localhost:{server.get_port()}")
     own.wait(lambda: "/secret" in own.nodes)
     for other in (stranger, renamed):
-        other._thread.join(10)
-        assert other.closed and not other.heard
+        other.until_closed()
+        assert not other.heard
     own.close()
 
 

@@ -5,8 +5,8 @@
     python tools/fuzz scenarios --seed 1 --only 4711
 
 A case is known by kind, seed and number. It fails by anything else than a result or an
-``InputError``, by taking too long or by taking too much memory; its files are kept below --out.
-Exit code 1: something was found.
+``InputError``, by taking too much of the processor's time or too much memory; its files are kept
+below --out. Exit code 1: something was found.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, help="cases of each kind at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, help="number of the one case to try")
+    parser.add_argument("--any-speed", action="store_true", help="no case is too slow")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"))
     arguments = parser.parse_args()
     minutes = arguments.minutes or (1 if arguments.count is None else math.inf)
@@ -47,7 +48,8 @@ def main() -> int:
         chosen = every if arguments.only is None else [arguments.only]
         before = time.monotonic()
         place = arguments.out.absolute() / kind
-        found = fuzz(KINDS[kind], arguments.seed, chosen, 60 * minutes, place)
+        speed = {"any_speed": arguments.any_speed}
+        found = fuzz(KINDS[kind], arguments.seed, chosen, 60 * minutes, place, **speed)
         words = ", ".join(f"{number} {word}" for word, number in found.words.most_common())
         sys.stdout.write(
             f"{kind}, seed {arguments.seed}: {found.words.total()} cases in "

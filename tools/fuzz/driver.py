@@ -10,16 +10,12 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-START_SECONDS = 400.0
-"""In which a worker has its libraries and its material, which may be scans to be made."""
-
-GRACE = 10.0
-"""Times as long by the clock, on a busy machine, and a worker hangs and is ended."""
+from hanging import Limits, Watch
 
 CASES_A_WORKER = 20_000
 """Then a fresh one: what a library keeps of each case is not of the next."""
@@ -45,10 +41,20 @@ class Outcome:
 class Worker:
     """A process that tries cases; it is started anew after each that ended it."""
 
-    def __init__(self, kind: str, seed: int, place: Path) -> None:
+    def __init__(
+        self,
+        kind: str,
+        seed: int,
+        place: Path,
+        limits: Limits,
+        clock: Callable[[], float],
+        *,
+        any_speed: bool,
+    ) -> None:
         """Files go to ``place``: the material, and the folder of the case that is tried."""
         self.folder = place / "case"
-        own = [kind, str(seed), str(place), str(self.folder)]
+        self._limits, self._clock = limits, clock
+        own = [kind, str(seed), str(place), str(self.folder), *(["any-speed"] * any_speed)]
         script = Path(__file__).resolve().with_name("worker.py")
         self._command = [sys.executable, str(script), *own]
         self._process: subprocess.Popen[bytes] | None = None
@@ -73,7 +79,7 @@ class Worker:
         before = time.monotonic()
         self._process.stdin.write(f"{number}\n".encode())
         self._process.stdin.flush()
-        line = self._line(GRACE * self._seconds)
+        line = self._line(self._limits.times * self._seconds)
         if line:
             return json.loads(line)
         code = self._process.poll()
@@ -91,19 +97,21 @@ class Worker:
             self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
         self._rest, self._left = b"", CASES_A_WORKER
-        limits = self._line(START_SECONDS)
+        limits = self._line(self._limits.start_s)
         if not limits:
-            raise SystemExit(f"the worker does not start: see {self.folder.parent}/worker.log")
+            how = "hangs" if self._process.poll() is None else "ends"
+            raise SystemExit(f"the worker {how} at its start: see {self.folder.parent}/worker.log")
         self._seconds = json.loads(limits)["seconds"]
 
-    def _line(self, seconds: float) -> bytes:
-        """The next line of the worker; empty where none comes in time, or it has ended."""
+    def _line(self, processor_s: float) -> bytes:
+        """The next line of the worker; empty where it hangs before, or has ended."""
         assert self._process is not None and self._process.stdout is not None
-        end = time.monotonic() + seconds
+        watch = Watch(self._process.pid, processor_s, self._limits.idle_s, clock=self._clock)
         while b"\n" not in self._rest:
-            left = max(end - time.monotonic(), 0)
-            if not select.select([self._process.stdout], [], [], left)[0]:
-                return b""
+            if not select.select([self._process.stdout], [], [], self._limits.look_s)[0]:
+                if watch.hangs():
+                    return b""
+                continue
             chunk = os.read(self._process.stdout.fileno(), 65536)
             if not chunk:
                 self._process.wait()
@@ -119,13 +127,31 @@ class Worker:
             self._process = None
 
 
-def fuzz(kind: str, seed: int, numbers: Iterable[int], seconds: float, place: Path) -> Outcome:
+def fuzz(
+    kind: str,
+    seed: int,
+    numbers: Iterable[int],
+    seconds: float,
+    place: Path,
+    limits: Limits = Limits(),  # noqa: B008 - it is frozen
+    clock: Callable[[], float] = time.monotonic,
+    *,
+    any_speed: bool = False,
+) -> Outcome:
     """Try cases until they or the time end; each failure is kept.
 
-    In ``place``, a folder named like the kind on the command line.
+    Args:
+        kind: name of its module.
+        seed: of the cases.
+        numbers: of the cases.
+        seconds: after which no more are tried.
+        place: for files, a folder named like the kind on the command line.
+        limits: when a worker hangs.
+        clock: that counts while a worker uses no processor time.
+        any_speed: no case is too slow, as long as its worker does not hang.
     """
     found, end, last = Outcome(), time.monotonic() + seconds, time.monotonic()
-    with Worker(kind, seed, place) as worker:
+    with Worker(kind, seed, place, limits, clock, any_speed=any_speed) as worker:
         for number in numbers:
             if time.monotonic() > end:
                 break

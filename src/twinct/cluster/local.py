@@ -28,8 +28,8 @@ ENVIRONMENT = {
 CLIENT = {"RAY_NUM_REDIS_GET_RETRIES": "2", "RAY_py_gcs_connect_timeout_s": "5"}
 """Of one that joins a Ray that is there: a few seconds, after which nobody answers."""
 
-PATIENCE_S = 120.0
-"""A busy machine starts Ray in half a minute."""
+PATIENCE_S = 300.0
+"""A busy machine starts Ray in half a minute, a very busy one in minutes."""
 
 
 _PREFIX, _LIFELINE = "twinct-ray-", "lifeline"

@@ -29,6 +29,9 @@ from twinct.threads import available_threads
 ANSWER_S = 10.0
 """In which a cluster has to answer."""
 
+ASK_S = 300.0
+"""In which each node has to answer: on a busy one a process needs a minute to start."""
+
 LOOK_S = 2.0
 """How often a pool that waits makes sure that Ray is there."""
 
@@ -288,7 +291,7 @@ class RayPool:
         found: list[Any] = []
         for reference in asked:
             try:
-                found.append(self._ray.get(reference, timeout=60))
+                found.append(self._ray.get(reference, timeout=ASK_S))
             except (failures.TaskUnschedulableError, failures.NodeDiedError):
                 continue  # Ray counts a node that is gone for some seconds more
             except failures.RayError as error:

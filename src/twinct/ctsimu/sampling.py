@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from twinct.ctsimu.scene import FocalSpot
 from twinct.files.images import read_image
@@ -55,6 +54,9 @@ def sampling(spot: FocalSpot, samples: int, spot_points: int, pixels: int) -> Sa
         steps = (np.arange(samples // inner) + 0.5) / samples - 0.5 / inner
         shift = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         return Sampling(np.zeros_like(shift), shift, inner)
+    # Half a second to import: no other work waits for it.
+    from scipy.stats import qmc
+
     points = qmc.Halton(4, scramble=False).random(spot_points + SKIPPED)[SKIPPED:]
     # One in each of equally many strata of every axis.
     cube = (points.argsort(axis=0).argsort(axis=0) + 0.5) / spot_points

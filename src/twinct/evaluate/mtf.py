@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal.windows import tukey
 
 from twinct.errors import InputError
 from twinct.geometry import Floats
@@ -103,6 +102,9 @@ def edge_mtf(
     )
     at = step * np.arange(-half, half + 1)
     spread = -np.diff(np.interp(at, places, means)) / step
+    # Half a second to import: no other work waits for it.
+    from scipy.signal.windows import tukey
+
     t = (at[1:] + at[:-1]) / 2
     spread *= ((radius_mm + t) / radius_mm) ** (curved / 2) * tukey(len(t), 0.5)
     frequency = np.linspace(0, 1 / voxel_mm, _FREQUENCIES)

@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from twinct.cell import CellModel
 from twinct.errors import InputError, ScenarioError
@@ -202,6 +201,9 @@ class _Search:
 
     def _spread(self, own: Floats, arm: int, samples: int) -> list[Floats]:
         """An arm's own place, and others all over the bounds."""
+        # Half a second to import: no other work waits for it.
+        from scipy.stats import qmc
+
         points = qmc.Halton(5, rng=self._seed).random(samples)
         points = qmc.scale(points, *self._ranges.T + [[0], [1e-9]])
         if arm:

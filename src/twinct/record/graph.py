@@ -33,8 +33,9 @@ log = logging.getLogger(__name__)
 PARTS = (VIEWS, REACHED, JOINTS, STATE, CAMERA, DISPLAY_CAMERA, DISPLAY)
 """What a view has besides its image: written before it, so that a killed scan lacks none."""
 
-PATIENCE_S = 10.0
-"""How long a scan waits for the recorder to have an image that it has itself."""
+PATIENCE_S = 300.0
+"""How long a scan waits for the recorder to have an image that it has itself. Milliseconds do, but
+where the machine is busy the recording shall not lack an image for it."""
 
 
 class GraphRecorder(Recorder):

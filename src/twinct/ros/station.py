@@ -11,7 +11,7 @@ from typing import Any
 import rclpy
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, ShutdownException, TimeoutException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -157,6 +157,20 @@ class Station:
             except ExternalShutdownException:
                 return until()
         return True
+
+    def drain(self, quiet_s: float) -> None:
+        """Handle what is there and what still comes in, until a silence of so many seconds."""
+        found = True
+        while found:  # a silence counts only where a look at its end finds nothing
+            found = False
+            try:
+                while True:
+                    handler, *_ = self._executor.wait_for_ready_callbacks(timeout_sec=quiet_s)
+                    found = True
+                    handler()
+                    handler.result()  # raises what the callback has raised
+            except (TimeoutException, ShutdownException):
+                pass
 
     def wake(self) -> None:
         """Let ``wait`` look at its condition; from any thread."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from threading import Event, Thread
@@ -50,7 +49,6 @@ class Tap:
         """
         self._members, self._hear = members, hear
         self._station = Station(f"{SCAN}_tap", domain_id)
-        self._last_s = 0.0
         self._ending = Event()
         for topic in TOPICS:
             kind = f"{topic.kind.__module__.partition('.')[0]}/msg/{topic.kind.__name__}"
@@ -60,16 +58,13 @@ class Tap:
         self._thread.start()
 
     def _take(self, topic: str, kind: str, raw: Raw, sender: Sender) -> None:
-        self._last_s = time.monotonic()
         if any(self._members.sent(name, sender) for name in (SCAN, ROBOTS, XRAY)):
             self._hear(Heard(topic, kind, raw, sender.number, sender.publisher))
 
     def _listen(self) -> None:
-        def over() -> bool:
-            return self._ending.is_set() and time.monotonic() > self._last_s + QUIET_S
-
-        while not over():
-            self._station.wait(over, QUIET_S)
+        while not self._ending.is_set():
+            self._station.wait(self._ending.is_set, QUIET_S)
+        self._station.drain(QUIET_S)
         self._station.close()
 
     def close(self) -> None:

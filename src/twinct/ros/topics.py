@@ -38,7 +38,8 @@ TARGET = Topic("/scan/target", PoseArray, SCAN, 1)
 PLAN = Topic("/scan/plan", JointTrajectory, SCAN, 1)
 PLAN_VIEWS = Topic("/scan/plan_views", DiagnosticArray, SCAN, 1)
 COMMANDED = Topic("/scan/commanded", PoseArray, SCAN, 1)
-CLOCK = Topic("/clock", Clock, ROBOTS, 1)
+CLOCK = Topic("/clock", Clock, ROBOTS, 1000)
+"""Keeps the ticks of a move: a recorder that is slow, or met late, has them all."""
 VIEWS = Topic("/scan/views", TimeReference, ROBOTS, 1000)
 """Keeps four messages for each view of the scan, if those are more: some are told again."""
 REACHED = Topic("/scan/reached", PoseArray, ROBOTS, 10)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import max_len_seq
 
 from twinct.draws import view_rng
 from twinct.geometry import Floats
@@ -19,6 +18,9 @@ def nominal_centres(shape: BallHelix) -> Floats:
     Gaps are narrow or wide as a sequence of maximum length says: up to 64 balls no run of six
     gaps comes twice.
     """
+    # Half a second to import: no other work waits for it.
+    from scipy.signal import max_len_seq
+
     bits = max_len_seq(max(int(np.ceil(np.log2(shape.balls))), 2))[0]
     gaps = np.where(bits[: shape.balls - 1], WIDE_GAP, 1.0)
     share = np.concatenate([[0.0], np.cumsum(gaps)]) / gaps.sum()

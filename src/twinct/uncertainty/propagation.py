@@ -18,9 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import oaconvolve
 from scipy.spatial.transform import Rotation
-from scipy.stats import truncnorm
 
 from twinct.draws import scan_rng
 from twinct.geometry import Chain, Floats, Panel, ScanGeometry, exp_matrices, lock
@@ -279,6 +277,9 @@ def _cut_sigma(noise: PoseNoise) -> float:
     """Standard deviation of an axis after what lies beyond the cut-off is drawn again."""
     if noise.cutoff_mm is None or not noise.sigma_mm:
         return noise.sigma_mm
+    # Half a second to import: no other work waits for it.
+    from scipy.stats import truncnorm
+
     cut = noise.cutoff_mm / noise.sigma_mm
     return noise.sigma_mm * float(truncnorm(-cut, cut).std())
 
@@ -421,6 +422,9 @@ def _alike(seed: int, purpose: str, draws: int, views: int, length: float) -> Si
     white = rng.standard_normal((draws, views + len(own) - 1, 6), dtype=np.float32)
     if not length:
         return white
+    # Half a second to import: no other work waits for it.
+    from scipy.signal import oaconvolve
+
     return oaconvolve(white, own[None, :, None].astype(np.float32), mode="valid", axes=1)
 
 

@@ -34,6 +34,9 @@ LOOKS_APART_S = 0.4
 
 JOINTS_HZ = 10.0
 
+HANGS_S = 60.0
+"""The end waits so long for the last look, without which the page would lack the last views."""
+
 
 class Follower:
     """Looks into a run's folder again and again, and puts what is new on the page."""
@@ -55,7 +58,7 @@ class Follower:
         """Look no more, after a last look."""
         self._ended = True
         self._nudged.set()
-        self._thread.join(10.0)
+        self._thread.join(HANGS_S)
 
     def _follow(self) -> None:
         while True:

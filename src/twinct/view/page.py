@@ -51,6 +51,9 @@ BROWSER_COMES_S, BROWSER_DRAWS_S = 2.0, 2.0
 SURFACE_SHARE = 0.5
 """Level of the bone surface at first: this share of the densest material in the window."""
 
+HANGS_S = 60.0
+"""The end of a page waits so long for the painter, which a large surface keeps busy for seconds."""
+
 
 @dataclass
 class _Wishes:
@@ -131,7 +134,7 @@ class Page:
         """Go to a view, as by the slider."""
         self._view.value = int(np.clip(view, 0, self._view.max))
 
-    def settle(self, timeout_s: float = 30.0) -> bool:
+    def settle(self, timeout_s: float | None = None) -> bool:
         """Wait until all that was wanted is painted; whether it was in time."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._wishes and not self._busy, timeout_s)
@@ -144,7 +147,7 @@ class Page:
     def close(self) -> None:
         """Paint no more."""
         self._wish(lambda wishes: setattr(wishes, "ended", True))
-        self._thread.join(5.0)
+        self._thread.join(HANGS_S)
 
     @property
     def look(self) -> Look:
@@ -206,8 +209,9 @@ class Page:
         ):
             handle.on_update(lambda _: self._look_again())
 
+        # In the server's loop, which keeps the order of clicks; its other threads do not.
         @self._buttons.on_click
-        def _(_: Any) -> None:
+        async def _(_: Any) -> None:
             self._press(str(self._buttons.value))
 
     def _press(self, button: str) -> None:
@@ -253,8 +257,7 @@ class Page:
                 while not self._wishes and not self._playing:
                     self._changed.wait()
                 if self._playing:
-                    beat = 1.0 / max(float(self._rate.value), 0.1)
-                    self._changed.wait_for(lambda: self._wishes, beat)
+                    self._await_beat(1.0 / max(float(self._rate.value), 0.1))
                 wishes, self._wishes = self._wishes, _Wishes()
                 self._busy = True
                 if self._playing and not wishes:
@@ -281,6 +284,10 @@ class Page:
             rest = 1.0 / FASTEST_HZ - (time.monotonic() - start)
             if rest > 0:
                 time.sleep(rest)
+
+    def _await_beat(self, beat_s: float) -> None:
+        """Wait until the next view of those that play is due, or something is wanted."""
+        self._changed.wait_for(lambda: self._wishes, beat_s)
 
     def _complain(self, text: str) -> None:
         self._head.content = f"{self._head.content}\n\n**{text}**"
