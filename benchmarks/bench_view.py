@@ -36,7 +36,7 @@ from twinct.volume import Volume
 
 HERE = Path(__file__).parent
 SCENARIOS = HERE.parent / "scenarios"
-sys.path.insert(0, str(HERE.parent / "tests" / "view"))
+sys.path[:0] = [str(HERE.parent / "tests" / name) for name in ("view", "support")]
 
 PORT = 18_080
 BLOCK = 10
@@ -136,8 +136,8 @@ def slider(folder: Path) -> dict:
     process = viewing(folder)
     try:
         page = connected(Listener)
-        page.wait(lambda: page.node("/projection"), 60)
-        page.wait(lambda: [n for n in page.nodes if "/room/" in n], 60)
+        page.wait(lambda: page.node("/projection"))
+        page.wait(lambda: [n for n in page.nodes if "/room/" in n])
         time.sleep(10)  # what is filled up in the background
         views = int(page.control("view")["max"]) + 1
         start = time.monotonic()
@@ -151,7 +151,7 @@ def slider(folder: Path) -> dict:
             for index in range(0, 512, 32):
                 before = page.node(f"/slices/{axis}")["position"]
                 page.set(axis, index)
-                page.wait(lambda axis=axis, before=before: moved(page, axis, before), 30)
+                page.wait(lambda axis=axis, before=before: moved(page, axis, before))
                 planes += 1
         of_slices = time.monotonic() - begin
         status = Path(f"/proc/{process.pid}/status").read_text().splitlines()
@@ -192,8 +192,16 @@ def live(out: Path) -> dict:
 
     scenario = load_scenario(SCENARIOS / "paper.yaml")
     stored: dict[int, float] = {}
+    messages: list[tuple[float, dict]] = []
     server = serve(LOOPBACK, 0)
-    with closing(Page(server, live=True)) as page, closing(Listener(server.get_port())) as browser:
+
+    def come(message: dict) -> None:
+        messages.append((time.monotonic(), message))
+
+    with (
+        closing(Page(server, live=True)) as page,
+        closing(Listener(server.get_port(), note=come)) as browser,
+    ):
         workshop = Workshop(scenario)
         live_page = LivePage(page, out, workshop)
         off = False
@@ -213,9 +221,8 @@ def live(out: Path) -> dict:
             Observer(note, (ViewStored,), lossless=True),
         ]
         run_scan(workshop, out, observers)
-        page.settle()
-        time.sleep(1)
-        sent = first_sent(browser.heard)
+        browser.catch_up(page)
+        sent = first_sent(messages)
     close(server)
     lags = [sent[view] - at for view, at in stored.items() if view in sent and heard(view)]
     times = np.array([stored[view] for view in sorted(stored)])
