@@ -56,7 +56,7 @@ def test_the_wheel_alone_loads_builds_and_writes(tmp_path: Path) -> None:
     scenario.write_text(
         "trajectory: {kind: arc, views: 3, longitude_range_deg: 10}\n"
         "detector: {columns: 16, rows: 12, pixel_pitch_mm: 20}\n"
-        "specimen: {parts: [{shape: {kind: sphere, radius_mm: 40}}]}\n"
+        "specimen: {parts: [{shape: {kind: sphere, radius_mm: 40, mesh_resolution_mm: 4}}]}\n"
         "reconstruction: {iterations: 1, grid: {voxels: 8, voxel_mm: 20}}\n"
     )
     twinct("run", str(scenario), "--out", "out", "--link", "local")

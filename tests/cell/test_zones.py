@@ -14,7 +14,9 @@ from twinct.scenario import Cell, Detector, load_scenario, stage_digests
 
 BASE = {
     "trajectory": {"kind": "arc", "views": 3},
-    "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 50}}]},
+    "specimen": {
+        "parts": [{"shape": {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 4}}]
+    },
 }
 SHAPES = {
     "box": {"kind": "box", "size_mm": [100, 200, 300]},

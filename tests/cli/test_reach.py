@@ -14,7 +14,7 @@ from twinct.cli import run_command
 from twinct.scenario import Cell, load_scenario
 
 DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")
-BALL = ("--set", "specimen.parts=[{shape: {kind: sphere, radius_mm: 80}}]")
+BALL = ("--set", "specimen.parts=[{shape: {kind: sphere, radius_mm: 80, mesh_resolution_mm: 4}}]")
 TURNED = ("--set", "trajectory={kind: circle, views: 4}")
 
 

@@ -13,7 +13,7 @@ STUDY = """scenario:
   cell: {kind: gantry}
   trajectory: {kind: circle, views: 4}
   detector: {columns: 24, rows: 18, pixel_pitch_mm: 13}
-  specimen: {parts: [{shape: {kind: sphere, radius_mm: 50}}]}
+  specimen: {parts: [{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 4}}]}
   reconstruction: {algorithm: sart, iterations: 1, grid: {voxels: 16, voxel_mm: 10}}
 """
 AXES = """axes:

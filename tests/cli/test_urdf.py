@@ -14,7 +14,9 @@ from twinct.scenario import load_scenario
 from twinct.views import PosePairs
 
 DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")
-BALL = "specimen.parts=[{shape: {kind: sphere, radius_mm: 60}, material: bone}]"
+BALL = (
+    "specimen.parts=[{shape: {kind: sphere, radius_mm: 60, mesh_resolution_mm: 4}, material: bone}]"
+)
 
 
 def test_the_room_is_written_with_meshes_and_camera(tmp_path: Path) -> None:

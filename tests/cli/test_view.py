@@ -69,7 +69,7 @@ def test_a_plan_is_exported(
 def keys() -> Callable[[], list[str]]:
     return lambda: [
         "trajectory.views=6",
-        "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+        "specimen.parts=[{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 4}}]",
         "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
         "reconstruction.grid={voxels: 20, voxel_mm: 8}",
     ]

@@ -106,7 +106,9 @@ def test_a_rig_takes_its_path_and_the_last_view_for_lag_after_a_resume_too():
         | {
             "source": {"exposure_ms": 10, "motion_samples": 2},
             "detector": small | noise,
-            "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 60}}]},
+            "specimen": {
+                "parts": [{"shape": {"kind": "sphere", "radius_mm": 60, "mesh_resolution_mm": 4}}]
+            },
         }
     )
     workshop = Workshop(scenario)

@@ -20,7 +20,8 @@ SHORT = (
     *("trajectory.views=4", "trajectory.longitude_range_deg=20"),
     *("trajectory.latitude_amplitude_deg=5", "detector.columns=32", "detector.rows=24"),
     *("detector.pixel_pitch_mm=10", "source.motion_samples=2", "source.exposure_ms=8"),
-    "specimen.parts=[{name: ball, shape: {kind: sphere, radius_mm: 60}, material: bone}]",
+    "specimen.parts=[{name: ball, material: bone, "
+    "shape: {kind: sphere, radius_mm: 60, mesh_resolution_mm: 4}}]",
 )
 
 

@@ -26,7 +26,10 @@ LOOK_S = 0.05
 AGAIN_S = 2.0
 """Who gets no answer for so long asks again."""
 SCENARIO = HERE.parents[1] / "scenarios" / "demo.yaml"
-BALL = "specimen.parts=[{name: ball, shape: {kind: sphere, radius_mm: 60}, material: bone}]"
+BALL = (
+    "specimen.parts=[{name: ball, material: bone, "
+    "shape: {kind: sphere, radius_mm: 60, mesh_resolution_mm: 4}}]"
+)
 TINY = [
     *("trajectory.views=12", "detector.columns=32", "detector.rows=24"),
     *("detector.pixel_pitch_mm=10", BALL),

@@ -21,8 +21,8 @@ try:
         print(rig.domain_id, os.getpid(), *pids, flush=True)  # noqa: T201
         for view, target in enumerate(targets):
             rig.move(view, target)
-            rig.expose(view)
             print(view, flush=True)  # noqa: T201
+            rig.expose(view)
 except TwinctError as error:
     sys.stderr.write(f"{type(error).__name__}: {error}\n")
     sys.exit(error.exit_code)

@@ -44,10 +44,10 @@ class Scan:
         assert line, self.process.stderr.read()
         self.domain_id, self.pid, self.robots, self.xray = map(int, line.split())
 
-    def views(self, count: int) -> None:
-        """Wait until some more views are taken."""
-        for _ in range(count):
-            assert self.process.stdout.readline()
+    def reach(self, last: int) -> None:
+        """Wait until so many views are taken and the next one is reached: what says its number."""
+        for view in range(last + 1):
+            assert self.process.stdout.readline() == f"{view}\n"
 
     def end(self) -> tuple[int, str]:
         """Exit code and what it complained about."""
@@ -79,7 +79,7 @@ def hasty(monkeypatch):
 def test_a_node_that_dies_ends_the_scan(scan, notes, wait_for_end, victim):
     with notes.renders_held(3):
         running = scan()
-        running.views(3)
+        running.reach(3)
         os.kill(getattr(running, victim), signal.SIGKILL)
     wait_for_end([running.pid, running.robots, running.xray])
     code, complaint = running.end()
@@ -93,7 +93,7 @@ def test_a_node_that_dies_ends_the_scan(scan, notes, wait_for_end, victim):
 def test_a_node_that_hangs_ends_the_scan(scan, notes, hasty, wait_for_end, victim):
     with notes.renders_held(3):
         running = scan()
-        running.views(3)
+        running.reach(3)
         os.kill(getattr(running, victim), signal.SIGSTOP)
     wait_for_end([running.pid, running.robots, running.xray])
     code, complaint = running.end()
@@ -105,7 +105,7 @@ def test_a_node_that_hangs_ends_the_scan(scan, notes, hasty, wait_for_end, victi
 def test_a_scan_that_is_stopped_loses_its_nodes_and_says_so(scan, notes, hasty, wait_for_end):
     with notes.renders_held(3):
         running = scan()
-        running.views(3)
+        running.reach(3)
         os.kill(running.pid, signal.SIGSTOP)
     wait_for_end([running.robots, running.xray])
     os.kill(running.pid, signal.SIGCONT)
@@ -129,7 +129,7 @@ def test_a_node_that_dies_takes_the_other_with_it_while_nobody_asks(
 def test_a_killed_parent_takes_its_nodes_with_it_even_at_work(scan, notes, wait_for_end):
     with notes.renders_held(3):
         running = scan()
-        running.views(3)
+        running.reach(3)
         until(lambda: notes.count("render") == 4, "the fourth image is begun")
         os.kill(running.pid, signal.SIGKILL)
         wait_for_end([running.pid, running.robots, running.xray])
@@ -140,7 +140,7 @@ def test_ctrl_c_is_the_parents_to_handle(scan, notes, wait_for_end):
         running = scan()
         for node in (running.robots, running.xray):
             assert os.getsid(node) == node != os.getsid(running.pid), "the terminal would reach it"
-        running.views(1)
+        running.reach(1)
         os.kill(running.pid, signal.SIGINT)
     wait_for_end([running.pid, running.robots, running.xray])
     _, complaint = running.end()
@@ -161,8 +161,8 @@ def test_two_scans_at_once_do_not_meet_and_leave_nothing(scan, notes, ended):
     with notes.renders_held(1):
         one, other = scan(), scan()
         assert one.domain_id != other.domain_id
-        one.views(1)
-        other.views(1)
+        one.reach(1)
+        other.reach(1)
     assert one.end() == other.end() == (0, "")
     assert all(map(ended, [one.robots, one.xray, other.robots, other.xray]))
     until(lambda: free(one.domain_id), "the first scan's domain is free")

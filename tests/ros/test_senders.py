@@ -71,6 +71,21 @@ def test_bytes_that_are_no_message_are_told_once_and_end_nothing(domain):
     assert f"no message of the type of {STATE.name}" in told[0]
 
 
+def test_ctrl_c_while_a_message_is_read_ends_the_waiting(domain, monkeypatch):
+    def interrupted(message, data):
+        raise KeyboardInterrupt
+
+    with (
+        closing(Station("listener", domain)) as listener,
+        closing(Station("speaker", domain)) as speaker,
+    ):
+        listener.listen(STATE, lambda *heard: None)
+        speaker.publisher(STATE).publish(Float64MultiArray(data=[3.0]))
+        monkeypatch.setattr(Float64MultiArray, "layout", property(None, interrupted))
+        with pytest.raises(KeyboardInterrupt):
+            listener.wait(lambda: False, HANG_S)
+
+
 def names_of_publishers(rig, topic):
     return {info.node_name for info in rig._station._node.get_publishers_info_by_topic(topic.name)}
 

@@ -29,7 +29,7 @@ def scenario() -> Scenario:
         Path(__file__).parents[2] / "scenarios" / "circle_gantry.yaml",
         [
             *(f"trajectory.views={VIEWS}", "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}"),
-            "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+            "specimen.parts=[{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 4}}]",
             *("reconstruction.grid={voxels: 20, voxel_mm: 8}", "reconstruction.iterations=1"),
             *("source.motion_samples=2", "source.exposure_ms=900", "detector.lag=0.1"),
             "motion.order=shortest",  # of which a gantry knows nothing

@@ -32,7 +32,7 @@ BALLS = (
 )
 LATER = [
     "trajectory={kind: arc, views: 6, centre_longitude_deg: 0}",
-    "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+    "specimen.parts=[{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 4}}]",
     "seed=3",
 ]
 

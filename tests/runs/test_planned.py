@@ -39,7 +39,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
             f"trajectory={{kind: file, path: {path}}}",
             *("motion={scheme: planned, order: shortest}", "source.focal_spot=null"),
             "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
-            "specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]",
+            "specimen.parts=[{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 4}}]",
             "reconstruction.grid={voxels: 20, voxel_mm: 8}",
         ],
     )

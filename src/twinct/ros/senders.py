@@ -149,6 +149,10 @@ class SenderExecutor(SingleThreadedExecutor):
                 message = deserialize_message(data, sub.msg_type)
             except rclpy_implementation.RMWError:
                 garbled = True
+            except TypeError as error:
+                if isinstance(error.__cause__, KeyboardInterrupt):  # pressed while this went on
+                    raise error.__cause__ from None
+                raise
 
         async def call() -> None:
             if not garbled:

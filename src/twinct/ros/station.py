@@ -6,6 +6,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
+from threading import Lock
 from typing import Any
 
 import rclpy
@@ -73,7 +74,7 @@ class Station:
         self.participant = participant_of(next(iter(self._node.publishers)))
         self._executor = SenderExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._closed = False
+        self._closed, self._closing = False, Lock()
 
     def publisher(self, topic: Topic, *, depth: int | None = None) -> Publisher:
         """Publish reliably; late joiners get the last ``depth`` messages, else the topic's."""
@@ -174,14 +175,16 @@ class Station:
 
     def wake(self) -> None:
         """Let ``wait`` look at its condition; from any thread."""
-        if not self._closed:
-            self._executor.wake()
+        with self._closing:  # who wakes what another thread closes meanwhile gets an error
+            if not self._closed:
+                self._executor.wake()
 
     def close(self) -> None:
         """Leave the domain; a second call does nothing."""
-        if self._closed:
-            return
-        self._closed = True
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
