@@ -12,11 +12,14 @@ SEED ?= 0
 VENV := .venv/bin
 # Markers of what test-all runs beside test.
 LONG := browser or cluster or tutorial or package
+# Files with tests that watch real time.
+CLOCKS = $(shell grep -rl --include='test_*.py' 'mark\.clock' tests)
 # Tests that watch real time run alone, after the others; PYTEST_ARGS may leave none of either.
 define run_tests
 @$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "($(1)) and not clock" $(PYTEST_ARGS) \
 	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
-@$(VENV)/python -m pytest -q -n 0 -m "($(1)) and clock" $(PYTEST_ARGS) || $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
+@$(VENV)/python -m pytest -q -n 0 -m "($(1)) and clock" $(or $(PYTEST_ARGS),$(CLOCKS)) \
+	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
 endef
 
 # Render without a display.
@@ -50,7 +53,7 @@ test-all: test ## The same, then what takes long: a browser, a cluster, tutorial
 lint: setup ## Check style, formatting, types and layers only
 	@$(VENV)/ruff check
 	@$(VENV)/ruff format --check
-	@$(VENV)/pyright
+	@$(VENV)/pyright --threads 2
 	@$(VENV)/lint-imports --no-cache
 
 format: setup ## Format the code and fix what can be fixed

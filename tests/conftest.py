@@ -75,23 +75,25 @@ _compilations = _Compilations()
 numba_event.register("numba:compile", _compilations)
 
 
-CROWDED = frozenset({"cluster", "pool", "record", "ros", "study"})
-"""Folders whose tests start scans over ROS 2, pools of workers, or Ray: several processes each."""
+TOGETHER = {"cluster": "pools", "pool": "pools", "study": "pools", "test_rtk.py": "itk"}
+"""Folders and files that share a worker: pools of processes, of which one at a time is enough for a
+machine, and files that import ITK, which takes ten seconds."""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling:
-    """Give each file to one worker, and all crowds of processes to one of them.
+    """Give each file to one worker, and all files that start pools, or Ray, to one of them.
 
-    So one crowd at most runs at any time, beside the tests of the other workers.
+    So two crowds of processes at most run at once with two workers: a pool or Ray, and a scan over
+    ROS 2 or a command.
     """
 
-    class OneCrowd(LoadFileScheduling):
+    class Scopes(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
-            return "crowds" if CROWDED & set(Path(file).parts) else file
+            return next((TOGETHER[part] for part in Path(file).parts if part in TOGETHER), file)
 
-    return OneCrowd(config, log)
+    return Scopes(config, log)
 
 
 @pytest.fixture(autouse=True)
