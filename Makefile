@@ -53,7 +53,7 @@ test-all: test ## The same, then what takes long: a browser, a cluster, tutorial
 lint: setup ## Check style, formatting, types and layers only
 	@$(VENV)/ruff check
 	@$(VENV)/ruff format --check
-	@$(VENV)/pyright --threads 2
+	@$(VENV)/pyright
 	@$(VENV)/lint-imports --no-cache
 
 format: setup ## Format the code and fix what can be fixed
