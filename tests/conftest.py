@@ -75,9 +75,8 @@ _compilations = _Compilations()
 numba_event.register("numba:compile", _compilations)
 
 
-TOGETHER = {"cluster": "pools", "pool": "pools", "study": "pools", "test_rtk.py": "itk"}
-"""Folders and files that share a worker: pools of processes, of which one at a time is enough for a
-machine, and files that import ITK, which takes ten seconds."""
+TOGETHER = {"cluster": "pools", "pool": "pools", "study": "pools"}
+"""Folders that share a worker: of pools of processes, one at a time is enough for a machine."""
 
 
 @pytest.hookimpl(optionalhook=True)
