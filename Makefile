@@ -12,13 +12,14 @@ SEED ?= 0
 VENV := .venv/bin
 # Markers of what test-all runs beside test.
 LONG := browser or cluster or tutorial or package
-# Files with tests that watch real time.
-CLOCKS = $(shell grep -rl --include='test_*.py' 'mark\.clock' tests)
-# Tests that watch real time run alone, after the others; PYTEST_ARGS may leave none of either.
+# Tests that watch real time, or load ITK, run alone, after the others, and from these files only;
+# PYTEST_ARGS may leave none of either.
+ALONE := clock or itk
+ALONE_FILES = $(shell grep -rlE --include='test_*.py' 'mark\.(clock|itk)' tests)
 define run_tests
-@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "($(1)) and not clock" $(PYTEST_ARGS) \
+@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "($(1)) and not ($(ALONE))" $(PYTEST_ARGS) \
 	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
-@$(VENV)/python -m pytest -q -n 0 -m "($(1)) and clock" $(or $(PYTEST_ARGS),$(CLOCKS)) \
+@$(VENV)/python -m pytest -q -n 0 -m "($(1)) and ($(ALONE))" $(or $(PYTEST_ARGS),$(ALONE_FILES)) \
 	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
 endef
 
