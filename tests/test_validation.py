@@ -77,7 +77,8 @@ def _script(arguments: list[str]) -> None:
 
 
 def _make(arguments: list[str]) -> None:
-    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = re.findall(r"^([\w-]+):", makefile, re.MULTILINE)
     assert arguments[0] in targets
 
 

@@ -254,6 +254,7 @@ def test_the_rig_asks_again_when_an_answer_is_lost(disturbed, targets, monkeypat
         monkeypatch.setattr(rig, "_keep", lossy)
         monkeypatch.setattr(rig, "_target", SimpleNamespace(publish=ask_again))
         monkeypatch.setattr("twinct.ros.rig.FIRST_REPEAT_S", 0.02)
+        monkeypatch.setattr(rig, "_answer_s", HANG_S)
     rig.expose(view)
     assert lost and asked
     assert disturbed.worked_once

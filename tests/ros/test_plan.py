@@ -82,13 +82,14 @@ def test_a_plan_that_was_changed_on_the_way_is_refused(
 def test_a_late_listener_takes_the_scans_plan_and_no_strangers(
     plan: MotionPlan, domain: int, tmp_path: Path
 ) -> None:
-    taken: list[MotionPlan] = []
-    heard: list[object] = []
-
     class Counting(PlanListener):
+        def __init__(self, station: Station) -> None:
+            self.heard, self.plans = 0, list[MotionPlan]()
+            super().__init__(station, Diagnostics(station), members, self.plans.append)
+
         def _hear(self, *said: object) -> None:
             super()._hear(*said)
-            heard.append(said)
+            self.heard += 1
 
     with (
         closing(Station(SCAN, domain)) as scan,
@@ -98,7 +99,12 @@ def test_a_late_listener_takes_the_scans_plan_and_no_strangers(
         members = Members(tmp_path)
         members.enter(SCAN, scan.participant)
         publish_plan(stranger, STAMP, replace(plan, time_s=plan.time_s + 1.0))
+        early = Counting(robots)
+        assert robots.wait(lambda: early.heard == len(PARTS), HANG_S)
+        assert not early.plans, "a stranger's plan alone is none"
         publish_plan(scan, Stamp(STAMP.sec, 8), plan)
-        Counting(robots, Diagnostics(robots), members, taken.append)
-        assert robots.wait(lambda: len(heard) == 2 * len(PARTS), HANG_S)
-    assert [p.digest for p in taken] == [plan.digest]
+        late = Counting(robots)
+        both = early, late
+        assert robots.wait(lambda: all(of.heard == 2 * len(PARTS) for of in both), HANG_S)
+    for listener in both:
+        assert [p.digest for p in listener.plans] == [plan.digest]

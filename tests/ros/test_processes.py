@@ -133,6 +133,8 @@ def test_a_killed_parent_takes_its_nodes_with_it_even_at_work(scan, notes, wait_
         until(lambda: notes.count("render") == 4, "the fourth image is begun")
         os.kill(running.pid, signal.SIGKILL)
         wait_for_end([running.pid, running.robots, running.xray])
+    for log in running.log_dir.iterdir():
+        assert "the process that started it has ended" in log.read_text(), "it was not silence"
 
 
 def test_ctrl_c_is_the_parents_to_handle(scan, notes, wait_for_end):
