@@ -27,7 +27,7 @@ endef
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test test-all lint format bench fuzz qualify docs lock clean
+.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz qualify docs lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -44,16 +44,23 @@ paper: setup ## Fetch a real skull and run the paper's experiment (long)
 	@$(VENV)/twinct run scenarios/paper_cranium.yaml --out out/paper $$([ ! -e out/paper ] || echo --resume)
 	@echo "Report: $(CURDIR)/out/paper/report.html"
 
-test: lint ## Check style and types, run the tests; PYTEST_ARGS="-k sart" chooses, JOBS=0: one process
+test: style ## Check style and types, run the tests; PYTEST_ARGS="-k sart" chooses, JOBS=0: one process
+	@$(MAKE) --no-print-directory -j 2 types quick
+
+quick: setup
 	$(call run_tests,not ($(LONG)))
 
 test-all: test ## The same, then what takes long: a browser, a cluster, tutorials, the built package
 	@tools/system-libraries browser
 	$(call run_tests,$(LONG))
 
-lint: setup ## Check style, formatting, types and layers only
+lint: style types ## Check style, formatting, types and layers only
+
+style: setup
 	@$(VENV)/ruff check
 	@$(VENV)/ruff format --check
+
+types: setup
 	@$(VENV)/pyright
 	@$(VENV)/lint-imports --no-cache
 

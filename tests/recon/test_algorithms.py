@@ -25,12 +25,13 @@ from twinct.volume import Volume
 
 
 def with_prior(A, line_integrals, **settings):
-    """A prior that resembles the scan: a box about its ellipsoid."""
-    prior = np.zeros((20, 22, 21), np.float32)
-    prior[7:14, 4:16, 7:17] = 1.0
+    """A prior that resembles the scan: its ellipsoid a millimetre aside, with jagged borders."""
+    grid = VolumeGrid((20, 22, 21), 2.0)
+    z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij", sparse=True)
+    inside = ((x - 2) / 10) ** 2 + ((y + 2) / 13) ** 2 + ((z - 1) / 8) ** 2 <= 1
+    prior = Volume(inside.astype(np.float32), grid)
     defaults = {"iterations": 3, "regularisation": 0.01, "subsets": 4}
-    volume = Volume(prior, VolumeGrid(prior.shape, 2.0))
-    return prior_tv(A, line_integrals, volume, **(defaults | settings))
+    return prior_tv(A, line_integrals, prior, **(defaults | settings))
 
 
 RUNS = {

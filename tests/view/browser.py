@@ -63,18 +63,19 @@ BEFORE_ANY_PAGE = """
 when ``passTime`` is called."""
 
 DRAWN = """
-    const done = arguments[arguments.length - 1];
+    const [all, done] = arguments;
     const page = window.__viserMutable;
     let left = 4;
     const frame = () => {
-        if (page.messageQueue.length > 0 || window.decoding > 0) left = 4;
+        if (all && (page.messageQueue.length > 0 || window.decoding > 0)) left = 4;
         left -= 1;
         page.requestRender();
         if (left > 0) requestAnimationFrame(frame); else done();
     };
     frame();
 """
-"""Returns when the page has drawn several times what it has received, with its images."""
+"""Return when the page has drawn several times: with ``all``, everything that it has received and
+its images, to which a page that plays may never come on a slow machine."""
 
 PASS_TIME = """
     const [ms, done] = arguments;
@@ -158,14 +159,18 @@ class Browser:
         told = "return arguments[0] in window.__viserSceneTree.getState()"
         return self._driver.execute_script(told, node)
 
-    def drawn(self) -> np.ndarray:
-        """The picture of what the page has received by now."""
-        self._driver.execute_async_script(DRAWN)
+    def drawn(self, *, all_received: bool = True) -> np.ndarray:
+        """Return the picture of everything that the page has received by now, or of a part."""
+        self._driver.execute_async_script(DRAWN, all_received)
         return self.picture()
 
     def changes(self, before: np.ndarray, least: int = 40) -> None:
-        """Wait until so many pixels are others."""
-        self.wait(lambda: different(self.drawn(), before) >= least, "the picture stays as it was")
+        """Wait until so many pixels are others, of a page that may be playing."""
+
+        def changed() -> bool:
+            return different(self.drawn(all_received=False), before) >= least
+
+        self.wait(changed, "the picture stays as it was")
 
     def wait(self, done: Callable[[], object], problem: str) -> None:
         until(done, problem)

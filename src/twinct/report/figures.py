@@ -16,7 +16,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import proj3d
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
@@ -69,7 +71,7 @@ def png(figure: Figure, dpi: int) -> Picture:
     canvas.draw()
     image = PillowImage.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
     stream = io.BytesIO()
-    image.save(stream, "PNG", optimize=True)
+    image.save(stream, "PNG")
     return Picture(stream.getvalue(), "image/png")
 
 
@@ -101,7 +103,7 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
         viewer = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
 
         if on_sphere:
-            _sphere(axes, isocentre, radius, viewer)
+            _latitudes(axes, isocentre, radius, viewer)
         colours = mpl.colormaps["viridis"](np.linspace(0, 0.93, len(commanded)))
         # What lies behind the sphere is drawn on it, faintly: an opaque sphere has no seams.
         path = isocentre + _fine(commanded - isocentre) if on_sphere else commanded
@@ -120,6 +122,8 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
         name = "  isocentre (inside)" if on_sphere else "  isocentre"
         axes.text(*isocentre, name, fontsize=8.5, va="center", zorder=8)
         _equal_box(axes, np.vstack([commanded, executed, isocentre[None]]), isocentre, on_sphere)
+        if on_sphere:
+            _ball(axes, isocentre, radius, viewer)
         views = ScalarMappable(Normalize(0, max(len(commanded) - 1, 1)), ListedColormap(colours))
         bar = figure.colorbar(views, ax=axes, cax=figure.add_axes((0.885, 0.27, 0.022, 0.46)))
         bar.set_label("view")
@@ -145,18 +149,40 @@ def _fine(path: Floats) -> Floats:
     return np.vstack(pieces)
 
 
-def _sphere(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
-    """A light grey ball, brightest at the upper left of the viewer, with circles of latitude."""
+def _ball(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
+    """Draw a light grey ball, brightest at the upper left; the axes' limits must be final.
+
+    The projection is parallel and of equal scale, so the ball is a disc: one image of it is drawn
+    faster than thousands of facets, and has no edges.
+    """
     right = np.cross([0.0, 0.0, 1.0], viewer)
-    light = viewer - 0.5 * right / np.linalg.norm(right) + [0.0, 0.0, 0.7]
+    right /= np.linalg.norm(right)
+    up = np.cross(viewer, right)
+    light = viewer - 0.5 * right + [0.0, 0.0, 0.7]
     light /= np.linalg.norm(light)
-    ball = _on_ball(*np.meshgrid(np.linspace(-180, 180, 121), np.linspace(-90, 90, 61)))
-    lit = np.clip(np.einsum("kij,k->ij", ball, light), 0, 1)
-    grey = (0.66 + 0.27 * lit)[..., None]
-    colours = np.concatenate([grey, grey, np.minimum(grey + 0.012, 1)], axis=-1)
-    style = {"shade": False, "rcount": 121, "ccount": 121, "linewidth": 0, "antialiased": False}
-    shell = centre[:, None, None] + radius * ball
-    axes.plot_surface(*shell, facecolors=colours, zorder=2, **style)
+    across = np.linspace(-1, 1, _BALL_PX)
+    x, y = np.meshgrid(across, across)
+    depth = np.sqrt(np.clip(1 - x**2 - y**2, 0, None))
+    lit = np.clip(x * (right @ light) + y * (up @ light) + depth * (viewer @ light), 0, 1)
+    grey = 0.66 + 0.27 * lit
+    border = np.clip((1 - np.hypot(x, y)) * _BALL_PX / 2, 0, 1)
+    shown = np.stack([grey, grey, np.minimum(grey + 0.012, 1), border], axis=-1)
+    matrix = axes.get_proj()
+    (left, low, _), (end, top, _) = (
+        np.asarray(proj3d.proj_transform(*(centre + side * radius * (right + up)), matrix), float)
+        for side in (-1, 1)
+    )
+    image = AxesImage(axes, extent=(left, end, low, top), origin="lower", zorder=2)
+    image.set_data(shown)
+    axes.add_artist(image)
+
+
+_BALL_PX = 401
+"""Across the picture of a ball."""
+
+
+def _latitudes(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
+    """Draw the circles of latitude, where they are in front."""
     turn = np.linspace(-180, 180, 361)
     for latitude in (-60, -30, 0, 30, 60):
         ring = _on_ball(turn, np.full_like(turn, latitude))

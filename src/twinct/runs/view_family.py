@@ -76,7 +76,7 @@ def best_path(
     kept, judged = list(journal.generations), 0
     tried = None
     if task.trying is not None and len(kept) < task.family.generations:
-        tried = error_of(workshop.scenario, reference)
+        tried = error_of(workshop, reference)
 
     def starts(sets: Sequence[object]) -> range:
         return range(0, len(sets), TOGETHER)
@@ -128,10 +128,10 @@ class _Piece:
     sets: Sequence[Mapping[str, float]]
 
 
-def error_of(scenario: Scenario, views: ScanGeometry) -> float:
+def error_of(workshop: Workshop, views: ScanGeometry) -> float:
     """Error in the task's region of a volume of the views, of which nothing is kept."""
     with TemporaryDirectory(prefix="twinct-trial-") as folder:
-        return trial(scenario, views, None, Path(folder), "path").error_rel
+        return trial(workshop, views, None, Path(folder), "path").error_rel
 
 
 def _judged(workshop: Workshop, piece: _Piece) -> list[tuple[float, str]]:
@@ -158,7 +158,7 @@ def _judged(workshop: Workshop, piece: _Piece) -> list[tuple[float, str]]:
                 words.append(f"comes to {has:.4g} of {goal.name}, {goal.at_least:.4g} at least")
         worth = MISSED * (1 + far) if words else worth_of(goals, views)
         if piece.tried is not None and task.trying is not None and not words:
-            worth -= task.trying.weight * error_of(workshop.scenario, paths[k]) / piece.tried
+            worth -= task.trying.weight * error_of(workshop, paths[k]) / piece.tried
         found.append((worth, ", ".join(words)))
     return found
 

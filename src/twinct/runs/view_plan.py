@@ -133,7 +133,7 @@ def plan_views(
         errors = None
         if try_views:
             every = {"own_path": (own, None), "planned": (found, choice.mas)}
-            errors = tried(scenario, every, out, progress)
+            errors = tried(workshop, every, out, progress)
         plan = ViewPlan(
             found, figures, len(all_views), len(within), scan_s, clearance, seen, errors
         )
@@ -234,7 +234,7 @@ def _tuned(
     if task.trying is not None:
         sets = {"planned": found.views, "spread_evenly": reference, "own_path": own}
         error = "error in the region"
-        figures[error] = {n: error_of(workshop.scenario, views) for n, views in sets.items()}
+        figures[error] = {n: error_of(workshop, views) for n, views in sets.items()}
         told["trying"] = figures[error]
     return _Choice(found.views, goals, figures, found.worth, told, found.section)
 

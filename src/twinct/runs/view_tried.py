@@ -38,30 +38,30 @@ class Trial:
 
 
 def trial(
-    scenario: Scenario, geometry: ScanGeometry, mas: Floats | None, folder: Path, name: str
+    workshop: Workshop, geometry: ScanGeometry, mas: Floats | None, folder: Path, name: str
 ) -> Trial:
     """Make images of views as by a gantry, and reconstruct them as the scenario says.
 
     Args:
-        scenario: with a task.
+        workshop: of a scenario with a task; its specimen is built once for all trials.
         geometry: the views.
         mas: of each, (views,); None: the source's.
         folder: keeps the scan, where a later call goes on.
         name: of the scan.
     """
-    region, _, _ = _region(scenario)
+    region, _, _ = _region(workshop.scenario)
     file, store = (folder / f"{name}{ending}" for ending in (".csv", ".zarr"))
     write_views(file, geometry, mas)
-    workshop = Workshop(_of_gantry(scenario, file))
-    scan = acquire_to_store(workshop, store, local_rig, resume=True).read()
-    volume, truth = reconstruct(scan).array, truth_of(scan, workshop)
+    gantry = Workshop(_of_gantry(workshop.scenario, file), kept_specimen=workshop.specimen)
+    scan = acquire_to_store(gantry, store, local_rig, resume=True).read()
+    volume, truth = reconstruct(scan).array, truth_of(scan, gantry)
     off = volume[region].astype(float) - truth.volume[region]
     error = float(np.sqrt(np.mean(off**2))) / truth.mu_reference
     return Trial(error, volume, truth.volume)
 
 
 def tried(
-    scenario: Scenario,
+    workshop: Workshop,
     views: Mapping[str, tuple[ScanGeometry, Floats | None]],
     out: Path,
     progress: Progress,
@@ -71,7 +71,7 @@ def tried(
     The scans are kept in ``FOLDER``, where a later call goes on.
 
     Args:
-        scenario: with a task.
+        workshop: of a scenario with a task.
         views: the sets, by name, with the mAs of each view; None: the source's for all.
         out: folder of both.
         progress: hears how far it is.
@@ -79,13 +79,14 @@ def tried(
     Returns:
         Root mean square error in the task's region, of the reference's attenuation, by name.
     """
+    scenario = workshop.scenario
     task = scenario.task
     assert task is not None
     (out / FOLDER).mkdir(exist_ok=True)
     found: dict[str, Trial] = {}
     with progress.stage("trying views", len(views)) as step:
         for name, (geometry, mas) in views.items():
-            found[name] = trial(scenario, geometry, mas, out / FOLDER, name)
+            found[name] = trial(workshop, geometry, mas, out / FOLDER, name)
             step()
     shown = {"truth": next(iter(found.values())).truth}
     for name, one in found.items():
