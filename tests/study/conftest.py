@@ -16,7 +16,9 @@ SCENARIO: dict[str, Any] = {
     "cell": {"kind": "gantry"},
     "trajectory": {"kind": "circle", "views": 4},
     "detector": {"columns": 24, "rows": 18, "pixel_pitch_mm": 13},
-    "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 4}}]},
+    "specimen": {
+        "parts": [{"shape": {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 4}}]
+    },
     "reconstruction": {
         "algorithm": "sart",
         "iterations": 1,

@@ -22,7 +22,7 @@ from twinct.runs.view_journal import Journal
 from twinct.runs.view_tried import trial
 from twinct.runs.view_work import spread
 from twinct.scan import Workshop
-from twinct.scenario import FamilySearch, Scenario, ViewTask
+from twinct.scenario import FamilySearch, ViewTask
 from twinct.trajectory import OrbitSettings, commanded_views
 
 MISSED = -1e3
