@@ -38,6 +38,7 @@ from twinct.study.journal import Journal
 STUDY = {
     "scenario": str(ROOT / "scenarios" / "circle_gantry.yaml"),
     "set": {
+        "specimen.parts": [{"shape": {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 4}}],
         "detector.noise": {"kind": "snr", "snr": 100.0},
         "detector.columns": 64,
         "detector.rows": 48,
