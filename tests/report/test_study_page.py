@@ -356,7 +356,7 @@ def test_best_trials_are_shown_beside_the_truth(report, monkeypatch):
         shown.append((list(columns), looks))
         return trends.Picture(b"picture", "image/png")
 
-    monkeypatch.setattr("twinct.report.study_page.side_by_side", side_by_side)
+    monkeypatch.setattr("twinct.report.figures.side_by_side", side_by_side)
     trials = [trial(k, {"a": k}, None, 1.0 - 0.1 * k) for k in range(9)]
     data = study(trials, "a")
     best = best_trials(data)
