@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -78,9 +79,10 @@ def noise(x: Singles) -> float:
     # numpy lets go of the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
         mean, variance = np.array(list(pool.map(_mean_and_variance, slabs))).swapaxes(0, 1)
-    from skimage.filters import threshold_otsu
+    from skimage import filters as skimage_filters
 
-    found = variance[mean > threshold_otsu(mean)] if np.ptp(mean) > 0 else variance[:0]
+    filters: Any = skimage_filters  # it comes without types
+    found = variance[mean > filters.threshold_otsu(mean)] if np.ptp(mean) > 0 else variance[:0]
     return math.sqrt(max(float(np.percentile(found, 25)), 0.0)) if found.size else 0.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import numpy as np
 import scipy
@@ -111,7 +112,8 @@ def resampled(volume: Singles, of: VolumeGrid, at: VolumeGrid, order: int = 1) -
     Beside the volume its outermost voxels go on.
     """
     to = _index(of, at)
-    return scipy.ndimage.affine_transform(
+    ndimage: Any = scipy.ndimage  # its types take no order that is not a literal
+    return ndimage.affine_transform(
         *(volume, to[2::-1, 2::-1], to[2::-1, 3], at.shape, np.float32), order=order, mode="nearest"
     )
 

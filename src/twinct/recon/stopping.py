@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import scipy
@@ -117,9 +117,10 @@ def error_change(before: Singles, after: Singles) -> float:
     sample = (before[few] + after[few]) / 2
     if not np.ptp(sample) > 0:
         return 0.0
-    from skimage.filters import threshold_otsu
+    from skimage import filters as skimage_filters
 
-    threshold = float(threshold_otsu(sample.ravel()))
+    filters: Any = skimage_filters  # it comes without types
+    threshold = float(filters.threshold_otsu(sample.ravel()))
 
     def judged(part: Box) -> float:
         around, own = _widened(part, before.shape)

@@ -84,9 +84,10 @@ def write_frame(
     mas: NDArray[np.float64] | None = None,
 ) -> None:
     """Write all of a store but its views; the digests are of files as they are, unless given."""
-    import zarr
+    import zarr as _zarr
     from zarr.codecs import BloscCodec
 
+    zarr: Any = _zarr  # typed in part only
     views, panel = len(commanded), scenario.detector.panel
     group: Any = zarr.create_group(str(path), zarr_format=3)
     attributes = {

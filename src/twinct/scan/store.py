@@ -95,10 +95,11 @@ class ScanStore:
             DamagedError: what is not of a single view is damaged.
             InputError: its format is not known, or what it says of itself makes no scan.
         """
-        import zarr
+        import zarr as _zarr
 
         from twinct.scan.checked import CheckedStore
 
+        zarr: Any = _zarr  # typed in part only
         self.path = path
         if not path.is_dir():
             raise FileNotFoundError(errno.ENOENT, "no scan store", str(path))
