@@ -9,10 +9,16 @@ import sys
 import pytest
 
 MOST_MODULES = 700
-HEAVY = (
-    *("gvxrPython3", "matplotlib", "mujoco", "networkx", "numba", "scipy.spatial", "trimesh"),
+HEAVY = {
+    "gvxrPython3",
+    "matplotlib",
+    "mujoco",
+    "networkx",
+    "numba",
+    "scipy.spatial",
+    "trimesh",
     "zarr",
-)
+}
 LOADED = """
 import atexit, json, runpy, sys
 atexit.register(lambda: sys.stderr.write(json.dumps(sorted(sys.modules))))
@@ -32,7 +38,7 @@ def loaded(code: str) -> tuple[list[str], int, str]:
 
 
 def heavy(modules: list[str]) -> list[str]:
-    return [name for name in HEAVY if name in modules]
+    return sorted(HEAVY.intersection(modules))
 
 
 @pytest.mark.process
