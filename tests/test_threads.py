@@ -109,3 +109,26 @@ def test_libraries_told_by_their_user_are_left_alone_unless_a_bound_is_asked_for
         text=True,
     )
     assert result.stdout.split() == ["1", "1"], result.stderr
+
+
+MORE = """
+from twinct.threads import limit_threads, load_numba
+load_numba()
+limit_threads(1)
+import numba
+before = numba.get_num_threads()
+limit_threads(2)
+print(before, numba.get_num_threads())
+"""
+
+
+@pytest.mark.process
+def test_a_second_run_may_have_more_threads_than_the_first() -> None:
+    kept = {k: v for k, v in os.environ.items() if "THREADS" not in k}
+    result = subprocess.run(
+        [sys.executable, "-c", MORE],
+        env=kept | {"NUMBA_NUM_THREADS": "2"},
+        capture_output=True,
+        text=True,
+    )
+    assert result.stdout.split() == ["1", "2"], result.stderr

@@ -45,6 +45,14 @@ def threads() -> int:
     return int(text)
 
 
+def load_numba() -> None:
+    """Load numba with as many threads as it may have: what ``limit_threads`` says can change.
+
+    A bound that numba finds when it is loaded is for good; a larger one later has no effect.
+    """
+    import numba  # noqa: F401
+
+
 def limit_threads(number: int | None = None) -> int:
     """Bound the threads of numba, BLAS, Blosc and the renderer, here and in children; return it.
 

@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from twinct.report import StudyAxis, StudyData, StudyTrial, best_trials, render_study, write_study
-from twinct.report import trend as trends
+from twinct.report import (
+    StudyAxis,
+    StudyData,
+    StudyTrial,
+    best_trials,
+    figures,
+    render_study,
+    write_study,
+)
 from twinct.report.figure_words import figure_words
 from twinct.report.repetitions import combinations, mean_of, trend
 
@@ -57,13 +64,13 @@ def table_of(html, title):
 @pytest.fixture
 def drawn(monkeypatch):
     """Figures as matplotlib has them, in place of their text."""
-    seen, svg = [], trends.svg
+    seen, svg = [], figures.svg
 
     def keep(figure):
         seen.append(figure)
         return svg(figure)
 
-    monkeypatch.setattr(trends, "svg", keep)
+    monkeypatch.setattr(figures, "svg", keep)
     return seen
 
 
@@ -354,9 +361,9 @@ def test_best_trials_are_shown_beside_the_truth(report, monkeypatch):
 
     def side_by_side(columns, truth, looks, dpi):
         shown.append((list(columns), looks))
-        return trends.Picture(b"picture", "image/png")
+        return figures.Picture(b"picture", "image/png")
 
-    monkeypatch.setattr("twinct.report.study_page.side_by_side", side_by_side)
+    monkeypatch.setattr("twinct.report.figures.side_by_side", side_by_side)
     trials = [trial(k, {"a": k}, None, 1.0 - 0.1 * k) for k in range(9)]
     data = study(trials, "a")
     best = best_trials(data)

@@ -19,7 +19,8 @@ from twinct.geometry import Floats
 from twinct.runs import Run, acquire_to_store, verify
 from twinct.runs.mending import mend_frame
 from twinct.scan import Rig, ScanStore, Workshop, frame_damage, local_rig, view_damage
-from twinct.scan.manifest import FRAME_FILE, CheckedStore, view_of
+from twinct.scan.checked import CheckedStore
+from twinct.scan.manifest import FRAME_FILE, view_of
 from twinct.scenario import Scenario
 
 CHANGES, DELETIONS = 50, 10

@@ -18,7 +18,7 @@ from twinct.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
 from twinct.scan import ScanStore, View, check_space, view_damage
 from twinct.scan import store as store_module
-from twinct.scan.manifest import CheckedStore
+from twinct.scan.checked import CheckedStore
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
 from twinct.uncertainty import believed_poses

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from twinct.errors import CalibrationError
 from twinct.geometry import Floats
@@ -65,15 +65,15 @@ def _shifted(
     differences = differences[np.abs(differences).max(axis=1) <= reach_px]
     if not len(differences):
         return found
-    votes = cKDTree(differences)
+    votes = scipy.spatial.cKDTree(differences)
     counts: Any = votes.query_ball_point(differences, NEAR * radius_px, return_length=True)
     centre = differences[int(np.argmax(counts))]
     near: Any = votes.query_ball_point(centre, NEAR * radius_px)
     shift = differences[near].mean(axis=0)
     # Each other's nearest, so that no spot is taken twice.
     moved = predicted[seen] + shift
-    far, there = (np.asarray(one) for one in cKDTree(spots).query(moved))
-    back = np.asarray(cKDTree(moved).query(spots)[1])
+    far, there = (np.asarray(one) for one in scipy.spatial.cKDTree(spots).query(moved))
+    back = np.asarray(scipy.spatial.cKDTree(moved).query(spots)[1])
     mutual = (back[there] == np.arange(len(seen))) & (far <= NEAR * radius_px)
     found[seen[mutual]] = there[mutual]
     return found

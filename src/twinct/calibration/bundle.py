@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from twinct.calibration.freedom import PosePrior
 from twinct.calibration.resection import LEAST_SPREAD_PX, OUTLIER, moved
@@ -184,7 +184,7 @@ class _Fit:
                 far = np.where(good, lengths, 0.0) / noise
                 weight = np.where(good, 1 / (noise**2 * np.sqrt(1 + far**2)), 0.0)
             hessian, pull = self._normal(change, places, weight)
-            step = cho_solve(cho_factor(hessian), pull)
+            step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(hessian), pull)
             size = change.size
             change = change + (step[:size].reshape(-1, 9) * self._units)
             places = places + step[size:].reshape(-1, 3)
@@ -197,7 +197,7 @@ class _Fit:
     ) -> Floats:
         """Of all numbers, views first, mm and rad."""
         hessian, _ = self._normal(change, places, np.where(good, 1 / noise**2, 0.0))
-        inverse = cho_solve(cho_factor(hessian), np.eye(len(hessian)))
+        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(hessian), np.eye(len(hessian)))
         units = np.concatenate([np.tile(self._units, len(change)), np.ones(3 * len(places))])
         return inverse * np.outer(units, units)
 

@@ -16,10 +16,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, qr
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from twinct.calibration.arms import SIDES, CalibratedArms, Change, changed_tools
 from twinct.errors import CalibrationError
@@ -151,7 +149,7 @@ class _Arm:
         u, s, _ = np.linalg.svd(known, full_matrices=False)
         kept = s > 1e-9 * s.max(initial=0.0)
         joints = np.concatenate([prior.compliance_sigma, np.full(2 * count, prior.gear)])
-        self.factor = block_diag(u[:, kept] * s[kept], np.diag(joints)[:, joints > 0])
+        self.factor = scipy.linalg.block_diag(u[:, kept] * s[kept], np.diag(joints)[:, joints > 0])
         self.mean = np.zeros(len(self.factor))
         self.mean[4 * count + self._tool :][:count] = prior.compliance
         names = [f"joint {j + 1} {part}" for j in range(count) for part in ("x", "y", *_TURNS[:2])]
@@ -182,7 +180,7 @@ class _Arm:
         if self.side == "source":
             return moved
         turned = axes.transpose(0, 2, 1) @ tools[..., :3, :3]
-        turns = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec()
+        turns = scipy.spatial.transform.Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec()
         return np.concatenate([moved, turns.reshape(moved.shape)], axis=-1)
 
 
@@ -254,7 +252,7 @@ def calibrated_arms(
             f"source {left_mm[0]:.3g} mm, panel {left_mm[1]:.3g} mm RMS; a joint's sign or order, "
             "or arms of another kind"
         )
-    factor = block_diag(*(arm.factor for arm in arms))
+    factor = scipy.linalg.block_diag(*(arm.factor for arm in arms))
     spread = np.linalg.inv(jacobian.T @ jacobian) * max(misfit, 1.0) ** 2
     parameters = np.concatenate([arm.mean for arm in arms]) + factor @ z
     changes = arms[0].change(zs[0]), arms[1].change(zs[1])
@@ -285,7 +283,8 @@ def _registered(chains: tuple[Chain, Chain], seen: Seen) -> Pose:
     room = np.concatenate([c.tools(q)[:, :3, 3] for c, q in zip(chains, own, strict=True)])
     phantom = np.concatenate([seen.geometry.source, seen.geometry.detector])
     middles = room.mean(axis=0), phantom.mean(axis=0)
-    turn, _ = Rotation.align_vectors(phantom - middles[1], room - middles[0])
+    offsets = phantom - middles[1], room - middles[0]
+    turn, _ = scipy.spatial.transform.Rotation.align_vectors(*offsets)
     return Pose(middles[1] - turn.apply(middles[0]), turn.as_quat())
 
 
@@ -312,7 +311,7 @@ def _fit(arms: Sequence[_Arm], seen: Seen) -> tuple[Floats, Floats, Floats]:
             parts.append(slope.reshape(-1, len(at)))
         return np.concatenate([np.concatenate(parts, axis=1), np.eye(len(z))])
 
-    found = least_squares(left, np.zeros(sum(sizes)), jac=slopes, method="lm")
+    found = scipy.optimize.least_squares(left, np.zeros(sum(sizes)), jac=slopes, method="lm")
     return found.x, slopes(found.x), left(found.x)[: 9 * len(seen)]
 
 
@@ -360,5 +359,5 @@ def _apart(loads: Floats) -> Floats:
     """Other vectors of the same space, each with a parameter that none of the others has."""
     if not len(loads):
         return loads
-    pivots = qr(loads, mode="r", pivoting=True)[-1][: len(loads)]
+    pivots = scipy.linalg.qr(loads, mode="r", pivoting=True)[-1][: len(loads)]
     return np.asarray(np.linalg.solve(loads[:, pivots], loads), np.float64)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from twinct.geometry import Floats, Pose, ScanGeometry
 
@@ -58,7 +58,7 @@ def aligned(geometry: ScanGeometry, reference: ScanGeometry, points: ArrayLike) 
         moved = _moved(geometry, seven * _TYPICAL, middle)
         return (moved.project(points) - target).ravel()
 
-    found = least_squares(off, np.zeros(7), method="lm")
+    found = scipy.optimize.least_squares(off, np.zeros(7), method="lm")
     seven = found.x * _TYPICAL
     count = target[..., 0].size
     before, after = (float(np.sqrt((off(at) ** 2).sum() / count)) for at in (np.zeros(7), found.x))

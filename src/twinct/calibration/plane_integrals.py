@@ -21,13 +21,10 @@ from __future__ import annotations
 from typing import Any, cast
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage as scipy_ndimage
-from scipy.sparse import csc_array
 
 from twinct.geometry import Floats, ScanGeometry
-
-ndimage: Any = scipy_ndimage  # it comes without types
 
 BINS_PX = 2
 """Offsets in a pixel: places of pixels are shared between two of them."""
@@ -87,23 +84,24 @@ class PlaneIntegrals:
         # Each pixel's own slope, so that where the panel ends is none.
         sigmas = 0, blur / panel.pitch_v, blur / panel.pitch_u
         by_v, by_u = (
-            ndimage.gaussian_filter(weighted, sigmas, order=order, mode="nearest") / pitch
+            scipy.ndimage.gaussian_filter(weighted, sigmas, order=order, mode="nearest") / pitch
             for order, pitch in (((0, 1, 0), panel.pitch_v), ((0, 0, 1), panel.pitch_u))
         )
         sums = self._summed(a, b, by_u, by_v) * (panel.pitch_u * panel.pitch_v / self._bin)
-        ndimage.gaussian_filter1d(sums, blur / self._bin, axis=2, output=sums)
+        scipy.ndimage.gaussian_filter1d(sums, blur / self._bin, axis=2, output=sums)
         self._splines = [
-            ndimage.spline_filter(_padded(one, -1.0), order=3, output=np.float32) for one in sums
+            scipy.ndimage.spline_filter(_padded(one, -1.0), order=3, output=np.float32)
+            for one in sums
         ]
         # At the border one pixel's noise shall not decide, and what just reaches it does.
-        smooth = ndimage.gaussian_filter(line_integrals, (0, 1, 1), mode="nearest")
+        smooth = scipy.ndimage.gaussian_filter(line_integrals, (0, 1, 1), mode="nearest")
         counted = line_integrals if mask is None else line_integrals[mask]
         thick = max(float(np.percentile(counted, THICK)), 1e-9)
-        self._border = ndimage.maximum_filter(smooth, (1, 3, 3)) / thick
+        self._border = scipy.ndimage.maximum_filter(smooth, (1, 3, 3)) / thick
         self._lost = None
         if mask is not None and not mask.all():
             # A slope looks at pixels around its own.
-            lost = ndimage.maximum_filter((~mask).astype(np.float32), (1, 7, 7))
+            lost = scipy.ndimage.maximum_filter((~mask).astype(np.float32), (1, 7, 7))
             self._lost = [_padded(one, 1.0) for one in self._summed(a, b, lost)]
 
     def _summed(self, a: Floats, b: Floats, *parts: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -126,7 +124,7 @@ class PlaneIntegrals:
             share = (place - below).astype(np.float32)
             rows = np.stack([below, below + 1], axis=1).ravel()
             values = np.stack([1 - share, share], axis=1).ravel()
-            spread: Any = csc_array((values, rows, ends), shape=shape)
+            spread: Any = scipy.sparse.csc_array((values, rows, ends), shape=shape)
             image = flat[0]
             if len(flat) == 2:
                 image = np.float32(np.cos(at)) * image + np.float32(np.sin(at)) * flat[1]
@@ -168,10 +166,10 @@ class PlaneIntegrals:
             ]
         )
         if self._lost is not None:
-            lost = ndimage.map_coordinates(self._lost[view], at, order=1)
+            lost = scipy.ndimage.map_coordinates(self._lost[view], at, order=1)
             whole &= lost < LOST_PX
         steps = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]).T[:, :, None] * STEP
-        value, later, before, outer, inner = ndimage.map_coordinates(
+        value, later, before, outer, inner = scipy.ndimage.map_coordinates(
             self._splines[view],
             at[:, None] + steps,
             order=3,

@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.shadows import Shadows
@@ -68,7 +67,7 @@ def moved(geometry: ScanGeometry, change: Floats) -> ScanGeometry:
     change = np.broadcast_to(change, (len(geometry), 9))
     axes = np.stack([geometry.u, geometry.v, geometry.normal], axis=2)
     shifts = np.einsum("vij,vkj->vki", axes, change.reshape(-1, 3, 3))
-    turns = Rotation.from_rotvec(shifts[:, 2]).as_matrix()
+    turns = scipy.spatial.transform.Rotation.from_rotvec(shifts[:, 2]).as_matrix()
     return ScanGeometry(
         geometry.source + shifts[:, 0],
         geometry.detector + shifts[:, 1],
@@ -141,7 +140,9 @@ def _least_squares(
         return np.einsum("nij,nj->ni", spreads, off).ravel()
 
     # What is far off shall not pull until the rest has settled.
-    found = least_squares(left, first / _SCALE, loss="soft_l1", f_scale=OUTLIER, x_scale=1.0)
+    found = scipy.optimize.least_squares(
+        left, first / _SCALE, loss="soft_l1", f_scale=OUTLIER, x_scale=1.0
+    )
     return found.x * _SCALE
 
 

@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from twinct.calibration.phantom import BallPhantom
 from twinct.geometry import Floats, ScanGeometry
@@ -81,8 +80,8 @@ def spots(transmission: NDArray[np.float32], radius_px: float) -> Floats:
     """
     dark = -np.log(np.maximum(transmission, LEAST_TRANSMISSION))
     # The Laplacian of a Gaussian answers most to a disc of sqrt(2) sigma (Lindeberg 1998).
-    response = -ndimage.gaussian_laplace(dark.astype(np.float64), radius_px / np.sqrt(2))
-    highest = ndimage.maximum_filter(response, size=2 * int(np.ceil(radius_px)) + 1)
+    response = -scipy.ndimage.gaussian_laplace(dark.astype(np.float64), radius_px / np.sqrt(2))
+    highest = scipy.ndimage.maximum_filter(response, size=2 * int(np.ceil(radius_px)) + 1)
     peaks = (response == highest) & (response > LEAST_RESPONSE * response.max())
     return np.argwhere(peaks)[:, ::-1].astype(np.float64)
 
@@ -104,7 +103,7 @@ def overlapping(pixels: Floats, radius_px: Floats, rim_px: float = RIM_PX) -> ND
     seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     touched = np.zeros(len(pixels), bool)
     reach = 2 * radius_px.max() + rim_px
-    pairs = cKDTree(pixels[seen]).query_pairs(reach, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(pixels[seen]).query_pairs(reach, output_type="ndarray")
     touched[seen[pairs.ravel()]] = True
     return touched
 
@@ -290,5 +289,5 @@ class _Shape:
         coarse = fine.reshape(rows, SAMPLES, columns, SAMPLES).mean(axis=(1, 3))
         if not margin:
             return coarse
-        coarse = ndimage.gaussian_filter(coarse, self._blur_px, mode="nearest", truncate=3.0)
+        coarse = scipy.ndimage.gaussian_filter(coarse, self._blur_px, mode="nearest", truncate=3.0)
         return coarse[margin:-margin, margin:-margin]

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from twinct.calibration.shadows import LEAST_RESPONSE, LEAST_TRANSMISSION
 from twinct.geometry import Floats, ScanGeometry
@@ -65,10 +64,11 @@ def round_spots(transmission: NDArray[np.float32], radius_px: float) -> tuple[Fl
     dark = -np.log(np.maximum(transmission, LEAST_TRANSMISSION)).astype(np.float64)
     sigma = radius_px / np.sqrt(2)
     rr, rc, cc = (
-        -ndimage.gaussian_filter(dark, sigma, order=order) for order in ((2, 0), (1, 1), (0, 2))
+        -scipy.ndimage.gaussian_filter(dark, sigma, order=order)
+        for order in ((2, 0), (1, 1), (0, 2))
     )
     least = (rr + cc) / 2 - np.hypot((rr - cc) / 2, rc)
-    highest = ndimage.maximum_filter(least, size=2 * int(np.ceil(radius_px)) + 1)
+    highest = scipy.ndimage.maximum_filter(least, size=2 * int(np.ceil(radius_px)) + 1)
     rows, columns = np.nonzero((least == highest) & (least > 0))
     response = least[rows, columns]
     best = np.argsort(-response, kind="stable")[:MOST_SPOTS]
@@ -196,7 +196,7 @@ def _nearest(
     pixels = np.nan_to_num(geometry.project(places), nan=np.inf, posinf=1e9, neginf=1e9)
     for view, one in enumerate(spots):
         if len(one):
-            far, which = (np.asarray(x) for x in cKDTree(one).query(pixels[view]))
+            far, which = (np.asarray(x) for x in scipy.spatial.cKDTree(one).query(pixels[view]))
             found[view] = np.where(far <= reach_px, which, -1)
     return found
 

@@ -14,8 +14,8 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from twinct.cell._mujoco import mujoco_module
 from twinct.cell.scene import ARMS, COLLISION_GROUP, CellModel
@@ -79,7 +79,8 @@ def _join(robot: Xml.Element, cell: CellModel, body: int, names: list[str]) -> N
         return _fix(robot, names[parent], names[body], parent_from_link, new=False)
     joint = int(model.body_jntadr[body])
     axis, zero = model.jnt_axis[joint], float(model.qpos0[joint])
-    at_zero = Pose(np.zeros(3), Rotation.from_rotvec(-zero * axis).as_quat())
+    back = scipy.spatial.transform.Rotation.from_rotvec(-zero * axis)
+    at_zero = Pose(np.zeros(3), back.as_quat())
     dof = int(model.jnt_dofadr[joint])
     low, high = model.jnt_range[joint].tolist()
     effort, velocity = cell.torque_limits[joint], cell.speed_limits[joint]
@@ -181,7 +182,8 @@ def _pose(position_m: ArrayLike, quat: ArrayLike = (1, 0, 0, 0)) -> Pose:
 
 def _origin(element: Xml.Element, place: Pose) -> None:
     """Roll, pitch and yaw about the parent's axes, in this order."""
-    turn = Rotation.from_quat(place.quat).as_euler("xyz", suppress_warnings=True)
+    rotation = scipy.spatial.transform.Rotation.from_quat(place.quat)
+    turn = rotation.as_euler("xyz", suppress_warnings=True)
     Xml.SubElement(element, "origin", xyz=_text(place.position / MM_PER_M), rpy=_text(turn))
 
 

@@ -14,7 +14,6 @@ from rich.table import Table
 from twinct.cli.arguments import Flag, Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.results import percent, say_result
-from twinct.scenario import named_places
 
 
 def import_(
@@ -87,6 +86,7 @@ def report(
         folder: What ``twinct run --out`` wrote.
     """
     from twinct.runs import report_again
+    from twinct.scenario import named_places
 
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         again = report_again(folder, audience, set_)
@@ -159,6 +159,7 @@ def reconstruct(
         as_: Name of the result, below DIR/reconstructions; after its algorithm where left out.
     """
     from twinct.runs import reconstruct_again
+    from twinct.scenario import named_places
     from twinct.threads import limit_threads
 
     limit_threads(threads)

@@ -6,21 +6,12 @@ import logging
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich import progress
-from rich.console import Console
+if TYPE_CHECKING:
+    from rich import progress
 
-from twinct.observers import (
-    Audience,
-    Event,
-    Observer,
-    Said,
-    StageBegan,
-    StageEnded,
-    StageStep,
-    audience_of,
-)
+    from twinct.observers import Audience, Event, Observer
 
 NOTICED = "twinct.recon"
 """Logger whose warnings are shown, such as that kernels are compiled for a minute."""
@@ -32,6 +23,8 @@ _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False
 @contextmanager
 def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
     """An audience that shows how far work is; others may listen with it."""
+    from twinct.observers import Observer, Said, StageBegan, StageEnded, StageStep, audience_of
+
     kinds = (StageBegan, StageStep, StageEnded, Said)
     with audience_of([Observer(TerminalProgress(), kinds), *others]) as audience:
         notices = _Notices(audience)
@@ -56,6 +49,8 @@ class _Notices(logging.Handler):
 
 def say(text: str, *, warning: bool = False) -> None:
     """Print one message."""
+    from twinct.observers import Said
+
     TerminalProgress()(Said(text, warning))
 
 
@@ -64,12 +59,18 @@ class TerminalProgress:
 
     def __init__(self) -> None:
         """Look whether stderr is a terminal."""
+        from rich.console import Console
+
         self._console = Console(stderr=True)
         self._bar: progress.Progress | None = None
         self._shown = 0.0
 
     def __call__(self, event: Event) -> None:
         """Show an event, if it is one of stages."""
+        from rich.console import Console
+
+        from twinct.observers import Said, StageBegan, StageEnded, StageStep
+
         match event:
             case StageBegan(name, total, done):
                 self._shown = time.monotonic()
@@ -96,6 +97,8 @@ class TerminalProgress:
                 pass
 
     def _new_bar(self) -> progress.Progress:
+        from rich import progress
+
         return progress.Progress(
             progress.TextColumn("{task.description:<28}"),
             progress.BarColumn(bar_width=None),

@@ -22,8 +22,6 @@ from twinct.cli.arguments import (
 )
 from twinct.cli.progress import on_terminal
 from twinct.cli.results import say_result
-from twinct.cli.view import live_page, view_command
-from twinct.scenario import load_scenario, named_places
 
 
 def run(
@@ -52,10 +50,13 @@ def run(
         view: Show the run on a page while it goes on, see twinct view; the page stays when the run
             is over, until Ctrl-C.
     """
-    from twinct import runs
-    from twinct.scan import Workshop
+    from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
+    from twinct import runs  # a mistake in the scenario is told without waiting for this
+    from twinct.cli.view import live_page
+    from twinct.scan import Workshop
+
     with ExitStack() as page:
         live, workshop = [], None
         if view:
@@ -100,6 +101,8 @@ def view(
         export: Write a page that needs no server instead: it plays all views, with a free camera.
         movie: Write a film of the scan instead.
     """
+    from twinct.cli.view import view_command
+
     view_command(targets, host, port, allow_network, export, movie, set_)
 
 
@@ -123,6 +126,7 @@ def node(
     from twinct.ros import spin_robots, spin_xray
     from twinct.runs import check_physics
     from twinct.scan import Workshop
+    from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
     if which == "xray" or loaded.cell.kind == "arms":

@@ -13,7 +13,6 @@ from rich.table import Table
 
 from twinct.cli.arguments import Overrides, ScenarioFile
 from twinct.cli.progress import say
-from twinct.scenario import load_scenario, named_places, scenario_schema
 
 if TYPE_CHECKING:
     from twinct.scan import Workshop
@@ -38,7 +37,10 @@ def check(
         save: File to write the plan to; with the key motion.plan a scenario follows it.
         picture: File for the picture of a view that cannot be had.
     """
-    from twinct.cli.reach import explained
+    from twinct.scenario import load_scenario, named_places
+
+    loaded = load_scenario(scenario, set_)
+    from twinct.cli.reach import explained  # a mistake in the scenario is told without this
     from twinct.runs import (
         check_geometries,
         check_physics,
@@ -50,7 +52,6 @@ def check(
     )
     from twinct.scan import Workshop
 
-    loaded = load_scenario(scenario, set_)
     require_extras(loaded)
     workshop = Workshop(loaded)
     with named_places(scenario, set_):
@@ -111,6 +112,7 @@ def render(
     from twinct.extras import require
     from twinct.files.writing import check_picture, storage_errors
     from twinct.scan import Workshop
+    from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
     check_picture(out)
@@ -142,6 +144,7 @@ def specimen(
     """
     from twinct.files.writing import check_folder, storage_errors
     from twinct.scan import Workshop
+    from twinct.scenario import load_scenario, named_places
     from twinct.specimen.preview import preview_specimen
     from twinct.volume import Volume
     from twinct.xray.build import effective_energy_kev
@@ -179,6 +182,7 @@ def urdf(
     from twinct.extras import require
     from twinct.files.writing import check_folder, storage_errors, write_text
     from twinct.scan import Workshop
+    from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
     check_folder(out)
@@ -191,4 +195,6 @@ def urdf(
 
 def schema() -> None:
     """Print the JSON Schema of the scenario file, for editors."""
+    from twinct.scenario import scenario_schema
+
     sys.stdout.write(json.dumps(scenario_schema(), indent=2) + "\n")

@@ -15,7 +15,6 @@ from rich.text import Text
 from twinct.cli.arguments import Flag
 from twinct.cli.progress import on_terminal
 from twinct.errors import InputError
-from twinct.report.template import duration
 
 if TYPE_CHECKING:
     from twinct.study import DryRun, Tally
@@ -109,6 +108,8 @@ def _show(found: DryRun) -> None:
     known = "" if told.measured else " or less: no trial of this kind has run on this machine"
     console.print(f"disk: {size}{known}", highlight=False)
     if told.seconds is not None:
+        from twinct.report.template import duration
+
         console.print(f"time: about {duration(told.seconds)}", highlight=False)
 
 
@@ -141,6 +142,8 @@ class _Line:
         text = f"{tally.done} done, {tally.running} running, {tally.failed} failed"
         text += f" of {tally.total}"
         if tally.left_s is not None and tally.left_s > 0:
+            from twinct.report.template import duration
+
             text += f", about {duration(tally.left_s)} left"
         if self._console.is_terminal:
             self._live.start()

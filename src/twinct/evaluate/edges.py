@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from twinct.geometry import Floats, VolumeGrid
 
@@ -119,7 +119,7 @@ def edges_of(
     beyond = np.linspace(_BLUR_VOXELS * float(edges.max()), reach, 9)
     for side in (-beyond, beyond):
         at = np.moveaxis(_on(points[chosen], ways[chosen], side), -1, 0)
-        values = ndimage.map_coordinates(truth, at, order=1) / mu_reference
+        values = scipy.ndimage.map_coordinates(truth, at, order=1) / mu_reference
         right = values.max(axis=1) < 0.5 if side[0] > 0 else np.abs(values[:, 0] - 1) <= _PURE
         chosen = chosen[right & (np.ptp(values, axis=1) <= _PURE)]
     chosen = chosen[:MOST_POINTS]

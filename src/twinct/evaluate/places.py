@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from twinct.geometry import Floats, Pose, VolumeGrid
 
@@ -93,7 +93,7 @@ def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxel
         first = max(start - halo, 0)
         near, own = ~filled[first : start + planes + halo], slice(start - first, None)
         if not near.all():
-            distance = np.asarray(ndimage.distance_transform_edt(near, grid.voxel[::-1]))[own]
+            distance = np.asarray(scipy.ndimage.distance_transform_edt(near, grid.voxel[::-1]))[own]
             there = near[own] & (distance >= from_mm) & (distance <= to_mm)
             mask[start : start + planes] = there[:planes]
     return Voxels(wider, mask)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.views import PosePairs
@@ -92,6 +92,9 @@ def tool_speeds(executed: PosePairs, simulated_s: Floats) -> dict[str, dict[str,
 
 def _arm_errors(wanted: Sequence[Pose], actual: Sequence[Pose]) -> ArmErrors:
     shift = np.array([a.position - w.position for w, a in zip(wanted, actual, strict=True)])
-    before, after = (Rotation.from_quat([p.quat for p in poses]) for poses in (wanted, actual))
+    before, after = (
+        scipy.spatial.transform.Rotation.from_quat([p.quat for p in poses])
+        for poses in (wanted, actual)
+    )
     turn = before.inv() * after
     return ArmErrors(np.linalg.norm(shift, axis=1), np.degrees(turn.magnitude()))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 WINDOW = 7
 """Edge of the cubic, uniform window in voxels."""
@@ -16,7 +16,8 @@ def whole_windows(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Centres of the windows that lie entirely in a mask."""
     if min(inside.shape) < WINDOW:
         return np.zeros(inside.shape, dtype=np.bool_)
-    eroded = ndimage.minimum_filter(inside.view(np.uint8), size=WINDOW, mode="constant", cval=0)
+    seen = inside.view(np.uint8)
+    eroded = scipy.ndimage.minimum_filter(seen, size=WINDOW, mode="constant", cval=0)
     return eroded.view(np.bool_)
 
 
@@ -41,7 +42,7 @@ def similarities(
         centres: of the windows that count, (z, y, x); see ``whole_windows``.
         data_range: L.
     """
-    mean = partial(ndimage.uniform_filter, size=WINDOW)
+    mean = partial(scipy.ndimage.uniform_filter, size=WINDOW)
     sample = WINDOW**3 / (WINDOW**3 - 1)
     ux, uy = mean(truth)[centres], mean(volume)[centres]
     vx = sample * (mean(truth * truth)[centres] - ux * ux)

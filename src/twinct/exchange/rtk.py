@@ -14,8 +14,8 @@ import warnings
 from xml.etree import ElementTree
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats, ScanGeometry
 
@@ -31,7 +31,8 @@ def rtk_parameters(geometry: ScanGeometry) -> dict[str, Floats]:
     with warnings.catch_warnings():
         # At 90 degrees out of plane, one angle is free and becomes zero.
         warnings.filterwarnings("ignore", message="Gimbal lock")
-        angles = -Rotation.from_matrix(rows).as_euler("ZXY", degrees=True) % 360
+        turns = scipy.spatial.transform.Rotation.from_matrix(rows)
+        angles = -turns.as_euler("ZXY", degrees=True) % 360
     return {
         "GantryAngle": angles[:, 2],
         "SourceToIsocenterDistance": source[:, 2],

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
@@ -91,6 +90,8 @@ def _picture(path: Path, what: str) -> NDArray[np.float64]:
 def _pixels(path: Path) -> int:
     """How many pixels the header of a picture tells of."""
     if path.suffix.lower() in (".tif", ".tiff"):
+        import tifffile
+
         with tifffile.TiffFile(path) as file:
             return sum(math.prod(series.shape) for series in file.series)
     from PIL import Image
@@ -101,5 +102,7 @@ def _pixels(path: Path) -> int:
 
 def write_tiff(path: Path, pixels: NDArray[np.generic]) -> None:
     """Write an image as little-endian TIFF without compression; never leaves half a file."""
+    import tifffile
+
     with complete(path) as draft:
         tifffile.imwrite(draft, pixels, byteorder="<", photometric="minisblack", metadata=None)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import io
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 
 from twinct.errors import SpecimenError
 from twinct.files.boundary import no_file, read_bytes, require_memory, shortened
+
+if TYPE_CHECKING:
+    import trimesh
 
 _KNOWN = "STL, PLY, OBJ and OFF files are known"
 _KINDS = ("stl", "ply", "obj", "off")
@@ -29,6 +31,8 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
     Raises:
         SpecimenError: the file cannot be read, or holds no triangles of finite corners.
     """
+    import trimesh
+
     if why := no_file(path):
         raise SpecimenError(f"{where} {why}")
     kind = path.suffix.lower().removeprefix(".")
@@ -91,6 +95,8 @@ def open_edges(mesh: trimesh.Trimesh) -> int:
 
 
 def _mended(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    import trimesh
+
     mesh = mesh.copy()
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     mesh.update_faces(mesh.nondegenerate_faces(height=0.0))

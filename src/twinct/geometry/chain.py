@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+import scipy
 
 from twinct.geometry.arrays import Floats, lock
 
@@ -16,7 +16,8 @@ N_M_PER_N_MM = 1e-3
 def exp_matrices(twists: Floats) -> Floats:
     """``Pose.exp`` of many twists (v, w), (..., 6), mm and rad, as matrices (..., 4, 4)."""
     flat = np.roll(twists.reshape(-1, 6), 3, axis=1)
-    return RigidTransform.from_exp_coords(flat).as_matrix().reshape(*twists.shape[:-1], 4, 4)
+    moved = scipy.spatial.transform.RigidTransform.from_exp_coords(flat)
+    return moved.as_matrix().reshape(*twists.shape[:-1], 4, 4)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, frozen
 
@@ -45,12 +45,14 @@ class Pose:
     @classmethod
     def from_matrix(cls, position: ArrayLike, rotation: ArrayLike) -> Pose:
         """Build from an origin (3,) in mm and a rotation matrix (3, 3), columns the inner axes."""
-        return cls(np.asarray(position), Rotation.from_matrix(np.asarray(rotation)).as_quat())
+        turned = scipy.spatial.transform.Rotation.from_matrix(np.asarray(rotation))
+        return cls(np.asarray(position), turned.as_quat())
 
     @classmethod
     def from_euler(cls, position: ArrayLike, degrees: ArrayLike) -> Pose:
         """Build from an origin in mm and extrinsic x, y, z rotations in degrees."""
-        turned = Rotation.from_euler("xyz", np.asarray(degrees, dtype=np.float64), degrees=True)
+        angles = np.asarray(degrees, dtype=np.float64)
+        turned = scipy.spatial.transform.Rotation.from_euler("xyz", angles, degrees=True)
         return cls(np.asarray(position), turned.as_quat())
 
     @classmethod
@@ -62,13 +64,13 @@ class Pose:
     def exp(cls, twist: ArrayLike) -> Pose:
         """Where a frame is after a unit of time along a twist (v, w), (6,), mm and rad."""
         v, w = np.split(frozen(twist, (6,), "twist"), 2)
-        motion = RigidTransform.from_exp_coords(np.concatenate([w, v]))
+        motion = scipy.spatial.transform.RigidTransform.from_exp_coords(np.concatenate([w, v]))
         return cls(motion.translation, motion.rotation.as_quat())
 
     def log(self) -> Floats:
         """The twist (v, w) whose ``exp`` this is, (6,), mm and rad, with w at most pi long."""
-        rotation = Rotation.from_quat(self.quat)
-        motion = RigidTransform.from_components(self.position.copy(), rotation)
+        place = self.position.copy()
+        motion = scipy.spatial.transform.RigidTransform.from_components(place, self._turn)
         return np.roll(motion.as_exp_coords(), 3)
 
     def adjoint(self) -> Floats:
@@ -81,16 +83,20 @@ class Pose:
 
     def to_euler(self) -> tuple[Floats, Floats]:
         """Origin in mm, and extrinsic x, y, z rotations in degrees: of ``from_euler``."""
-        return self.position, Rotation.from_quat(self.quat).as_euler("xyz", degrees=True)
+        return self.position, self._turn.as_euler("xyz", degrees=True)
 
     def to_metres(self) -> tuple[Floats, Floats]:
         """Position in metres and quaternion (x, y, z, w)."""
         return self.position / MM_PER_M, self.quat
 
     @property
+    def _turn(self) -> scipy.spatial.transform.Rotation:
+        return scipy.spatial.transform.Rotation.from_quat(self.quat)
+
+    @property
     def rotation(self) -> Floats:
         """Rotation matrix (3, 3); its columns are the inner axes in the outer frame."""
-        return Rotation.from_quat(self.quat).as_matrix()
+        return self._turn.as_matrix()
 
     @property
     def matrix(self) -> Floats:
@@ -104,12 +110,12 @@ class Pose:
         """Compose: ``world_from_tool @ tool_from_source`` is ``world_from_source``."""
         if type(other) is not Pose:
             return NotImplemented
-        turned = Rotation.from_quat(self.quat) * Rotation.from_quat(other.quat)
+        turned = self._turn * other._turn
         return Pose(self.apply(other.position), turned.as_quat())
 
     def inverse(self) -> Pose:
         """The transform back."""
-        back = Rotation.from_quat(self.quat).inv()
+        back = self._turn.inv()
         return Pose(-back.apply(self.position.copy()), back.as_quat())
 
     def apply(self, points: ArrayLike) -> Floats:
@@ -122,7 +128,7 @@ class Pose:
 
     def angle_deg(self, other: Pose) -> float:
         """Angle of the relative rotation, degrees."""
-        relative = Rotation.from_quat(self.quat).inv() * Rotation.from_quat(other.quat)
+        relative = self._turn.inv() * other._turn
         return float(np.degrees(relative.magnitude()))
 
     def distance_mm(self, other: Pose) -> float:

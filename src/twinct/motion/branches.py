@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twinct.cell import CellModel, mujoco_module
 from twinct.geometry import MM_PER_M, Floats, Pose
@@ -128,7 +128,8 @@ class Branches:
         solved = np.zeros(len(joints), bool)
         low, high = self._ranges.T
         middle = (low + high) / 2
-        jacobian, wanted = np.zeros((2, 3, model.nv)), Rotation.from_matrix(pose[:3, :3])
+        jacobian = np.zeros((2, 3, model.nv))
+        wanted = scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3])
         for _ in range(SEARCH_STEPS):
             error, matrices = np.empty((len(open_), 6)), np.empty((len(open_), 6, n))
             turned = np.empty((len(open_), 3, 3))
@@ -140,7 +141,8 @@ class Branches:
                 matrices[row] = jacobian.reshape(6, -1)[:, self._part]
                 error[row, :3] = pose[:3, 3] - data.site_xpos[self._site]
                 turned[row] = data.site_xmat[self._site].reshape(3, 3)
-            error[:, 3:] = (wanted * Rotation.from_matrix(turned).inv()).as_rotvec()
+            back = scipy.spatial.transform.Rotation.from_matrix(turned).inv()
+            error[:, 3:] = (wanted * back).as_rotvec()
             left = np.linalg.norm(error.reshape(-1, 2, 3), axis=2)
             # Some poses are in reach by a part of the tolerance only, at the end of a range.
             solved[open_] = (left <= self._off).all(axis=1)

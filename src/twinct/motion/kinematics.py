@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+import scipy
 
 from twinct.cell import CellModel, mujoco_module
 from twinct.errors import MissingExtraError
@@ -160,7 +160,8 @@ def _between(here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[Target]:
     pairs = list(zip(here, there, strict=True))
     far = [max(a.distance_mm(b) / FAR_MM, a.angle_deg(b) / FAR_DEG) for a, b in pairs]
     steps = int(max(far)) + 1
-    turns = [Slerp([0, 1], Rotation.from_quat([a.quat, b.quat])) for a, b in pairs]
+    ends = [scipy.spatial.transform.Rotation.from_quat([a.quat, b.quat]) for a, b in pairs]
+    turns = [scipy.spatial.transform.Slerp([0, 1], both) for both in ends]
     found = []
     for share in np.arange(1, steps) / steps:
         places = [(1 - share) * a.position + share * b.position for a, b in pairs]

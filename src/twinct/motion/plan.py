@@ -12,10 +12,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import BPoly
 
 from twinct.cell import CellModel, Clearance, Gap
 from twinct.errors import TrajectoryError
@@ -26,6 +27,9 @@ from twinct.motion.timing import FINE_S, Law, TimeLaw
 from twinct.motion.way import Way, find_way, kept_mm
 from twinct.scenario import Motion
 from twinct.views import Target
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BPoly
 
 WAYPOINT_S = 0.02
 """Between waypoints; each view has one of its own besides."""
@@ -101,7 +105,7 @@ class MotionPlan:
 
     @cached_property
     def _polynomials(self) -> tuple[BPoly, BPoly, BPoly]:
-        path = BPoly.from_derivatives(self.time_s, self.state)
+        path = scipy.interpolate.BPoly.from_derivatives(self.time_s, self.state)
         return path, path.derivative(), path.derivative(2)
 
     def at(self, time_s: Floats) -> Floats:

@@ -10,16 +10,19 @@ made again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+import scipy
 
 from twinct.cell import CellModel
 from twinct.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.motion.kinematics import mujoco
 from twinct.scenario import Motion
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 TORQUE_SHARE = 0.9
 """Of the torque limits; the rest is for the servos' corrections."""
@@ -91,7 +94,7 @@ class TimeLaw:
             )
         spans = np.maximum((np.abs(np.diff(knots, axis=0)) / self._speed).max(axis=1), 1e-9)
         passed = np.concatenate([[0.0], np.cumsum(spans)])
-        way = CubicSpline(passed, knots)
+        way = scipy.interpolate.CubicSpline(passed, knots)
         share = np.arange(LOOK) / LOOK
         s = np.append((passed[:-1, None] + share * spans[:, None]).ravel(), passed[-1])
         most, gain = self._allowed(way, s)
@@ -101,7 +104,7 @@ class TimeLaw:
             if excess.max() <= ALLOWED:
                 return law
             # Slower where it was too much, and a window's width about it.
-            here = maximum_filter1d(excess, 2 * self._window + 1)
+            here = scipy.ndimage.maximum_filter1d(excess, 2 * self._window + 1)
             along = np.interp(s, self._progress, here)
             slower = np.where(along > 1.0, np.minimum(SLOWER * along, 2.0), 1.0)
             most, gain = most / slower, gain / slower
@@ -163,11 +166,11 @@ class TimeLaw:
         # Speeds over time, at rest before and after, smoothed twice: the sum stays.
         steps = np.pad(np.diff(rising), 2 * self._window)
         for _ in range(2):
-            steps = uniform_filter1d(steps, self._window, mode="constant")
+            steps = scipy.ndimage.uniform_filter1d(steps, self._window, mode="constant")
         progress = np.minimum(np.concatenate([[0.0], np.cumsum(steps)]), s[-1])
         progress[-1] = s[-1]
         time_s = FINE_S * np.arange(len(progress), dtype=np.float64)
-        moving = CubicSpline(time_s, progress, bc_type="clamped")
+        moving = scipy.interpolate.CubicSpline(time_s, progress, bc_type="clamped")
         velocity, acceleration = moving(time_s, 1)[:, None], moving(time_s, 2)[:, None]
         velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
         joints, slope, bend = way(progress), way(progress, 1), way(progress, 2)
@@ -181,7 +184,7 @@ class TimeLaw:
     @staticmethod
     def _reachable(s: Floats, most: Floats, gain: Floats) -> Floats:
         """Speeds of s from rest to rest below ``most`` that change no faster than ``gain``."""
-        squared = minimum_filter1d(most, 3) ** 2
+        squared = scipy.ndimage.minimum_filter1d(most, 3) ** 2
         squared[0] = squared[-1] = 0.0
         room = 2 * np.minimum(gain[1:], gain[:-1]) * np.diff(s)
         for k, more in enumerate(room.tolist()):

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twinct.cell import CellModel, Clearance, Gap, mujoco_module
 from twinct.errors import NoWayError, TrajectoryError
@@ -210,7 +210,8 @@ class _Finder:
         poses = [(t.source, t.detector)[arm] for t in self._targets]
         rolls, side = self._rolls[arm], SIDES[arm]
         turned = np.zeros((len(rolls), 4, 4))
-        turned[:, :3, :3] = Rotation.from_euler("z", rolls[:, None]).as_matrix()
+        about_z = scipy.spatial.transform.Rotation.from_euler("z", rolls[:, None])
+        turned[:, :3, :3] = about_z.as_matrix()
         turned[:, 3, 3] = 1
         asked = matrices(poses)[:, None] @ turned
         branches = Branches(self._cell, arm, self._motion.ik, self._seed)
@@ -465,7 +466,8 @@ class _Finder:
 
 def _rolled(pose: Pose, angle: float) -> Pose:
     """Turned about its own z axis, rad."""
-    turned = Rotation.from_quat(pose.quat) * Rotation.from_euler("z", angle)
+    about_z = scipy.spatial.transform.Rotation.from_euler("z", angle)
+    turned = scipy.spatial.transform.Rotation.from_quat(pose.quat) * about_z
     return Pose(pose.position, turned.as_quat()) if angle else pose
 
 

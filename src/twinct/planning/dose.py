@@ -13,8 +13,8 @@ more evenly, so that the true doses of views differ by less than K does.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.ndimage import map_coordinates
 
 from twinct.geometry import Floats, ScanGeometry
 from twinct.planning.sight import samples_towards, sees
@@ -60,7 +60,9 @@ def primary_kerma(
             samples_towards(seen, source, reach, step).reshape(-1, 3)
         )
         index = ((way - grid.first_voxel_mm) / grid.voxel)[:, ::-1].T
-        mu = map_coordinates(attenuation.array, index, order=1, mode="constant", output=np.float64)
+        mu = scipy.ndimage.map_coordinates(
+            attenuation.array, index, order=1, mode="constant", output=np.float64
+        )
         depth = mu.reshape(len(seen), -1).sum(axis=1) * step
         square = ((source - seen) ** 2).sum(axis=1)
         kerma[view] = (1e6 / square * np.exp(-depth)).sum() / len(points)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, minimize
+import scipy
 
 from twinct.errors import InputError
 from twinct.geometry import Floats
@@ -37,13 +37,13 @@ def best_exposures(
     mine = Detectability(found.task, found.fisher[views])
     equal = np.full(count, total / count)
     unit = mine(equal) ** 2
-    solved = minimize(
+    solved = scipy.optimize.minimize(
         lambda x: -(mine(x * equal) ** 2) / unit,
         np.ones(count),
         jac=lambda x: -mine.slopes(x * equal) * equal / unit,
         method="SLSQP",
-        bounds=Bounds(np.full(count, least) / equal, np.full(count, most) / equal),
-        constraints=LinearConstraint(np.ones((1, count)), count, count),
+        bounds=scipy.optimize.Bounds(np.full(count, least) / equal, np.full(count, most) / equal),
+        constraints=scipy.optimize.LinearConstraint(np.ones((1, count)), count, count),
         options={"maxiter": 200},
     )
     shares = np.clip(solved.x, least / equal, most / equal)

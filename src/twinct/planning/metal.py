@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.planning.sight import sees
@@ -97,7 +97,7 @@ def spectral_shift(lengths: ArrayLike, attenuation_per_mm: ArrayLike, photons: A
     depths = np.asarray(lengths, np.float64).T @ np.asarray(attenuation_per_mm, np.float64)
     share = np.asarray(photons, np.float64)
     share = share / share.sum()
-    return depths @ share + logsumexp(-depths, b=share, axis=1)
+    return depths @ share + scipy.special.logsumexp(-depths, b=share, axis=1)
 
 
 def mean_of_views(values: Sequence[Floats]) -> Floats:

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from twinct.errors import InputError
 
@@ -114,15 +113,16 @@ def exact_choice(
     candidates, elements = kinds.shape
     # Maximise worth . y with y_e <= sum of the x that cover e, sum of x = number, x whole.
     cost = np.concatenate([np.zeros(candidates), -worth])
-    covered = sparse.hstack([-sparse.csr_matrix(kinds.T.astype(float)), sparse.eye(elements)])
+    covering = scipy.sparse.csr_matrix(kinds.T.astype(float))
+    covered = scipy.sparse.hstack([-covering, scipy.sparse.eye(elements)])
     count = np.concatenate([np.ones(candidates), np.zeros(elements)])[None]
-    found = milp(
+    found = scipy.optimize.milp(
         cost,
         integrality=np.concatenate([np.ones(candidates), np.zeros(elements)]),
-        bounds=Bounds(0, 1),
+        bounds=scipy.optimize.Bounds(0, 1),
         constraints=[
-            LinearConstraint(covered.tocsr(), -np.inf, 0),
-            LinearConstraint(count, number, number),
+            scipy.optimize.LinearConstraint(covered.tocsr(), -np.inf, 0),
+            scipy.optimize.LinearConstraint(count, number, number),
         ],
         options={} if seconds is None else {"time_limit": seconds},
     )

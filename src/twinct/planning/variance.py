@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cholesky, solve_triangular
-from scipy.spatial.distance import pdist, squareform
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, VolumeGrid
@@ -48,7 +47,8 @@ def prior_covariance(grid: VolumeGrid, deviation: float, correlation_mm: float) 
     _require_coarse(grid)
     x, y, z = grid.axes()
     places = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)
-    return deviation**2 * np.exp(-squareform(pdist(places)) / correlation_mm)
+    apart = scipy.spatial.distance.squareform(scipy.spatial.distance.pdist(places))
+    return deviation**2 * np.exp(-apart / correlation_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ class KnownShare:
         if not (np.isfinite(w).all() and (w >= 0).all()):
             raise InputError("photons must be 0 or more")
         try:
-            root = cholesky(s, lower=True)
+            root = scipy.linalg.cholesky(s, lower=True)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise InputError(f"covariance: not positive definite: {error}") from error
         rays = np.empty((len(A), w[0].size, n), np.float32)
@@ -128,8 +128,8 @@ class KnownShare:
         found = np.empty(len(candidates))
         for place, view in enumerate(candidates):
             seen = self.rays[view] @ factor.T
-            within = cholesky(seen @ seen.T + np.eye(len(seen)), lower=True)
-            taken = solve_triangular(within, seen @ factor[:, self.region], lower=True)
+            within = scipy.linalg.cholesky(seen @ seen.T + np.eye(len(seen)), lower=True)
+            taken = scipy.linalg.solve_triangular(within, seen @ factor[:, self.region], lower=True)
             found[place] = 1.0 - (left - float((taken**2).sum())) / self._before
         return found
 
@@ -154,7 +154,8 @@ class KnownShare:
         for view in taken:
             part = self.rays[view] @ self.root
             known += e[view] * part.T @ part
-        return solve_triangular(cholesky(known, lower=True), self.root.T, lower=True)
+        factor = scipy.linalg.cholesky(known, lower=True)
+        return scipy.linalg.solve_triangular(factor, self.root.T, lower=True)
 
 
 def _require_coarse(grid: VolumeGrid) -> None:

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.cluster.hierarchy import DisjointSet
-from scipy.spatial import KDTree
+import scipy
 
 from twinct.geometry import Floats
 from twinct.motion.detour import Detours
@@ -52,7 +51,7 @@ def joined(
     joints = np.vstack(list(nodes.values()))
     whose = np.repeat(list(nodes), [len(of) for of in nodes.values()])
     turns = np.ptp(cell.joint_ranges, axis=1) > 3 * np.pi
-    room, parts = Feasible(cell), DisjointSet(range(len(joints)))
+    room, parts = Feasible(cell), scipy.cluster.hierarchy.DisjointSet(range(len(joints)))
     edges = _edges(directions, joints, whose, turns)
     with progress.stage("straight ways", len(edges)) as step:
         for start in range(0, len(edges), AT_ONCE):
@@ -96,7 +95,8 @@ def _way(start: Floats, end: Floats, turns: Flags) -> Floats:
 def _edges(directions: Floats, joints: Floats, whose: Indices, turns: Flags) -> Indices:
     """Each node with the nearest one of each direction about its own, nearest first, (e, 2)."""
     views = np.unique(whose)
-    _, near = KDTree(directions[views]).query(directions[views], min(NEIGHBOURS, len(views)))
+    tree = scipy.spatial.KDTree(directions[views])
+    _, near = tree.query(directions[views], min(NEIGHBOURS, len(views)))
     found = []
     for view, others in zip(views, views[near.reshape(len(views), -1)], strict=True):
         mine = np.flatnonzero(whose == view)

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twinct.cell import CellModel
 from twinct.geometry import Floats, Pose
@@ -154,7 +154,8 @@ class Holder:
         """The same for an arm whose last joint does more than turn the tool."""
         turned = np.zeros((len(self._rolls[arm]), 4, 4))
         turned[:, 3, 3] = 1
-        turned[:, :3, :3] = Rotation.from_euler("z", self._rolls[arm][:, None]).as_matrix()
+        about_z = scipy.spatial.transform.Rotation.from_euler("z", self._rolls[arm][:, None])
+        turned[:, :3, :3] = about_z.as_matrix()
         found = branches.of((poses[:, None] @ turned).reshape(-1, 4, 4), self._starts)
         clear = room.clear(self.placed(found.joints, arm), self.least_mm)
         return Configurations(found.joints[clear], found.pose[clear] // len(turned))
@@ -165,7 +166,8 @@ class Holder:
         before = kinematics.poses(joints)[arm]
         joints[self.cell.arm_joints[arm].stop - 1] += 1.0
         after = before.inverse() @ kinematics.poses(joints)[arm]
-        turned = Rotation.from_euler("z", 1.0) * Rotation.from_quat(after.quat).inv()
+        back = scipy.spatial.transform.Rotation.from_quat(after.quat).inv()
+        turned = scipy.spatial.transform.Rotation.from_euler("z", 1.0) * back
         here = np.linalg.norm(after.position) < SAME_MM
         return bool(here and turned.magnitude() < SAME_RAD)
 

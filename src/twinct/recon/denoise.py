@@ -7,13 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from skimage import filters as skimage_filters
 
 from twinct.geometry import VolumeGrid
 from twinct.recon.engine import Kernels, Singles
 from twinct.threads import threads
-
-filters: Any = skimage_filters  # it comes without types
 
 STEPS = 15
 """Of the dual iteration: they bring the objective within 2 % of the way to its minimum."""
@@ -82,6 +79,9 @@ def noise(x: Singles) -> float:
     # numpy lets go of the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
         mean, variance = np.array(list(pool.map(_mean_and_variance, slabs))).swapaxes(0, 1)
+    from skimage import filters as skimage_filters
+
+    filters: Any = skimage_filters  # it comes without types
     found = variance[mean > filters.threshold_otsu(mean)] if np.ptp(mean) > 0 else variance[:0]
     return math.sqrt(max(float(np.percentile(found, 25)), 0.0)) if found.size else 0.0
 

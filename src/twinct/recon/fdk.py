@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
-import scipy.fft as scipy_fft
+import scipy
 from numpy.typing import ArrayLike
 from pydantic import Field
 
@@ -23,8 +23,6 @@ from twinct.recon.settings import Nonnegative
 from twinct.recon.steps import Callback, Listener
 from twinct.threads import threads
 from twinct.volume import Volume
-
-fft: Any = scipy_fft  # it comes without types
 
 Window = Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"]
 
@@ -188,7 +186,7 @@ def _response(columns: int, window: str) -> Singles:
     kernel[0] = 0.25
     odd = n % 2 == 1
     kernel[odd] = -1 / (math.pi * n[odd]) ** 2
-    f: Floats = fft.rfftfreq(size)
+    f: Floats = scipy.fft.rfftfreq(size)
     shapes = {
         "ramp": np.ones_like(f),
         "shepp_logan": np.sinc(f),
@@ -196,12 +194,12 @@ def _response(columns: int, window: str) -> Singles:
         "hamming": 0.54 + 0.46 * np.cos(2 * math.pi * f),
         "hann": 0.5 + 0.5 * np.cos(2 * math.pi * f),
     }
-    return np.multiply(fft.rfft(kernel).real, shapes[window]).astype(np.float32)
+    return np.multiply(scipy.fft.rfft(kernel).real, shapes[window]).astype(np.float32)
 
 
 def _padded(columns: int) -> int:
     """Length at which no end of a row, led to zero, reaches the other."""
-    return int(fft.next_fast_len(4 * columns, real=True))
+    return int(scipy.fft.next_fast_len(4 * columns, real=True))
 
 
 def _filtered(image: Singles, response: Singles) -> Singles:
@@ -212,9 +210,9 @@ def _filtered(image: Singles, response: Singles) -> Singles:
     fade = (0.5 + 0.5 * np.cos(angle)).astype(np.float32)
     padded = np.concatenate([image[:, :1] * fade[::-1], image, image[:, -1:] * fade], axis=1)
     size = _padded(columns)
-    spectrum = fft.rfft(padded, n=size, axis=1, workers=threads())
+    spectrum = scipy.fft.rfft(padded, n=size, axis=1, workers=threads())
     spectrum *= response
-    rows = fft.irfft(spectrum, n=size, axis=1, workers=threads())
+    rows = scipy.fft.irfft(spectrum, n=size, axis=1, workers=threads())
     return rows[:, reach : reach + columns]
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage as scipy_ndimage
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry
@@ -20,8 +20,6 @@ from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
 from twinct.shadow import Body, Box, Rays
-
-ndimage: Any = scipy_ndimage  # it comes without types
 
 STARVED = 7.0
 """Line integral from which a ray through metal says less than what is expected of it: at 1e5
@@ -409,8 +407,8 @@ class _Fit:
             rest = np.where(trust > 0, rest, 0.0)
         rest *= trust
         jacobian *= trust[..., None]
-        rest = ndimage.gaussian_filter(rest, blur)
-        jacobian = ndimage.gaussian_filter(jacobian, (blur, blur, 0))
+        rest = scipy.ndimage.gaussian_filter(rest, blur)
+        jacobian = scipy.ndimage.gaussian_filter(jacobian, (blur, blur, 0))
         told = np.abs(jacobian[..., :3]).sum(axis=-1) > 1e-4
         return rest[told], jacobian[told]
 

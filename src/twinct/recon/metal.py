@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse as scipy_sparse
-from scipy.sparse import linalg as scipy_linalg
 
 from twinct.errors import InputError
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
@@ -19,9 +18,6 @@ from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
 from twinct.volume import Volume
-
-sparse: Any = scipy_sparse  # they come without types
-linalg: Any = scipy_linalg
 
 OFFSET_MM = 20.0
 """Path in tissue that is added to both before they are divided: a ray that misses the prior would
@@ -181,12 +177,12 @@ def _replaced(
 
 def _laplacian(shape: tuple[int, ...]) -> Any:
     """(pixels, pixels): neighbours of each pixel less the pixel itself, negative, sparse."""
-    rows, columns = (sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in shape)
+    rows, columns = (scipy.sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in shape)
     down, right = (
-        sparse.kron(rows, sparse.eye(shape[1])),
-        sparse.kron(sparse.eye(shape[0]), columns),
+        scipy.sparse.kron(rows, scipy.sparse.eye(shape[1])),
+        scipy.sparse.kron(scipy.sparse.eye(shape[0]), columns),
     )
-    steps = sparse.vstack([down, right])
+    steps = scipy.sparse.vstack([down, right])
     return (steps.T @ steps).tocsr()
 
 
@@ -200,5 +196,5 @@ def _filled(image: Singles, unknown: Mask, neighbours: Any) -> Singles:
     rows = neighbours[there]
     filled = image.copy()
     right = -(rows[:, known] @ image.flat[known].astype(np.float64))
-    filled.flat[there] = linalg.spsolve(rows[:, there].tocsc(), right)
+    filled.flat[there] = scipy.sparse.linalg.spsolve(rows[:, there].tocsc(), right)
     return filled

@@ -6,8 +6,8 @@ import logging
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import ndimage as scipy_ndimage
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, Pose, VolumeGrid
@@ -19,7 +19,6 @@ from twinct.recon.sart import sart
 from twinct.recon.surroundings import coarse_grid
 from twinct.volume import Volume
 
-ndimage: Any = scipy_ndimage  # it comes without types
 log = logging.getLogger(__name__)
 
 FACTORS = (8, 4, 2, 1)
@@ -113,6 +112,7 @@ def resampled(volume: Singles, of: VolumeGrid, at: VolumeGrid, order: int = 1) -
     Beside the volume its outermost voxels go on.
     """
     to = _index(of, at)
+    ndimage: Any = scipy.ndimage  # its types take no order that is not a literal
     return ndimage.affine_transform(
         *(volume, to[2::-1, 2::-1], to[2::-1, 3], at.shape, np.float32), order=order, mode="nearest"
     )
@@ -127,7 +127,7 @@ def _at_level(A: Projector, p: Singles, mask: Mask | None, prior: Volume, pose: 
     counts, _ = counting_rays(A, mask)
     first = sart(A, p, iterations=3, relaxation=0.3, nonnegative=True, mask=mask).array
     blur = A.grid.voxel.mean() / prior.grid.voxel[::-1] / 2
-    smooth = ndimage.gaussian_filter(prior.array, np.where(blur > 0.5, blur, 0.0))
+    smooth = scipy.ndimage.gaussian_filter(prior.array, np.where(blur > 0.5, blur, 0.0))
     frame = A.grid.world_from_grid
     reach = float(np.linalg.norm(A.grid.size_mm)) / 2
     for _ in range(STEPS):
@@ -180,7 +180,7 @@ def _step(
 
 def _edges(image: Singles) -> Singles:
     """An image less its means over some pixels: what is truncated or hardened is smooth."""
-    return image - ndimage.gaussian_filter(image, SMOOTH_PX)
+    return image - scipy.ndimage.gaussian_filter(image, SMOOTH_PX)
 
 
 def _slopes(grid: VolumeGrid, x: Singles, inside: Mask, reach: float) -> list[Singles]:

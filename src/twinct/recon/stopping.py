@@ -16,15 +16,12 @@ from itertools import product
 from typing import Any, Literal, get_args
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from skimage import filters as skimage_filters
 
 from twinct.recon.checks import Checks
 from twinct.recon.engine import Singles
 from twinct.threads import threads
-
-filters: Any = skimage_filters  # it comes without types
 
 StopName = Literal["auto"]
 
@@ -120,6 +117,9 @@ def error_change(before: Singles, after: Singles) -> float:
     sample = (before[few] + after[few]) / 2
     if not np.ptp(sample) > 0:
         return 0.0
+    from skimage import filters as skimage_filters
+
+    filters: Any = skimage_filters  # it comes without types
     threshold = float(filters.threshold_otsu(sample.ravel()))
 
     def judged(part: Box) -> float:
@@ -173,13 +173,13 @@ def _from_sharper(
     dense = (m - np.float32(threshold)) / _slope(m)
     dense += np.float32(0.5)
     np.clip(dense, 0, 1, out=dense)
-    near = ndimage.maximum_filter(dense > 0.5, 2 * NEAR + 1)
+    near = scipy.ndimage.maximum_filter(dense > 0.5, 2 * NEAR + 1)
     off = m.copy()
     for share in (dense, 1 - dense):
         alone = (share == 1).astype(np.float32)
-        number = ndimage.uniform_filter(alone, WINDOW)
+        number = scipy.ndimage.uniform_filter(alone, WINDOW)
         alone *= after
-        value = ndimage.uniform_filter(alone, WINDOW)
+        value = scipy.ndimage.uniform_filter(alone, WINDOW)
         known = number > 0.5 / WINDOW**3
         near &= known | (share == 0)
         np.divide(value, number, out=value, where=known)

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 from twinct.files.writing import write_text
 from twinct.report.data import CrossSection
-from twinct.report.figures import side_by_side, windows
 from twinct.report.measured import nested
 from twinct.report.page import image_figures, stage_title
 from twinct.report.template import duration, fixed, rendered
@@ -218,6 +217,8 @@ def _found(told: Any, *keys: str) -> float | None:
 
 def _pictures(compared: Sequence[Compared]) -> list[tuple[str, str]]:
     """A title and an image's address for each plane."""
+    from twinct.report.figures import side_by_side, windows
+
     first = compared[0]
     every = [s for one in compared for s in one.slices.values() if s is not None]
     looks = windows(every, first.mu_reference)

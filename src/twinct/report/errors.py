@@ -10,14 +10,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twinct.geometry import Floats
-from twinct.report.figures import (
+from twinct.report.figures import png
+from twinct.report.style import (
     DETECTOR_COLOUR,
     LIMIT_COLOUR,
     SOURCE_COLOUR,
     STYLE,
     WIDTH,
     Picture,
-    png,
 )
 
 _PANELS = (

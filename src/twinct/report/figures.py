@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
@@ -25,43 +23,22 @@ from PIL import Image as PillowImage
 from twinct.evaluate import PoseErrors
 from twinct.geometry import Floats, Panel
 from twinct.report.data import CrossSection
-
-SOURCE_COLOUR, DETECTOR_COLOUR = "#c4501b", "#1f6091"
-LIMIT_COLOUR, REGION_COLOUR, INK = "#6b7280", "#f2a33a", "#1f2933"
+from twinct.report.style import (
+    DETECTOR_COLOUR,
+    INK,
+    LIMIT_COLOUR,
+    REGION_COLOUR,
+    SOURCE_COLOUR,
+    STYLE,
+    WIDTH,
+    Picture,
+)
 
 SPHERE_TOLERANCE = 0.01
 """Largest relative spread of the sources' distances that still counts as a path on a sphere."""
 
 DARKEST_DRAWN = 1e-7
 """Transmission shown for anything darker: its line integral is 16.1."""
-
-STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "axes.edgecolor": "#9aa5b1",
-    "axes.linewidth": 0.8,
-    "axes.titlesize": 9.5,
-    "legend.fontsize": 8.5,
-    **dict.fromkeys(("font.size", "axes.labelsize"), 9),
-    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize"), 8),
-    **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.color", "ytick.color"), INK),
-    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
-    "svg.hashsalt": "twinct",  # the same data gives the same bytes
-}
-WIDTH = 10.4
-"""Inches; the page shows about 100 px for each."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """An image with its type, such as "image/png"."""
-
-    content: bytes
-    media_type: str
-
-    @property
-    def data_uri(self) -> str:
-        """The image itself as an address, so that a page needs no other file."""
-        return f"data:{self.media_type};base64,{base64.b64encode(self.content).decode('ascii')}"
 
 
 def png(figure: Figure, dpi: int) -> Picture:

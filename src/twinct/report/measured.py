@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
-from twinct.report.figures import (
-    DETECTOR_COLOUR,
-    LIMIT_COLOUR,
-    SOURCE_COLOUR,
-    STYLE,
-    Picture,
-    svg,
-)
+from twinct.report.style import DETECTOR_COLOUR, LIMIT_COLOUR, SOURCE_COLOUR, STYLE, Picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _COLOURS = (SOURCE_COLOUR, DETECTOR_COLOUR, "#3d7a4d", "#8a5a9e", "#b08900", LIMIT_COLOUR)
 
@@ -87,6 +81,10 @@ def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Measured,
 
 def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None:
     """RMSE over the depth in the region that every view sees; None where it is not known."""
+    import matplotlib as mpl
+
+    from twinct.report.figures import svg
+
     lines = {
         name: [100 * value if value is not None else np.nan for value in by_depth.values()]
         for name, told in columns.items()
@@ -110,6 +108,10 @@ def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None
 
 def curves_picture(columns: Columns, kind: str, key: str, label: str) -> Picture | None:
     """Curves over frequency of all volumes and places; None where there are none."""
+    import matplotlib as mpl
+
+    from twinct.report.figures import svg
+
     lines = {
         f"{place}, {name}" if len(columns) > 1 else place: (curve["frequency_per_mm"], curve[key])
         for name, told in columns.items()
@@ -133,6 +135,8 @@ def curves_picture(columns: Columns, kind: str, key: str, label: str) -> Picture
 
 
 def _figure() -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(5.6, 2.6), layout="constrained")
     axes: Any = figure.subplots()
     axes.grid(axis="y", color="#e4e7eb", lw=0.7)

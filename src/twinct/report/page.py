@@ -10,12 +10,11 @@ import numpy as np
 
 from twinct.evaluate import DEPTHS_MM, depth_names, pose_errors
 from twinct.files.writing import write_text
-from twinct.report import figures
 from twinct.report.data import ReportData
-from twinct.report.figures import Picture
 from twinct.report.found import with_found
 from twinct.report.measured import curves_picture, depth_picture, measured_rows, nested
 from twinct.report.physics import physics_in_words
+from twinct.report.style import Picture
 from twinct.report.template import rendered
 from twinct.scenario import AnyCell, GantryCell
 
@@ -173,6 +172,8 @@ def _beside(report: ReportData) -> dict[str, Any]:
 
 def draw_pictures(report: ReportData) -> Pictures:
     """The pictures of a report, which take longest; its metrics are not needed for them."""
+    from twinct.report import figures
+
     scenario = report.scenario
     commanded, executed = (
         np.array([pose.position for pose in poses.source])

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 CONFIDENCE = 0.95
 MOST_LINES = 6
@@ -66,7 +66,7 @@ def mean_of(values: Iterable[float | None]) -> Mean:
         return Mean(None, None, 0)
     half = None
     if x.size > 1:
-        quantile = stdtrit(x.size - 1, 0.5 + CONFIDENCE / 2)
+        quantile = scipy.special.stdtrit(x.size - 1, 0.5 + CONFIDENCE / 2)
         half = float(quantile * x.std(ddof=1) / math.sqrt(x.size))
     return Mean(float(x.mean()), half, x.size)
 

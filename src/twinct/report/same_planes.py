@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.ndimage import affine_transform
 
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.report.data import PLANES, CrossSection
@@ -112,7 +112,7 @@ def section_at(
         The section, NaN outside the grid.
     """
     step = (np.linalg.inv(grid.affine) @ layer.affine)[:3]
-    cut = affine_transform(
+    cut = scipy.ndimage.affine_transform(
         np.asarray(volume, dtype=np.float32),
         step[::-1, 2::-1],
         step[::-1, 3],

@@ -15,7 +15,6 @@ import numpy as np
 from twinct.files.writing import write_text
 from twinct.report.data import CrossSection
 from twinct.report.figure_words import Best, FigureWords, figure_words
-from twinct.report.figures import side_by_side, windows
 from twinct.report.page import stage_title
 from twinct.report.repetitions import (
     Combination,
@@ -265,6 +264,8 @@ class _Shown(NamedTuple):
 
 def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) -> _Shown:
     """The best trials' pictures, or those of all that have some where none is better."""
+    from twinct.report.figures import side_by_side, windows
+
     order = [one for one, _ in ranking] or list(study.trials)
     having = [one for one in order if any(study.sections.get(one.trial, {}).values())][:MOST_BEST]
     pictures: list[tuple[str, str]] = []

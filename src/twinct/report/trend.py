@@ -7,13 +7,10 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.transforms import ScaledTranslation
 
-from twinct.report.figures import LIMIT_COLOUR, STYLE, Picture, svg
 from twinct.report.repetitions import Trend, numeric
+from twinct.report.style import LIMIT_COLOUR, STYLE, Picture
 
 _COLOURS = ("#1f6091", "#c4501b", "#3d7a4d", "#7a4d8f", "#b8860b", LIMIT_COLOUR)
 _MARKERS = "osD^vP"
@@ -54,6 +51,12 @@ def trend_picture(
         log: whether the axis is logarithmic; linear below its smallest positive value if it has
             others, too.
     """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+    from matplotlib.transforms import ScaledTranslation
+
+    from twinct.report.figures import svg
+
     values, many = shown.values, len(shown.lines)
     numbers = numeric(values)
     with mpl.rc_context(STYLE):

@@ -43,7 +43,7 @@ from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, named_geometries
 from twinct.scenario import SECTIONS, Scenario, load_scenario, stage_digests
 from twinct.scenario.version_0_1 import volume_digest
-from twinct.threads import limit_threads
+from twinct.threads import limit_threads, load_numba
 from twinct.volume import Volume
 
 if TYPE_CHECKING:
@@ -111,6 +111,7 @@ def run(
         TrajectoryError: views that cannot be reached, or would collide; nothing has been written.
         TwinctError: what went wrong afterwards. Every acquired view is kept.
     """
+    load_numba()
     limit_threads(threads)
     scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     folder = Folder(Path(out))

@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import zarr as _zarr
 from numpy.typing import NDArray
-from zarr.codecs import BloscCodec
 
 from twinct.geometry import Pose
 from twinct.scan.data import View, bad_pixels_of
@@ -19,9 +17,6 @@ from twinct.views import PosePairs
 
 if TYPE_CHECKING:
     from twinct.motion import MotionPlan
-
-zarr: Any = _zarr
-"""Typed in part only."""
 
 FORMAT = 4
 READABLE = (1, 2, 3, FORMAT)
@@ -65,6 +60,8 @@ def columns_of(view: View) -> dict[str, Any]:
 
 def _write_plan(root: Any, plan: MotionPlan) -> None:
     """Numbers as arrays, words as attributes of their group."""
+    from zarr.codecs import BloscCodec
+
     from twinct.motion import plan_arrays
 
     group = root.create_group("plan")
@@ -87,6 +84,10 @@ def write_frame(
     mas: NDArray[np.float64] | None = None,
 ) -> None:
     """Write all of a store but its views; the digests are of files as they are, unless given."""
+    import zarr as _zarr
+    from zarr.codecs import BloscCodec
+
+    zarr: Any = _zarr  # typed in part only
     views, panel = len(commanded), scenario.detector.panel
     group: Any = zarr.create_group(str(path), zarr_format=3)
     attributes = {

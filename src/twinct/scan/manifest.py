@@ -8,19 +8,13 @@ lines before.
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from zarr.abc.store import ByteRequest
-from zarr.core.buffer import Buffer, BufferPrototype
-from zarr.storage import LocalStore
-
 from twinct.errors import DamagedError
-from twinct.files.plain_json import read_json
 
 FOLDER = "manifest"
 FRAME, VIEWS = f"{FOLDER}/frame", f"{FOLDER}/views"
@@ -176,83 +170,3 @@ def compared(path: Path, digests: Mapping[str, str], view: int | None = None) ->
         elif digest_of((path / file).read_bytes()) != digest:
             found.append(Damage(file, "changed", view))
     return found
-
-
-class CheckedStore(LocalStore):
-    """The files of a scan store; each chunk of a view is compared when it is read.
-
-    A missing chunk, which Zarr takes for one of fill values, is damage in a store without manifest
-    too.
-    """
-
-    def __init__(self, root: Path, *, read_only: bool = False) -> None:
-        """Open the files of a store, whose frame the caller has looked at."""
-        super().__init__(root, read_only=read_only)
-        self._has_manifest = (root / FOLDER).is_dir()
-        self._rows: dict[int, dict[str, str]] = {}
-        self._noted: dict[str, str] = {}
-        if self._has_manifest:
-            metadata = read_json(root / VIEWS / "zarr.json")
-            self._width = int(metadata["shape"][1])
-            self._root = {ROOT: digest_of((root / ROOT).read_bytes())}
-
-    def get_sync(
-        self,
-        key: str,
-        *,
-        prototype: BufferPrototype | None = None,
-        byte_range: ByteRequest | None = None,
-    ) -> Buffer | None:
-        """See ``LocalStore``.
-
-        Raises:
-            DamagedError: the file is damaged.
-        """
-        data = None
-        if (self.root / key).is_file():  # no pipe, which would wait for somebody to write
-            data = super().get_sync(key, prototype=prototype, byte_range=byte_range)
-        if (view := view_of(key)) is not None and not key.startswith(FOLDER):
-            self._check(key, view, None if data is None else data.to_bytes())
-        return data
-
-    async def get(
-        self,
-        key: str,
-        prototype: BufferPrototype | None = None,
-        byte_range: ByteRequest | None = None,
-    ) -> Buffer | None:
-        """See ``get_sync``."""
-        return await asyncio.to_thread(
-            self.get_sync, key, prototype=prototype, byte_range=byte_range
-        )
-
-    async def set(self, key: str, value: Buffer) -> None:
-        """See ``LocalStore``; the digest is noted for the manifest."""
-        self.note(key, value.to_bytes())
-        await super().set(key, value)
-
-    def _check(self, file: str, view: int, data: bytes | None) -> None:
-        if file.startswith("status/"):
-            whole = data in (None, ACQUIRED)
-        elif data is None:
-            raise damaged(self.root, Damage(file, "missing", view))
-        else:
-            whole = not self._has_manifest or self._row(view).get(file) == digest_of(data)
-        if not whole:
-            raise damaged(self.root, Damage(file, "changed", view))
-
-    def _row(self, view: int) -> dict[str, str]:
-        if view not in self._rows:
-            self._rows[view] = read_row(self.root, view)
-        return self._rows[view]
-
-    def note(self, file: str, data: bytes) -> None:
-        """Remember what was written of a view."""
-        self._noted[file] = digest_of(data)
-
-    def seal(self, view: int) -> None:
-        """Write the digests of all that was noted: the view is whole."""
-        row, self._noted = self._noted, {}
-        if self._has_manifest:
-            (self.root / row_file(view)).write_bytes(sealed(self._root | row, self._width))
-            self._rows[view] = row

@@ -13,14 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr as _zarr
 from numpy.typing import DTypeLike
 
 from twinct.errors import InputError
 from twinct.files.plain_json import json_of
-
-zarr: Any = _zarr
-"""Typed in part only."""
 
 EXPOSURE = "executed/exposure"
 """Present where an exposure has several instants."""
@@ -106,6 +102,8 @@ def check_arrays(path: Path, group: Any) -> None:
     Raises:
         InputError: one sentence for each that does not fit.
     """
+    import zarr
+
     with readable(path, "the metadata of an array"):
         found = {name: group[name] for name in _ARRAYS if name in group}
     if groups := [name for name, array in found.items() if not isinstance(array, zarr.Array)]:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
-import zarr as _zarr
 from numpy.typing import NDArray
 
 from twinct.errors import DamagedError, InputError, ScanExistsError
@@ -30,7 +29,6 @@ from twinct.scan.manifest import (
     ACQUIRED,
     FOLDER,
     FRAME_FILE,
-    CheckedStore,
     Damage,
     chunk_name,
     damaged,
@@ -51,9 +49,6 @@ from twinct.views import Instant, PosePairs
 
 if TYPE_CHECKING:
     from twinct.motion import MotionPlan
-
-zarr: Any = _zarr
-"""Typed in part only."""
 
 log = logging.getLogger(__name__)
 
@@ -100,6 +95,11 @@ class ScanStore:
             DamagedError: what is not of a single view is damaged.
             InputError: its format is not known, or what it says of itself makes no scan.
         """
+        import zarr as _zarr
+
+        from twinct.scan.checked import CheckedStore
+
+        zarr: Any = _zarr  # typed in part only
         self.path = path
         if not path.is_dir():
             raise FileNotFoundError(errno.ENOENT, "no scan store", str(path))
@@ -309,6 +309,8 @@ class ScanStore:
         """
         if not self._has("plan"):
             return None
+        import zarr
+
         from twinct.motion import LARGEST_PLAN_BYTES, plan_of_arrays
 
         with readable(self.path, "plan"):

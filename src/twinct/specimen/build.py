@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from twinct import scenario
 from twinct.errors import SpecimenError
@@ -17,6 +17,9 @@ from twinct.specimen.materials import Material, material
 from twinct.specimen.shapes import shape_surface
 from twinct.specimen.surface import solids_once, subtract, surface
 from twinct.specimen.voxels import volume_fractions
+
+if TYPE_CHECKING:
+    import trimesh
 
 HULL_DIRECTIONS = 4000
 """Directions in which the collision hull touches the specimen, about 3 degrees apart."""
@@ -85,10 +88,12 @@ class BuiltSpecimen:
         Its corners are the outermost points in ``HULL_DIRECTIONS`` directions, so that it stays
         small where a surface is round; a skull sticks out of it by 0.4 mm at most.
         """
+        import trimesh
+
         points = np.concatenate([part.mesh.vertices for part in self.parts])
         try:
-            points = points[ConvexHull(points).vertices]
-        except QhullError:
+            points = points[scipy.spatial.ConvexHull(points).vertices]
+        except scipy.spatial.QhullError:
             edges = " x ".join(f"{edge:g}" for edge in np.ptp(points, axis=0))
             raise SpecimenError(
                 f"specimen.parts: all of them together measure {edges} mm: too flat for a body"
@@ -99,6 +104,8 @@ class BuiltSpecimen:
 
     def surface(self) -> trimesh.Trimesh:
         """The surfaces of all parts as one mesh in the specimen's frame, mm, for pictures."""
+        import trimesh
+
         whole = trimesh.util.concatenate([part.mesh for part in self.parts])
         assert isinstance(whole, trimesh.Trimesh)
         return whole

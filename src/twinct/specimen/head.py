@@ -7,14 +7,17 @@ kinds at one place fit together. List the skull last: where parts overlap the la
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+import scipy
 
 from twinct.specimen.implicit import Body, Canvas, block, ellipsoid, rod
 from twinct.specimen.skull import WALL_MM, ear_canal, orbit, skull_canvas, vault
 from twinct.specimen.surface import isosurface, surface
+
+if TYPE_CHECKING:
+    import trimesh
 
 MIDDLE = np.array([0.0, 1.7, -35.5])
 """Where the middle of the skull's bounds lies in its design frame, mm."""
@@ -56,9 +59,9 @@ def _head(scale: float, resolution_mm: float) -> trimesh.Trimesh:
     neck = rod((0, -26, -60), (0, -22, -160), 52, flatten=(1, 1.15, 1))
     head.add(neck.within(block((0, -24, -98), (60, 60, 40))))
     # Distances are from the middles of voxels: those that bone reaches into count as bone.
-    away = distance_transform_edt(head.mirrored >= step / 2, sampling=step)
-    depth = distance_transform_edt(away < BRIDGE_MM, sampling=step)
-    outside = gaussian_filter(BRIDGE_MM - SKIN_MM - depth, 1.0)
+    away = scipy.ndimage.distance_transform_edt(head.mirrored >= step / 2, sampling=step)
+    depth = scipy.ndimage.distance_transform_edt(away < BRIDGE_MM, sampling=step)
+    outside = scipy.ndimage.gaussian_filter(BRIDGE_MM - SKIN_MM - depth, 1.0)
     head.field = np.asarray(outside[len(head.field) - 1 :], np.float32)
     for body in _airways():
         head.cut(body, 2)

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats
 
@@ -118,7 +118,8 @@ def smin(a: Field, b: Field, blend: float) -> Field:
 
 def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> Body:
     """Ellipsoid, turned about x, y, z; distance to first order, k (k - 1) / |grad|."""
-    turn = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix().astype(np.float32)
+    rotation = scipy.spatial.transform.Rotation.from_euler("xyz", turn_deg, degrees=True)
+    turn = rotation.as_matrix().astype(np.float32)
     reach = np.sqrt((turn**2) @ np.square(radii))
 
     def distance(x: Field, y: Field, z: Field) -> Field:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from twinct import scenario
 from twinct.errors import SpecimenError
@@ -17,6 +17,9 @@ from twinct.specimen.shells import joined_shells
 from twinct.specimen.skull import skull_surface
 from twinct.specimen.surface import surface
 from twinct.specimen.volumes import ct_surface
+
+if TYPE_CHECKING:
+    import trimesh
 
 SPHERE_SUBDIVISIONS = 6
 """81,920 triangles; their volume misses the sphere's by 0.02 %."""
@@ -35,6 +38,8 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
         SpecimenError: a file that cannot be read, an open or empty mesh, a threshold nothing
             exceeds; the message names the part.
     """
+    import trimesh
+
     match shape:
         case scenario.Skull() | scenario.Head() | scenario.Brain():
             make = {"skull": skull_surface, "head": head_surface, "brain": brain_surface}
@@ -93,6 +98,8 @@ def triangles(shape: Shape) -> int:
 
 
 def _ball(semi_axes: tuple[float, float, float], edge_mm: float | None) -> trimesh.Trimesh:
+    import trimesh
+
     # Corners a little outside of the sphere: the polyhedron then has the sphere's own volume.
     ball = trimesh.creation.icosphere(subdivisions=_subdivisions(max(semi_axes), edge_mm))
     fit = (4 / 3 * math.pi / ball.volume) ** (1 / 3)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+from typing import TYPE_CHECKING
 
 import manifold3d
 import numpy as np
-import trimesh
 
 from twinct.errors import SpecimenError
 from twinct.specimen.surface import from_manifold, surface, to_manifold
+
+if TYPE_CHECKING:
+    import trimesh
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +54,8 @@ def joined_shells(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
 
 
 def _shells(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
+    import trimesh
+
     labels = trimesh.graph.connected_component_labels(
         mesh.face_adjacency, node_count=len(mesh.faces)
     )

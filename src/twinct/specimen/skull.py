@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
-from scipy.interpolate import CubicSpline
+import scipy
 
 from twinct.geometry import Floats
 from twinct.specimen.implicit import (
@@ -31,6 +31,9 @@ from twinct.specimen.implicit import (
     wall,
 )
 from twinct.specimen.surface import isosurface, surface
+
+if TYPE_CHECKING:
+    import trimesh
 
 LOWEST: Point = (0.0, -98.0, -146.0)
 HIGHEST: Point = (80.0, 106.0, 76.0)
@@ -244,7 +247,7 @@ def _curve(points: Sequence[tuple[float, float]], at: Floats) -> list[tuple[floa
     """A smooth curve through points (x, y), at shares of its chord length."""
     corners = np.asarray(points, dtype=float)
     walked = np.append(0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
-    spline = CubicSpline(walked / walked[-1], corners, bc_type="natural")
+    spline = scipy.interpolate.CubicSpline(walked / walked[-1], corners, bc_type="natural")
     return [(float(x), float(y)) for x, y in spline(at)]
 
 
@@ -272,6 +275,8 @@ def _teeth(head: Canvas) -> None:
 
 def _without_crumbs(mesh: trimesh.Trimesh, smallest_mm3: float = 200.0) -> trimesh.Trimesh:
     """Leave out closed pieces below this volume: slivers where a cut just met a surface."""
+    import trimesh
+
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, len(mesh.faces))
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     signed = np.bincount(labels, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)

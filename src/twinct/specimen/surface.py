@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import manifold3d
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
-from skimage.measure import marching_cubes
 
 from twinct.errors import SpecimenError
+
+if TYPE_CHECKING:
+    import trimesh
 
 MAX_TRIANGLES = 700_000
 """More than this costs rendering time without showing in a panel of half-millimetre pixels."""
@@ -22,6 +24,8 @@ through a lattice point has triangles without area."""
 
 def surface(vertices: ArrayLike, faces: ArrayLike) -> trimesh.Trimesh:
     """A mesh of exactly these triangles; trimesh merges and drops nothing."""
+    import trimesh
+
     return trimesh.Trimesh(np.asarray(vertices, dtype=np.float64), np.asarray(faces), process=False)
 
 
@@ -38,6 +42,8 @@ def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) ->
     Returns:
         The mesh, counter-clockwise seen from outside, in the frame ``affine`` leads to.
     """
+    from skimage.measure import marching_cubes
+
     field = np.pad(np.asarray(values, dtype=np.float32), 1, constant_values=float(values.min()))
     near = TIE_BREAK * max(level - float(field.min()), float(field.max()) - level)
     field[np.abs(field - level) < near] = level + near

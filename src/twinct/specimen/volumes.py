@@ -10,12 +10,11 @@ import plistlib
 import tarfile
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from twinct import scenario
 from twinct.errors import SpecimenError
@@ -23,6 +22,9 @@ from twinct.files.boundary import file_bytes, library_errors, require_memory, sh
 from twinct.files.nifti import read_nifti
 from twinct.geometry import Floats
 from twinct.specimen.surface import isosurface, simplified, surface
+
+if TYPE_CHECKING:
+    import trimesh
 
 FARTHEST_MM = 1e6
 """Of the numbers in an affine."""
@@ -69,7 +71,7 @@ def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
         sigma = tuple(shape.smoothing_mm / image.voxel_mm)
         if max(sigma) > max(values.shape):
             raise SpecimenError(f"{where}: smoothing_mm {shape.smoothing_mm:g} exceeds the volume")
-        values = np.asarray(ndimage.gaussian_filter(values, sigma), dtype=np.float32)
+        values = np.asarray(scipy.ndimage.gaussian_filter(values, sigma), dtype=np.float32)
     low, high = float(values.min()), float(values.max())
     if not low < shape.threshold_hu < high:
         side = "nothing exceeds" if shape.threshold_hu >= high else "everything exceeds"
@@ -78,7 +80,7 @@ def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
             f"and {high:g} HU{' after smoothing' if shape.smoothing_mm else ''}"
         )
     values = _without_small_parts(values, shape, image, where)
-    box = ndimage.find_objects((values > shape.threshold_hu).astype(np.uint8))[0]
+    box = scipy.ndimage.find_objects((values > shape.threshold_hu).astype(np.uint8))[0]
     box = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in box)
     affine = image.affine.copy()
     affine[:3, 3] += affine[:3, :3] @ [s.start for s in box]
@@ -128,7 +130,7 @@ def _without_small_parts(
         return values
     voxel_cm3 = abs(np.linalg.det(image.affine[:3, :3])) / 1000.0
     labels = np.empty(values.shape, dtype=np.int32)
-    ndimage.label(values > shape.threshold_hu, structure=np.ones((3, 3, 3)), output=labels)
+    scipy.ndimage.label(values > shape.threshold_hu, structure=np.ones((3, 3, 3)), output=labels)
     sizes = np.bincount(labels.ravel()) * voxel_cm3
     sizes[0] = np.inf
     small = sizes < shape.smallest_part_cm3

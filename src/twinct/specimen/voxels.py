@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import Pose, VolumeGrid
-from twinct.specimen import _kernels
 
 COLUMNS = 4
 """Lines per voxel along y and along z."""
@@ -44,6 +43,8 @@ def volume_fractions(
     Returns:
         ``out``.
     """
+    from twinct.specimen import _kernels
+
     if out is None:
         out = np.zeros(grid.shape, dtype=np.float32)
     grid_from_mesh = grid.world_from_grid.inverse() @ world_from_mesh

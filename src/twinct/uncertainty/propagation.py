@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twinct.draws import scan_rng
 from twinct.geometry import Chain, Floats, Panel, ScanGeometry, exp_matrices, lock
@@ -369,7 +369,8 @@ def draw(
 def _gathered(true: Floats, believed: Floats) -> Draws:
     apart = true[..., :3, 3] - believed[..., :3, 3]
     turns = true[..., :3, :3] @ np.swapaxes(believed[..., :3, :3], -1, -2)
-    angles = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(apart.shape)
+    rotations = scipy.spatial.transform.Rotation.from_matrix(turns.reshape(-1, 3, 3))
+    angles = rotations.as_rotvec().reshape(apart.shape)
     both = np.concatenate([apart, angles], axis=-1)
     return Draws(np.concatenate([both[0], both[1]], axis=-1), true, believed)
 
@@ -465,7 +466,8 @@ def pixel_jacobian(scan: NominalScan, panel: Panel, points: Floats) -> Floats:
 def _displaced(poses: Floats, error: Floats) -> Floats:
     found = poses.copy()
     found[..., :3, 3] += error[:3]
-    found[..., :3, :3] = Rotation.from_rotvec(error[3:]).as_matrix() @ poses[..., :3, :3]
+    turn = scipy.spatial.transform.Rotation.from_rotvec(error[3:])
+    found[..., :3, :3] = turn.as_matrix() @ poses[..., :3, :3]
     return found
 
 

@@ -199,6 +199,9 @@ class GvxrScene:
 
 
 def _import_gvxr() -> Any:
+    # With numba, whose LLVM is loaded before that of the renderer, and for which no view waits.
+    import twinct.xray._attenuated  # noqa: F401
+
     try:
         from gvxrPython3 import gvxr
     except ModuleNotFoundError as error:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from trimesh import Trimesh
 
 from twinct.errors import TwinctError
 from twinct.geometry import Floats, ScanGeometry
 from twinct.specimen.surface import refined
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 DEPTH_MM = 0.02
 """Error of a path that a triangle's size may make."""

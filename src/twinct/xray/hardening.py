@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from twinct.specimen.materials import Material
 from twinct.xray.response import PhotonResponse
@@ -81,5 +81,5 @@ class Hardening:
             return (self._mu[0] * base).astype(np.float32)
         dense = np.clip(dense_mm, 0.0, self._dense[-1])
         which = dense / self._dense[-1] * (_NODES[0] - 1)
-        base = ndimage.map_coordinates(self._table, [which, at], order=1, mode="nearest")
+        base = scipy.ndimage.map_coordinates(self._table, [which, at], order=1, mode="nearest")
         return (self._mu[0] * base + self._mu[1] * dense).astype(np.float32)

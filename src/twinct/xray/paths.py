@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from trimesh import Trimesh
 
 from twinct.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.specimen.materials import Material
 from twinct.xray._engine import ENGINE, SceneOwner
 from twinct.xray._placement import Placement, corners, mesh_fault, split
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 PATH_MU = 0.05
 """Attenuation, 1/mm, at which gVXR renders a path length.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from twinct.errors import InputError
 
@@ -66,8 +66,9 @@ def mend_bad_pixels(image: NDArray[np.float32], bad: NDArray[np.bool_]) -> NDArr
     mended, good = np.where(bad, np.float32(0), image), ~bad
     around = np.ones((3, 3), dtype=np.float32)
     while not good.all():
-        count = ndimage.convolve(good.astype(np.float32), around, mode="constant")
-        total = ndimage.convolve(np.where(good, mended, np.float32(0)), around, mode="constant")
+        count = scipy.ndimage.convolve(good.astype(np.float32), around, mode="constant")
+        known = np.where(good, mended, np.float32(0))
+        total = scipy.ndimage.convolve(known, around, mode="constant")
         now = ~good & (count > 0)
         mended[now] = total[now] / count[now]
         good = good | now

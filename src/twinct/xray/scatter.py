@@ -21,9 +21,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import xraylib
 from numpy.typing import NDArray
-from scipy import fft, ndimage
 
 from twinct.geometry import Floats
 from twinct.specimen.materials import MM_PER_CM, Material
@@ -84,15 +84,16 @@ class ScatterKernel:
         cells = padded.reshape(padded.shape[0] // nv, nv, -1, nu).sum(axis=(1, 3), dtype=float)
         size_v, size_u = nv * pitch_v, nu * pitch_u
         kernel = self._kernel(cells.shape, size_u, size_v, distance_mm)
-        shape = tuple(int(fft.next_fast_len(3 * n) or 3 * n) for n in cells.shape)
-        product = np.asarray(fft.rfft2(cells, s=shape)) * np.asarray(fft.rfft2(kernel, s=shape))
+        shape = tuple(int(scipy.fft.next_fast_len(3 * n) or 3 * n) for n in cells.shape)
+        spectra = (np.asarray(scipy.fft.rfft2(one, s=shape)) for one in (cells, kernel))
+        product = np.multiply(*spectra)
         first = [n - 1 for n in cells.shape]
-        full = np.asarray(fft.irfft2(product, s=shape))
+        full = np.asarray(scipy.fft.irfft2(product, s=shape))
         spread = full[first[0] : first[0] + cells.shape[0], first[1] : first[1] + cells.shape[1]]
         # Cell values lie at the middle of nv x nu pixels; each pixel takes its area's share.
         at = ((np.arange(rows) + 0.5) / nv - 0.5, (np.arange(columns) + 0.5) / nu - 0.5)
         places = np.meshgrid(*at, indexing="ij")
-        fine = ndimage.map_coordinates(spread, places, order=1, mode="nearest")
+        fine = scipy.ndimage.map_coordinates(spread, places, order=1, mode="nearest")
         return (fine * (self.scale / (nu * nv))).astype(np.float32)
 
     def _kernel(

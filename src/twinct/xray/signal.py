@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from twinct.geometry import Floats
 from twinct.specimen.materials import Material
-from twinct.xray._attenuated import look_up, sum_bins
 from twinct.xray.response import PhotonResponse
 from twinct.xray.spectrum import PhotonSpectrum, attenuation
 
@@ -67,6 +66,8 @@ class Signal:
             samples: samples along each pixel edge.
             share: weight of this exposure among those that make the image.
         """
+        from twinct.xray._attenuated import look_up, sum_bins
+
         if len(paths) == 1:
             look_up(paths[0], self._longest, self._table, beam, samples, share, out)
         else:

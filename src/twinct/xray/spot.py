@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import special
+import scipy
 
 from twinct.errors import InputError
 from twinct.geometry import Floats, ScanGeometry
@@ -32,7 +32,7 @@ def square_spot(size_x_mm: float, size_y_mm: float, unit: Floats) -> Floats:
 def gaussian_spot(sigma_x_mm: float, sigma_y_mm: float, unit: Floats) -> Floats:
     """Points of a Gaussian, (points, 2), mm."""
     sigma = np.array([sigma_x_mm, sigma_y_mm])
-    return _with_variance(special.ndtri(unit) * sigma, sigma**2)
+    return _with_variance(scipy.special.ndtri(unit) * sigma, sigma**2)
 
 
 def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, unit: Floats) -> Floats:

@@ -8,8 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from twinct.errors import InputError
 from twinct.files.tables import read_columns
@@ -118,9 +118,9 @@ class PointSpreadFunction:
         shape = _fast(rows + 2 * pad_v), _fast(columns + 2 * pad_u)
         pads = (pad_v, shape[0] - rows - pad_v), (pad_u, shape[1] - columns - pad_u)
         padded = np.pad(image, pads, mode="symmetric")
-        spectrum = np.asarray(fft.rfft2(padded))
+        spectrum = np.asarray(scipy.fft.rfft2(padded))
         spectrum *= _transfer(self, shape, pitch_u, pitch_v)
-        spread = np.asarray(fft.irfft2(spectrum, s=shape, overwrite_x=True))
+        spread = np.asarray(scipy.fft.irfft2(spectrum, s=shape, overwrite_x=True))
         return spread[pad_v : pad_v + rows, pad_u : pad_u + columns].astype(np.float32, copy=False)
 
     def noise_gain(self, pitch_u: float, pitch_v: float) -> float:
@@ -135,12 +135,12 @@ class PointSpreadFunction:
 
 def _fast(length: int) -> int:
     """The next length that the transform is fast for."""
-    return int(fft.next_fast_len(length, real=True) or length)
+    return int(scipy.fft.next_fast_len(length, real=True) or length)
 
 
 @lru_cache(maxsize=1)  # a scan uses one filter
 def _transfer(
     spread: PointSpreadFunction, shape: tuple[int, int], pitch_u: float, pitch_v: float
 ) -> NDArray[np.float32]:
-    along_u, along_v = fft.rfftfreq(shape[1], pitch_u), fft.fftfreq(shape[0], pitch_v)
+    along_u, along_v = scipy.fft.rfftfreq(shape[1], pitch_u), scipy.fft.fftfreq(shape[0], pitch_v)
     return spread.mtf(np.hypot(along_v[:, None], along_u[None, :])).astype(np.float32)

@@ -1,0 +1,105 @@
+"""The files of a scan store as Zarr sees them: compared with the manifest whenever one is read."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from zarr.abc.store import ByteRequest
+from zarr.core.buffer import Buffer, BufferPrototype
+from zarr.storage import LocalStore
+
+from twinct.files.plain_json import read_json
+from twinct.scan.manifest import (
+    ACQUIRED,
+    FOLDER,
+    ROOT,
+    VIEWS,
+    Damage,
+    damaged,
+    digest_of,
+    read_row,
+    row_file,
+    sealed,
+    view_of,
+)
+
+
+class CheckedStore(LocalStore):
+    """The files of a scan store; each chunk of a view is compared when it is read.
+
+    A missing chunk, which Zarr takes for one of fill values, is damage in a store without manifest
+    too.
+    """
+
+    def __init__(self, root: Path, *, read_only: bool = False) -> None:
+        """Open the files of a store, whose frame the caller has looked at."""
+        super().__init__(root, read_only=read_only)
+        self._has_manifest = (root / FOLDER).is_dir()
+        self._rows: dict[int, dict[str, str]] = {}
+        self._noted: dict[str, str] = {}
+        if self._has_manifest:
+            metadata = read_json(root / VIEWS / "zarr.json")
+            self._width = int(metadata["shape"][1])
+            self._root = {ROOT: digest_of((root / ROOT).read_bytes())}
+
+    def get_sync(
+        self,
+        key: str,
+        *,
+        prototype: BufferPrototype | None = None,
+        byte_range: ByteRequest | None = None,
+    ) -> Buffer | None:
+        """See ``LocalStore``.
+
+        Raises:
+            DamagedError: the file is damaged.
+        """
+        data = None
+        if (self.root / key).is_file():  # no pipe, which would wait for somebody to write
+            data = super().get_sync(key, prototype=prototype, byte_range=byte_range)
+        if (view := view_of(key)) is not None and not key.startswith(FOLDER):
+            self._check(key, view, None if data is None else data.to_bytes())
+        return data
+
+    async def get(
+        self,
+        key: str,
+        prototype: BufferPrototype | None = None,
+        byte_range: ByteRequest | None = None,
+    ) -> Buffer | None:
+        """See ``get_sync``."""
+        return await asyncio.to_thread(
+            self.get_sync, key, prototype=prototype, byte_range=byte_range
+        )
+
+    async def set(self, key: str, value: Buffer) -> None:
+        """See ``LocalStore``; the digest is noted for the manifest."""
+        self.note(key, value.to_bytes())
+        await super().set(key, value)
+
+    def _check(self, file: str, view: int, data: bytes | None) -> None:
+        if file.startswith("status/"):
+            whole = data in (None, ACQUIRED)
+        elif data is None:
+            raise damaged(self.root, Damage(file, "missing", view))
+        else:
+            whole = not self._has_manifest or self._row(view).get(file) == digest_of(data)
+        if not whole:
+            raise damaged(self.root, Damage(file, "changed", view))
+
+    def _row(self, view: int) -> dict[str, str]:
+        if view not in self._rows:
+            self._rows[view] = read_row(self.root, view)
+        return self._rows[view]
+
+    def note(self, file: str, data: bytes) -> None:
+        """Remember what was written of a view."""
+        self._noted[file] = digest_of(data)
+
+    def seal(self, view: int) -> None:
+        """Write the digests of all that was noted: the view is whole."""
+        row, self._noted = self._noted, {}
+        if self._has_manifest:
+            (self.root / row_file(view)).write_bytes(sealed(self._root | row, self._width))
+            self._rows[view] = row
