@@ -1,0 +1,70 @@
+"""Starting twinct loads no engine and no plotting: those come where they are used."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+MOST_MODULES = 700
+HEAVY = {
+    "gvxrPython3",
+    "matplotlib",
+    "mujoco",
+    "networkx",
+    "numba",
+    "scipy.spatial",
+    "trimesh",
+    "zarr",
+}
+LOADED = """
+import atexit, json, runpy, sys
+atexit.register(lambda: sys.stderr.write(json.dumps(sorted(sys.modules))))
+"""
+RUN = "from twinct import run"
+COMMAND = """
+sys.argv = ["twinct", *{arguments}]
+runpy.run_module("twinct", run_name="__main__")
+"""
+
+
+def loaded(code: str) -> tuple[list[str], int, str]:
+    """Modules of a fresh process at its end, its exit code, and what it said."""
+    result = subprocess.run([sys.executable, "-c", LOADED + code], capture_output=True, text=True)
+    *said, modules = result.stderr.splitlines()
+    return json.loads(modules), result.returncode, "\n".join([result.stdout, *said])
+
+
+def heavy(modules: list[str]) -> list[str]:
+    return sorted(HEAVY.intersection(modules))
+
+
+@pytest.mark.process
+def test_importing_run_loads_few_modules() -> None:
+    modules, code, _ = loaded(RUN)
+    assert code == 0
+    assert "twinct.runs.job" in modules
+    assert heavy(modules) == []
+    assert len(modules) <= MOST_MODULES
+
+
+@pytest.mark.process
+def test_the_help_loads_few_modules() -> None:
+    modules, code, said = loaded(COMMAND.format(arguments=["--help"]))
+    assert code == 0
+    assert "reconstruct" in said
+    assert heavy(modules) == []
+    assert len(modules) <= MOST_MODULES
+
+
+@pytest.mark.process
+def test_a_mistake_in_a_scenario_is_told_with_few_modules(tmp_path) -> None:
+    scenario = tmp_path / "wrong.yaml"
+    scenario.write_text("nmae: x\n", encoding="utf-8")
+    modules, code, said = loaded(COMMAND.format(arguments=["check", str(scenario)]))
+    assert code == 2
+    assert "did you mean 'name'?" in said
+    assert heavy(modules) == []
+    assert len(modules) <= MOST_MODULES
