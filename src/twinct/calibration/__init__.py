@@ -1,4 +1,4 @@
-"""Where source and detector really were: from balls at known places, or the scan itself."""
+"""Executed geometry of a scan, estimated from balls at known positions or from the scan itself."""
 
 from twinct.calibration.arms import CalibratedArms, Change, frames_of, require_same_arms
 from twinct.calibration.beads import BallCalibration, calibrated, calibrated_view

@@ -1,4 +1,4 @@
-"""Two arms as a kinematic calibration found them, and the file that keeps them."""
+"""Two arms as estimated by a kinematic calibration, and the file that stores them."""
 
 from __future__ import annotations
 
@@ -23,18 +23,19 @@ SIDES = ("source", "detector")
 LARGEST_BYTES = 16 * 2**20
 
 SAME_MM = 1e-6
-"""Nominal frames of two cells that differ by less are those of one."""
+"""Maximum difference between the nominal frames of one cell."""
 
 
 class Change(NamedTuple):
-    """How an arm differs from its chain; all may have the same axes before those told here.
+    """Deviations of an arm from its nominal chain, with any number of leading axes.
 
     Attributes:
-        links: twist of each joint's frame before its turn, (..., joints, 6), mm and rad.
-        tool: of the tool's frame, (..., 6).
-        compliance: of each joint behind its encoder, (..., joints), rad/(N m).
-        gear: gear error, of the cosine and the sine of the periods of the joint's angle,
-            (..., joints, 2), rad.
+        links: twist of each joint's frame, applied before the joint's turn, (..., joints, 6), mm
+            and rad.
+        tool: twist of the tool's frame, (..., 6), mm and rad.
+        compliance: compliance of each joint behind its encoder, (..., joints), rad/(N m).
+        gear: amplitudes of each joint's gear error, for the cosine and the sine of the joint angle
+            times the number of periods, (..., joints, 2), rad.
     """
 
     links: Floats
@@ -44,13 +45,13 @@ class Change(NamedTuple):
 
 
 def changed_tools(chain: Chain, change: Change, periods: int, joints: Floats) -> Floats:
-    """``world_from_tool`` of an arm that differs from its chain.
+    """Return ``world_from_tool`` of an arm that deviates from its chain.
 
     Args:
         chain: the nominal arm.
-        change: how it differs.
-        periods: of the gear error in a turn of a joint.
-        joints: what the encoders read, (views, joints), rad.
+        change: the arm's deviations.
+        periods: periods of the gear error in one turn of a joint.
+        joints: encoder readings, (views, joints), rad.
 
     Returns:
         (..., views, 4, 4), mm.
@@ -66,14 +67,14 @@ def changed_tools(chain: Chain, change: Change, periods: int, joints: Floats) ->
 
 @dataclass(frozen=True, eq=False)
 class CalibratedArms:
-    """What both arms are, in the frame of the phantom that they were calibrated with.
+    """Both arms in the frame of the phantom with which they were calibrated.
 
     Attributes:
-        chains: nominal ones, source first.
-        changes: of each arm.
-        gear_periods: of the gear error in a turn of a joint.
-        phantom_from_room: where the room in which the arms stand is in the phantom's frame.
-        made_by: what made them, as plain data.
+        chains: nominal chains, source first.
+        changes: deviations of each arm.
+        gear_periods: periods of the gear error in one turn of a joint.
+        phantom_from_room: pose, in the phantom's frame, of the room in which the arms stand.
+        made_by: provenance as plain data.
     """
 
     chains: tuple[Chain, Chain]
@@ -89,10 +90,10 @@ class CalibratedArms:
                 array.setflags(write=False)
 
     def tools(self, joints: Floats) -> tuple[Floats, Floats]:
-        """Source and panel by what the encoders read.
+        """Return the poses of source and panel for the given encoder readings.
 
         Args:
-            joints: of both arms, source first, (views, joints), rad.
+            joints: encoder readings of both arms, source first, (views, joints), rad.
 
         Returns:
             ``phantom_from_tool`` of each arm, (views, 4, 4), mm.
@@ -101,11 +102,11 @@ class CalibratedArms:
         return self.tool(0, joints[:, :first]), self.tool(1, joints[:, first:])
 
     def tool(self, side: int, joints: Floats) -> Floats:
-        """The same of one arm.
+        """Return the tool poses of one arm.
 
         Args:
-            side: 0 source, 1 detector.
-            joints: of this arm, (..., views, joints), rad.
+            side: 0 for the source, 1 for the detector.
+            joints: encoder readings of this arm, (..., views, joints), rad.
 
         Returns:
             ``phantom_from_tool``, (..., views, 4, 4), mm.
@@ -114,7 +115,7 @@ class CalibratedArms:
         return self.phantom_from_room.matrix @ tools
 
     def poses(self, joints: Floats) -> PosePairs:
-        """The same as poses: the believed geometry of any trajectory."""
+        """Return both arms' tools as poses: the believed geometry of any trajectory."""
         sides = (
             tuple(Pose.from_matrix(at[:3, 3], at[:3, :3]) for at in tools)
             for tools in self.tools(joints)
@@ -122,10 +123,10 @@ class CalibratedArms:
         return PosePairs(*sides)
 
     def write(self, path: Path) -> None:
-        """Write a JSON file.
+        """Write the arms to a JSON file.
 
         Raises:
-            StorageError: it cannot be written.
+            StorageError: the file cannot be written.
         """
         told: dict[str, Any] = {"format": FORMAT, "made_by": dict(self.made_by)}
         told["gear_periods"] = self.gear_periods
@@ -140,14 +141,14 @@ class CalibratedArms:
 
     @classmethod
     def read(cls, path: Path, chains: tuple[Chain, Chain]) -> CalibratedArms:
-        """Read what ``write`` wrote of the same arms.
+        """Read the arms from a file that ``write`` wrote.
 
         Args:
             path: the file.
-            chains: nominal arms of the cell that is meant.
+            chains: nominal arms of the cell.
 
         Raises:
-            InputError: it is no such file, or of another cell.
+            InputError: the file does not hold calibrated arms, or belongs to another cell.
         """
         text = read_text(path, f"{path}: no calibrated arms: the file", LARGEST_BYTES)
         try:
@@ -159,7 +160,7 @@ class CalibratedArms:
             periods, made_by = int(told["gear_periods"]), dict(told["made_by"])
             place = np.array(told["phantom_from_room"], float)
             room = Pose(place[:3], place[3:])
-        except Exception as error:  # JSON of any kind and depth
+        except Exception as error:  # malformed JSON raises many types
             kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
             raise InputError(f"{path}: no calibrated arms: {shortened(f'{kind}{error}')}") from None
         require_same_arms((nominal[0], nominal[1]), chains, str(path))
@@ -167,7 +168,7 @@ class CalibratedArms:
 
 
 def frames_of(chains: tuple[Chain, Chain]) -> tuple[Floats, Floats]:
-    """Base, joints and tool of each nominal arm, (joints + 2, 4, 4), mm."""
+    """Return base, joints and tool of each nominal arm, (joints + 2, 4, 4), mm."""
     source, detector = (
         np.concatenate([chain.base[None], chain.joints, chain.tool[None]]) for chain in chains
     )
@@ -177,15 +178,15 @@ def frames_of(chains: tuple[Chain, Chain]) -> tuple[Floats, Floats]:
 def require_same_arms(
     frames: tuple[Floats, Floats], chains: tuple[Chain, Chain], where: str
 ) -> None:
-    """Refuse arms that are others than those calibrated.
+    """Raise an error unless the arms are those of the calibration.
 
     Args:
-        frames: as of ``frames_of``.
-        chains: what they should be of.
-        where: who says so.
+        frames: calibrated frames, as returned by ``frames_of``.
+        chains: nominal arms to compare with.
+        where: origin of the frames, for messages.
 
     Raises:
-        InputError: they are.
+        InputError: the arms differ.
     """
     for side, one, other in zip(SIDES, frames, frames_of(chains), strict=True):
         if one.shape != other.shape:

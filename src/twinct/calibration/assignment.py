@@ -1,4 +1,4 @@
-"""Which spot of an image is which ball, with the geometry known to some millimetres."""
+"""Assignment of an image's spots to balls, with the geometry known to some millimetres."""
 
 from __future__ import annotations
 
@@ -12,32 +12,33 @@ from twinct.errors import CalibrationError
 from twinct.geometry import Floats
 
 LEAST_SHARE = 0.5
-"""Of the balls in sight that must find their spot."""
+"""Minimum share of the balls in sight that need a spot."""
 
 NEAR = 1.5
-"""Radii of a shadow within which a spot is a ball's, once the image's shift is known."""
+"""Maximum distance of a ball's spot from its prediction, shift applied, in shadow radii."""
 
 
 def assigned(
     predicted: Floats, spots: Floats, radius_px: float, reach_px: float
 ) -> NDArray[np.intp]:
-    """The spot of each ball, -1 for none.
+    """Return the index of each ball's spot, -1 for none.
 
-    All shadows move by about the same when source or panel move: the commonest of all differences
-    between spots and predictions is that shift. It takes a phantom that does not look like itself
-    shifted, which the code in its gaps is for.
+    All shadows shift by about the same amount when the source or the panel moves, so the most
+    frequent difference between spots and predictions is that shift. This needs a phantom that does
+    not resemble a shifted copy of itself; the code in the phantom's gaps ensures that.
 
     Args:
-        predicted: projected centres, (balls, 2), NaN for those out of sight.
-        spots: what is in the image, (spots, 2).
-        radius_px: of a shadow.
-        reach_px: the largest shift that is looked for.
+        predicted: projected centres, (balls, 2), NaN for balls out of sight.
+        spots: spots in the image, (spots, 2).
+        radius_px: radius of a shadow.
+        reach_px: largest shift to search for.
 
     Returns:
         (balls,).
 
     Raises:
-        CalibrationError: less than half of the balls have a spot; whether mirrored they would.
+        CalibrationError: less than half of the balls in sight have a spot. The message says
+            whether a mirrored image would fit.
     """
     found = _shifted(predicted, spots, radius_px, reach_px)
     sight = int(np.isfinite(predicted).all(axis=1).sum())
@@ -70,7 +71,7 @@ def _shifted(
     centre = differences[int(np.argmax(counts))]
     near: Any = votes.query_ball_point(centre, NEAR * radius_px)
     shift = differences[near].mean(axis=0)
-    # Each other's nearest, so that no spot is taken twice.
+    # Mutual nearest neighbours, so that no spot is assigned twice.
     moved = predicted[seen] + shift
     far, there = (np.asarray(one) for one in scipy.spatial.cKDTree(spots).query(moved))
     back = np.asarray(scipy.spatial.cKDTree(moved).query(spots)[1])

@@ -23,23 +23,23 @@ from twinct.geometry import Floats, ScanGeometry
 from twinct.progress import SILENT, Progress
 
 REACH_MM = 15.0
-"""Shadows are looked for this far from where they are believed to be, on the panel."""
+"""Radius on the panel within which shadows are searched for around their believed positions."""
 
 SPOT_PX = 1.0
 """Standard deviation of a spot's place."""
 
 ROUNDS = 2
-"""Shadows are fitted again with the geometry found from them, which gives them their shape."""
+"""Number of fits. Each uses the latest geometry, which determines the shadows' shape."""
 
 
 @dataclass(frozen=True, eq=False)
 class BallCalibration:
-    """What a scan of a phantom says of its geometry.
+    """Geometry of a scan, estimated from a phantom.
 
     Attributes:
-        geometry: of all views; those that could not be told stay as they were believed.
-        views: what is known of each; None where it could not be told.
-        problems: of those, by view.
+        geometry: geometry of all views; views without an estimate keep the believed one.
+        views: estimate of each view; None if it failed.
+        problems: reasons for the failures, by view.
     """
 
     geometry: ScanGeometry
@@ -48,7 +48,7 @@ class BallCalibration:
 
     @property
     def rms_px(self) -> Floats:
-        """Reprojection error of each view, (views,), px; NaN where it could not be told."""
+        """Reprojection error of each view, (views,), px; NaN without an estimate."""
         return np.array([view.rms_px if view else np.nan for view in self.views])
 
 
@@ -60,17 +60,18 @@ def calibrated_view(
     blur_px: float = 0.0,
     balls: NDArray[np.bool_] | None = None,
 ) -> Resection:
-    """Where source and panel were in one view.
+    """Return the estimated geometry of one view.
 
     Args:
-        transmission: its image, (rows, columns).
-        believed: about where, to some millimetres and a degree or two; one view.
+        transmission: the view's image, (rows, columns).
+        believed: approximate geometry, to some millimetres and a degree or two; one view.
         phantom: the balls, in the same frame.
         blur_px: sigma of the detector's blur.
-        balls: which may be used, (balls,); all unless given.
+        balls: mask of the balls to use, (balls,); all by default.
 
     Raises:
-        CalibrationError: too few balls are seen, the image does not fit, or does not tell enough.
+        CalibrationError: too few balls are visible, the image does not fit, or the shadows do not
+            determine the geometry.
     """
     radius_px = shadow_radius_px(believed, phantom)
     predicted = believed.project(phantom.centres)[0]
@@ -103,17 +104,17 @@ def calibrated(
     blur_px: float = 0.0,
     progress: Progress = SILENT,
 ) -> BallCalibration:
-    """The same for all views of a scan; a view that fails is named, the others go on.
+    """Estimate the geometry of all views of a scan. Record views that fail, and continue.
 
     Args:
         transmission: (views, rows, columns).
-        believed: of all views.
+        believed: approximate geometry of all views.
         phantom: the balls, in the world.
         blur_px: sigma of the detector's blur.
-        progress: hears of each view.
+        progress: receives a step for each view.
 
     Raises:
-        CalibrationError: no view can be told.
+        CalibrationError: all views fail.
     """
     views: list[Resection | None] = []
     problems: dict[int, str] = {}

@@ -1,12 +1,12 @@
-"""Bundle adjustment: places of balls and the geometry of all views, from the balls' shadows.
+"""Bundle adjustment: ball positions and the geometry of all views, from the balls' shadows.
 
-Each view moves by nine numbers, each ball by three, so that every shadow lies where its ball
-projects (Triggs et al., Vision Algorithms 1999, LNCS 1883, 298). What is known of the errors
-beforehand holds what shadows do not tell: a rigid motion of everything and its scale, seven modes.
-Where all sources stand on one sphere and each panel is square to its radius, there are three more,
-the projective maps that keep this sphere: the panels' isotropic directions through the source lie
-on it, so that any circle on it may stand for the absolute conic. Line integrals of a volume would
-show these three, points do not.
+Nine numbers move each view and three move each ball, so that every shadow lies at its ball's
+projection (Triggs et al., Vision Algorithms 1999, LNCS 1883, 298). The prior on the errors fixes
+the seven modes that shadows do not determine: a rigid motion of the whole scene, and its scale. If
+all sources lie on one sphere and each panel is perpendicular to the radius, there are three more
+such modes: the projective maps that preserve this sphere. The panels' isotropic directions through
+the source lie on the sphere, so that any circle on it may stand for the absolute conic. Line
+integrals of a volume would determine these three modes, points do not.
 """
 
 from __future__ import annotations
@@ -23,37 +23,38 @@ from twinct.geometry import Floats, ScanGeometry
 
 STEPS = 20
 STILL = 1e-5
-"""Gauss-Newton ends after so many steps, or when no number moves by more of its unit."""
+"""Gauss-Newton ends after STEPS steps, or when no number changes by more than STILL of its unit."""
 
 LEAST_SHADOWS = 5
-"""Nine numbers take as many; a view with fewer stays as it was believed."""
+"""Minimum number of shadows for nine numbers; a view with fewer keeps its believed geometry."""
 
 ANYWHERE_MM = 1000.0
-"""Standard deviation of a ball's place beforehand: nothing is known of it."""
+"""Prior standard deviation of a ball's position: practically unknown."""
 
 _HALF_MM, _HALF_RAD = 1e-3, 1e-5
-"""Half the differences that stand for derivatives: a shadow moves by a thousandth of a pixel."""
+"""Half steps of the finite differences; they move a shadow by a thousandth of a pixel."""
 
 _REFUSALS = 12
-"""Outliers are left out, one of a view, and what is left judged again, at most so often."""
+"""Maximum number of rounds of outlier rejection, each of at most one shadow per view."""
 
 _MEDIAN = 1.18
-"""Median length of two normal numbers, in standard deviations."""
+"""Median length of two standard normal numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """What shadows of balls at unknown places say.
+    """Result of a bundle adjustment over the shadows of balls at unknown positions.
 
     Attributes:
-        geometry: of all views.
-        change: against the believed, ``resection.PARAMETERS``, (views, 9), mm and rad; zero of
-            views with too few shadows.
-        covariance: of each view's, (views, 9, 9), with what is not known of the whole.
-        balls: their places, (balls, 3), mm.
-        balls_covariance: of each, (balls, 3, 3), mm^2.
+        geometry: geometry of all views.
+        change: change from the believed geometry, ``resection.PARAMETERS``, (views, 9), mm and rad;
+            zero for views with too few shadows.
+        covariance: covariance of each view's change, (views, 9, 9), including the uncertainty of
+            the scene as a whole.
+        balls: positions of the balls, (balls, 3), mm.
+        balls_covariance: covariance of each position, (balls, 3, 3), mm^2.
         residuals: measured minus predicted, (views, balls, 2), px; NaN without a shadow.
-        outliers: shadows that are not believed, (views, balls).
+        outliers: rejected shadows, (views, balls).
         few: views with too few shadows, (views,).
     """
 
@@ -74,14 +75,14 @@ def bundled(
     covariance: Floats,
     prior: PosePrior,
 ) -> Bundle:
-    """Move views and balls until shadows lie where balls project.
+    """Adjust views and balls until the shadows lie where the balls project.
 
     Args:
-        believed: about where source and panel were.
-        balls: about where they are, (balls, 3), mm.
-        pixels: (column, row) of each shadow, (views, balls, 2); NaN where there is none.
-        covariance: of each, (views, balls, 2, 2), px^2.
-        prior: what is known of the errors of the believed geometry.
+        believed: approximate geometry.
+        balls: approximate positions of the balls, (balls, 3), mm.
+        pixels: (column, row) of each shadow, (views, balls, 2); NaN without a shadow.
+        covariance: covariance of each shadow, (views, balls, 2, 2), px^2.
+        prior: prior on the errors of the believed geometry.
     """
     seen = np.asarray(np.isfinite(pixels).all(axis=2))
     fit = _Fit(believed, pixels, covariance, prior)
@@ -119,10 +120,10 @@ def bundled(
 def _refused(
     seen: NDArray[np.bool_], good: NDArray[np.bool_], lengths: Floats
 ) -> NDArray[np.bool_]:
-    """Good shadows less the worst of each view where that is too far off, and those come near.
+    """Return the good shadows less each view's worst outlier, plus those that now fit.
 
-    With nine numbers for a view's few shadows one that is wrong takes others along: only the worst
-    is told at a time.
+    With nine numbers fitted to a view's few shadows, one wrong shadow pulls others along. So only
+    the worst one is rejected at a time.
     """
     far = lengths > OUTLIER
     counted = np.where(good & far, lengths, 0.0)
@@ -134,7 +135,7 @@ def _refused(
 
 
 class _Fit:
-    """Normal equations of all shadows; numbers in units of what is known of them beforehand."""
+    """Normal equations of all shadows; numbers are in units of their prior standard deviations."""
 
     def __init__(
         self, believed: ScanGeometry, pixels: Floats, covariance: Floats, prior: PosePrior
@@ -153,11 +154,11 @@ class _Fit:
         return self._pixels - moved(self._believed, change).project(places)
 
     def lengths(self, change: Floats, places: Floats) -> Floats:
-        """The same in standard deviations, (views, balls); NaN without a shadow."""
+        """Whitened lengths of the residuals, (views, balls); NaN without a shadow."""
         return np.linalg.norm(self._white(self.residuals(change, places)), axis=2)
 
     def noise(self, lengths: Floats, good: NDArray[np.bool_]) -> float:
-        """By how much shadows are noisier than their pixels say; 1 at least."""
+        """Return the factor by which shadows are noisier than their pixels suggest, at least 1."""
         told = 2 * int(good.sum())
         if not told:
             return 1.0
@@ -174,13 +175,13 @@ class _Fit:
         *,
         robust: bool,
     ) -> tuple[Floats, Floats]:
-        """Gauss-Newton; what is far off pulls less at first."""
+        """Minimise by Gauss-Newton; with ``robust``, outliers weigh less."""
         for _ in range(STEPS):
             weight = np.where(good, 1 / noise**2, 0.0)
             if robust:
                 lengths = self.lengths(change, places)
                 noise = self.noise(lengths, good)
-                # Of soft l1: it grows as the square near zero, further out as the length.
+                # Soft l1 loss: quadratic near zero, linear further out.
                 far = np.where(good, lengths, 0.0) / noise
                 weight = np.where(good, 1 / (noise**2 * np.sqrt(1 + far**2)), 0.0)
             hessian, pull = self._normal(change, places, weight)
@@ -195,7 +196,7 @@ class _Fit:
     def covariance(
         self, change: Floats, places: Floats, good: NDArray[np.bool_], noise: float
     ) -> Floats:
-        """Of all numbers, views first, mm and rad."""
+        """Return the covariance of all numbers, views first, mm and rad."""
         hessian, _ = self._normal(change, places, np.where(good, 1 / noise**2, 0.0))
         inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(hessian), np.eye(len(hessian)))
         units = np.concatenate([np.tile(self._units, len(change)), np.ones(3 * len(places))])
@@ -205,7 +206,7 @@ class _Fit:
         return np.einsum("vbij,vbj->vbi", self._roots, pixels)
 
     def _normal(self, change: Floats, places: Floats, weight: Floats) -> tuple[Floats, Floats]:
-        """Hessian and gradient's negative, views first."""
+        """Return the Hessian and the negative gradient, views first."""
         counts = weight > 0
 
         def white(pixels: Floats) -> Floats:

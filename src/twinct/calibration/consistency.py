@@ -1,16 +1,17 @@
-"""Geometry from the projections of the specimen alone: each view is moved until it agrees with all.
+"""Geometry from the specimen's projections alone: each view is moved until it agrees with all.
 
-In alternation a volume is reconstructed from what is known of the geometry, and each view's source
-and panel, or the patient between them, are moved so that the volume's line integrals become those
-that were measured (registration of projections to a volume, as in Ouadah et al., Phys. Med. Biol.
-61 (2016) 2613, the volume being the scan's own). A rigid motion of everything and its scale change
-no projection: these seven cannot be seen, and the prior, errors about zero, keeps them where they
-were believed. (Of a patient who moves, six: source and panel are as far apart as believed.)
+Two steps alternate: a volume is reconstructed with the current geometry, and each view's source and
+panel (or the patient between them) are moved so that the volume's line integrals match the measured
+ones (registration of projections to a volume, as in Ouadah et al., Phys. Med. Biol. 61 (2016) 2613,
+but with the scan's own volume). A rigid motion of the whole scene and its scale change no
+projection. Only the prior, errors about zero, determines these seven modes: they stay where they
+were believed. (For a moving patient there are six, as the SDD is fixed.)
 
-The volume has to fit the projections as closely as it can: only at the best one do poses change
-the least residual as they change that of the volume held fixed (envelope theorem; Golub and
-Pereyra, SIAM J. Numer. Anal. 10 (1973) 413). What a few passes of SART leave pulls errors that are
-alike over many views away from the truth, the more the more rounds there are.
+The volume has to fit the projections as closely as possible. Only for the best volume is the
+derivative of the smallest residual by the poses equal to the one at a fixed volume (envelope
+theorem; Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413). The misfit after a few passes of
+SART pulls errors that are similar over many views away from the truth, and more so with every
+round.
 """
 
 from __future__ import annotations
@@ -31,28 +32,28 @@ from twinct.recon.surroundings import coarse_grid
 from twinct.volume import Volume
 
 ROBUST = 1.5
-"""Residuals above so many standard deviations pull with that of one there (Huber)."""
+"""Residuals above so many standard deviations pull like one at this threshold (Huber)."""
 
 ALIKE_PX = 12.0
-"""Residuals of neighbouring pixels are alike: so many count as one."""
+"""Number of neighbouring pixels that count as one, because their residuals are correlated."""
 
 CLOSENESS = 1e-3
-"""Regularisation over the volume's attenuation (the mean, weighted by itself): next to none."""
+"""Regularisation relative to the volume's mean attenuation, weighted by itself: next to none."""
 
 MOMENTUM = 0.5
-"""Share of a round's change that the next makes again: a volume that fits gives way slowly."""
+"""Share of a round's change that the next repeats: a volume that fits gives way slowly."""
 
 SMALLEST = 16
-"""Pixels and voxels along each axis that a round needs."""
+"""Minimum number of pixels and voxels along each axis for a round."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """One reconstruction and the step after it.
+    """One reconstruction and the pose update after it.
 
     Attributes:
-        factor: pixels and voxels are so many times as large.
-        passes: over all views; each round goes on from the volume before.
+        factor: binning factor of pixels and voxels.
+        passes: passes over all views; each round continues from the volume before.
     """
 
     factor: int
@@ -62,22 +63,22 @@ class Round:
 ROUNDS = (*[Round(4)] * 4, *[Round(2)] * 4)
 
 FROM_START = ROUNDS[4:]
-"""A start by planes is about as near as coarse rounds come, or nearer: these would lead away."""
+"""Rounds after a start from plane integrals: coarse rounds would lead away from such a start."""
 
 FEW_PIXELS = (Round(1),) * 4
-"""Where none of the rounds asked for leaves enough."""
+"""Rounds for images that are too small for any of the requested rounds."""
 
 
 @dataclass(frozen=True, eq=False)
 class SelfCalibration:
-    """What a scan says of its own geometry.
+    """Geometry of a scan, estimated from its own projections.
 
     Attributes:
-        geometry: of all views.
-        change: against what was believed: of arms as ``resection.PARAMETERS``, (views, 9); of a
-            patient what source and panel moved by in the patient's frame, as a twist (v, w) about
-            the middle of the grid, world axes, (views, 6), mm and rad.
-        residuals: spread of measured minus projected line integrals, before each round's step.
+        geometry: geometry of all views.
+        change: change from the believed geometry. For arms, ``resection.PARAMETERS``, (views, 9).
+            For a patient, the motion of source and panel in the patient's frame, as a twist (v, w)
+            about the middle of the grid, world axes, (views, 6), mm and rad.
+        residuals: spread of measured minus projected line integrals, before each round's update.
     """
 
     geometry: ScanGeometry
@@ -101,21 +102,21 @@ def self_calibrated(
 
     Args:
         line_integrals: (views, rows, columns).
-        believed: about where source and panel were.
-        grid: that holds the specimen, at full resolution.
-        prior: what is known of the errors.
-        what: may have moved; of a patient who does, the geometry found is relative to the patient.
-        rounds: from coarse to fine, ``ROUNDS`` unless given, with a start ``FROM_START``; those
-            that leave hardly any pixels or voxels are left out; where none is left, four at full
-            resolution.
+        believed: approximate geometry.
+        grid: full-resolution grid that holds the specimen.
+        prior: prior on the errors.
+        what: moving part; for a patient, the resulting geometry is relative to the patient.
+        rounds: rounds from coarse to fine. Default: ``ROUNDS``, or ``FROM_START`` with a start.
+            Rounds that leave too few pixels or voxels are skipped; if none is left, four rounds at
+            full resolution run.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
-        start: changes to go on from, as in ``SelfCalibration.change`` and such as
-            ``epipolar_consistent`` finds; none unless given. The prior stays one of errors about
-            what was believed.
-        progress: hears of each round.
+        start: initial changes, as in ``SelfCalibration.change``, such as those from
+            ``epipolar_consistent``; zero by default. The prior still refers to the believed
+            geometry.
+        progress: receives a step for each round.
 
     Raises:
-        InputError: ``start`` is of other views or numbers.
+        InputError: ``start`` has another number of views or parameters.
     """
     free = Freedom(what, grid.world_from_grid.position)
     size = len(free.steps)
@@ -159,7 +160,7 @@ def _fitted(
     passes: int,
     before: Volume | None,
 ) -> Volume:
-    """The volume that fits best, sought from the one before; from a pass of SART if none was."""
+    """Return the best-fitting volume, starting from the previous one or from one pass of SART."""
     if before is None:
         start = sart(A, p, iterations=1, relaxation=0.3, nonnegative=True, mask=counts).array
     else:
@@ -181,7 +182,7 @@ def _normal_equations(
     grid: VolumeGrid,
     factor: int,
 ) -> tuple[Floats, Floats, float]:
-    """Of all views, (views, n, n) and (views, n), and the residuals' spread."""
+    """Return normal matrices, (views, n, n), right sides, (views, n), and the residuals' spread."""
     steps = free.steps
     rests: list[Floats] = []
     slopes: list[Floats] = []

@@ -1,13 +1,14 @@
-"""Geometry from projections alone, without a volume: what two views both tell of a plane agrees.
+"""Geometry from projections alone, without a volume: plane integrals of pairs of views agree.
 
-A plane through the sources of two views cuts either panel in a line, and both lines tell the same
+A plane through the sources of two views cuts both panels in a line. Both lines give the same
 derivative of the specimen's plane integral (Debbeler et al., Fully3D 2013, 358; Aichert et al.,
-IEEE Trans. Med. Imaging 34 (2015) 2205). Each view is moved until they do, over many planes of many
-pairs, all views at once. The derivatives are summed once along all lines of each panel; moving
-source or panel only changes which of these lines a plane asks for.
+IEEE Trans. Med. Imaging 34 (2015) 2205). All views are moved together until they agree on many
+planes of many pairs. The derivatives are computed once for all lines of each panel; moving the
+source or the panel only changes the lines that a plane needs.
 
-Where the specimen reaches beyond the panel, a line is cut and tells too little. Such lines count,
-too: how far complete and cut lines disagree is seen from the scan, and each kind weighs by it.
+If the specimen extends beyond the panel, lines are truncated and give too little. Truncated lines
+count as well: the scan shows the disagreement of complete and of truncated lines, and each kind is
+weighted by its own spread.
 """
 
 from __future__ import annotations
@@ -28,39 +29,41 @@ from twinct.recon.checks import Checks
 from twinct.recon.resolution import binned
 
 ACROSS = (50, 100, 200, 200)
-"""Pixels along the panel's diagonal in each round; a panel of fewer stays as it is."""
+"""Pixels along the panel's diagonal in each round; a panel with fewer is not binned."""
 
 ROBUST = 1.5
-"""Differences above so many standard deviations pull with that of one there (Huber)."""
+"""Differences above so many standard deviations pull like one at this threshold (Huber)."""
 
 ALIKE = 30.0
-"""Planes of a pair and pairs of a view see the same pixels: so many differences count as one."""
+"""Number of differences that count as one, as planes of a pair and pairs of a view share pixels."""
 
 EMPTY = 0.02
-"""Of what the thickest rays measure: where a complete line leaves the panel, less is measured."""
+"""Largest line integral at the ends of a complete line, relative to the thickest rays."""
 
 LEAST_TOLD = 0.05
-"""Of the usual derivative: of a plane of which both views tell less, nothing is told."""
+"""Minimum derivative of a usable plane in at least one view, relative to the usual one."""
 
 LEAST_PLANES = 50
-"""Of a view: fewer do not tell where it is."""
+"""Minimum number of usable planes that determine a view."""
 
 LEAST_KIND = 200
-"""Planes with complete, or with cut lines: of fewer the spread is not known, and all are one."""
+"""Minimum number of planes of each kind, complete or truncated, to weight both separately."""
 
 
 @dataclass(frozen=True, eq=False)
 class EpipolarConsistency:
-    """What pairs of views say of a scan's geometry.
+    """Geometry of a scan, estimated from pairs of views.
 
     Attributes:
-        geometry: of all views.
-        change: against what was believed, as in ``SelfCalibration``.
-        residuals: spread of the differences between both views, before each round's step and after
-            the last.
-        planes: that tell something of each view, (views,).
-        complete: those of them whose lines leave both panels beside the specimen, (views,).
-        problems: of each view that tells too little: the prior holds it where it was believed.
+        geometry: geometry of all views.
+        change: change from the believed geometry, as in ``SelfCalibration``.
+        residuals: spread of the differences between paired views, before each round's update and
+            after the last.
+        planes: number of usable planes of each view, (views,).
+        complete: number of these planes whose lines leave both panels beside the specimen,
+            (views,).
+        problems: reason for each view with too few usable planes; the prior holds it where it was
+            believed.
     """
 
     geometry: ScanGeometry
@@ -82,21 +85,21 @@ def epipolar_consistent(
     mask: NDArray[np.bool_] | None = None,
     progress: Progress = SILENT,
 ) -> EpipolarConsistency:
-    """Move each view until it tells the same of planes as others do.
+    """Move each view until its plane integrals agree with the other views.
 
     Args:
         line_integrals: (views, rows, columns).
-        believed: about where source and panel were.
-        grid: about the specimen; only its middle plays a role.
-        prior: what is known of the errors.
-        what: may have moved; of a patient who does, the geometry found is relative to the patient.
-        across: about how many pixels the panel's diagonal has in each round.
+        believed: approximate geometry.
+        grid: grid around the specimen; only its middle matters.
+        prior: prior on the errors.
+        what: moving part; for a patient, the resulting geometry is relative to the patient.
+        across: approximate number of pixels along the panel's diagonal in each round.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
-        progress: hears of each round.
+        progress: receives a step for each round.
 
     Raises:
-        InputError: arrays of other shapes, values that are not finite.
-        CalibrationError: no view tells anything; what is missing.
+        InputError: arrays have other shapes or values that are not finite, or ``across`` is empty.
+        CalibrationError: no view has enough usable planes.
     """
     checks = Checks((len(believed), *believed.panel.shape))
     p, pixels = checks.projections(line_integrals, mask)
@@ -138,7 +141,7 @@ def epipolar_consistent(
 
 
 def _tangents(believed: ScanGeometry, free: Freedom, change: Floats, factor: int) -> Floats:
-    """How S, D, u and v of each view follow its numbers, (views, n, 4, 3)."""
+    """Return the derivatives of S, D, u and v of each view by its numbers, (views, n, 4, 3)."""
 
     def vectors(at: Floats) -> Floats:
         view = free.all(believed, at).binned(factor, factor)
@@ -155,16 +158,16 @@ def _tangents(believed: ScanGeometry, free: Freedom, change: Floats, factor: int
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What both views of each pair tell of their planes.
+    """Derivatives of plane integrals in both views of each pair.
 
     Attributes:
-        geometry: of all views.
-        pairs: and their planes.
+        geometry: geometry of all views.
+        pairs: pairs of views and their planes.
         told: derivatives of plane integrals, (2, pairs, planes).
-        by_line: how they change with the lines, (2, pairs, planes, 3).
+        by_line: derivatives of ``told`` by the lines, (2, pairs, planes, 3).
         cut: planes that cut both panels where pixels count, (pairs, planes).
-        used: those of which something is told.
-        complete: those whose lines leave both panels beside the specimen.
+        used: usable planes, (pairs, planes).
+        complete: planes whose lines leave both panels beside the specimen, (pairs, planes).
     """
 
     geometry: ScanGeometry
@@ -177,10 +180,10 @@ class _Seen:
 
     @classmethod
     def of(cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals) -> _Seen:
-        """Compare all pairs.
+        """Compare all pairs of views.
 
         Raises:
-            CalibrationError: no view tells anything.
+            CalibrationError: no view has enough usable planes.
         """
         pairs = PlanePairs.of(geometry, middle)
         lines = pairs.lines(geometry)
@@ -202,13 +205,13 @@ class _Seen:
         return seen
 
     def per_view(self, planes: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """How many of these planes each view has a part in, (views,)."""
+        """Return the number of the given planes that each view takes part in, (views,)."""
         each = np.broadcast_to(planes.sum(axis=1), self.pairs.sides.shape)
         views = len(self.geometry)
         return np.bincount(self.pairs.sides.ravel(), each.ravel(), views).astype(np.int64)
 
     def problems(self) -> dict[int, str]:
-        """What each view lacks that tells too little."""
+        """Return the problem of each view with too few usable planes."""
         partners, cut, used = (
             self.per_view(planes) for planes in (np.ones_like(self.cut), self.cut, self.used)
         )
@@ -231,11 +234,11 @@ class _Seen:
 
     @property
     def spread(self) -> float:
-        """Of the differences between both views."""
+        """Spread of the differences between paired views."""
         return _spread(self.told[0] - self.told[1], self.used)
 
     def weights(self) -> Floats:
-        """Of each plane's difference, (pairs, planes)."""
+        """Return the weight of each plane's difference, (pairs, planes)."""
         rest = self.told[0] - self.told[1]
         weight = np.zeros(rest.shape)
         kinds = [self.used & self.complete, self.used & ~self.complete]
@@ -248,14 +251,14 @@ class _Seen:
         return weight
 
     def normal_equations(self, weights: Floats, tangents: Floats) -> tuple[Floats, Floats]:
-        """Of all views, (views * n, views * n) and (views * n,).
+        """Return the normal matrix, (views * n, views * n), and the right side, (views * n,).
 
         Args:
-            weights: of each plane, (pairs, planes).
-            tangents: of S, D, u and v, (views, n, 4, 3).
+            weights: weight of each plane, (pairs, planes).
+            tangents: derivatives of S, D, u and v, (views, n, 4, 3).
         """
         sides, normals = self.pairs.sides, self.pairs.normals
-        # A baseline b whose end moves by d turns a normal n by -b (n.d) / b^2, and no further.
+        # If the end of a baseline b moves by d, a normal n turns by -b (n.d) / b^2 and no further.
         along = baselines(self.geometry, sides)
         by_normal = np.einsum("spnk,spkx->spnx", self.by_line, axes(self.geometry)[sides])
         turned = -np.einsum("pnx,px->pn", by_normal[0] - by_normal[1], along)
@@ -281,5 +284,5 @@ class _Seen:
 
 
 def _spread(rest: Floats, of: NDArray[np.bool_]) -> float:
-    """Standard deviation, were they normal."""
+    """Return the standard deviation by the median, assuming normal residuals."""
     return 1.4826 * float(np.median(np.abs(rest[of])))

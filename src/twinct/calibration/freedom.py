@@ -1,4 +1,4 @@
-"""What may have moved between believed and true geometry, and what is known of it beforehand."""
+"""Possible motion between believed and executed geometry, and the prior on it."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from twinct.calibration.resection import moved
 from twinct.geometry import Floats, Pose, ScanGeometry
 
 What = Literal["arms", "patient"]
-"""What may have moved: source and panel, nine numbers a view, or the patient between, six."""
+"""Moving part: source and panel, nine numbers per view, or the patient between them, six."""
 
 SHIFTS = {"arms": 6, "patient": 3}
-"""How many of the numbers are shifts; three turns follow."""
+"""Number of shifts among the numbers; three turns follow."""
 
 STEP_MM, STEP_RAD = 0.3, 0.004
-"""Of the differences that stand for derivatives: about a third of a pixel."""
+"""Steps of the finite differences: about a third of a pixel."""
 
 NUGGET = 0.02
-"""Share of a smooth error's variance that is not smooth: the covariance stays regular."""
+"""Share of a smooth error's variance that is white; it keeps the covariance regular."""
 
 
 @dataclass(frozen=True)
 class PosePrior:
-    """What is known of the errors beforehand.
+    """Prior on the errors of the believed geometry.
 
     Attributes:
-        sigma_mm: of source and panel, or of the patient, along each axis.
-        sigma_deg: of the panel, or of the patient, about each axis.
-        correlation_views: over how many views errors stay alike (a Gaussian process); 0: each view
-            has its own.
+        sigma_mm: standard deviation along each axis, of source and panel or of the patient.
+        sigma_deg: standard deviation about each axis, of the panel or of the patient.
+        correlation_views: correlation length of the errors in views (a Gaussian process); 0 for
+            independent views.
     """
 
     sigma_mm: float = 0.5
@@ -39,7 +39,7 @@ class PosePrior:
     correlation_views: float = 0.0
 
     def precision(self, views: int, what: What = "arms") -> Floats:
-        """Inverse covariance of all errors, (views * n, views * n)."""
+        """Return the inverse covariance of all errors, (views * n, views * n)."""
         own = np.array([self.sigma_mm] * SHIFTS[what] + [np.radians(self.sigma_deg)] * 3)
         over = np.eye(views)
         if self.correlation_views > 0:
@@ -50,11 +50,11 @@ class PosePrior:
 
 @dataclass(frozen=True, eq=False)
 class Freedom:
-    """How each view follows its numbers.
+    """Parametrisation of each view's motion.
 
     Attributes:
-        what: may have moved.
-        middle: about which a patient turns, (3,), mm.
+        what: moving part.
+        middle: centre of a patient's turns, (3,), mm.
     """
 
     what: What
@@ -62,18 +62,18 @@ class Freedom:
 
     @property
     def steps(self) -> Floats:
-        """Of each number, (n,), mm and rad."""
+        """Step of each number for finite differences, (n,), mm and rad."""
         return np.array([STEP_MM] * SHIFTS[self.what] + [STEP_RAD] * 3)
 
     def view(self, believed: ScanGeometry, change: Floats) -> ScanGeometry:
-        """One view, moved."""
+        """Return one view, moved."""
         if self.what == "arms":
             return moved(believed, change)
         about = Pose(self.middle, Pose.identity().quat)
         return (about @ Pose.exp(change) @ about.inverse()) @ believed
 
     def all(self, believed: ScanGeometry, change: Floats) -> ScanGeometry:
-        """Each view, moved by its own numbers, (views, n)."""
+        """Return all views, each moved by its own numbers, (views, n)."""
         if self.what == "arms":
             return moved(believed, change)
         parts = [self.view(view, one) for view, one in zip(believed, change, strict=True)]

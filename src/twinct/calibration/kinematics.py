@@ -1,12 +1,13 @@
-"""Both arms from the poses that a phantom's views gave, and what the encoders read there.
+"""Calibration of both arms from encoder readings and the poses estimated from a phantom's views.
 
-Products of exponentials in the minimal set: each joint's axis is moved by four numbers in its own
-frame (across the hinge and about the two axes across it), the tool by six, or by the three that a
-point source shows. A slide along a hinge and a turn about it, so also the joint's zero, are motions
-of all that follows, which reach the tool; the base is in the first axis (Yang, Wu, Li, Chen, Robot.
-Comput.-Integr. Manuf. 30 (2014) 368: 4 r + 6 numbers for r hinges). Beside these compliance and
-gear error of each joint. What is known beforehand of bases, links, zeros and tools is carried to
-this set, and holds what the views do not tell.
+The model is a product of exponentials in the minimal set. Four numbers move each joint's axis in
+its own frame: shifts across the hinge, and turns about the two axes across it. Six numbers move the
+detector's tool, three the source's, as a point source shows no more. A slide along a hinge and a
+turn about it, and so the joint's zero, are motions of all that follows; they are carried on to the
+tool. The base is part of the first axis (Yang, Wu, Li, Chen, Robot. Comput.-Integr. Manuf. 30
+(2014) 368: 4 r + 6 numbers for r hinges). Compliance and gear error of each joint are added. The
+priors on bases, links, zeros and tools are transformed to this set, and hold the numbers that the
+views do not determine.
 """
 
 from __future__ import annotations
@@ -24,37 +25,37 @@ from twinct.errors import CalibrationError
 from twinct.geometry import Chain, Floats, Pose, ScanGeometry
 
 AXIS = (0, 1, 3, 4)
-"""Of a joint's twist what moves its axis."""
+"""Components of a joint's twist that move its axis."""
 
 SLIDE = (2, 5)
-"""And what does not."""
+"""Components of a joint's twist that leave its axis in place."""
 
 WORST_MISFIT = 10.0
-"""Residuals so many times their noise are not of these arms."""
+"""Maximum misfit, residuals over their noise; above it, the views belong to other arms."""
 
 LEFT_OUT = 5
-"""Every so manieth view is predicted from the others."""
+"""Period of the views that are left out and predicted from the others."""
 
 UNSEEN = 0.05
-"""Singular values below are as good as none: of these combinations any mixture is left, too."""
+"""Singular values below this count as zero: combinations of such directions are arbitrary."""
 
 PARTS, LEAST_WEIGHT = 6, 0.3
-"""Of a combination so many parameters are named, those that weigh at least so much."""
+"""Maximum number of parameters named per combination, and their minimum weight."""
 
 _STEP = 1e-3
 _TURNS = ("about x", "about y", "about z")
 
 
 class ArmPrior(NamedTuple):
-    """What is known of an arm before: standard deviations, of twists (v, w), mm and rad.
+    """Prior on an arm: standard deviations, for twists (v, w) in mm and rad.
 
     Attributes:
-        base: of the base's frame, the phantom's place in the room included, (6,).
-        link: of each joint's frame, its last number that of the joint's zero, (6,).
-        tool: (6,).
+        base: base frame, including the phantom's place in the room, (6,).
+        link: each joint's frame; the last number is the joint's zero, (6,).
+        tool: tool frame, (6,).
         compliance: mean of each joint, rad/(N m), (joints,).
-        compliance_sigma: (joints,).
-        gear: of cosine and sine, rad.
+        compliance_sigma: standard deviation of each joint, rad/(N m), (joints,).
+        gear: cosine and sine amplitudes, rad.
     """
 
     base: Floats
@@ -67,12 +68,12 @@ class ArmPrior(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What some views of a phantom tell.
+    """Calibration data from views of a phantom.
 
     Attributes:
-        joints: what the encoders read, both arms, source first, (views, joints), rad.
+        joints: encoder readings of both arms, source first, (views, joints), rad.
         geometry: source and panel, in the phantom's frame.
-        covariance: of ``resection.PARAMETERS`` in each view, repeatability included,
+        covariance: covariance of ``resection.PARAMETERS`` in each view, including repeatability,
             (views, 9, 9), mm and rad.
     """
 
@@ -81,22 +82,22 @@ class Seen:
     covariance: Floats
 
     def __len__(self) -> int:
-        """Number of views."""
+        """Return the number of views."""
         return len(self.joints)
 
     def __getitem__(self, views: NDArray[np.bool_]) -> Seen:
-        """Some of them, by a mask."""
+        """Return the views that a mask selects."""
         return Seen(self.joints[views], self.geometry[views], self.covariance[views])
 
 
 class Untold(NamedTuple):
-    """A combination of parameters of which the views tell less than was known before.
+    """A combination of parameters that the views determine less well than the prior.
 
     Attributes:
         arm: source or detector.
-        parts: its parameters that count most, the largest first.
-        weights: of them, in standard deviations of what was known, the largest 1.
-        left: share of the standard deviation that is left of it.
+        parts: parameters with the largest weights, largest first.
+        weights: their weights in prior standard deviations, the largest 1.
+        left: remaining share of the prior standard deviation.
     """
 
     arm: str
@@ -105,25 +106,25 @@ class Untold(NamedTuple):
     left: float
 
     def __str__(self) -> str:
-        """In words."""
+        """Return the combination in words."""
         parts = zip(self.weights, self.parts, strict=True)
         return f"{self.arm} arm: " + ", ".join(f"{weight:+.1f} {part}" for weight, part in parts)
 
 
 @dataclass(frozen=True, eq=False)
 class KinematicCalibration:
-    """What a phantom's views say of both arms.
+    """Result of a kinematic calibration of both arms.
 
     Attributes:
-        arms: as they were found.
-        names: of the parameters, source arm first.
-        parameters: their values, mm, rad, rad/(N m).
-        covariance: of them.
-        untold: combinations that stay where they were taken to be.
-        misfit: RMS of residuals in units of their noise.
-        left_mm: RMS distance of source and panel centre from where the views saw them.
-        predicted_mm: the same of every fifth view, predicted from the others.
-        views: how many told.
+        arms: calibrated arms.
+        names: names of the parameters, source arm first.
+        parameters: values, mm, rad, rad/(N m).
+        covariance: covariance of the parameters.
+        untold: combinations that the prior determines.
+        misfit: RMS of the residuals in units of their noise.
+        left_mm: RMS distances of source and panel centre from the views' estimates.
+        predicted_mm: RMS distances of every fifth view, predicted from the others.
+        views: number of views.
     """
 
     arms: CalibratedArms
@@ -138,14 +139,14 @@ class KinematicCalibration:
 
 
 class _Arm:
-    """The minimal set of one arm: ``mean + factor z`` with z of unit variance before."""
+    """Minimal set of one arm: ``mean + factor z``, where z has unit variance a priori."""
 
     def __init__(self, side: str, chain: Chain, prior: ArmPrior, periods: int) -> None:
         self.side, self.chain, self._periods, count = side, chain, periods, len(chain)
         self._tool = 3 if side == "source" else 6
         sigmas = np.concatenate([prior.base, np.tile(prior.link, count), prior.tool])
         known = minimal_from_full(chain)[: 4 * count + self._tool] * sigmas
-        # Terms that are known for certain drop out; those that only act together count once.
+        # Drop terms that are known exactly, and merge terms that only act together.
         u, s, _ = np.linalg.svd(known, full_matrices=False)
         kept = s > 1e-9 * s.max(initial=0.0)
         joints = np.concatenate([prior.compliance_sigma, np.full(2 * count, prior.gear)])
@@ -159,7 +160,7 @@ class _Arm:
         self.names = tuple(names)
 
     def change(self, z: Floats) -> Change:
-        """Of the arm, z (..., k)."""
+        """Return the arm's deviations for z (..., k)."""
         p, count = self.mean + z @ self.factor.T, len(self.chain)
         ends = np.cumsum([4 * count, self._tool, count])
         axes, tool, compliance, gear = np.split(p, ends, axis=-1)
@@ -171,7 +172,7 @@ class _Arm:
         return Change(links, whole, compliance, gear.reshape(*lead, count, 2))
 
     def off(self, z: Floats, seen: Seen, joints: Floats) -> Floats:
-        """Predicted less seen, in the panel's axes, (..., views, 3 or 6), mm and rad."""
+        """Return predicted minus measured in panel axes, (..., views, 3 or 6), mm and rad."""
         tools = changed_tools(self.chain, self.change(z), self._periods, joints)
         view = seen.geometry
         axes = np.stack([view.u, view.v, view.normal], axis=-1)
@@ -185,11 +186,11 @@ class _Arm:
 
 
 def minimal_from_full(chain: Chain) -> Floats:
-    """To first order what twists of base, joints' frames and tool are in the minimal set.
+    """Return the first-order map from twists of base, joint frames and tool to the minimal set.
 
     Returns:
-        (4 joints + 6, 6 + 6 joints + 6): from base, each joint, tool to the four numbers of each
-        joint and the tool's six.
+        (4 joints + 6, 6 + 6 joints + 6): from base, each joint and tool to the four numbers of each
+        joint and the six of the tool.
     """
     count = len(chain)
     full = np.eye(6 * (count + 2)).reshape(count + 2, 6, -1)
@@ -201,7 +202,7 @@ def minimal_from_full(chain: Chain) -> Floats:
         here = Pose.from_matrix(step[:3, 3], step[:3, :3]).adjoint() @ carried + own
         found.append(here[list(AXIS)])
         carried = np.zeros_like(here)
-        # These commute with the joint's turn, and go on to what follows.
+        # These components commute with the joint's turn and pass on to the next frame.
         carried[list(SLIDE)] = here[list(SLIDE)]
     return np.concatenate([*found[:-1], here])
 
@@ -213,16 +214,16 @@ def calibrated_arms(
     *,
     gear_periods: int = 1,
 ) -> KinematicCalibration:
-    """Both arms by weighted least squares under priors.
+    """Calibrate both arms by weighted least squares with priors.
 
     Args:
-        chains: nominal ones, source first.
-        seen: what the views tell.
-        priors: what is known before.
-        gear_periods: of the gear error in a turn of a joint.
+        chains: nominal chains, source first.
+        seen: the calibration views.
+        priors: prior on each arm.
+        gear_periods: periods of the gear error in one turn of a joint.
 
     Raises:
-        CalibrationError: too few views, or views that are of no such arms.
+        CalibrationError: there are too few views, or they do not belong to these arms.
     """
     least = -(-(4 * len(chains[0]) + 3) // 3)
     if len(seen) < least:
@@ -241,7 +242,7 @@ def calibrated_arms(
     z, jacobian, residuals = _fit(arms, seen)
     zs = np.split(z, [arms[0].factor.shape[1]])
     told = jacobian[: 9 * len(seen)]
-    # Of the numbers that are seen, so many went into what the views tell.
+    # Effective number of parameters that the views, and not the prior, determine.
     values = np.linalg.svd(told, compute_uv=False) ** 2
     misfit = np.sqrt((residuals**2).sum() / (9 * len(seen) - (values / (1 + values)).sum()))
     off = [_off(arms, zs, seen)[..., part] for part in (slice(0, 3), slice(3, 6))]
@@ -275,9 +276,9 @@ def calibrated_arms(
 
 
 def _registered(chains: tuple[Chain, Chain], seen: Seen) -> Pose:
-    """About where the room is in the phantom's frame, by what nominal arms make of all views.
+    """Return the approximate ``phantom_from_room``, by aligning nominal tools with the views.
 
-    Nobody knows how the phantom was put there; to first order the rest is the bases' own.
+    The phantom's placement is unknown. To first order, the rest is part of the bases' errors.
     """
     own = np.split(seen.joints, [len(chains[0])], axis=1)
     room = np.concatenate([c.tools(q)[:, :3, 3] for c, q in zip(chains, own, strict=True)])
@@ -289,8 +290,8 @@ def _registered(chains: tuple[Chain, Chain], seen: Seen) -> Pose:
 
 
 def _fit(arms: Sequence[_Arm], seen: Seen) -> tuple[Floats, Floats, Floats]:
-    """The minimum, the Jacobian there with the prior's rows last, and the views' residuals."""
-    # L^-1 of C = L L' whitens.
+    """Return the minimum, its Jacobian with the prior's rows last, and the views' residuals."""
+    # L^-1 whitens a residual of covariance C = L L'.
     whiten = np.linalg.inv(np.linalg.cholesky(seen.covariance))
     sizes = [arm.factor.shape[1] for arm in arms]
     first = len(arms[0].chain)
@@ -334,7 +335,7 @@ def _rms(off: Floats) -> float:
 
 
 def _untold(arms: Sequence[_Arm], told: Floats) -> list[Untold]:
-    """By the singular values of each arm's whitened Jacobian: below 1 the prior knows more."""
+    """Return the combinations whose singular values are below 1: the prior knows them better."""
     found: list[Untold] = []
     for arm, own in zip(arms, np.split(told, [arms[0].factor.shape[1]], axis=1), strict=True):
         _, values, directions = np.linalg.svd(own)
@@ -356,7 +357,7 @@ def _untold(arms: Sequence[_Arm], told: Floats) -> list[Untold]:
 
 
 def _apart(loads: Floats) -> Floats:
-    """Other vectors of the same space, each with a parameter that none of the others has."""
+    """Return a basis of the same space where each vector has a parameter that no other has."""
     if not len(loads):
         return loads
     pivots = scipy.linalg.qr(loads, mode="r", pivoting=True)[-1][: len(loads)]

@@ -1,7 +1,7 @@
-"""Seven modes that no image shows: a rigid motion of everything, and its scale.
+"""Seven modes that no image shows: a rigid motion of the whole scene, and its scale.
 
-With pixels of a known size the scale is one of object and source: where both are s times as far
-from a point and the panel goes with the source, SDD unchanged, every image is the same and the
+As the pixel pitch is known, the scale is one of object and source: if both are s times as far from
+a point and the panel moves with the source, at the same SDD, every image is unchanged and the
 attenuation 1/s times as large.
 """
 
@@ -16,20 +16,20 @@ from numpy.typing import ArrayLike
 from twinct.geometry import Floats, Pose, ScanGeometry
 
 _TYPICAL = np.array([1.0] * 3 + [0.01] * 3 + [0.003])
-"""Sizes of a shift (mm), a turn (rad) and a scale that do about the same to an image."""
+"""Sizes of a shift (mm), a turn (rad) and a scale with about the same effect on an image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """A geometry moved as a whole to where a reference lies.
+    """A geometry moved as a whole onto a reference.
 
     Attributes:
-        geometry: the moved one.
-        motion: that moved it, in the world.
-        scale: that source and object were taken further by.
-        before_px: root mean square distance of the points' images before, rows and columns
-            together.
-        after_px: the same after: what can be seen.
+        geometry: the moved geometry.
+        motion: applied rigid motion, in the world.
+        scale: scale applied to the positions of source and object.
+        before_px: root mean square distance of the projected points before the motion, over both
+            image axes.
+        after_px: the corresponding distance after the motion: the visible difference.
     """
 
     geometry: ScanGeometry
@@ -40,15 +40,16 @@ class Aligned:
 
 
 def aligned(geometry: ScanGeometry, reference: ScanGeometry, points: ArrayLike) -> Aligned:
-    """Move a geometry as a whole until points project to where they do in a reference.
+    """Move a geometry as a whole until points project to their places in a reference.
 
-    Least squares over rigid motion and scale. What is left is what separates the two geometries;
-    before figures of volumes are compared, each geometry is moved so, never a volume resampled.
+    Least squares over rigid motion and scale. The remaining distance is the true difference of the
+    two geometries. Before figures of merit of volumes are compared, each geometry is moved this
+    way; a volume is never resampled.
 
     Args:
-        geometry: (views).
-        reference: of the same views, such as the executed one.
-        points: of the region that is looked at, at least four not in one plane, (n, 3), mm.
+        geometry: the geometry to move.
+        reference: geometry of the same views, such as the executed one.
+        points: points in the region of interest, at least four not in one plane, (n, 3), mm.
     """
     points = np.asarray(points, dtype=np.float64)
     middle = points.mean(axis=0)

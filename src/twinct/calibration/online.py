@@ -1,4 +1,4 @@
-"""Geometry of a scan from a few balls at unknown places on its specimen."""
+"""Geometry of a scan, estimated from a few balls at unknown positions on its specimen."""
 
 from __future__ import annotations
 
@@ -18,26 +18,28 @@ from twinct.geometry import Floats, ScanGeometry
 from twinct.progress import SILENT, Progress
 
 REACH = 3.5
-"""Standard deviations that a shadow may be from where it is believed to be."""
+"""Maximum distance of a shadow from its believed position, in standard deviations."""
 
 SPOT_PX = 1.0
-"""A spot's place is known to about this, along an axis."""
+"""Standard deviation of a spot's place along an axis."""
 
 DEGREE, RIM_PX = 3, 2.0
-"""What lies behind a shadow is a cubic polynomial of the image about it, near its rim: on a skull
-half the error of a plane (0.07 px of 0.15 at 90 %, pixels of 1 mm)."""
+"""Degree of the background's polynomial, and width of the rim around a shadow that it is fitted to.
+
+On a skull the cubic halves the error of a plane (0.07 px of 0.15 px at 90 %, pixels of 1 mm).
+"""
 
 ROUNDS = 2
-"""With the geometry found, shadows that bone hid from the search are looked for where they are."""
+"""Number of fits; each also looks for shadows hidden by bone, at their projected positions."""
 
 
 @dataclass(frozen=True, eq=False)
 class OnlineCalibration:
-    """What a few balls say of the scan that they are in.
+    """Result of a calibration from balls on the specimen of the scan.
 
     Attributes:
-        bundle: places of the balls, geometry and how well both are known.
-        problems: of the views that stay as they were believed, by view.
+        bundle: positions of the balls, geometry, and the uncertainty of both.
+        problems: reasons, by view, for the views that keep their believed geometry.
     """
 
     bundle: Bundle
@@ -45,12 +47,12 @@ class OnlineCalibration:
 
     @property
     def geometry(self) -> ScanGeometry:
-        """Of all views."""
+        """Geometry of all views."""
         return self.bundle.geometry
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of the shadows that are believed."""
+        """Root mean square reprojection distance of the accepted shadows."""
         counted = np.isfinite(self.bundle.residuals).all(axis=2)
         counted &= ~self.bundle.outliers & ~self.bundle.few[:, None]
         return float(np.sqrt((self.bundle.residuals[counted] ** 2).sum(axis=1).mean()))
@@ -65,18 +67,18 @@ def online_calibrated(
     blur_px: float = 0.0,
     progress: Progress = SILENT,
 ) -> OnlineCalibration:
-    """Find balls beside anatomy, and the geometry that makes their shadows agree.
+    """Detect balls beside anatomy, and estimate the geometry that makes their shadows agree.
 
     Args:
         transmission: (views, rows, columns).
-        believed: about where source and panel were.
-        radius_mm: of each ball.
-        prior: what is known of the errors of the believed geometry.
+        believed: approximate geometry.
+        radius_mm: radius of each ball.
+        prior: prior on the errors of the believed geometry.
         blur_px: sigma of the detector's blur.
-        progress: hears of each round.
+        progress: receives a step for each round.
 
     Raises:
-        CalibrationError: fewer than five balls are found, or no view sees as many.
+        CalibrationError: fewer than five balls are detected, or no view shows as many.
     """
     at_middle = believed.sdd_to_centre / np.linalg.norm(believed.source, axis=1)
     with progress.stage("calibration", 1 + ROUNDS) as step:
@@ -107,7 +109,7 @@ def online_calibrated(
 
 
 def _reach_px(believed: ScanGeometry, prior: PosePrior, at_middle: Floats) -> float:
-    """How far a shadow may be from where it is believed to be."""
+    """Return the largest distance of a shadow from its believed position."""
     panel = believed.panel
     magnified = float(np.median(at_middle))
     half = np.hypot(panel.columns * panel.pitch_u, panel.rows * panel.pitch_v) / 4
@@ -117,10 +119,10 @@ def _reach_px(believed: ScanGeometry, prior: PosePrior, at_middle: Floats) -> fl
 
 
 def _told(bundle: Bundle) -> Bundle:
-    """Refuse what tells of no view.
+    """Return the bundle unless no view shows enough balls.
 
     Raises:
-        CalibrationError: no view sees enough balls.
+        CalibrationError: no view shows enough balls.
     """
     if bundle.few.all():
         raise CalibrationError(
@@ -137,7 +139,7 @@ def _shadows(
     spots: Floats,
     blur_px: float,
 ) -> tuple[Floats, Floats]:
-    """Where shadows lie, and covariances; looked for where balls project, or by their spots."""
+    """Return pixels and covariances of the shadows, measured near projected balls or spots."""
     phantom = BallPhantom(bundle.balls, radius_mm)
     pixels = np.full(spots.shape, np.nan)
     spread = np.full((*spots.shape, 2), np.nan)

@@ -1,4 +1,4 @@
-"""A phantom of balls: where their maker says they are, and how well that is known."""
+"""A phantom of balls: nominal centres and their tolerance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from twinct.geometry.arrays import frozen
 
 @dataclass(frozen=True, eq=False)
 class BallPhantom:
-    """Balls at known places.
+    """Balls at known positions.
 
     Attributes:
         centres: nominal centres in the world, (balls, 3), mm.
@@ -27,10 +27,10 @@ class BallPhantom:
         object.__setattr__(self, "centres", frozen(self.centres, (len(self.centres), 3), "centres"))
 
     def __len__(self) -> int:
-        """Number of balls."""
+        """Return the number of balls."""
         return len(self.centres)
 
     def __rmatmul__(self, outer_from_inner: Pose) -> BallPhantom:
-        """``world_from_specimen @ phantom``: the same balls in another frame."""
+        """Return ``world_from_specimen @ phantom``: the balls in another frame."""
         centres = outer_from_inner.apply(self.centres)
         return BallPhantom(centres, self.radius_mm, self.tolerance_mm)

@@ -1,19 +1,19 @@
-"""What one projection says of the integrals of the specimen over planes through its source.
+"""Derivatives of the specimen's integrals over planes through the source, from one projection.
 
-A plane through the source cuts the panel in a line. With the source at distance H over the panel's
-plane, L from a point of it, and q between the line and the foot of the perpendicular, the integral
-of the projection along the line, each point weighted by H/L, has a derivative with the line's
-offset, which times (H^2 + q^2)/H^2 is the derivative of the specimen's plane integral as the plane
-is shifted along its normal (Grangeat, in: Mathematical Methods in Tomography, LNM 1497, 1991, 66).
-It is the same for all sources that the plane goes through.
+A plane through the source cuts the panel in a line. Let H be the source's distance from the panel's
+plane, L its distance from a point on the panel, and q the distance of the line from the foot of the
+perpendicular. Integrate the projection along the line, each point weighted by H/L. The derivative
+by the line's offset, times (H^2 + q^2)/H^2, is the derivative of the specimen's plane integral as
+the plane shifts along its normal (Grangeat, in: Mathematical Methods in Tomography, LNM 1497, 1991,
+66). It is equal for all sources on the plane.
 
-For a plane with unit normal n, three numbers of the view tell all: n.u, n.v and n.(S - D). The
-first two are the line's normal in the panel, h times a unit vector, the third is h times its offset
-from the panel's centre; and 1/h^2 is the factor (H^2 + q^2)/H^2.
+For a plane with unit normal n, three numbers of the view suffice: n.u, n.v and n.(S - D). The first
+two are the line's normal in the panel, h times a unit vector. The third is h times the line's
+offset from the panel's centre; and 1/h^2 is the factor (H^2 + q^2)/H^2.
 
-Instead of the integrals' derivative, the slopes of the weighted projection across the line are
-integrated. It is the same where the specimen is inside the panel along the line; where it is not,
-the derivative would also see the panel's end, and slopes alone come nearer to what is missed.
+Instead of differentiating the integrals, the slopes of the weighted projection across the line are
+integrated. Both agree if the panel covers the specimen along the line. If it does not, the
+derivative would also see the panel's edge, and slopes come nearer to the complete integral.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ from numpy.typing import NDArray
 from twinct.geometry import Floats, ScanGeometry
 
 BINS_PX = 2
-"""Offsets in a pixel: places of pixels are shared between two of them."""
+"""Bins per pixel along the offset; a pixel is shared between two of them."""
 
 SMOOTH_PX = 0.7
-"""Sigma of the Gaussians of slopes, and of offsets: pixels then are dense enough for integrals."""
+"""Sigma of the Gaussians for slopes and for offsets; it hides the sampling by pixels."""
 
 PAD = 6
-"""Directions beyond a half turn on either side, so that no sample is near an end."""
+"""Directions added beyond a half turn on either side, so that no sample is near an end."""
 
 THICK = 99.0
-"""Percentile of all line integrals that stands for the thickest rays."""
+"""Percentile of all line integrals that represents the thickest rays."""
 
 LOST_PX = 0.01
-"""A line on which more of a pixel does not count, does not count."""
+"""Maximum weight of invalid pixels on a valid line, in pixels."""
 
 LEAST_CHORD = 0.25
-"""Of the panel's shorter side: a shorter line only cuts a corner."""
+"""Minimum length of a line, relative to the panel's shorter side; others only cut a corner."""
 
 STEP = 0.05
-"""Of the differences of the spline, in directions and offsets."""
+"""Step of the spline's finite differences, in directions and offsets."""
 
 
 class PlaneIntegrals:
-    """Derivatives of plane integrals, as each view of a scan tells them."""
+    """Derivatives of plane integrals, for each view of a scan."""
 
     def __init__(
         self,
@@ -57,11 +57,12 @@ class PlaneIntegrals:
         geometry: ScanGeometry,
         mask: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Sum each view along all lines.
+        """Integrate each view along all lines.
 
         Args:
             line_integrals: (views, rows, columns).
-            geometry: of the views; only where sources stand over their panels plays a role here.
+            geometry: geometry of the views; only the source's place relative to the panel matters
+                here.
             mask: True where a pixel counts, (views, rows, columns).
         """
         panel = geometry.panel
@@ -81,7 +82,7 @@ class PlaneIntegrals:
         if mask is not None:
             line_integrals = np.where(mask, line_integrals, np.float32(0))
         weighted = line_integrals * _cosines(geometry, a, b)
-        # Each pixel's own slope, so that where the panel ends is none.
+        # Differentiate each pixel, so that the panel's edge has no slope.
         sigmas = 0, blur / panel.pitch_v, blur / panel.pitch_u
         by_v, by_u = (
             scipy.ndimage.gaussian_filter(weighted, sigmas, order=order, mode="nearest") / pitch
@@ -93,24 +94,25 @@ class PlaneIntegrals:
             scipy.ndimage.spline_filter(_padded(one, -1.0), order=3, output=np.float32)
             for one in sums
         ]
-        # At the border one pixel's noise shall not decide, and what just reaches it does.
+        # At the border, one pixel's noise must not decide, and anything that just reaches it must.
         smooth = scipy.ndimage.gaussian_filter(line_integrals, (0, 1, 1), mode="nearest")
         counted = line_integrals if mask is None else line_integrals[mask]
         thick = max(float(np.percentile(counted, THICK)), 1e-9)
         self._border = scipy.ndimage.maximum_filter(smooth, (1, 3, 3)) / thick
         self._lost = None
         if mask is not None and not mask.all():
-            # A slope looks at pixels around its own.
+            # A slope depends on the pixels around its own.
             lost = scipy.ndimage.maximum_filter((~mask).astype(np.float32), (1, 7, 7))
             self._lost = [_padded(one, 1.0) for one in self._summed(a, b, lost)]
 
     def _summed(self, a: Floats, b: Floats, *parts: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Along lines of all directions of a half turn, (views, directions, offsets).
+        """Return sums along lines of all directions of a half turn, (views, directions, offsets).
 
         Args:
-            a: of each pixel along u, (rows, columns), mm from the panel's centre.
-            b: along v.
-            parts: images, (views, rows, columns); of two, along u and v, what lies across a line.
+            a: position of each pixel along u, (rows, columns), mm from the panel's centre.
+            b: position along v.
+            parts: one image or two, (views, rows, columns); two are components along u and v, of
+                which the one across the line is summed.
         """
         views, pixels = len(parts[0]), a.size
         flat = [np.ascontiguousarray(part.reshape(views, -1).T) for part in parts]
@@ -132,17 +134,16 @@ class PlaneIntegrals:
         return found
 
     def at(self, view: int, lines: Floats) -> tuple[Floats, Floats, Floats]:
-        """Derivatives of plane integrals as one view tells them.
+        """Return derivatives of plane integrals from one view.
 
         Args:
-            view: which.
+            view: index of the view.
             lines: n.u, n.v and n.(S - D) of each plane's unit normal n, (..., 3).
 
         Returns:
-            The derivatives, (...), how they change with ``lines``, (..., 3), and what is measured
-            where each line leaves the panel, the larger of both ends, over what the thickest rays
-            measure, (...): infinite where a line misses the panel, or a pixel that does not count
-            is on it.
+            The derivatives, (...), their gradient by ``lines``, (..., 3), and the line integral at
+            the ends of each line, the larger of both, relative to the thickest rays, (...). The
+            last is infinite if a line misses the panel or contains a pixel that does not count.
         """
         shape = lines.shape[:-1]
         la, lb, lc = lines.reshape(-1, 3).T
@@ -156,7 +157,7 @@ class PlaneIntegrals:
         )
         left = self._border[view][rows, columns].max(axis=0)
         angle = np.arctan2(cb, ca)
-        # Beyond the half turn it is the same line with its normal turned round.
+        # Beyond the half turn, it is an equal line with its normal reversed.
         over = (angle < 0) | (angle >= np.pi)
         sign = np.where(over, -1.0, 1.0)
         at = np.nan_to_num(
@@ -192,9 +193,9 @@ class PlaneIntegrals:
     def _ends(
         self, ca: Floats, cb: Floats, offset: Floats
     ) -> tuple[tuple[Floats, Floats], NDArray[np.bool_]]:
-        """Where lines leave the panel, along u and v, each (2, lines); which are long enough."""
+        """Return the ends of lines on the panel, u and v, each (2, lines), and a validity mask."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            # x = offset (ca, cb) + t (-cb, ca) is within the panel for t between these.
+            # x = offset (ca, cb) + t (-cb, ca) lies within the panel for t between these.
             at = [
                 np.sort([(sign * half - offset * near) / slope for sign in (-1, 1)], axis=0)
                 for half, near, slope in zip(self._halves, (ca, cb), (-cb, ca), strict=True)
@@ -209,7 +210,7 @@ class PlaneIntegrals:
 
 
 def _cosines(geometry: ScanGeometry, a: Floats, b: Floats) -> NDArray[np.float32]:
-    """H/L of each pixel, (views, rows, columns)."""
+    """Return H/L of each pixel, (views, rows, columns)."""
     over = geometry.source - geometry.detector
     foot_u, foot_v, height = (
         np.einsum("vk,vk->v", over, axis)[:, None, None]
@@ -220,6 +221,6 @@ def _cosines(geometry: ScanGeometry, a: Floats, b: Floats) -> NDArray[np.float32
 
 
 def _padded(half_turn: NDArray[np.float32], sign: float) -> NDArray[np.float32]:
-    """Directions beyond a half turn: the same lines, their normals turned round."""
+    """Return directions extended beyond a half turn: equal lines with reversed normals."""
     turned = np.float32(sign) * half_turn[:, ::-1]
     return np.concatenate([turned[-PAD:], half_turn, turned[:PAD]])

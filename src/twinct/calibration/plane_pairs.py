@@ -1,4 +1,4 @@
-"""Pairs of views, and the planes through both sources that are to be compared."""
+"""Pairs of views, and the planes through both sources in which they are compared."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from twinct.geometry import Floats, ScanGeometry
 
 PARTNERS = 30
-"""Other views that each view is compared with."""
+"""Number of other views that each view is compared with."""
 
 LEAST_BASELINE = 0.1
-"""Of the sources' distance from the middle: planes through a shorter one turn with its errors."""
+"""Minimum baseline, relative to the source's distance from the middle; others err in angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +30,11 @@ class PlanePairs:
 
     @classmethod
     def of(cls, geometry: ScanGeometry, middle: Floats) -> PlanePairs:
-        """Pairs evenly apart in the order of views, and planes evenly about what panels see.
+        """Return pairs at even steps in view order, with planes spread over the field of view.
 
         Args:
-            geometry: of all views.
-            middle: of what is looked at, (3,), mm.
+            geometry: geometry of all views.
+            middle: middle of the region of interest, (3,), mm.
         """
         views = len(geometry)
         ahead = np.unique(np.rint(np.linspace(1, max(views // 2, 1), PARTNERS // 2)).astype(int))
@@ -47,29 +47,29 @@ class PlanePairs:
         return cls(sides, _normals(geometry, sides, middle, float(np.median(far / geometry.sdd))))
 
     def lines(self, geometry: ScanGeometry) -> Floats:
-        """What ``PlaneIntegrals.at`` takes, of both views of each pair, (2, pairs, planes, 3)."""
+        """Return the lines for ``PlaneIntegrals.at`` in both views, (2, pairs, planes, 3)."""
         return np.einsum("pnx,spkx->spnk", self.normals, axes(geometry)[self.sides])
 
 
 def axes(geometry: ScanGeometry) -> Floats:
-    """u, v and S - D of each view, (views, 3, 3)."""
+    """Return u, v and S - D of each view, (views, 3, 3)."""
     return np.stack([geometry.u, geometry.v, geometry.source - geometry.detector], axis=1)
 
 
 def baselines(geometry: ScanGeometry, sides: NDArray[np.int64]) -> Floats:
-    """From the first source to the second of each pair, (pairs, 3), mm."""
+    """Return the vectors from the first source to the second of each pair, (pairs, 3), mm."""
     return geometry.source[sides[1]] - geometry.source[sides[0]]
 
 
 def _normals(
     geometry: ScanGeometry, sides: NDArray[np.int64], middle: Floats, shrink: float
 ) -> Floats:
-    """Of planes about a pixel apart at the middle, (pairs, planes, 3)."""
+    """Return normals of planes about a pixel apart at the middle, (pairs, planes, 3)."""
     along = baselines(geometry, sides)
     along /= np.linalg.norm(along, axis=1)[:, None]
     to_middle = middle - geometry.source[sides[0]]
     away = to_middle - np.einsum("pk,pk->p", to_middle, along)[:, None] * along
-    # Where the middle lies on the baseline, any direction across it will do.
+    # If the middle lies on the baseline, any direction across it will do.
     other = np.cross(along, geometry.v[sides[0]])
     away = np.where(np.linalg.norm(away, axis=1)[:, None] > 1e-6, away, other)
     distance = np.linalg.norm(away, axis=1)

@@ -1,7 +1,7 @@
-"""Source and panel of one view from balls at known places and their shadows.
+"""Source and panel of one view, from balls at known positions and their shadows.
 
-Nine numbers: where the source is, where the panel is and how it is turned. A point source has no
-visible rotation.
+The nine numbers are the positions of source and panel and the rotation of the panel. A point source
+has no visible rotation.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ PARAMETERS = (
     *("source u", "source v", "source n", "panel u", "panel v", "panel n"),
     *("turn about u", "turn about v", "turn about n"),
 )
-"""In the panel's axes at the start: mm and rad."""
+"""Names of the nine parameters, in the panel's axes at the start, mm and rad."""
 
 LEAST_BALLS = 8
-"""Nine parameters take five shadows; fewer than these leave hardly anything to judge them by."""
+"""Minimum number of balls: five would determine nine parameters, but leave hardly any residuals."""
 
 OUTLIER = 4.0
-"""Residuals above so many times the common spread are no ball's: the shadow is left out."""
+"""Residuals above so many times the common spread are outliers."""
 
 LEAST_SPREAD_PX = 0.003
-"""A shadow is not known better than this, whatever its noise says: gVXR's own limit."""
+"""Minimum uncertainty of a shadow, whatever its noise: gVXR's own limit."""
 
 WORST_CONDITION = 1e7
-"""Of the scaled Jacobian; 1 mm and 10 mrad count the same."""
+"""Maximum condition of the scaled Jacobian; 1 mm and 10 mrad count alike."""
 
 _SCALE = np.array([1.0] * 6 + [0.01] * 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Resection:
-    """What one view's shadows say.
+    """Estimate of one view's geometry.
 
     Attributes:
-        geometry: of this one view.
-        covariance: of ``PARAMETERS``, (9, 9), mm and rad.
-        shadows: all that were given.
+        geometry: geometry of this view.
+        covariance: covariance of ``PARAMETERS``, (9, 9), mm and rad.
+        shadows: all given shadows.
         residuals: measured minus predicted, (n, 2), px.
-        outliers: which of them are not believed, (n,).
+        outliers: mask of the rejected shadows, (n,).
     """
 
     geometry: ScanGeometry
@@ -58,12 +58,12 @@ class Resection:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of the shadows that are believed."""
+        """Root mean square reprojection distance of the accepted shadows."""
         return float(np.sqrt((self.residuals[~self.outliers] ** 2).sum(axis=1).mean()))
 
 
 def moved(geometry: ScanGeometry, change: Floats) -> ScanGeometry:
-    """Source and panel of each view moved, ``change`` as in ``PARAMETERS``, (9,) or (views, 9)."""
+    """Move source and panel of each view by ``change``, see ``PARAMETERS``, (9,) or (views, 9)."""
     change = np.broadcast_to(change, (len(geometry), 9))
     axes = np.stack([geometry.u, geometry.v, geometry.normal], axis=2)
     shifts = np.einsum("vij,vkj->vki", axes, change.reshape(-1, 3, 3))
@@ -78,15 +78,15 @@ def moved(geometry: ScanGeometry, change: Floats) -> ScanGeometry:
 
 
 def resected(phantom: BallPhantom, shadows: Shadows, start: ScanGeometry) -> Resection:
-    """Least squares over the nine parameters, each shadow weighted by what is known of it.
+    """Estimate the nine parameters by least squares, each shadow weighted by its uncertainty.
 
     Args:
         phantom: the balls.
         shadows: their projections.
-        start: about where source and panel are; one view.
+        start: approximate geometry; one view.
 
     Raises:
-        CalibrationError: there are too few shadows, or they do not tell all nine numbers.
+        CalibrationError: there are too few shadows, or they do not determine all nine numbers.
     """
     _enough(len(shadows))
     spreads = _spreads(phantom, shadows, start)
@@ -105,7 +105,7 @@ def resected(phantom: BallPhantom, shadows: Shadows, start: ScanGeometry) -> Res
             break
         good = better
     covariance = _covariance(points[good], spreads[good], start, change)
-    # What was taken for the noise may be too small for what is left.
+    # The residuals may show that the assumed noise was too small.
     left = np.einsum("nij,nj->ni", spreads[good], residuals[good])
     covariance *= max(float((left**2).sum()) / max(2 * int(good.sum()) - 9, 1), 1.0)
     return Resection(moved(start, change), covariance, shadows, residuals, ~good)
@@ -117,7 +117,7 @@ def _enough(shadows: int) -> None:
 
 
 def _spreads(phantom: BallPhantom, shadows: Shadows, view: ScanGeometry) -> Floats:
-    """Inverse square roots of the covariance of each shadow, (n, 2, 2), 1/px."""
+    """Return inverse square roots of the covariance of each shadow, (n, 2, 2), 1/px."""
     points = phantom.centres[shadows.balls]
     steps = [
         (view.project(points + step)[0] - view.project(points - step)[0]) / (2 * 1e-3)
@@ -139,7 +139,7 @@ def _least_squares(
         off = moved(start, change * _SCALE).project(points)[0] - shadows.pixels
         return np.einsum("nij,nj->ni", spreads, off).ravel()
 
-    # What is far off shall not pull until the rest has settled.
+    # Outliers must not pull before the rest has settled.
     found = scipy.optimize.least_squares(
         left, first / _SCALE, loss="soft_l1", f_scale=OUTLIER, x_scale=1.0
     )
@@ -147,10 +147,10 @@ def _least_squares(
 
 
 def _covariance(points: Floats, spreads: Floats, start: ScanGeometry, change: Floats) -> Floats:
-    """Inverse of the normal matrix.
+    """Return the inverse of the normal matrix.
 
     Raises:
-        CalibrationError: it is singular.
+        CalibrationError: the matrix is singular.
     """
 
     def projected(x: Floats) -> Floats:

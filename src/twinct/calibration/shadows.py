@@ -1,9 +1,9 @@
-"""Where the shadows of balls lie in one projection, to a hundredth of a pixel.
+"""Positions of the shadows of balls in one projection, to a hundredth of a pixel.
 
-What is looked for is the projection of a ball's centre. That is not the middle of its shadow, an
-ellipse, which lies further out (Clackdoyle and Mennessier, Phys. Med. Biol. 56 (2011) 7371). So the
-ball itself is moved, parallel to the panel, until its analytic shadow fits the image; there is no
-ellipse whose middle would want a correction.
+The position of a shadow is the projection of the ball's centre. It is not the middle of the
+elliptic shadow, which lies further out (Clackdoyle and Mennessier, Phys. Med. Biol. 56 (2011)
+7371). So the ball itself is moved, parallel to the panel, until its analytic shadow fits the image,
+and no ellipse's middle needs a correction.
 """
 
 from __future__ import annotations
@@ -18,31 +18,33 @@ from twinct.calibration.phantom import BallPhantom
 from twinct.geometry import Floats, ScanGeometry
 
 SAMPLES = 4
-"""Rays a pixel and axis of the analytic shadow."""
+"""Rays per pixel and axis of the analytic shadow."""
 
 RIM_PX = 3.0
-"""What of the image about a shadow is looked at: there its background is found."""
+"""Width of the rim around a shadow, from which its background is estimated."""
 
 LEAST_TRANSMISSION = 1e-4
-"""Darker pixels count as this dark: their noise is no smaller than a photon's."""
+"""Lower limit of pixel values: the noise of darker ones is no smaller than one photon's."""
 
 RIM = 0.1
-"""Of the radius: half chords shorter than this count as so long where slopes are taken."""
+"""Lower limit of half chords in slopes, relative to the radius."""
 
 STEPS = 20
 WHOLE_STEPS = 6
-"""Gauss-Newton takes so many steps at most; later ones by half, as rays that pass from one side of
-the rim to the other let whole ones go to and fro."""
+"""Maximum number of Gauss-Newton steps, and the number of full steps among them.
+
+Later steps are halved, as rays that cross the rim back and forth make full steps oscillate.
+"""
 
 STILL_PX = 1e-4
 STILL_SHARE = 0.1
-"""A shadow has settled when it moves by less, in pixels or in standard deviations of its place."""
+"""A shadow has settled if its step is below either, in pixels or in standard deviations."""
 
 NEAR_PX = 0.3
-"""A shadow this near to the middle of its window is measured well."""
+"""Maximum distance of a well-measured shadow from the middle of its window."""
 
 LEAST_RESPONSE = 0.35
-"""Of the strongest of the image's spots: weaker ones are no balls."""
+"""Minimum response of a ball's spot, relative to the image's strongest spot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +52,9 @@ class Shadows:
     """Projections of balls' centres.
 
     Attributes:
-        balls: which, (n,).
+        balls: indices of the balls, (n,).
         pixels: (column, row) of the projected centre, (n, 2).
-        covariance: of each, from the noise of its pixels, (n, 2, 2), px^2.
+        covariance: covariance of each, from the noise of its pixels, (n, 2, 2), px^2.
     """
 
     balls: NDArray[np.intp]
@@ -60,26 +62,26 @@ class Shadows:
     covariance: Floats
 
     def __len__(self) -> int:
-        """Number of shadows."""
+        """Return the number of shadows."""
         return len(self.balls)
 
     def __getitem__(self, some: NDArray[np.bool_]) -> Shadows:
-        """Some of them."""
+        """Return the shadows that a mask selects."""
         return Shadows(self.balls[some], self.pixels[some], self.covariance[some])
 
 
 def spots(transmission: NDArray[np.float32], radius_px: float) -> Floats:
-    """Blobs of a ball's size, to about a pixel, whatever lies behind them.
+    """Detect blobs of a ball's size, to about a pixel, on any background.
 
     Args:
         transmission: one image, (rows, columns).
-        radius_px: of a ball's shadow.
+        radius_px: radius of a ball's shadow.
 
     Returns:
         (column, row) of each, (n, 2).
     """
     dark = -np.log(np.maximum(transmission, LEAST_TRANSMISSION))
-    # The Laplacian of a Gaussian answers most to a disc of sqrt(2) sigma (Lindeberg 1998).
+    # The Laplacian of a Gaussian responds most to a disc of sqrt(2) sigma (Lindeberg 1998).
     response = -scipy.ndimage.gaussian_laplace(dark.astype(np.float64), radius_px / np.sqrt(2))
     highest = scipy.ndimage.maximum_filter(response, size=2 * int(np.ceil(radius_px)) + 1)
     peaks = (response == highest) & (response > LEAST_RESPONSE * response.max())
@@ -87,17 +89,17 @@ def spots(transmission: NDArray[np.float32], radius_px: float) -> Floats:
 
 
 def shadow_radius_px(view: ScanGeometry, phantom: BallPhantom) -> Floats:
-    """About the radius of each ball's shadow, (balls,), px."""
+    """Return the approximate radius of each ball's shadow, (balls,), px."""
     depth = (view.source - phantom.centres) @ view.normal[0]
     return phantom.radius_mm * view.sdd[0] / depth / view.panel.pitch_u
 
 
 def overlapping(pixels: Floats, radius_px: Floats, rim_px: float = RIM_PX) -> NDArray[np.bool_]:
-    """Whether another shadow touches a shadow or its rim, (n,).
+    """Return a mask of shadows that another shadow touches, rims included, (n,).
 
     Args:
-        pixels: projected centres, (n, 2); NaN where there is none.
-        radius_px: of the shadows, (n,).
+        pixels: projected centres, (n, 2); NaN if missing.
+        radius_px: radii of the shadows, (n,).
         rim_px: width of the rim.
     """
     seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
@@ -119,21 +121,21 @@ def measured(
     degree: int = 1,
     rim_px: float = RIM_PX,
 ) -> Shadows:
-    """Fit the analytic shadow of each ball to the image about it.
+    """Fit the analytic shadow of each ball to the image around it.
 
     Args:
         transmission: one image, (rows, columns).
-        view: about where source and panel are: it gives the shadow's shape, not its place.
+        view: approximate geometry: it determines the shadow's shape, not its place.
         phantom: the balls.
-        balls: which, (n,).
-        pixels: about where, to a pixel or two, (n, 2).
+        balls: indices of the balls to measure, (n,).
+        pixels: approximate places, to a pixel or two, (n, 2).
         blur_px: sigma of the detector's blur.
-        degree: of the polynomial that the background's logarithm is: 1 where nothing lies behind,
-            3 among bone, whose odd part would move a shadow.
-        rim_px: what of the image about a shadow is looked at.
+        degree: degree of the polynomial for the background's logarithm: 1 over air, 3 over bone,
+            whose odd part would move a shadow.
+        rim_px: width of the rim around a shadow that the fit includes.
 
     Returns:
-        those that were found; a shadow that runs out of the image or does not settle is left out.
+        Measured shadows, without those that extend beyond the image or do not settle.
     """
 
     def shape(ball: int) -> _Shape:
@@ -154,10 +156,10 @@ def measured(
 def _fitted(
     transmission: NDArray[np.float32], shape: _Shape, start: Floats, degree: int, rim_px: float
 ) -> tuple[Floats, Floats] | None:
-    """One shadow's pixel and its covariance; None where it cannot be told."""
+    """Return one shadow's pixel and its covariance; None if the fit fails."""
     reach = shape.reach_px + rim_px
     fit = None
-    # A window that follows the shadow would jump between its last steps.
+    # The window stays fixed during a fit; one that follows the shadow would jump at the last steps.
     for _ in range(2):
         low = np.floor(start - reach).astype(int)
         high = np.ceil(start + reach).astype(int) + 1
@@ -183,7 +185,7 @@ def _settled(
     reach: float,
     degree: int,
 ) -> tuple[Floats, Floats] | None:
-    """Gauss-Newton over place, attenuation and a background, a polynomial in its logarithm."""
+    """Fit place, attenuation and a background, a polynomial in its logarithm, by Gauss-Newton."""
     image = np.maximum(window, LEAST_TRANSMISSION).astype(np.float64)
     rows, columns = image.shape
     across, up = np.meshgrid(np.arange(columns) + low[0], np.arange(rows) + low[1])
@@ -223,7 +225,7 @@ def _settled(
 
 
 class _Shape:
-    """A ball's shadow wherever it is moved to, parallel to the panel."""
+    """Analytic shadow of a ball that moves parallel to the panel."""
 
     def __init__(
         self, view: ScanGeometry, centre: Floats, radius_mm: float, blur_px: float
@@ -233,7 +235,7 @@ class _Shape:
         self._pitch = np.array([panel.pitch_u, panel.pitch_v])
         self._middle = np.array(panel.middle)
         self._sdd = float(view.sdd[0])
-        # In the panel's axes, about the source: depth along the normal, foot of the perpendicular.
+        # The origin is the source; the axes are the panel's.
         self._foot = view.piercing_points[0]
         self._depth = float(view.depth(centre)[0])
         self._radius = radius_mm
@@ -242,21 +244,22 @@ class _Shape:
         self.reach_px = float(widest * obliqueness + 3 * blur_px)
 
     def _obliqueness(self, pixel: Floats) -> float:
-        """How much longer than wide a shadow is there: one over the cosine of the beam's angle."""
+        """Return the shadow's length-to-width ratio at a pixel: 1 / cosine of the beam's angle."""
         off = (pixel - self._foot) * self._pitch
         return float(np.sqrt(1 + off @ off / self._sdd**2))
 
     def first_mu(self, image: Floats) -> float:
-        """Attenuation, 1/mm, from the darkest pixel and the lightest."""
+        """Estimate the initial attenuation, 1/mm, from the darkest and the brightest pixels."""
         return float(np.log(np.quantile(image, 0.9) / image.min()) / (2 * self._radius)) + 1e-3
 
     def transmission(
         self, pixel: Floats, mu: float, low: NDArray[np.intp], shape: tuple[int, ...]
     ) -> tuple[Floats, list[Floats], Floats]:
-        """Transmission with the centre projected to a pixel; its slopes by pixel and by mu.
+        """Return transmission, and its slopes by pixel and mu, for a centre projected to a pixel.
 
         Returns:
-            (rows, columns); two of them, 1/px; (rows, columns), mm.
+            Transmission, (rows, columns); two slopes, (rows, columns), 1/px; slope by mu, (rows,
+            columns), mm.
         """
         rows, columns = shape
         margin = int(np.ceil(3 * self._blur_px)) if self._blur_px else 0
@@ -266,14 +269,14 @@ class _Shape:
         x = ((c - self._foot[0]) * self._pitch[0])[None, :]
         y = ((r - self._foot[1]) * self._pitch[1])[:, None]
         centre = (pixel - self._foot) * self._pitch * self._depth / self._sdd
-        # Of the ray (x, y, sdd) from the source: the half chord through the sphere, squared.
+        # Squared half chord of the ray (x, y, sdd) from the source through the sphere.
         square = x * x + y * y + self._sdd**2
         along = centre[0] * x + centre[1] * y + self._depth * self._sdd
         beside = centre @ centre + self._depth**2 - self._radius**2
         half2 = along * along / square - beside
         half = np.sqrt(np.maximum(half2, 0.0))
         light = np.exp(-2 * mu * half)
-        # Slopes of the half chord grow without bound at the rim; those of pixels' means do not.
+        # The half chord's slope is unbounded at the rim, but its mean over a pixel is not.
         common = np.where(half2 > 0, -mu * light / np.maximum(half, RIM * self._radius), 0.0)
         per_mm = [
             common * (2 * along * axis / square - 2 * value)
@@ -284,7 +287,7 @@ class _Shape:
         return images[0], images[1:3], images[3]
 
     def _seen(self, fine: Floats, margin: int) -> Floats:
-        """Means of pixels, blurred."""
+        """Return the means of pixels, blurred."""
         rows, columns = fine.shape[0] // SAMPLES, fine.shape[1] // SAMPLES
         coarse = fine.reshape(rows, SAMPLES, columns, SAMPLES).mean(axis=(1, 3))
         if not margin:

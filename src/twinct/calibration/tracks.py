@@ -1,8 +1,8 @@
-"""Small dense balls at unknown places, found in the projections beside anatomy.
+"""Small dense balls at unknown positions, detected in the projections beside anatomy.
 
-In one image many things look like a ball. But a ball's shadows in all views are those of one
-point: rays through spots of two views that nearly meet propose a place, and a ball is where most
-views that should see it have a spot.
+Many things look like a ball in one image. But a ball's shadows in all views belong to one point. So
+rays through spots of two views that nearly meet propose a place, and a ball is accepted at a place
+if most views that should see it have a spot there.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from twinct.calibration.shadows import LEAST_RESPONSE, LEAST_TRANSMISSION
 from twinct.geometry import Floats, ScanGeometry
 
 MOST_SPOTS = 40
-"""Of an image: the roundest and darkest."""
+"""Number of spots per image: the roundest and darkest."""
 
 BASES = 12
-"""Views whose spots propose places, each with one view at each of the angles below."""
+"""Number of views whose spots propose places, each paired with one view per angle in APART_DEG."""
 
 APART_DEG = (20.0, 45.0, 75.0)
 
 LEAST_SHARE = 0.35
-"""Of the views whose panel a ball falls on that must have a spot there; bone may hide the rest."""
+"""Minimum share of the views with a ball on their panel that need a spot; bone may hide others."""
 
 LEAST_VIEWS = 4
-"""A place that fewer views see is chance."""
+"""Minimum number of views of a place; fewer may be chance."""
 
 ALIKE = 0.5
-"""Of the median response of the balls: what answers less is something else."""
+"""Minimum response of a ball, relative to the median of the balls."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Balls found, and which spot of each view is whose.
+    """Detected balls and their spots in each view.
 
     Attributes:
-        places: about where they are, (balls, 3), mm.
-        pixels: (column, row) of each ball's spot, (views, balls, 2); NaN where there is none.
+        places: approximate positions, (balls, 3), mm.
+        pixels: (column, row) of each ball's spot, (views, balls, 2); NaN without a spot.
     """
 
     places: Floats
@@ -49,17 +49,17 @@ class Tracks:
 
 
 def round_spots(transmission: NDArray[np.float32], radius_px: float) -> tuple[Floats, Floats]:
-    """Dark spots of a ball's size that are as narrow one way as the other.
+    """Detect dark, round spots of a ball's size.
 
-    The answer to a Gaussian's second derivative along the direction where it is least: the edge of
-    a bone, dark across and even along, gives none.
+    The response is the second derivative of a Gaussian along the direction where it is least. The
+    edge of a bone, dark across and uniform along, gives none.
 
     Args:
         transmission: one image, (rows, columns).
-        radius_px: of a ball's shadow.
+        radius_px: radius of a ball's shadow.
 
     Returns:
-        (column, row) of each, (n, 2); how strongly it answers, (n,), descending.
+        (column, row) of each, (n, 2); responses, (n,), descending.
     """
     dark = -np.log(np.maximum(transmission, LEAST_TRANSMISSION)).astype(np.float64)
     sigma = radius_px / np.sqrt(2)
@@ -81,13 +81,13 @@ def tracked(
     radius_px: float,
     reach_px: float,
 ) -> Tracks:
-    """Find balls that all views agree on.
+    """Detect balls that all views agree on.
 
     Args:
         images: transmission, (views, rows, columns).
-        believed: about where source and panel were.
-        radius_px: of a ball's shadow, near the middle.
-        reach_px: how far shadows may be from where the believed geometry has them.
+        believed: approximate geometry.
+        radius_px: radius of a ball's shadow, near the middle.
+        reach_px: largest distance of shadows from their places in the believed geometry.
     """
     told = [round_spots(image, radius_px) for image in images]
     strongest = [response[0] for _, response in told if len(response)]
@@ -100,7 +100,7 @@ def tracked(
 def _tracked(
     believed: ScanGeometry, spots: list[Floats], answers: list[Floats], reach_px: float
 ) -> Tracks:
-    """The same from spots, (views) of (n, 2), and how strongly each answers, (views) of (n,)."""
+    """Detect balls from spots, (views) of (n, 2), and responses, (views) of (n,)."""
     taken = [np.zeros(len(one), bool) for one in spots]
     proposed = _proposed(believed, spots, reach_px)
     sight = np.maximum(LEAST_SHARE * inside(believed, proposed).sum(axis=0), LEAST_VIEWS)
@@ -110,7 +110,7 @@ def _tracked(
     while len(proposed):
         free = [
             ~np.append(used, True)[mine] for used, mine in zip(taken, nearest, strict=True)
-        ]  # -1, no spot, is the last: taken
+        ]  # index -1, no spot, reads the appended True
         counts = np.sum(free, axis=0)
         counts[counts < sight] = 0
         best = int(np.argmax(counts))
@@ -139,21 +139,21 @@ def _tracked(
 
 
 def inside(geometry: ScanGeometry, places: Floats) -> NDArray[np.bool_]:
-    """Whether places project onto the panel, (views, places)."""
+    """Return a mask of the places that project onto the panel, (views, places)."""
     pixels, panel = geometry.project(places), geometry.panel
     on_panel = (pixels >= 0) & (pixels <= (panel.columns - 1, panel.rows - 1))
     return np.asarray(on_panel.all(axis=2))
 
 
 def _rays(view: ScanGeometry, pixels: Floats) -> Floats:
-    """Unit directions from the source to pixels, (n, 3)."""
+    """Return unit directions from the source to pixels, (n, 3)."""
     off = (pixels - view.panel.middle) * (view.panel.pitch_u, view.panel.pitch_v)
     to_panel = view.detector + off[:, :1] * view.u + off[:, 1:] * view.v - view.source
     return to_panel / np.linalg.norm(to_panel, axis=1)[:, None]
 
 
 def _proposed(believed: ScanGeometry, spots: list[Floats], reach_px: float) -> Floats:
-    """Where rays of two views nearly meet, (n, 3)."""
+    """Return the points where rays of two views nearly meet, (n, 3)."""
     places = [np.empty((0, 3))]
     apart = np.arccos(np.clip(believed.normal @ believed.normal.T, -1, 1))
     bases = np.unique(np.linspace(0, len(believed) - 1, BASES).round().astype(int))
@@ -169,7 +169,7 @@ def _proposed(believed: ScanGeometry, spots: list[Floats], reach_px: float) -> F
 def _meetings(
     geometry: ScanGeometry, one: int, other: int, rays: list[Floats], reach_px: float
 ) -> Floats:
-    """Middles between rays of two views that pass each other nearly, (n, 3)."""
+    """Return the midpoints between rays of two views that nearly meet, (n, 3)."""
     a, b = rays[one][:, None], rays[other][None]
     between = geometry.source[other] - geometry.source[one]
     cosine = (a * b).sum(axis=2)
@@ -179,7 +179,7 @@ def _meetings(
     t = (cosine * along_a - along_b) / sine2
     first = geometry.source[one] + s[..., None] * a
     second = geometry.source[other] + t[..., None] * b
-    # Both images may be off by the reach; what a pixel is at the place is no more than a pixel.
+    # Both images may be off by the reach; a pixel at the place is no larger than on the panel.
     near = np.linalg.norm(first - second, axis=2) <= np.sqrt(2) * reach_px * geometry.panel.pitch_u
     sdd = geometry.sdd_to_centre
     near &= (s > 0) & (s < sdd[one]) & (t > 0) & (t < sdd[other])
@@ -189,7 +189,7 @@ def _meetings(
 def _nearest(
     geometry: ScanGeometry, spots: list[Floats], places: Floats, reach_px: float
 ) -> NDArray[np.intp]:
-    """The spot next to where each place projects, (views, places); -1: none within reach."""
+    """Return the spot nearest to each place's projection, (views, places); -1 for none in reach."""
     found = np.full((len(geometry), len(places)), -1)
     if not len(places):
         return found
@@ -208,7 +208,7 @@ def _settled(
     place: Floats,
     reach_px: float,
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """A place moved to where the rays of its spots meet best, and those spots, (views,)."""
+    """Move a place to where its spots' rays meet best; return it and the spots, (views,)."""
     left = [np.where(used[:, None], 1e9, one) for one, used in zip(spots, taken, strict=True)]
     mine = _nearest(geometry, left, place[None], reach_px)[:, 0]
     for _ in range(3):

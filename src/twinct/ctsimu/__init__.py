@@ -1,4 +1,4 @@
-"""CTSimU: scenarios of BAM's open format, rendered and exported, and the suite that judges us."""
+"""CTSimU: scenarios of BAM's open format, rendered and exported, and its qualification suite."""
 
 from twinct.ctsimu.outputs import Options
 from twinct.ctsimu.render import render

@@ -1,4 +1,4 @@
-"""The sections of a CTSimU file that say what is written: ``file`` and ``acquisition``."""
+"""Sections ``file`` and ``acquisition`` of a CTSimU file, which list the images to write."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from twinct.ctsimu.reader import JsonSection
 from twinct.ctsimu.scene import FieldImages
 
 FORMAT = (1, 2)
-"""Newest version of the file format that is understood; older ones down to 1.0 are subsets."""
+"""Newest supported version of the file format; older ones down to 1.0 are subsets."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Numbers of projections, of frames averaged for each, and of dark and flat images."""
+    """Numbers of projections, of frames averaged per projection, and of dark and flat images."""
 
     frames: int
     average: int
@@ -24,7 +24,7 @@ class Plan:
 
 
 def check_header(section: JsonSection) -> None:
-    """Check kind and version of the file."""
+    """Check the kind and version of the file."""
     section.skip("name", "description", "contact", "date_created", "date_changed")
     version = section.section("version")
     version.skip("major", "minor")
@@ -39,7 +39,7 @@ def check_header(section: JsonSection) -> None:
 
 
 def read_plan(section: JsonSection) -> Plan:
-    """Number of images in the section ``acquisition``; 1 where it is wrong."""
+    """Return the numbers of images from the section ``acquisition``; 1 in place of invalid ones."""
     section.require("number_of_projections")
     frames = section.whole("number_of_projections", 1, "", COUNT)
     average = section.whole("frame_average", 1, "", COUNT)
@@ -50,7 +50,7 @@ def read_plan(section: JsonSection) -> Plan:
 
 
 def read_turn(section: JsonSection) -> float:
-    """Angle of the stage about its w, degrees, in the section ``acquisition``."""
+    """Return the stage's angle about its w, degrees, from the section ``acquisition``."""
     start = section.number("start_angle", "deg", PLACE) or 0.0
     stop = section.number("stop_angle", "deg", PLACE) or 0.0
     if stop < start:

@@ -1,4 +1,4 @@
-"""The energy that each pixel collects in one frame, without noise."""
+"""Energy collected by each pixel in one frame, without noise."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from twinct.xray.tube import tube_spectrum
 J_PER_KEV = 1.602176634e-16
 MM2_AT_1M_PER_SR = 1e6
 TAKE_OFF_DEG = 45.0
-"""Of a target that says nothing of it."""
+"""Default for targets without a stated angle."""
 
 
 class Camera:
-    """Takes frames of one scenario; gVXR is open as long as the camera is.
+    """Camera for the frames of one scenario; gVXR stays open until the camera is closed.
 
     Args:
         samples: rays along each pixel edge, for a point source.
-        spot_points: passes over the panel for a focal spot with extent.
+        spot_points: passes over the panel for an extended focal spot.
     """
 
     def __init__(self, samples: int = 3, spot_points: int = 32) -> None:
@@ -48,13 +48,13 @@ class Camera:
         self._signal: tuple[object, Signal, bool] | None = None
 
     def expose(self, frame: Frame, *, samples_in: bool = True) -> NDArray[np.float64]:
-        """Energy in J that each pixel collects, (rows, columns) in our order of rows.
+        """Return the energy that each pixel collects, J, (rows, columns) in our order of rows.
 
-        A monochromatic source has no known number of photons: its energies are relative. The beam
-        is free unless ``samples_in``.
+        The photon number of a monochromatic source is unknown, so its energies are relative.
+        Without ``samples_in``, the beam is free.
 
         Raises:
-            InputError: a file that does not hold what the scenario says; names it.
+            InputError: a file does not hold the data that the scenario states; names it.
             TwinctError: a sample reaches through the panel or around the source.
         """
         plan = self._sampling(frame)
@@ -79,7 +79,7 @@ class Camera:
         return image[0].astype(np.float64) * (area * charge_mas * J_PER_KEV)
 
     def close(self) -> None:
-        """Hand gVXR over."""
+        """Release gVXR."""
         if self._renderer is not None:
             self._renderer.close()
         self._renderer, self._uploaded = None, None
@@ -118,7 +118,7 @@ class Camera:
 
 
 def _spectrum(tube: Tube) -> PhotonSpectrum:
-    """The spectrum behind all filters, photons per mm^2 at 1 m and mAs where that is known."""
+    """Return the spectrum behind all filters, in photons per mm^2 at 1 m and mAs if known."""
     if tube.monochromatic:
         spectrum = PhotonSpectrum.monochromatic(tube.voltage_kv)
     elif tube.spectrum is not None:
@@ -135,7 +135,7 @@ def _spectrum(tube: Tube) -> PhotonSpectrum:
 
 
 def _photon_response(detector: scene.PanelResponse) -> PhotonResponse:
-    """What the detector collects of a photon, by energy."""
+    """Return the energy collected per photon, as a function of the photon energy."""
     response = PhotonResponse.integrating()
     if detector.real and detector.efficiency is not None:
         response = PhotonResponse.efficiency(*read_curve(detector.efficiency))
@@ -154,7 +154,7 @@ def _behind(spectrum: PhotonSpectrum, layers: tuple[Layer, ...]) -> PhotonSpectr
 
 
 def _shifted(frame: Frame, start: Floats, shift: Floats) -> ScanGeometry:
-    """The view from one point of the focal spot to one place in the pixels."""
+    """Return the view from one point of the focal spot to one position in the pixels."""
     view, panel = frame.view, frame.panel
     source = view.source + start @ frame.source_axes
     middle = view.detector + shift[0] * panel.pitch_u * view.u + shift[1] * panel.pitch_v * view.v
@@ -162,6 +162,6 @@ def _shifted(frame: Frame, start: Floats, shift: Floats) -> ScanGeometry:
 
 
 def _ray_lengths(view: ScanGeometry, samples: int) -> NDArray[np.float32]:
-    """From the source to each sample, mm."""
+    """Return the distances from the source to each sample, mm."""
     places = replace(view, panel=view.panel.divided(samples)).pixel_centres(0)
     return np.linalg.norm(places - view.source[0], axis=-1).astype(np.float32)

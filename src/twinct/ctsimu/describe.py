@@ -1,4 +1,4 @@
-"""Source and detector of a scenario of ours in the words of CTSimU; what has none is refused."""
+"""Source and detector of a twinct scenario in CTSimU terms; unsupported features are refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FREE_BEAM = 60000
 
 @dataclass(frozen=True)
 class Description:
-    """Sections of a CTSimU file; ``acquisition`` holds binning, dark and flat images alone."""
+    """Sections of a CTSimU file; ``acquisition`` holds only binning, dark and flat images."""
 
     source: Json
     detector: Json
@@ -31,12 +31,12 @@ class Description:
 
 
 def refuse_unsaid(scenario: Scenario, *, uneven_mas: bool = False) -> None:
-    """Refuse what CTSimU has no words for, with an ``InputError`` that names every key.
+    """Raise an ``InputError`` that names every key without a CTSimU equivalent.
 
-    ``uneven_mas``: views have mAs of their own.
+    ``uneven_mas``: views have individual mAs.
     """
     # ``photons_per_mm2_mas`` of a monochromatic source and photon counting at one energy have no
-    # words either; without quantum noise they change no transmission.
+    # equivalent either; but without quantum noise they change no transmission.
     source, detector = scenario.source, scenario.detector
     spot, counting = source.focal_spot, isinstance(detector.response, sections.CountingResponse)
     table = {
@@ -46,7 +46,7 @@ def refuse_unsaid(scenario: Scenario, *, uneven_mas: bool = False) -> None:
         "detector.noise": isinstance(detector.noise, sections.QuantumNoise),
         "detector.readout": detector.readout is not None,
         "detector.bad_pixels": detector.bad_pixels is not None,
-        # There it goes on from image to image, here from one into the next alone.
+        # CTSimU's lag accumulates over images, ours affects only the next one.
         "detector.lag": detector.lag > 0,
         "detector.scatter": detector.scatter is not None,
         "trajectory.path (mas)": uneven_mas,
@@ -57,7 +57,7 @@ def refuse_unsaid(scenario: Scenario, *, uneven_mas: bool = False) -> None:
 
 
 def render_options(scenario: Scenario) -> str:
-    """Options of ``twinct ctsimu render`` that sample as the scan did: the format has none."""
+    """Return ``twinct ctsimu render`` options for the scan's sampling, which the format lacks."""
     spot = scenario.source.focal_spot
     if spot is None:
         return f"--samples {scenario.detector.pixel_samples}"
@@ -65,10 +65,10 @@ def render_options(scenario: Scenario) -> str:
 
 
 def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Description:
-    """Describe source and detector; their curves become files in the folder that start with a name.
+    """Describe source and detector, and write their curves to files in the folder.
 
-    What ``refuse_unsaid`` refuses must not be there, unless ``ideal`` asks for a monochromatic
-    point and an ideal panel, whatever the scenario says.
+    ``name`` is the prefix of the files. Call ``refuse_unsaid`` first, unless ``ideal`` replaces the
+    scenario's source and detector with a monochromatic point and an ideal panel.
     """
     source, detector = scenario.source, scenario.detector
     panel = physical_panel(detector)
@@ -97,7 +97,7 @@ def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Descri
         seen |= more
     acquisition = {
         "dark_field": _fields(correction.dark_frames, without_noise=0),
-        # One, of frame 0: what ``flat_geometry: first`` says but for what the arms missed by there.
+        # One image of frame 0: ``flat_geometry: first``, except for the arms' pose error there.
         "flat_field": _fields(correction.flat_frames, without_noise=1),
         "pixel_binning": {axis: detector.binning for axis in "uv"},
     }
@@ -105,7 +105,7 @@ def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Descri
 
 
 def _fields(frames: int, without_noise: int) -> Json:
-    """Dark or flat images; without averaged frames they have no noise."""
+    """Return a section for dark or flat images; they have no noise if no frames are averaged."""
     number = 1 if frames else without_noise
     return {"number": number, "frame_average": max(frames, 1), "ideal": not frames}
 
@@ -143,14 +143,14 @@ def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, l
     if isinstance(spread, sections.GaussianSpread):
         panel = physical_panel(detector)
         pixel = panel.pitch_u * panel.pitch_v / 12
-        # The pixel is part of it: see ``Digitiser.blurred``.
+        # The resolution includes the pixel: see ``Digitiser._sigma_mm``.
         resolution = float(np.sqrt(2 * (spread.sigma_mm**2 + pixel)))
         found["unsharpness"] = {"basic_spatial_resolution": quantity(resolution, "mm")}
     elif isinstance(spread, sections.FileSpread):
         file = _table(folder / f"{name}_mtf.tsv", *read_columns(spread.path, 2))
         found["unsharpness"] = {"mtf": file}
     if isinstance(detector.noise, sections.SnrNoise):
-        # Of a physical pixel: the mean of n x n of them has n times its SNR.
+        # CTSimU states the SNR of a physical pixel; binning n x n pixels raises it n times.
         found["noise"] = {"snr_at_imax": quantity(detector.noise.snr / detector.binning)}
     return found, materials
 
@@ -163,7 +163,7 @@ def _substance(of: str | sections.Composition) -> Material:
 
 
 def _table(path: Path, first: Floats, second: Floats) -> Json:
-    """Write two columns; what refers to them."""
+    """Write two columns to a file, and return a reference to the file."""
     lines = [f"{a:.12g}\t{b:.12g}\n" for a, b in zip(first, second, strict=True)]
     path.write_text("".join(lines), encoding="utf-8")
     return {"value": path.name}

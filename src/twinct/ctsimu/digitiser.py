@@ -1,8 +1,8 @@
-"""From collected energy to grey values, as the file describes the detector.
+"""Conversion of collected energy to grey values, as the file describes the detector.
 
-Grey values follow, in this order of precedence, the intensity file, ``factor`` and ``offset`` (both
-take the energy a pixel collects, in J), or ``imin`` and ``imax``: linear, ``imax`` at the brightest
-pixel of the free beam in frame 0.
+Grey values follow from, in this order of precedence, the intensity file, ``factor`` and ``offset``
+(both apply to the energy a pixel collects, in J), or ``imin`` and ``imax``: linear, with ``imax``
+at the brightest pixel of the free beam in frame 0.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from twinct.xray.spread import PointSpreadFunction
 Image = NDArray[np.float64]
 
 MTF_REACH_MM = 5.0
-"""How far a point spread given by its MTF is followed."""
+"""Radius up to which a point spread from an MTF is computed."""
 
 
 @dataclass(frozen=True)
 class Digitiser:
-    """A detector that is ready to take images; its pixels are not binned.
+    """Detector for images without binning.
 
     ``free_beam_j`` is the energy in the brightest pixel of the free beam in frame 0.
     """
@@ -36,7 +36,7 @@ class Digitiser:
     free_beam_j: float
 
     def grey(self, energy_j: Image) -> Image:
-        """Mean grey values of what the pixels collect, J; not rounded, not cut off."""
+        """Return mean grey values for the pixels' energies, J; neither rounded nor clipped."""
         response = self.response
         if response.curve is not None:
             return _extended(energy_j, *read_curve(response.curve))
@@ -50,9 +50,10 @@ class Digitiser:
         return float(self.grey(np.array([self.free_beam_j]))[0])
 
     def deviation(self, grey: Image) -> Image | None:
-        """Standard deviation of the noise of one frame, grey values; None without noise.
+        """Return the standard deviation of one frame's noise in grey values; None without noise.
 
-        From the noise file; else that of quanta, whose SNR grows with the root of the intensity.
+        The noise file has precedence. Otherwise quantum noise is assumed: its SNR grows with the
+        square root of the intensity.
         """
         response = self.response
         if response.noise is not None:
@@ -65,19 +66,19 @@ class Digitiser:
         return self.brightest / response.snr * np.sqrt(share)
 
     def blurred(self, image: Image) -> Image:
-        """Convolve with the point spread; beyond the rim the image is mirrored."""
+        """Convolve an image with the point spread; the image is mirrored beyond its border."""
         spread, panel = self._spread(), self.panel
         if spread is None:
             return image
-        # Single floats would do for the image, but not for energies of 1e-9 J.
+        # float32 suffices for the image, but not for energies of 1e-9 J.
         level = float(image.max()) or 1.0
         relative = (image / level).astype(np.float32)
         return spread.apply(relative, panel.pitch_u, panel.pitch_v).astype(np.float64) * level
 
     def noise(self, rng: np.random.Generator) -> Image:
-        """Normal noise of standard deviation 1 with the texture that the point spread makes.
+        """Return normal noise of standard deviation 1, with the texture of the point spread.
 
-        The file states the noise of measured images, which the point spread has passed.
+        The file states the noise of measured images, which the point spread has already smoothed.
         """
         spread, panel = self._spread(), self.panel
         white = rng.standard_normal(panel.shape)
@@ -94,28 +95,28 @@ class Digitiser:
         return PointSpreadFunction.gaussian(sigma_mm) if sigma_mm > 0 else None
 
     def _sigma_mm(self) -> float:
-        """Of the Gaussian that, together with the pixel, has the basic spatial resolution.
+        """Return the Gaussian's sigma that, with the pixel, has the basic spatial resolution.
 
-        ISO 19232-5 defines that resolution by the pair of wires whose profile dips by 20 % between
-        them: for thin wires behind a Gaussian, diameter = gap = sqrt(2) sigma.
+        ISO 19232-5 defines that resolution by the wire pair with a dip of 20 % between the wires:
+        for thin wires behind a Gaussian, diameter = gap = sqrt(2) sigma.
         """
         pixel = self.panel.pitch_u * self.panel.pitch_v / 12
         return float(np.sqrt(max(self.response.resolution_mm**2 / 2 - pixel, 0.0)))
 
     def with_bad_pixels(self, image: Image) -> Image:
-        """Put the given grey values where pixels are bad."""
+        """Insert the given grey values at bad pixels."""
         if self.response.bad_pixels is None:
             return image
         wrong = read_image(self.response.bad_pixels, "bad pixels", image.shape)
         return np.where(wrong == -1, image, wrong)
 
     def stored(self, image: Image) -> NDArray[np.uint16]:
-        """Rounded and cut off at the bit depth."""
+        """Round an image, and clip it to the bit depth."""
         return np.clip(np.rint(image), 0, 2**self.response.bits - 1).astype(np.uint16)
 
 
 def _extended(values: Image, places: Floats, results: Floats) -> Image:
-    """Linear between the places, and on beyond the last two."""
+    """Interpolate linearly, and extrapolate above from the last two values."""
     inside = np.interp(values, places, results)
     if len(places) < 2:
         return inside

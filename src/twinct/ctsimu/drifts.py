@@ -1,4 +1,4 @@
-"""The drifts of a parameter: absolute deviations at equidistant moments of the scan."""
+"""Drifts of a parameter: absolute deviations at equidistant moments of the scan."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from twinct.errors import InputError
 from twinct.files.boundary import read_text
 
 LARGEST_BYTES = 16 * 2**20
-"""Of one file: a million moments."""
+"""Size limit of one file: a million moments."""
 
 
 def drift_values(drift: Mapping[str, Any], folder: Path, *, as_text: bool) -> list[Any]:
-    """What a drift says at its moments, numbers or texts; empty where it says nothing.
+    """Return a drift's numbers or texts at its moments; empty if the drift has no values.
 
     Raises:
-        ValueError: no such values; says why, in one sentence.
+        ValueError: the values are invalid; states the reason in one sentence.
     """
     value, file = drift.get("value"), drift.get("file")
     if value is None:
@@ -66,7 +66,7 @@ def _finite(values: Sequence[float]) -> list[float]:
 
 
 def interpolated(values: Sequence[float], place: float) -> float:
-    """Linear between the values; ``place`` counts from the first."""
+    """Interpolate linearly between values; ``place`` counts from the first."""
     left = min(max(int(math.floor(place)), 0), max(len(values) - 2, 0))
     right = min(left + 1, len(values) - 1)
     share = place - left
@@ -74,7 +74,7 @@ def interpolated(values: Sequence[float], place: float) -> float:
 
 
 def as_float(value: float) -> float:
-    """A number; infinite where a whole number of JSON is too large for a float."""
+    """Return a number as float; infinity if an integer from JSON is too large."""
     try:
         return float(value)
     except OverflowError:
@@ -82,6 +82,6 @@ def as_float(value: float) -> float:
 
 
 def short(value: object) -> str:
-    """A value in a message, cut off where it is long."""
+    """Return a value for a message, shortened if it is long."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

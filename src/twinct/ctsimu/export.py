@@ -1,10 +1,11 @@
-"""``twinct ctsimu export``: a scan of ours as a CTSimU scenario and as an OpenCT free trajectory.
+"""``twinct ctsimu export``: a twinct scan as a CTSimU scenario and an OpenCT free trajectory.
 
-CTSimU knows a stage that turns; ours stands still in the world, and source, detector and specimen
-move by drifts: of their centres, and of three rotations about the world's axes through them. What
-is believed is the part known to the reconstruction; what was executed beyond that is not.
+CTSimU has a rotating stage. Ours stands still in the world, and source, detector and specimen move
+by drifts: of their centres, and of three rotations about the world's axes through the centres. The
+believed motion is known to the reconstruction; the difference to the executed motion is not.
 
-The OpenCT file is that of ``twinct.exchange``: the believed geometry, in the frame of the grid.
+The OpenCT file is the one that ``twinct.exchange`` writes: the believed geometry in the grid's
+frame.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ from twinct.views import PosePairs
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written.
+    """Exported files.
 
-    ``options`` of ``twinct ctsimu render`` give the scan's own images; empty for ideal ones.
+    ``options`` for ``twinct ctsimu render`` reproduce the scan's own images; empty for ideal ones.
     """
 
     scenario: Path
@@ -57,16 +58,16 @@ def export_scan(
     ideal: bool = False,
     geometry: str = "believed",
 ) -> Exported:
-    """Write scenario, trajectory, meshes and projections to a folder, made if it is missing.
+    """Write scenario, trajectory, meshes and projections to a folder, which is created if missing.
 
-    Source and detector are written as they were, or as ideal ones; what is known to the
-    reconstruction is the geometry of this name.
+    Source and detector are written as in the scan, or as ideal ones. The named geometry is the one
+    known to the reconstruction.
 
     Raises:
         InputError: the scan has no geometry of this name.
-        InputError: source or detector do something that CTSimU cannot say; names it.
-        ScanExistsError: the folder holds an export.
-        StorageError: it cannot be written.
+        InputError: source or detector have a feature without a CTSimU equivalent; names it.
+        ScanExistsError: the folder already holds an export.
+        StorageError: the folder cannot be written.
     """
     known = scan.poses(geometry)
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scan.scenario.name)
@@ -90,7 +91,7 @@ def export_scan(
 def _scenario(
     scan: Scan, known: PosePairs, specimen: BuiltSpecimen, folder: Path, name: str, ideal: bool
 ) -> Json:
-    turned = Rotation.from_euler("x", 180, degrees=True)  # ours looks to the source, w away from it
+    turned = Rotation.from_euler("x", 180, degrees=True)  # our w points to the source
 
     def away(poses: Sequence[Pose]) -> list[Pose]:
         return [Pose(p.position, (Rotation.from_quat(p.quat) * turned).as_quat()) for p in poses]
@@ -108,7 +109,7 @@ def _scenario(
         samples.append(sample(part.name, file, substance, _moving(poses, poses, "rt")))
     views = len(scan)
     description = describe(scan.scenario, folder, name, ideal)
-    for substance in description.materials:  # the scintillator's, or none
+    for substance in description.materials:  # the scintillator's, if any
         description.detector["scintillator"]["material_id"] = _listed(substance, substances)
     still = _moving([Pose.identity()], [Pose.identity()])
     return {
@@ -135,10 +136,10 @@ def _scenario(
 
 
 def _listed(substance: Json, substances: list[Json]) -> str:
-    """The id of a material in the list, where it is put unless it is there."""
+    """Add a material to the list unless it is there, and return its id."""
     wanted, number = substance["id"], 1
     while any(s["id"] == substance["id"] and s != substance for s in substances):
-        # Two of the same name, such as one formula at two densities.
+        # Two materials may share a name, such as one formula at two densities.
         number += 1
         substance = substance | {"id": f"{wanted} ({number})"}
     if substance not in substances:
@@ -147,7 +148,7 @@ def _listed(substance: Json, substances: list[Json]) -> str:
 
 
 def _moving(believed: Sequence[Pose], executed: Sequence[Pose], keys: str = "uw") -> Json:
-    """A part of the world that moves by drifts from where it is believed to be in view 0."""
+    """Return a part of the world that drifts from its believed pose in view 0."""
     first = believed[0]
     known = np.array([p.position - first.position for p in believed])
     pairs = list(zip(believed, executed, strict=True))
@@ -163,7 +164,7 @@ def _moving(believed: Sequence[Pose], executed: Sequence[Pose], keys: str = "uw"
 
 
 def _turns(rotations: Sequence[Rotation], known: bool) -> list[Json]:
-    """Rotations about the world's x, then y, then z, through the part's centre."""
+    """Return rotations about the world's x, then y, then z, through the part's centre."""
     angles = np.array([rotation.as_euler("xyz") for rotation in rotations])
     found = []
     for axis, letter in enumerate("xyz"):

@@ -1,4 +1,4 @@
-"""Reading a JSON file: where it is broken, and keys that are given twice."""
+"""JSON files, read with the line of a syntax error and a check for repeated keys."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from twinct.errors import ScenarioError
 from twinct.files.boundary import read_text, shortened
 
 LARGEST_BYTES = 16 * 2**20
-"""Of one file; the largest of BAM's suite has 0.02 MB."""
+"""Size limit of one file; the largest in BAM's suite has 0.02 MB."""
 
 
 class _Object(dict[str, Any]):
-    """An object, and its keys that are given twice."""
+    """JSON object with a record of its repeated keys."""
 
     repeated: tuple[str, ...] = ()
 
@@ -24,7 +24,7 @@ def read_json(path: Path, skipped: str) -> dict[str, Any]:
     """Read the JSON object in a file; the section ``skipped`` may hold anything.
 
     Raises:
-        ScenarioError: not readable, no JSON object, or keys given twice; says where.
+        ScenarioError: the file cannot be read, holds no JSON object, or repeats keys; says where.
     """
     text = read_text(path, f"{path}: the scenario", LARGEST_BYTES, ScenarioError)
     if not text.strip():

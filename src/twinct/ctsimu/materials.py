@@ -1,4 +1,4 @@
-"""The materials of a CTSimU file: compositions by formula and mass fraction."""
+"""Materials of a CTSimU file: compositions by formula and mass fraction."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from twinct.errors import SpecimenError
 from twinct.specimen import Material
 
 Materials = dict[str, Material | None]
-"""By id; None for one of no density: vacuum."""
+"""Materials by id; None for a vacuum, whose density is 0."""
 
 SUM_TOLERANCE = 0.01
-"""How far the mass fractions of a material may be from 1 in all: rounded tables still pass."""
+"""Tolerance of the sum of a material's mass fractions; rounded tables pass."""
 
 
 def read_materials(root: JsonSection) -> Materials:
-    """All materials of the file."""
+    """Return all materials of the file."""
     found: Materials = {}
     for section in root.sections("materials"):
         name = section.text("id")
@@ -37,7 +37,7 @@ def _read(section: JsonSection, name: str) -> Material | None:
         for part in section.sections("composition")
     ]
     if not density > 0:
-        return None  # vacuum, or noted already
+        return None  # vacuum, or already reported
     if not parts:
         section.require("composition")
         return None
@@ -58,7 +58,7 @@ def _read(section: JsonSection, name: str) -> Material | None:
 
 
 def _add(section: JsonSection, formula: str, weight: float, shares: dict[str, float]) -> bool:
-    """Add the elements of a formula to the shares; whether it could be read."""
+    """Add the elements of a formula to the shares; return False for an invalid formula."""
     try:
         parsed = xraylib.CompoundParser("".join(formula.split()))
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""What a rendering writes: names of the images, and the metadata file that the toolbox reads."""
+"""Output files of a rendering: names of the images, and the metadata file for the toolbox."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from twinct.version import __version__
 
 @dataclass(frozen=True)
 class Options:
-    """What a scenario leaves to the software.
+    """Options that a scenario leaves to the software.
 
     Attributes:
         samples: rays along each pixel edge, for a point source.
-        spot_points: points of a focal spot with extent.
-        seed: of the noise.
+        spot_points: points of an extended focal spot.
+        seed: seed of the noise.
     """
 
     samples: int = 3
@@ -32,27 +32,27 @@ class Options:
 
 @dataclass(frozen=True)
 class Files:
-    """Names of what is written."""
+    """Paths of the output files."""
 
     folder: Path
     name: str
 
     @property
     def metadata(self) -> Path:
-        """What the CTSimU toolbox reads; written last."""
+        """Metadata file for the CTSimU toolbox; written last."""
         return self.folder / f"{self.name}_metadata.json"
 
     @property
     def key(self) -> Path:
-        """Which rendering the folder holds."""
+        """File that identifies the rendering in the folder."""
         return self.folder / f"{self.name}_rendering.json"
 
     def projection(self, index: int) -> Path:
-        """A projection."""
+        """Return the path of a projection."""
         return self.folder / f"{self.name}_{index:04d}.tif"
 
     def field(self, kind: str, index: int, count: int) -> Path:
-        """A dark or flat image."""
+        """Return the path of a dark or flat image."""
         number = f"_{index:04d}" if count > 1 else ""
         return self.folder / f"{self.name}_{kind}{number}.tif"
 
@@ -60,9 +60,10 @@ class Files:
 def write_metadata(
     files: Files, scenario: CtsimuScenario, options: Options, frame: Frame, brightest: float
 ) -> None:
-    """Write what was rendered, and how, without clock times.
+    """Write the metadata of a rendering and its settings, without clock times.
 
-    ``frame`` is the first; ``brightest`` the grey value of the brightest pixel of the free beam.
+    ``frame`` is the first frame; ``brightest`` is the grey value of the brightest pixel of the free
+    beam.
     """
     about = scenario.data.get("file") or {}
     across, down = frame.binning

@@ -1,9 +1,9 @@
-"""Where the parts of a CTSimU scene are: placement, stage rotation, deviations, drifts.
+"""Poses of the parts of a CTSimU scene: placement, stage rotation, deviations, drifts.
 
-A part has a centre and two orthogonal vectors: u and w, or r and t of a sample; v = w x u. It is
-given in the world (x, y, z) or, a sample only, in the stage (u, v, w). Order: the stage turns about
-its w, then the deviations follow one another, then drifts of centre and vectors are added, as in
-BAM's own loader for aRTist.
+A part has a centre and two orthogonal vectors: u and w, or r and t for a sample; v = w x u. It is
+given in the world (x, y, z) or, for a sample only, in the stage (u, v, w). The order is as in BAM's
+own loader for aRTist: the stage turns about its w, then the deviations are applied one by one, then
+the drifts of centre and vectors are added.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from twinct.geometry import Floats, Pose
 
 WORLD, LOCAL, SAMPLE = ("x", "y", "z"), ("u", "v", "w"), ("r", "s", "t")
 COMPONENT = Range(-FARTHEST_MM, FARTHEST_MM)
-"""Of a direction: larger ones have squares that no double holds."""
+"""Limits of a direction's component, so that its square is finite."""
 ORTHOGONAL = 1e-3
-"""Largest cosine between u and w that counts as a right angle: four digits still pass."""
+"""Maximum cosine between u and w that counts as a right angle; four digits suffice."""
 
 
 def place(
@@ -30,18 +30,18 @@ def place(
     world_from_stage: Pose | None = None,
     vectors: tuple[str, str] = ("vector_u", "vector_w"),
 ) -> Pose:
-    """Where a part is in the world at the section's moment; its axes are u, v, w (or r, s, t).
+    """Return a part's pose in the world at the section's moment; axes u, v, w (or r, s, t).
 
     Args:
-        section: with ``center``, the two vectors and ``deviations``.
-        turn_deg: rotation about the part's own w before all deviations: the stage's.
-        world_from_stage: allows a sample to stand on the stage.
+        section: section with ``center``, the two vectors and ``deviations``.
+        turn_deg: the stage's rotation about the part's own w, before all deviations.
+        world_from_stage: stage pose for a sample that may stand on the stage.
         vectors: keys of the first and the third axis.
     """
     stage = world_from_stage if section.section("center", needed=True).has("u") else None
     axes = WORLD if stage is None else LOCAL
     centre, drift = _vector(section, "center", axes, "mm")
-    centre = np.nan_to_num(centre)  # noted already
+    centre = np.nan_to_num(centre)  # already reported
     first, first_drift = _vector(section, vectors[0], axes)
     third, third_drift = _vector(section, vectors[1], axes)
     basis = _basis(section, vectors, first, third)
@@ -50,7 +50,7 @@ def place(
     for deviation in section.sections("deviations"):
         pose = _deviate(pose, deviation, stage)
     if first_drift.any() or third_drift.any():
-        # They drift from unit vectors, whatever length they were given.
+        # Vectors drift from unit length, whatever length the file states.
         axes_now = pose.rotation
         basis = _basis(section, vectors, axes_now[:, 0] + first_drift, axes_now[:, 2] + third_drift)
         pose = Pose.from_matrix(pose.position, basis)
@@ -59,7 +59,7 @@ def place(
 
 
 def _deviate(pose: Pose, deviation: JsonSection, world_from_stage: Pose | None) -> Pose:
-    """One translation or rotation; the pose is in the stage where one is given, else the world."""
+    """Apply one translation or rotation to a pose in the stage, or in the world without a stage."""
     kind = deviation.text("type", ("translation", "rotation"))
     deviation.require("type")
     known = deviation.flag("known_to_reconstruction", True)
@@ -71,7 +71,7 @@ def _deviate(pose: Pose, deviation: JsonSection, world_from_stage: Pose | None) 
         deviation.problem("axis", "has no direction")
         return pose
     if not np.isfinite([*axis, *pivot, amount]).all():
-        return pose  # noted already
+        return pose  # already reported
     if not known and deviation.moment.believed:
         return pose
     axis = axis / length
@@ -83,7 +83,7 @@ def _deviate(pose: Pose, deviation: JsonSection, world_from_stage: Pose | None) 
 
 
 def _turned(section: JsonSection, key: str, pose: Pose, world_from_stage: Pose | None) -> Floats:
-    """An axis in the frame of the pose."""
+    """Return an axis in the frame of the pose."""
     value = section.data.get(key)
     if isinstance(value, str):
         section.skip(key)
@@ -99,7 +99,7 @@ def _turned(section: JsonSection, key: str, pose: Pose, world_from_stage: Pose |
 
 
 def _frame(names: tuple[str, ...], pose: Pose, world_from_stage: Pose | None) -> Pose:
-    """Of some axes, in the frame that the pose is in."""
+    """Return the pose of named axes in the frame of ``pose``."""
     if names is WORLD:
         return Pose.identity() if world_from_stage is None else world_from_stage.inverse()
     return Pose.identity() if names is LOCAL and world_from_stage is not None else pose
@@ -121,20 +121,20 @@ def _names(section: JsonSection) -> tuple[str, ...]:
 def _vector(
     section: JsonSection, key: str, names: tuple[str, ...], unit: str = ""
 ) -> tuple[Floats, Floats]:
-    """A vector without its drifts, and the sum of its drifts; NaN where one is missing."""
+    """Return a vector without its drifts, and the sum of its drifts; NaN for missing components."""
     inner = section.section(key, needed=True)
     inner.may_be_empty(*WORLD, *LOCAL, *SAMPLE)
     drift = np.array([inner.drift(name, unit) for name in names])
     allowed = PLACE if unit else COMPONENT
     values = np.array([inner.needed(name, unit, allowed) for name in names])
-    drift = np.where(np.isnan(values), 0.0, drift)  # it may be endless there
+    drift = np.where(np.isnan(values), 0.0, drift)  # drifts may be infinite there
     return values - drift, drift
 
 
 def _basis(section: JsonSection, keys: tuple[str, str], first: Floats, third: Floats) -> Floats:
     lengths = np.linalg.norm(first), np.linalg.norm(third)
     if not np.isfinite(lengths).all():
-        return np.eye(3)  # noted already
+        return np.eye(3)  # already reported
     both = ", ".join(keys)
     if min(lengths) == 0:
         section.problem(both, "one of them has no length")

@@ -1,4 +1,4 @@
-"""What numbers of a CTSimU file may be."""
+"""Allowed ranges of the numbers in a CTSimU file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from ``low`` to ``high``; ``above`` and ``below`` leave these two out."""
+    """Range of numbers from ``low`` to ``high``; ``above`` and ``below`` exclude the limits."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -30,10 +30,10 @@ class Range:
 
 
 FARTHEST_MM = 1e9
-"""Of any length or coordinate: beyond it, squares of doubles lose a micrometre."""
+"""Limit of any length or coordinate: beyond it, squares of doubles lose a micrometre."""
 
 LARGEST = 1e12
-"""Of what has no limit of its own: products of a few of them are still finite."""
+"""Limit of other numbers: products of a few of them remain finite."""
 
 ANY = Range()
 NOT_NEGATIVE = Range(0, LARGEST)
@@ -46,14 +46,14 @@ PLACE = Range(-FARTHEST_MM, FARTHEST_MM)
 LENGTH = Range(0, FARTHEST_MM)
 EDGE = Range(0, FARTHEST_MM, above=True)
 DENSITY = Range(0, 1e9)
-"""g/cm^3. 0 is vacuum; the suite's opaque material has 1e7."""
+"""g/cm^3. 0 is a vacuum; the suite's opaque material has 1e7."""
 VOLTAGE = Range(0, 800, above=True)
-"""kV: xraylib knows no attenuation above 800 keV."""
+"""kV; xraylib has no attenuation above 800 keV."""
 TAKE_OFF = Range(0, 90, above=True)
 PIXELS = Range(1, 65536)
-"""Along one edge of the panel."""
+"""Pixels along one edge of the panel."""
 BITS = Range(1, 16)
 COUNT = Range(1, 100_000)
-"""Of projections, and of frames averaged."""
+"""Number of projections, and of averaged frames."""
 FIELDS = Range(0, 10_000)
-"""Of dark and flat images: their file names have four digits."""
+"""Number of dark and flat images: their file names have four digits."""

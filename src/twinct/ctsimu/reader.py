@@ -1,12 +1,12 @@
-"""Reading one frame of a CTSimU file: units, drifts, and what nobody asked for.
+"""Reader for one frame of a CTSimU file: units, drifts, and a record of unread keys.
 
-The format is that of https://bamresearch.github.io/ctsimu-scenarios, version 1.2. A parameter is an
-object with ``value``, ``unit``, ``uncertainty`` and ``drifts``. A drift is an absolute deviation
-from the value, given at equidistant moments between first and last frame, linear between them;
-several add up. Where the value is a text, a drift replaces it and holds until the next.
+The format is https://bamresearch.github.io/ctsimu-scenarios, version 1.2. A parameter is an object
+with ``value``, ``unit``, ``uncertainty`` and ``drifts``. A drift is an absolute deviation from the
+value at equidistant moments from the first to the last frame, linear in between; several drifts add
+up. If the value is a text, a drift replaces it and holds until the next moment.
 
-A section notes what was read of it. What is left over is no key of the format, or says something
-that is not supported: a problem, as it would otherwise be ignored.
+A section records the keys that were read. Any other key is unknown to the format or not supported:
+a problem, as it would otherwise be ignored.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ UNITS: Mapping[str, Mapping[str | None, float]] = {
     "deg/s": {"deg/s": 1.0},
     "": {None: 1.0, "relative": 1.0},
 }
-"""What each unit is in ours; the key is ours."""
+"""Factor from each unit to our unit, which is the key."""
 
 _PARAMETER_KEYS = {"value", "unit", "uncertainty", "drifts", "comment"}
 _DRIFT_KEYS = {"value", "file", "unit", "known_to_reconstruction", "comment"}
@@ -42,7 +42,7 @@ _DRIFT_KEYS = {"value", "file", "unit", "known_to_reconstruction", "comment"}
 
 @dataclass(frozen=True)
 class Moment:
-    """Which frame, from 0 and with fractions between two; executed, or as it is believed to be."""
+    """Frame number, from 0 and with fractions between two frames; executed or believed."""
 
     frame: float
     frames: int
@@ -56,9 +56,9 @@ class JsonSection:
     Attributes:
         data: the object.
         place: its dotted key, for messages.
-        moment: when.
-        folder: names of other files are relative to it.
-        problems: collects one sentence for each thing that is wrong or not supported.
+        moment: moment of the scan.
+        folder: base folder of relative file names.
+        problems: list that collects one sentence for each error or unsupported feature.
     """
 
     data: Mapping[str, Any]
@@ -72,13 +72,13 @@ class JsonSection:
     _inner: dict[str, JsonSection] = field(default_factory=dict)
 
     def has(self, key: str) -> bool:
-        """Whether the key is there and says something."""
+        """Return True if the key is present and not empty."""
         return not _says_nothing(self.data.get(key))
 
     def section(self, key: str, *, needed: bool = False) -> JsonSection:
-        """The object below a key; an empty one where it is missing or null.
+        """Return the object below a key; an empty one if it is missing or null.
 
-        A needed one that is missing says nothing of its own keys.
+        A missing object that is needed does not report its own keys.
         """
         self._read.add(key)
         value = self.data.get(key)
@@ -91,7 +91,7 @@ class JsonSection:
         return self._below(key, value or {}, quiet=quiet)
 
     def sections(self, key: str) -> list[JsonSection]:
-        """The objects of the array below a key."""
+        """Return the objects of the array below a key."""
         self._read.add(key)
         value = self.data.get(key)
         if value is None:
@@ -102,7 +102,7 @@ class JsonSection:
         return [self._below(f"{key}[{i}]", item) for i, item in enumerate(value)]
 
     def number(self, key: str, unit: str = "", allowed: Range = ANY) -> float | None:
-        """A number in our unit, drifts added; None where it is missing, null, or a problem."""
+        """Return a number in our unit with its drifts; None if it is missing, null, or invalid."""
         found = self._parameter(key, unit)
         if found is None:
             return None
@@ -121,20 +121,20 @@ class JsonSection:
         return total
 
     def drift(self, key: str, unit: str = "") -> float:
-        """The sum of the drifts of a number alone."""
+        """Return the sum of a number's drifts, without the number."""
         found = self._parameter(key, unit)
         if found is None:
             return 0.0
         return sum(self._drifted(key, drift, unit, found[2]) for drift in found[1])
 
     def needed(self, key: str, unit: str = "", allowed: Range = ANY) -> float:
-        """A number that must be there; NaN after noting that it is missing or wrong."""
+        """Return a required number; report a missing or invalid one, and return NaN."""
         value = self.number(key, unit, allowed)
         self.require(key)
         return math.nan if value is None else value
 
     def whole(self, key: str, default: int, unit: str = "", allowed: Range = ANY) -> int:
-        """A whole number."""
+        """Return an integer, or the default."""
         value = self.number(key, unit, allowed)
         if value is None:
             return default
@@ -144,7 +144,7 @@ class JsonSection:
         return round(value)
 
     def flag(self, key: str, default: bool) -> bool:
-        """True or false."""
+        """Return a truth value, or the default."""
         self._read.add(key)
         value = self.data.get(key)
         if isinstance(value, Mapping):
@@ -158,7 +158,7 @@ class JsonSection:
         return value
 
     def text(self, key: str, allowed: tuple[str, ...] | None = None) -> str | None:
-        """A text, the last drift that has one taken; None where it is missing or null."""
+        """Return a text, or the last drift in its place; None if it is missing or null."""
         found = self._parameter(key, "")
         if found is None:
             return None
@@ -175,7 +175,7 @@ class JsonSection:
         return value or None
 
     def file(self, key: str) -> Path | None:
-        """A file the scenario refers to; it must exist."""
+        """Return the path of a file that the scenario refers to; report a missing file."""
         name = self.text(key)
         if name is None:
             return None
@@ -191,25 +191,25 @@ class JsonSection:
         return None
 
     def skip(self, *keys: str) -> None:
-        """Note keys that change nothing in an image."""
+        """Mark keys as read that change nothing in an image."""
         self._read.update(keys)
 
     def may_be_empty(self, *keys: str) -> None:
-        """Name keys of the format that are not read here: they may be there, but say nothing."""
+        """Declare keys of the format that are not read here: they may be present if empty."""
         self._may_be_empty.update(keys)
 
     def problem(self, key: str, sentence: str) -> None:
-        """Note what is wrong with a key."""
+        """Report a problem with a key."""
         message = f"{self._place_of(key)}: {sentence}"
         if message not in self.problems:
             self.problems.append(message)
 
     def require(self, *keys: str) -> None:
-        """Note keys that are needed; ``finish`` says which say nothing, unless one is misspelt."""
+        """Record required keys; ``finish`` reports the empty ones, unless one is misspelt."""
         self._missing += [k for k in keys if k not in self._missing and not self.has(k)]
 
     def finish(self) -> None:
-        """Note every key that is missing, and every one that nobody read, here and below."""
+        """Report every missing key and every unread key, here and below."""
         known = self._read | self._may_be_empty
         unread = [key for key in self.data if key not in self._read and key != "comment"]
         near = {key: _nearest(key, known) for key in unread if key not in self._may_be_empty}
@@ -233,7 +233,7 @@ class JsonSection:
         return self._inner.setdefault(key, below)
 
     def _parameter(self, key: str, unit: str) -> tuple[Any, list[Mapping[str, Any]], float] | None:
-        """Value, drifts that count at this moment, and the scale of the unit."""
+        """Return value, drifts that apply at this moment, and the scale of the unit."""
         self._read.add(key)
         data = self.data.get(key)
         if data is None:
@@ -279,7 +279,7 @@ class JsonSection:
         return scale * interpolated(values, self._position(len(values)))
 
     def _position(self, count: int) -> float:
-        """Index into a list of drift values that spans the scan."""
+        """Return the index into a list of drift values that spans the scan."""
         if count < 2 or self.moment.frames < 2:
             return 0.0
         return self.moment.frame / (self.moment.frames - 1) * (count - 1)
@@ -306,7 +306,7 @@ def _unknown(nearest: str | None) -> str:
 
 
 def _says_nothing(value: Any) -> bool:
-    """Whether a value is null, empty, or an object of such values."""
+    """Return True if a value is null, empty, or an object of such values."""
     if isinstance(value, Mapping):
         return all(_says_nothing(v) for k, v in value.items() if k not in ("unit", "comment"))
     if isinstance(value, list):

@@ -1,7 +1,7 @@
 """``twinct ctsimu render``: dark, flat and projection images of a scenario, one file each.
 
-An image is written under its name only when it is complete, and every draw of noise is keyed by
-seed, kind and number: a rendering that was interrupted goes on to the same bytes.
+An image appears under its name only when it is complete, and all noise is keyed by seed, kind and
+number. So an interrupted rendering resumes to identical bytes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from twinct.files.writing import storage_errors
 from twinct.xray.readout import binned
 
 LAG_LEFT = 1e-6
-"""Share of an earlier projection below which its lag is left out."""
+"""Minimum share of an earlier projection that counts as lag."""
 
 
 def render(
@@ -45,15 +45,15 @@ def render(
     """Render all images of a scenario.
 
     Args:
-        scenario: what to render.
-        folder: made if it is missing.
-        options: what the scenario leaves open.
-        resume: go on with a rendering that was interrupted.
-        step: called after each projection, also one that was there.
+        scenario: the scenario.
+        folder: output folder, created if missing.
+        options: options that the scenario leaves open.
+        resume: continue an interrupted rendering.
+        step: called after each projection, including existing ones.
 
     Raises:
-        ScanExistsError: the folder holds a rendering already, or one of something else.
-        InputError: a file that does not hold what the scenario says; names it.
+        ScanExistsError: the folder already holds a rendering, or images of something else.
+        InputError: a file does not hold the data that the scenario states; names it.
         StorageError: the images cannot be written.
     """
     options, files = options or Options(), Files(folder, scenario.name)
@@ -65,7 +65,7 @@ def render(
 
 
 class _Run:
-    """One rendering under way."""
+    """One rendering in progress."""
 
     def __init__(
         self, scenario: CtsimuScenario, files: Files, options: Options, camera: Camera
@@ -79,7 +79,7 @@ class _Run:
             raise ScenarioError(f"{scenario.path}: no radiation reaches the detector")
 
     def all(self, step: Callable[[], None]) -> None:
-        """Whatever is not there yet."""
+        """Render all images that are missing."""
         nothing = self._detector(self.first).grey(np.zeros(self.first.panel.shape))
         dark = self._fields("dark", nothing, self.scenario.dark)
         flat = self._fields("flat", self.free, self.scenario.flat)
@@ -107,10 +107,10 @@ class _Run:
         return self._mean(frame, self.camera.expose(frame))
 
     def _with_lag(self, index: int, frame: Frame, before: deque[tuple[int, Image]]) -> Image:
-        """The mean of a projection's frames; each starts with what the one before left.
+        """Return the mean of a projection's frames; each starts with the lag of the one before.
 
-        Of a frame of grey value g a share l is left in the next: y_k = (1 - l) g + l y_(k-1). The
-        first projection finds its own image, as if it had been looked at for long.
+        A share l of a frame's signal remains in the next: y_k = (1 - l) g + l y_(k-1) for grey
+        value g. The first projection starts in its steady state.
         """
         lag, average = frame.response.lag, self.scenario.average
         if lag == 0:
@@ -129,7 +129,7 @@ class _Run:
         return now + (left - now) * lag * (1 - lag**average) / (average * (1 - lag))
 
     def _noisy(self, frame: Frame, mean: Image, kind: str, index: int, average: int) -> Image:
-        """What the detector writes, in the row order of CTSimU."""
+        """Return an image with the detector's noise and bad pixels, in the row order of CTSimU."""
         detector = self._detector(frame)
         deviation = detector.deviation(mean)
         image = mean
@@ -140,7 +140,7 @@ class _Run:
         return binned(detector.with_bad_pixels(image), *frame.binning)
 
     def _fields(self, kind: str, mean: Image, images: FieldImages) -> Image | None:
-        """Write the dark or flat images; their mean."""
+        """Write the dark or flat images, and return their mean."""
         stack = []
         for index in range(images.number):
             path = self.files.field(kind, index, images.number)
@@ -154,7 +154,7 @@ class _Run:
     def _corrected(
         self, frame: Frame, image: Image, dark: Image | None, flat: Image | None
     ) -> NDArray[np.uint16]:
-        """As stored; by dark and flat images where the scan delivers corrected projections."""
+        """Return an image as stored, with dark and flat correction if the scan delivers it."""
         detector = self._detector(frame)
         stored = detector.stored(image).astype(np.float64)
         offset = dark if dark is not None else np.zeros_like(stored)
@@ -167,12 +167,12 @@ class _Run:
 
 
 def _claim(files: Files, identity: str, resume: bool) -> None:
-    """Make sure that the folder is free, or holds this very rendering."""
+    """Check that the folder is free or holds this very rendering, and write the key file."""
     make_folder(files.folder)
-    # Not NAME_*: that would take the images of NAME_2 for ours.
+    # NAME_* would also match the images of NAME_2.
     own = re.compile(re.escape(files.name) + r"_(\d{4,}|(dark|flat)(_\d{4,})?)\.tif")
     images = any(own.fullmatch(path.name) for path in files.folder.iterdir())
-    # A rendering that failed before its first image has claimed nothing.
+    # A rendering that failed before its first image claims nothing.
     claimed = files.key.exists() and (images or files.metadata.exists())
     name, other = files.name, "choose another --out"
     if claimed and not resume:
@@ -188,7 +188,7 @@ def _claim(files: Files, identity: str, resume: bool) -> None:
 
 
 def _digest(key: Path) -> str | None:
-    """What a key file says; None where it is none of ours."""
+    """Return the digest in a key file; None if the file is not ours."""
     try:
         found = json.loads(key.read_text())
     except ValueError:
@@ -197,7 +197,7 @@ def _digest(key: Path) -> str | None:
 
 
 def _identity(scenario: CtsimuScenario, options: Options) -> str:
-    """Digest of the scenario, all files it refers to, and the options."""
+    """Return a digest of the scenario, all files that it refers to, and the options."""
     digest = hashlib.sha256(json.dumps([scenario.data, asdict(options)]).encode())
     for path in sorted(_referred(scenario)):
         digest.update(path.read_bytes())

@@ -1,7 +1,7 @@
-"""A CTSimU scenario: read, checked, and given frame by frame.
+"""A CTSimU scenario: read, checked, and available frame by frame.
 
-The curves and pictures that it refers to are read once, before anything is rendered. Meshes are
-left to the rendering: they take long, and a broken one is named before its first image.
+All referenced curves and images are read before anything is rendered. Meshes are left to the
+rendering: they take long, and a broken one is reported before its first image.
 """
 
 from __future__ import annotations
@@ -27,23 +27,24 @@ from twinct.geometry import ScanGeometry
 
 @dataclass(frozen=True, eq=False)
 class CtsimuScenario(Plan):
-    """A scenario file that was read and is supported in full, with its content."""
+    """A fully supported scenario file with its content."""
 
     path: Path
     data: Mapping[str, Any]
 
     @property
     def name(self) -> str:
-        """Stem of the file: images are called after it."""
+        """Stem of the file name, and the prefix of the images."""
         return self.path.stem
 
     def frame(self, index: float, believed: bool = False) -> Frame:
-        """All of one frame, counted from 0.
+        """Return one frame with all its settings, counted from 0.
 
-        As believed, it is what reconstruction is told: without unknown deviations and drifts.
+        The believed frame is the one given to the reconstruction: without unknown deviations and
+        drifts.
 
         Raises:
-            ScenarioError: what only this frame says is wrong or not supported.
+            ScenarioError: the frame is invalid or not supported.
         """
         problems: list[str] = []
         frame = read_frame(self._root(Moment(index, self.frames, believed), problems))
@@ -52,7 +53,7 @@ class CtsimuScenario(Plan):
         return frame
 
     def geometry(self, believed: bool = False) -> ScanGeometry:
-        """All views, executed or believed, in the frame of the stage, where the volume rests."""
+        """Return all views, executed or believed, in the stage's frame, where the volume rests."""
         frames = [self.frame(i, believed) for i in range(self.frames)]
         views = [frame.world_from_stage.inverse() @ frame.view for frame in frames]
         arrays = {
@@ -66,14 +67,14 @@ class CtsimuScenario(Plan):
 
 
 def load_ctsimu(path: str | Path) -> CtsimuScenario:
-    """Read a CTSimU scenario file, all frames of it.
+    """Read a CTSimU scenario file with all its frames.
 
     Raises:
-        ScenarioError: with one sentence for each thing that is wrong, missing or not supported.
+        ScenarioError: with one sentence for everything that is invalid, missing or not supported.
     """
     path = Path(path).expanduser()
     data = read_json(path, skipped="simulation")
-    # What is wrong with the plan is told with all else that is wrong in frame 0.
+    # Problems of the plan are reported together with all others of frame 0.
     plan = read_plan(JsonSection(data, "", Moment(0, 1), path.parent, []).section("acquisition"))
     scenario = CtsimuScenario(**vars(plan), path=path, data=data)
     seen: set[object] = set()
@@ -83,14 +84,14 @@ def load_ctsimu(path: str | Path) -> CtsimuScenario:
         if frame is not None:
             problems += _wrong_references(frame, seen)
         if problems:
-            # Later frames repeat what is wrong in this one, with other numbers.
+            # Later frames would repeat these problems with other numbers.
             when = f" (frame {index})" if index else ""
             raise ScenarioError(f"{path}: {problem}{when}" for problem in problems)
     return scenario
 
 
 def _wrong_references(frame: Frame, seen: set[object]) -> list[str]:
-    """One sentence for each file that does not hold what it should; read ones are added to seen."""
+    """Return one sentence per file with invalid content; add the files read to ``seen``."""
     response = frame.response
     reads: dict[str, tuple[object, Callable[[], object]]] = {}
     for key, path in (

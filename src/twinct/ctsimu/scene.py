@@ -1,4 +1,4 @@
-"""What a CTSimU file says of one frame, in our units and poses."""
+"""One frame of a CTSimU file, in our units and poses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twinct.specimen import Material
 
 @dataclass(frozen=True)
 class Layer:
-    """A plane absorber: window, filter or scintillator."""
+    """Plane absorber: window, filter or scintillator."""
 
     material: Material
     thickness_mm: float
@@ -20,11 +20,11 @@ class Layer:
 
 @dataclass(frozen=True)
 class FocalSpot:
-    """The focal spot, in the plane of the source's u and v.
+    """Focal spot in the plane of the source's u and v.
 
     Attributes:
-        size_mm: of the rectangle along u and v; 0 where the file leaves it open.
-        sigma_mm: of a Gaussian along u and v; 0 for none.
+        size_mm: size of the rectangle along u and v; 0 if the file does not state it.
+        sigma_mm: sigma of a Gaussian along u and v; 0 for none.
         image: intensity over the rectangle, or None. Row 0 is at -v, column 0 at -u.
     """
 
@@ -34,19 +34,19 @@ class FocalSpot:
 
     @property
     def is_point(self) -> bool:
-        """Whether it has no extent."""
+        """True if the focal spot has no extent."""
         return self.image is None and max(*self.size_mm, *self.sigma_mm) == 0
 
 
 @dataclass(frozen=True)
 class Tube:
-    """What leaves the source.
+    """X-ray tube with its filters.
 
     Attributes:
-        voltage_kv: tube voltage; the energy in keV where monochromatic.
+        voltage_kv: tube voltage; the energy in keV if monochromatic.
         spectrum: file of energy in keV and photons in 1/(s sr mA), behind the window.
-        window: filters a spectrum that is calculated here; ``filters`` are for every spectrum.
-        take_off_deg: between target surface and central ray.
+        window: filters for a calculated spectrum; ``filters`` apply to every spectrum.
+        take_off_deg: angle between target surface and central ray.
     """
 
     voltage_kv: float
@@ -60,23 +60,23 @@ class Tube:
 
 @dataclass(frozen=True)
 class PanelResponse:
-    """How the detector turns radiation into grey values.
+    """Conversion of radiation to grey values by the detector.
 
     Attributes:
-        real: the scintillator or the efficiency file counts; else all energy does.
+        real: True if the scintillator or the efficiency file applies; else all energy counts.
         front: layers before the scintillator.
-        efficiency: file of energy in keV and share of photons that count.
+        efficiency: file of energy in keV and share of counted photons.
         imin: grey value without radiation.
         imax: largest grey value of the free beam in frame 0.
-        factor: grey values for each J in a pixel, or None.
+        factor: grey values per J in a pixel, or None.
         offset: grey value at 0 J, or None.
         curve: file of J in a pixel and grey value, or None.
-        snr: signal to noise at ``imax``, one frame; None for no noise.
+        snr: signal-to-noise ratio at ``imax``, one frame; None without noise.
         noise: file of grey value and SNR, or None.
         resolution_mm: basic spatial resolution; 0 for none.
         mtf: file of line pairs per mm and contrast, or None.
-        lag: share of a frame's signal that is left in the next.
-        bad_pixels: -1 for a good pixel, else its grey value.
+        lag: share of a frame's signal that remains in the next.
+        bad_pixels: image of -1 for a good pixel, else its grey value.
     """
 
     real: bool
@@ -99,11 +99,11 @@ class PanelResponse:
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample in one frame, of vacuum where it has no material.
+    """A sample in one frame; of vacuum if it has no material.
 
     Attributes:
-        scale: mm for each unit of the file, along its x, y and z.
-        world_from_sample: axes r, s, t and the centre of the mesh's bounding box.
+        scale: mm per unit of the file, along its x, y and z.
+        world_from_sample: pose with axes r, s, t, at the centre of the mesh's bounding box.
     """
 
     name: str
@@ -115,15 +115,15 @@ class Sample:
 
 @dataclass(frozen=True)
 class Frame:
-    """All of one frame.
+    """One frame with all its settings.
 
     Attributes:
         view: source and panel in the world, in our convention.
-        upside_down: row 0 of a CTSimU image is our last row.
+        upside_down: True if row 0 of a CTSimU image is our last row.
         source_axes: u and v of the source, (2, 3): the focal spot's plane.
-        samples: where two overlap the later one counts.
-        environment: fills the room, or None.
-        binning: pixels put together along (u, v).
+        samples: samples; the later one counts where two overlap.
+        environment: medium that fills the room, or None.
+        binning: binned pixels along (u, v).
     """
 
     view: ScanGeometry
@@ -140,13 +140,13 @@ class Frame:
 
     @property
     def panel(self) -> Panel:
-        """The pixels before binning."""
+        """Panel before binning."""
         return self.view.panel
 
 
 @dataclass(frozen=True)
 class FieldImages:
-    """Dark or flat images: ideal ones have no noise; projections may come out corrected by them."""
+    """Number of dark or flat images; ``ideal`` omits noise, ``correction`` corrects projections."""
 
     number: int
     average: int

@@ -1,4 +1,4 @@
-"""The sections of a CTSimU file, read into a frame."""
+"""Reader for the sections of a CTSimU file, which make a frame."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import Material
 
 MAX_PIXELS = 2**28
-"""Of a panel: 16384 x 16384. The signal of a frame alone takes 2 GB."""
+"""Maximum size of a panel: 16384 x 16384. The signal of a frame alone takes 2 GB."""
 
 IN_PLANE_MM = 1e-6
-"""The source cannot be nearer to the plane of the panel."""
+"""Minimum distance of the source from the panel's plane."""
 
 TARGETS = ("reflection", "transmission")
 RAW_KINDS = ("uint8", "int8", "uint16", "int16", "float32", "float64")
 
 
 def read_frame(root: JsonSection) -> Frame | None:
-    """All of one frame; None after noting what is wrong."""
+    """Return one frame with all its settings. Report problems, and return None if invalid."""
     root.skip("simulation")
     check_header(root.section("file", needed=True))
     acquisition = root.section("acquisition", needed=True)
@@ -84,7 +84,7 @@ def _panel(section: JsonSection, binning: tuple[int, int]) -> Panel | None:
     pitch = section.section("pixel_pitch", needed=True)
     pitch_u, pitch_v = pitch.needed("u", "mm", ranges.EDGE), pitch.needed("v", "mm", ranges.EDGE)
     if min(columns, rows) < 1 or not (pitch_u > 0 and pitch_v > 0):
-        return None  # noted already
+        return None  # already reported
     size = f"{columns} x {rows}"
     if columns * rows > MAX_PIXELS:
         section.problem("columns, rows", f"{size} pixels are more than the {MAX_PIXELS} allowed")
@@ -94,7 +94,7 @@ def _panel(section: JsonSection, binning: tuple[int, int]) -> Panel | None:
 
 
 def _response(section: JsonSection, materials: Materials) -> PanelResponse:
-    # Without scatter nothing comes back from behind; gain and dead time are documentation.
+    # Nothing returns from behind without scatter; gain and dead time are documentation.
     section.skip("model", "manufacturer", "dead_time", "gain")
     kind = section.text("type", ("ideal", "real")) or "ideal"
     grey, noise = section.section("gray_value"), section.section("noise")
@@ -148,7 +148,7 @@ def _tube(section: JsonSection, materials: Materials) -> tuple[Tube, FocalSpot]:
     take_off, kind = angle.number("emission", "deg", ranges.TAKE_OFF), target.text("type", TARGETS)
     made_of = _of(target, materials) if symbol is not None else None
     for inner, key, unit in ((angle, "incidence", "deg"), (target, "thickness", "mm")):
-        inner.number(key, unit)  # documentation, but with the right unit
+        inner.number(key, unit)  # documentation, but needs the right unit
     if not monochromatic and file is None:
         elements = list(made_of.mass_fractions) if made_of else []
         if elements != ["W"] or kind == "transmission":

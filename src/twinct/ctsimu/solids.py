@@ -1,7 +1,7 @@
-"""From the surface files of the samples to solids that can be imaged together.
+"""Surface files of the samples, turned into solids that can be imaged together.
 
-The centre of a mesh's bounding box is the origin of the sample. Where two samples overlap the later
-one counts: it is cut out of the earlier one.
+The origin of a sample is the centre of its mesh's bounding box. Where two samples overlap, the
+later one counts: it is cut out of the earlier one.
 """
 
 from __future__ import annotations
@@ -21,38 +21,40 @@ from twinct.specimen.surface import subtract, surface
 from twinct.xray._placement import corners, longest_edge, split
 
 OVERLAP = 1e-9
-"""A smaller share of a volume than this is rounding of two faces that touch."""
+"""Shares of a volume below this are rounding errors of two touching faces."""
 
 KEPT = 16
-"""Relative positions remembered: samples that pass each other have a new one each frame."""
+"""Number of cached relative positions: samples that pass each other have a new one each frame."""
 
 LADDER = 1.4
-"""Distances for which a mesh is refined are powers of this: each frame finds the same mesh."""
+"""Ratio of the distances for which meshes are refined; frames within one step share a mesh."""
 
 MAX_SAMPLE_TRIANGLES = 5_000_000
-"""Of one sample; gVXR takes 0.1 kB for each."""
+"""Limit of one sample; gVXR takes 0.1 kB per triangle."""
 
 SAMPLE_DEPTH_MM = 0.001
-"""How far a path may be off because of a triangle's size: the suite's edges and steps need more
-than ``twinct.xray`` takes by itself."""
+"""Maximum error of a path length due to a triangle's size.
+
+The suite's edges and steps need a finer value than the default of ``twinct.xray``.
+"""
 
 
 @dataclass
 class Solids:
-    """Meshes by file and scale, read once; cut once for every new relative position."""
+    """Meshes by file and scale, read once, and cut once for every new relative position."""
 
     _meshes: dict[tuple[Path, tuple[float, float, float]], Trimesh] = field(default_factory=dict)
     _cut: dict[object, Trimesh] = field(default_factory=dict)
     _fine: dict[tuple[int, int], tuple[Trimesh, Trimesh]] = field(default_factory=dict)
 
     def of(self, samples: Sequence[Sample], source: Floats) -> list[tuple[Sample, Trimesh]]:
-        """The samples that are not vacuum, and what each of them is in its own frame.
+        """Return the samples that are not vacuum, each with its solid in its own frame.
 
         The focal spot is in the world, (3,), mm.
 
         Raises:
-            SpecimenError: a file that is no closed surface, or a sample that is too near to the
-                source for its size; names it.
+            SpecimenError: a file holds no closed surface, or a sample is too near to the source for
+                its size; names it.
         """
         solids = [(sample, self._mesh(sample)) for sample in samples]
         found = []
@@ -69,7 +71,7 @@ class Solids:
         return found
 
     def _refined(self, sample: Sample, mesh: Trimesh, source: Floats) -> Trimesh:
-        """Fine enough for the sample's distance, whatever the frames before."""
+        """Return a mesh fine enough for the sample's distance, independent of earlier frames."""
         seen = sample.world_from_sample.inverse().apply(source)
         nearest = np.clip(seen, *np.asarray(mesh.bounds))
         distance = max(float(np.linalg.norm(seen - nearest)), SAMPLE_DEPTH_MM)
@@ -77,14 +79,14 @@ class Solids:
         key = id(mesh), rung
         if key not in self._fine:
             edge = longest_edge(LADDER**rung, SAMPLE_DEPTH_MM)
-            # An equilateral triangle of two thirds of that edge has 0.19 of its square.
+            # Area per triangle: equilateral, with two thirds of that edge.
             if mesh.area / (0.43 / 1.5**2 * edge**2) > MAX_SAMPLE_TRIANGLES:
                 raise SpecimenError(
                     f"sample '{sample.name}' comes within {distance:.3g} mm of the source: its "
                     f"{mesh.area:.3g} mm^2 would need more than {MAX_SAMPLE_TRIANGLES} triangles "
                     "for gVXR to get its depth right"
                 )
-            self._fine[key] = mesh, split(mesh, edge)  # the mesh too: its id must stay its own
+            self._fine[key] = mesh, split(mesh, edge)  # keeps the mesh's id unique
         return self._fine[key][1]
 
     def _without(
@@ -100,7 +102,7 @@ class Solids:
             if len(self._cut) >= KEPT:
                 self._cut.clear()
                 self._fine.clear()
-            # Rounded as in the key: the frame that comes first must not matter.
+            # Rounded like the key: the result must not depend on the first frame.
             tools = [
                 surface(transform_points(shape.vertices, np.round(pose.matrix, 9)), shape.faces)
                 for _, pose, shape in near

@@ -1,4 +1,4 @@
-"""Pieces of CTSimU files, as the format wants them."""
+"""Building blocks of CTSimU files."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Json = dict[str, Any]
 
 
 def quantity(value: float | None, unit: str | None = None) -> Json:
-    """A parameter without drifts."""
+    """Return a parameter without drifts."""
     return {"value": value, "unit": unit} if unit else {"value": value}
 
 
 def vector(values: ArrayLike, names: str = "xyz", unit: str | None = None) -> Json:
-    """A vector by its components."""
+    """Return a vector by its components."""
     components = np.asarray(values, dtype=float).tolist()
     return {n: quantity(v, unit) for n, v in zip(names, components, strict=True)}
 
@@ -33,7 +33,7 @@ def vector(values: ArrayLike, names: str = "xyz", unit: str | None = None) -> Js
 def placed(
     centre: ArrayLike, first: ArrayLike, third: ArrayLike, keys: Sequence[str] = "uw"
 ) -> Json:
-    """A part in the world."""
+    """Return a part in the world."""
     return {
         "center": vector(centre, unit="mm"),
         f"vector_{keys[0]}": vector(first),
@@ -43,15 +43,15 @@ def placed(
 
 
 def write_mesh(mesh: Trimesh, file: Path) -> Floats:
-    """Write a mesh with its middle at the origin; where that was, (3,), mm."""
+    """Write a mesh with its middle at the origin, and return the original middle, (3,), mm."""
     middle = np.asarray(mesh.bounds).mean(axis=0)
-    # Single floats, as in STL, would open the seams.
+    # The single floats of STL would open the seams.
     mesh.copy().apply_translation(-middle).export(file, digits=12)
     return middle
 
 
 def sample(name: str, file: Path, material_id: str, position: Json) -> Json:
-    """A sample whose mesh is in mm."""
+    """Return a sample whose mesh is in mm."""
     return {
         "name": name,
         "file": {"value": file.name},
@@ -63,7 +63,7 @@ def sample(name: str, file: Path, material_id: str, position: Json) -> Json:
 
 
 def material_entry(name: str, density_g_cm3: float, shares: Mapping[str, float]) -> Json:
-    """A material by mass fractions of formulas."""
+    """Return a material by mass fractions of formulas."""
     return {
         "id": name,
         "name": name,
@@ -76,12 +76,12 @@ def material_entry(name: str, density_g_cm3: float, shares: Mapping[str, float])
 
 
 def as_material(of: Material) -> Json:
-    """One of our materials."""
+    """Return a twinct material as a CTSimU entry."""
     return material_entry(of.name, of.density_g_cm3, of.mass_fractions)
 
 
 def header(name: str, description: str) -> Json:
-    """The section ``file``."""
+    """Return the section ``file``."""
     return {
         "name": name,
         "description": description,
@@ -91,7 +91,7 @@ def header(name: str, description: str) -> Json:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for what is written, unless it is there; a ``StorageError`` says why not."""
+    """Create an output folder unless it exists; raise a ``StorageError`` if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:

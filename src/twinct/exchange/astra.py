@@ -1,4 +1,4 @@
-"""ASTRA's words: ``cone_vec``."""
+"""Geometry for ASTRA: ``cone_vec``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 
 
 def astra_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
-    """What ``astra.create_proj_geom`` and ``astra.create_vol_geom`` take.
+    """Return the arguments of ``astra.create_proj_geom`` and ``astra.create_vol_geom``.
 
     Returns:
         ``vectors`` (views, 12): S, D, pitch_u u, pitch_v v; ``detector`` (rows, columns);

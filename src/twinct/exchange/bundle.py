@@ -1,4 +1,4 @@
-"""A folder with all that another toolkit needs to reconstruct a scan, and a script to load it."""
+"""A folder with all data that another toolkit needs for a reconstruction, and a loading script."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ _MEANING = {
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """What is handed over.
+    """Data of a scan to export.
 
     Attributes:
         geometry: the views in world coordinates.
-        grid: the voxels that the other toolkit shall reconstruct.
-        images: one image (rows, columns) for each view, float32, in the order of ``geometry``.
-        values: what a pixel holds.
-        origin: what this is a copy of, for the text files.
+        grid: voxel grid of the reconstruction.
+        images: one image (rows, columns) per view, float32, in the order of ``geometry``.
+        values: quantity in the pixels.
+        origin: source of the data, for the text files.
     """
 
     geometry: ScanGeometry
@@ -59,12 +59,12 @@ class Bundle:
 
     @property
     def local(self) -> ScanGeometry:
-        """The views in the grid's own frame: axis-aligned, centred on the origin."""
+        """Views in the grid's own frame: axis-aligned, centred on the origin."""
         return self.grid.world_from_grid.inverse() @ self.geometry
 
 
 def bundle_bytes(geometry: ScanGeometry) -> int:
-    """Bytes that a bundle takes on disk, at most."""
+    """Return an upper limit of a bundle's size on disk, bytes."""
     return len(geometry) * (int(np.prod(geometry.panel.shape)) * 4 + 4096) + 2**20
 
 
@@ -72,9 +72,9 @@ def write_bundle(folder: Path, toolkit: Toolkit, bundle: Bundle) -> None:
     """Write a bundle; the folder appears under its name only when it is complete.
 
     Raises:
-        ScanExistsError: the folder exists; it is not touched.
-        InputError: the toolkit cannot take the grid or a view; nothing is written then.
-        OSError: the disk is full or may not be written; nothing is left then.
+        ScanExistsError: the folder exists; it is not changed.
+        InputError: the toolkit does not support the grid or a view; nothing is written.
+        OSError: the disk is full or not writable; nothing is left behind.
     """
     if folder.exists():
         raise ScanExistsError(f"{folder} exists already: choose another --out")
@@ -96,7 +96,7 @@ def write_bundle(folder: Path, toolkit: Toolkit, bundle: Bundle) -> None:
 
 
 def _contents(toolkit: Toolkit, bundle: Bundle) -> dict[str, Callable[[Path], object]]:
-    """The toolkit's own files, and what writes each; the refusals come here."""
+    """Return the names of the toolkit's files with their writers; refuse unsupported geometry."""
     views, panel, local = len(bundle.geometry), bundle.geometry.panel, bundle.local
     if toolkit == "rtk":
         xml = rtk_geometry_xml(local)

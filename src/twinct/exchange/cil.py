@@ -1,4 +1,4 @@
-"""CIL's words: ``Cone3D_Flex``."""
+"""Geometry for CIL: ``Cone3D_Flex``."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 
 
 def cil_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
-    """What CIL's ``create_Cone3D_Flex``, ``set_panel`` and ``ImageGeometry`` take.
+    """Return the arguments of CIL's ``create_Cone3D_Flex``, ``set_panel`` and ``ImageGeometry``.
 
-    The panel's origin is bottom-left: pixel (0, 0) at the -u, -v corner.
+    The panel's origin is bottom-left: pixel (0, 0) is at the -u, -v corner.
 
     Returns:
         ``source_position_set``, ``detector_position_set``, ``detector_direction_x_set``,

@@ -1,4 +1,4 @@
-"""LEAP's words: the modular beam."""
+"""Geometry for LEAP: the modular beam."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 
 
 def leap_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
-    """What LEAP's ``set_modularbeam`` and ``set_volume`` take, float32 as they demand.
+    """Return the arguments of LEAP's ``set_modularbeam`` and ``set_volume``; vectors in float32.
 
     LEAP's row vector points along increasing rows, so it is v, and its column vector is u.
 
@@ -22,7 +22,7 @@ def leap_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[A
         ``voxel`` (width, height), mm.
 
     Raises:
-        InputError: voxels of different edges along x and y.
+        InputError: the voxel edges along x and y differ.
     """
     width, depth, height = grid.voxel.tolist()
     if width != depth:

@@ -1,8 +1,9 @@
-"""OpenCT's words: a free trajectory as projection matrices in JSON, beside raw images.
+"""Geometry for OpenCT: a free trajectory as projection matrices in JSON, beside raw images.
 
-After the writer of BAM's CTSimU toolbox (``create_OpenCT_config`` and ``projection_matrix`` of
-ctsimu), the one public description of the format. Image rows run downwards there, so along -v. The
-toolbox's volume is turned by 180 degrees about z against the world; ours is not.
+The code follows the writer of BAM's CTSimU toolbox (``create_OpenCT_config`` and
+``projection_matrix`` of ctsimu), the only public description of the format. Image rows run
+downwards there, along -v. The toolbox's volume is rotated by 180 degrees about z relative to the
+world; ours is not.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 
 _DOWN = np.diag([1.0, -1.0, 1.0])
 _IN_PLANE = 1e-12
-"""Sine of an angle that is rounding."""
+"""Sine of an angle that counts as a rounding error."""
 
 
 def openct_matrices(geometry: ScanGeometry) -> NDArray[np.float64]:
-    """(views, 3, 4): point in mm to (right w, down w, w), mm on the panel from its centre.
+    """Return (views, 3, 4): point in mm to (right w, down w, w), mm on the panel from its centre.
 
-    Scaled to 1 in the lower right, as the toolbox does, unless the origin lies in the plane through
-    the source that is parallel to the panel: there that element is 0.
+    As in the toolbox, the lower right element is scaled to 1. It is 0 if the origin lies in the
+    plane through the source parallel to the panel; such a matrix is not scaled.
     """
     matrices = _DOWN @ rtk_matrices(geometry)
     corner = matrices[:, 2, 3]
@@ -42,10 +43,10 @@ def openct_json(
     file_type: Literal["RAW", "TIFF"],
     transmission: bool,
 ) -> dict[str, Any]:
-    """The description of a scan whose images lie in ``projections``, first row on top.
+    """Return the description of a scan whose images lie in ``projections``, first row on top.
 
-    The name is the volume's; the format takes the box around the voxels, not their number. There is
-    one file for each view, float32, of transmission I/I0 or of line integrals.
+    ``name`` is the volume's name. The format takes the box around the voxels, not their number.
+    Each view has one file, float32, of transmission I/I0 or of line integrals.
     """
     panel = geometry.panel
     to_source = np.einsum("ij,ij->i", geometry.normal, geometry.source)

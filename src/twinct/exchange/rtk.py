@@ -1,11 +1,12 @@
-"""RTK's words: the geometry XML, three distances, three angles and four offsets of each view.
+"""Geometry for RTK: XML with three distances, three angles and four offsets per view.
 
 RTK (``ThreeDCircularProjectionGeometry``) maps a point with
 
-    T(sx - px, sy - py) diag(-SDD, -SDD, 1) T(-sx, -sy, -SID) Rz(-in) Rx(-out) Ry(-gantry),
+    T(sx - px, sy - py) diag(-SDD, -SDD, 1) T(-sx, -sy, -SOD) Rz(-in) Rx(-out) Ry(-gantry),
 
-whose rotation has the rows u, v and n = u x v; so any view fits. The reader recomputes each matrix
-from the parameters and compares it with the one in the file.
+where SOD is RTK's ``SourceToIsocenterDistance``. The rotation has the rows u, v and n = u x v, so
+any view fits. RTK's reader recomputes each matrix from the parameters and compares it with the one
+in the file.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from numpy.typing import NDArray
 from twinct.geometry import Floats, ScanGeometry
 
 VERSION = 3
-"""Of RTK's geometry file, since RTK 2.0."""
+"""Version of RTK's geometry file, since RTK 2.0."""
 
 
 def rtk_parameters(geometry: ScanGeometry) -> dict[str, Floats]:
-    """RTK's parameters by the names of its XML, each (views,), degrees and mm."""
+    """Return RTK's parameters by their XML names, each (views,), degrees and mm."""
     rows = np.stack([geometry.u, geometry.v, geometry.normal], axis=1)
     source = np.einsum("ijk,ik->ij", rows, geometry.source)
     detector = np.einsum("ijk,ik->ij", rows, geometry.detector)
@@ -47,13 +48,13 @@ def rtk_parameters(geometry: ScanGeometry) -> dict[str, Floats]:
 
 
 def rtk_matrices(geometry: ScanGeometry) -> NDArray[np.float64]:
-    """(views, 3, 4): point in mm to (x w, y w, w), x and y in mm on the panel from its centre."""
-    # RTK's w grows towards the source.
+    """Return (views, 3, 4): mm to (x w, y w, w), x and y in mm on the panel from its centre."""
+    # RTK's w increases towards the source.
     return -(geometry.panel.mm_from_pixel @ geometry.matrices())
 
 
 def rtk_geometry_xml(geometry: ScanGeometry) -> str:
-    """XML that ``ThreeDCircularProjectionGeometryXMLFileReader`` and all of RTK's programs read."""
+    """Return XML for ``ThreeDCircularProjectionGeometryXMLFileReader`` and all RTK programs."""
     root = ElementTree.Element("RTKThreeDCircularGeometry", version=str(VERSION))
     parameters = rtk_parameters(geometry)
     for view, matrix in enumerate(rtk_matrices(geometry)):

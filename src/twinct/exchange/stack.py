@@ -1,4 +1,4 @@
-"""A stack of projections on disk, written image by image, so that memory holds one."""
+"""A stack of projections on disk, written image by image, so that memory holds only one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write_npy(path: Path, images: Iterable[Image], views: int, panel: Panel) -> 
 
 
 def write_raw(folder: Path, images: Iterable[Image], names: Iterable[str]) -> None:
-    """Write one file of bare float32 values for each image, its last row first."""
+    """Write one file of raw float32 values per image, the image's last row first."""
     folder.mkdir()
     for name, image in zip(names, images, strict=True):
         (folder / name).write_bytes(np.ascontiguousarray(image[::-1], "<f4").tobytes())
@@ -33,7 +33,8 @@ def write_raw(folder: Path, images: Iterable[Image], names: Iterable[str]) -> No
 def write_mha(path: Path, images: Iterable[Image], views: int, panel: Panel) -> None:
     """Write images as one MetaImage stack (column, row, view), centred on the panel, mm.
 
-    The format is ITK's: a text header whose last line is ``ElementDataFile``, then the raw values.
+    The format is ITK's: a text header with ``ElementDataFile`` as its last line, then the raw
+    values.
     """
     origin = panel.first_pixel_mm
     header = {

@@ -1,19 +1,19 @@
-"""TIGRE's words: Euler angles, distances, offsets and a turn of the panel for each view.
+"""Geometry for TIGRE: Euler angles, distances, offsets and a panel rotation per view.
 
 TIGRE (CERN/TIGRE, ``computeDeltas_Siddon`` in Common/CUDA/Siddon_projection.cu, and its inverse in
 ``computeDeltasCube`` of voxel_backprojection.cu) puts the source at (DSO, 0, 0) and pixel (r, c) at
 
     R (0, (c - (columns - 1)/2) pitch_u, (r - (rows - 1)/2) pitch_v) + (DSO - DSD, offDetector),
 
-R = Rz(roll) Ry(pitch) Rx(yaw) from rotDetector, turns both by E = Rz(a) Ry(b) Rz(c) and puts the
+R = Rz(roll) Ry(pitch) Rx(yaw) from rotDetector, rotates both by E = Rz(a) Ry(b) Rz(c) and puts the
 volume's centre at offOrigin. All of these may differ from view to view, so any view fits exactly,
 with the panel's normal n = u x v at azimuth a and elevation -b, and c = 0:
 
     u = E (0, cos yaw, sin yaw),          DSD = n (S - D),
     (-DSD, offDetector) = E^T (D - S),    offOrigin = DSO n - S,
 
-S and D from the volume's centre. That holds for every DSO; DSO = |S| is positive, and makes
-offOrigin zero where n goes through source and centre. The turn about n is kept out of a, because
+S and D from the volume's centre. This holds for every DSO. DSO = |S| is positive, and makes
+offOrigin zero if n passes through source and centre. The rotation about n is not part of a, because
 TIGRE weights its back projection by a alone.
 """
 
@@ -29,7 +29,7 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 
 
 def tigre_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
-    """The attributes of TIGRE's ``geometry`` and its ``angles``, in the order of its Python side.
+    """Return the attributes of TIGRE's ``geometry`` and its ``angles``, in Python API order.
 
     Returns:
         ``angles`` (views, 3): ZYZ, rad; ``DSO`` and ``DSD`` (views,), ``offOrigin`` (views, 3) as

@@ -1,4 +1,4 @@
-"""The specimen: bodies, materials, and the voxel truth of what is imaged."""
+"""The specimen: bodies, materials, and the true voxel volume."""
 
 from twinct.specimen.build import BuiltPart, BuiltSpecimen, build_specimen
 from twinct.specimen.materials import Material, material, material_names

@@ -1,15 +1,18 @@
-"""Numba kernels: scan conversion of closed meshes, and a z-buffer for pictures of them."""
+"""Numba kernels: scan conversion of closed meshes, and a z-buffer for pictures of meshes."""
 
 import numpy as np
 from numba import njit, prange
 
 UNIT = 1 << 40
-"""One in the fixed-point sums: the quantum is 2^-40 voxel; 2^22 crossings a row fit into int64."""
+"""Unit of the fixed-point sums.
+
+The quantum is 2^-40 voxel; an int64 holds 2^22 crossings per row.
+"""
 
 
 @njit(cache=True, nogil=True)
 def triangles_by_layer(points, triangles, layers, columns):
-    """List for each z layer the triangles that a sample line of it may cross.
+    """List for each z layer the triangles that its sample lines may cross.
 
     ``points`` are index coordinates in which voxel i spans [i, i + 1]; ``columns`` sample lines
     cross a voxel along z. Returns ``starts`` (layers + 1,) and ``members``: layer k owns
@@ -44,7 +47,7 @@ def triangles_by_layer(points, triangles, layers, columns):
 
 @njit(cache=True, nogil=True)
 def _crossing(points, a, b, z):
-    """Where edge a-b meets the plane z: (x, y); the same bits whichever triangle asks."""
+    """Return (x, y) of edge a-b at the plane z, bitwise equal for both adjacent triangles."""
     if points[a, 2] > points[b, 2]:
         a, b = b, a
     share = (z - points[a, 2]) / (points[b, 2] - points[a, 2])
@@ -72,10 +75,10 @@ def _add_step(row, x, sign):
 def add_fractions(points, triangles, starts, members, columns, weight, out):
     """Add weight times the volume fraction of each voxel to ``out`` (nz, ny, nx).
 
-    A triangle is cut by each plane z of sample lines. Of its three edges one crosses the plane
-    upwards and one downwards; an edge counts as crossing if low <= z < high. Neighbours find the
-    same end point of their common edge, to the last bit, so that every closed mesh contributes to
-    each line as many entries as exits, also where a line meets an edge or a vertex.
+    Each plane z of sample lines cuts a triangle. One of its three edges crosses the plane upwards,
+    one downwards; an edge counts as crossing if low <= z < high. Neighbours compute bitwise equal
+    end points on their common edge. So every closed mesh contributes as many entries as exits to
+    each line, even if a line meets an edge or a vertex.
     """
     layers, rows, size = out.shape
     scale = weight / (float(columns) * columns * UNIT)
@@ -123,10 +126,11 @@ def add_fractions(points, triangles, starts, members, columns, weight, out):
 
 @njit(cache=True, nogil=True)
 def depth_buffer(points, triangles, depth, owner, weights):
-    """Draw triangles into a z-buffer, nearest (largest depth) first.
+    """Draw triangles into a z-buffer, nearest (largest depth) in front.
 
     ``points`` are (column, row, depth towards the viewer). ``depth`` (rows, columns) starts at
-    -inf, ``owner`` at -1 and gets the triangle seen, ``weights`` its barycentric coordinates there.
+    -inf. ``owner`` starts at -1 and receives the visible triangle, ``weights`` its barycentric
+    coordinates.
     """
     rows, columns = depth.shape
     for t in range(len(triangles)):

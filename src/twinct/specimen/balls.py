@@ -1,4 +1,4 @@
-"""Balls on a helix, with gaps that follow a code: nowhere does it look like itself."""
+"""Balls on a helix, with coded gaps, so that no part of the helix resembles another."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from twinct.geometry import Floats
 from twinct.scenario import BallHelix
 
 WIDE_GAP = 1.5
-"""Of the narrow one."""
+"""Width of a wide gap relative to a narrow one."""
 
 
 def nominal_centres(shape: BallHelix) -> Floats:
-    """Where the balls of a helix about z shall be, in the part's frame, (balls, 3), mm.
+    """Return nominal centres of a ball helix about z, in the part's frame, (balls, 3), mm.
 
-    Gaps are narrow or wide as a sequence of maximum length says: up to 64 balls no run of six
-    gaps comes twice.
+    The narrow and wide gaps follow a sequence of maximum length: up to 64 balls, no run of six gaps
+    occurs twice.
     """
-    # Half a second to import: no other work waits for it.
+    # The import takes half a second; only ball helices need it.
     from scipy.signal import max_len_seq
 
     bits = max_len_seq(max(int(np.ceil(np.log2(shape.balls))), 2))[0]
@@ -36,6 +36,6 @@ def nominal_centres(shape: BallHelix) -> Floats:
 
 
 def true_centres(shape: BallHelix) -> Floats:
-    """Where they are: off by the tolerance, (balls, 3), mm."""
+    """Return true centres, which deviate by the tolerance, (balls, 3), mm."""
     off = view_rng(shape.tolerance_seed, "ball", 0).normal(size=(shape.balls, 3))
     return nominal_centres(shape) + shape.tolerance_mm * off

@@ -1,4 +1,4 @@
-"""From the scenario's specimen to closed, disjoint meshes with attenuation, and their truth."""
+"""From the scenario's specimen to closed, disjoint meshes with attenuation, and the true volume."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ HULL_DIRECTIONS = 4000
 
 FARTHEST_MM = 1e7
 SMALLEST_MM = 1e-5
-"""Of coordinates and edges of a part: single precision renders neither more nor less."""
+"""Limits of a part's coordinates and edges: single precision renders nothing beyond."""
 FLATTEST = 1e-7
-"""Least edge of a part beside its largest: what is flatter is no body to the modellers."""
+"""Minimum ratio of a part's edges: the solid modellers reject flatter bodies."""
 
 
 @dataclass(frozen=True, eq=False)
 class BuiltPart:
-    """One body of one material, which messages call by its name.
+    """One body of one material, with its name for messages.
 
     ``mesh`` is its closed surface in the specimen's frame, mm, counter-clockwise seen from outside.
     """
@@ -51,9 +51,10 @@ class BuiltPart:
 
 @dataclass(frozen=True, eq=False)
 class BuiltSpecimen:
-    """A specimen ready to be imaged: image and truth come from the same closed meshes.
+    """A specimen ready to be imaged: images and true volume come from the same closed meshes.
 
-    Its parts are disjoint; where two overlapped in the scenario, the later one has the overlap.
+    Its parts are disjoint. Where two overlapped in the scenario, the overlap belongs to the later
+    one.
     """
 
     parts: tuple[BuiltPart, ...]
@@ -73,20 +74,20 @@ class BuiltSpecimen:
 
     @property
     def reference_part(self) -> BuiltPart:
-        """The part that figures are relative to: the named one, or the largest."""
+        """The part for relative figures of merit: the named one, or the largest."""
         named = (part for part in self.parts if part.name == self.reference)
         return next(named, self.largest_part) if self.reference else self.largest_part
 
     def reference_mu(self, energy_kev: float) -> float:
-        """Attenuation of the reference part (mu of bone for a skull), 1/mm."""
+        """Return the attenuation of the reference part (mu of bone for a skull), 1/mm."""
         return self.reference_part.material.mu_per_mm(energy_kev)
 
     @cached_property
     def hull(self) -> trimesh.Trimesh:
-        """Convex hull of all parts in the specimen's frame, mm, for collision.
+        """Convex hull of all parts in the specimen's frame, mm, for collision checks.
 
-        Its corners are the outermost points in ``HULL_DIRECTIONS`` directions, so that it stays
-        small where a surface is round; a skull sticks out of it by 0.4 mm at most.
+        Its corners are the outermost points in ``HULL_DIRECTIONS`` directions, which keeps it small
+        for round surfaces. A skull protrudes by at most 0.4 mm.
         """
         import trimesh
 
@@ -103,7 +104,7 @@ class BuiltSpecimen:
         return trimesh.convex.convex_hull(points[outermost])
 
     def surface(self) -> trimesh.Trimesh:
-        """The surfaces of all parts as one mesh in the specimen's frame, mm, for pictures."""
+        """Return all parts' surfaces as one mesh in the specimen's frame, mm, for pictures."""
         import trimesh
 
         whole = trimesh.util.concatenate([part.mesh for part in self.parts])
@@ -113,12 +114,12 @@ class BuiltSpecimen:
     def truth(
         self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None
     ) -> NDArray[np.float32]:
-        """Attenuation per voxel: volume fraction of each part times its mu.
+        """Return the attenuation per voxel: volume fraction of each part times its mu.
 
         Args:
-            grid: where to sample.
+            grid: voxel grid to sample.
             energy_kev: photon energy, keV.
-            world_from_specimen: where the specimen is; where it stands, unless given.
+            world_from_specimen: pose of the specimen; its own pose by default.
 
         Returns:
             (nz, ny, nx) float32, 1/mm.
@@ -132,7 +133,7 @@ class BuiltSpecimen:
 
 
 def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
-    """Build every part, then take from each what later parts cover.
+    """Build every part, then subtract from each the volume that later parts cover.
 
     Raises:
         SpecimenError: with one sentence for each part that cannot be built.
@@ -162,7 +163,7 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
 
 
 def _no_body(mesh: trimesh.Trimesh) -> str:
-    """Why no simulation could hold a part; empty if it can."""
+    """Return the reason why no simulation can handle a part; empty if valid."""
     if not len(mesh.faces):
         return "has no surface"
     edges = np.ptp(mesh.bounds, axis=0)
@@ -175,7 +176,7 @@ def _no_body(mesh: trimesh.Trimesh) -> str:
 
 
 def _sphere_directions(count: int) -> Floats:
-    """Unit vectors (count, 3), evenly spread (a Fibonacci spiral), and the six axes."""
+    """Return evenly spread unit vectors (count, 3) (a Fibonacci spiral), and the six axes."""
     step = np.arange(count) + 0.5
     z, turn = 1 - 2 * step / count, np.pi * (1 + np.sqrt(5)) * step
     ring = np.sqrt(1 - z * z)

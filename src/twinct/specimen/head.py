@@ -1,7 +1,7 @@
-"""Soft parts about the built-in skull: the head with its airways, and the brain.
+"""Soft tissue around the built-in skull: the head with its airways, and the brain.
 
-Both are made in the skull's design frame and moved as the skull is, so that parts of the three
-kinds at one place fit together. List the skull last: where parts overlap the later one wins.
+Both are built in the skull's design frame and moved like the skull, so that the three parts fit
+together at one pose. List the skull last: where parts overlap, the later one wins.
 """
 
 from __future__ import annotations
@@ -20,32 +20,34 @@ if TYPE_CHECKING:
     import trimesh
 
 MIDDLE = np.array([0.0, 1.7, -35.5])
-"""Where the middle of the skull's bounds lies in its design frame, mm."""
+"""Middle of the skull's bounds in its design frame, mm."""
 
 SKIN_MM = 5.0
-"""From the bone that sticks out most to the skin."""
+"""Distance from the outermost bone to the skin."""
 
 BRIDGE_MM = 40.0
-"""A ball of this radius, rolled over the bones, does not get into orbits and under the cheeks: the
-skin runs where it rolls, and SKIN_MM further out (a morphological closing)."""
+"""Radius of a ball that rolls over the bones and enters neither orbits nor hollows of the cheeks.
+
+The skin runs along the ball's surface, SKIN_MM further out (a morphological closing).
+"""
 
 
 def head_surface(scale: float = 1.0, resolution_mm: float = 2.0) -> trimesh.Trimesh:
-    """The closed surface of a head down to the chin: skin, nasal cavity, sinuses and throat.
+    """Return the closed surface of a head down to the chin: skin, nasal cavity, sinuses and throat.
 
     Args:
-        scale: 1 is adult size, as of the skull.
-        resolution_mm: cell of the lattice that it is extracted on, mm of the scaled head.
+        scale: 1 is adult size, as for the skull.
+        resolution_mm: cell of the lattice for the surface extraction, mm of the scaled head.
     """
     return _head(float(scale), float(resolution_mm)).copy()
 
 
 def brain_surface(scale: float = 1.0, resolution_mm: float = 2.0) -> trimesh.Trimesh:
-    """The closed surface of what fills the braincase, to the middle of its wall.
+    """Return the closed surface of the braincase's content, up to the middle of the wall.
 
     Args:
-        scale: 1 is adult size, as of the skull.
-        resolution_mm: cell of the lattice that it is extracted on, mm of the scaled brain.
+        scale: 1 is adult size, as for the skull.
+        resolution_mm: cell of the lattice for the surface extraction, mm of the scaled brain.
     """
     return _brain(float(scale), float(resolution_mm)).copy()
 
@@ -58,7 +60,7 @@ def _head(scale: float, resolution_mm: float) -> trimesh.Trimesh:
     head.add(rod((0, 84, -34), (0, 97, -60), 4, 6))  # the nose
     neck = rod((0, -26, -60), (0, -22, -160), 52, flatten=(1, 1.15, 1))
     head.add(neck.within(block((0, -24, -98), (60, 60, 40))))
-    # Distances are from the middles of voxels: those that bone reaches into count as bone.
+    # Distances refer to the middles of voxels: voxels that bone reaches into count as bone.
     away = scipy.ndimage.distance_transform_edt(head.mirrored >= step / 2, sampling=step)
     depth = scipy.ndimage.distance_transform_edt(away < BRIDGE_MM, sampling=step)
     outside = scipy.ndimage.gaussian_filter(BRIDGE_MM - SKIN_MM - depth, 1.0)
@@ -79,9 +81,9 @@ def _brain(scale: float, resolution_mm: float) -> trimesh.Trimesh:
 
 
 def _airways() -> tuple[Body, ...]:
-    """Where there is air; about 1.5 mm of mucosa are left on the bone."""
+    """Return the airways; they leave about 1.5 mm of mucosa on the bone."""
     return (
-        ellipsoid((6, 52, -52), (6.5, 21.5, 15.5)),  # nasal cavity, its way out and back
+        ellipsoid((6, 52, -52), (6.5, 21.5, 15.5)),  # nasal cavity with both openings
         rod((5, 66, -63), (5, 112, -66), 4, 3.5),
         rod((6.5, 62, -60), (4, 16, -62), 4.5, 6),
         ellipsoid((27, 63, -63), (8, 11.5, 8.5)),  # maxillary sinus

@@ -1,10 +1,10 @@
-"""Bodies as signed distance fields (mm, negative inside), put together on half a lattice.
+"""Bodies as signed distance fields (mm, negative inside), combined on half a lattice.
 
 Ellipsoids, tapered rods and swept plates are joined and cut by smooth unions and subtractions
 
     smin(a, b; k) = min(a, b) - h^2 k / 4,    h = max(k - |a - b|, 0) / k
 
-(Quilez's polynomial blend). Only the half x >= 0 is computed; the other one is its mirror image.
+(Quilez's polynomial blend). Only the half x >= 0 is computed; the other half is its mirror image.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ Point = tuple[float, float, float]
 
 
 class Canvas:
-    """Half a lattice (x >= 0) onto which bodies are added and from which they are cut.
+    """Half a lattice (x >= 0) for adding and cutting bodies.
 
     A body is a function of coordinates x, y, z (broadcastable) that returns signed distance. It is
-    evaluated within its box only; further away it changes nothing.
+    evaluated only within its box; further away it has no effect.
     """
 
     def __init__(self, step: float, lowest: ArrayLike, highest: ArrayLike) -> None:
@@ -40,19 +40,19 @@ class Canvas:
 
     @property
     def mirrored(self) -> Field:
-        """The whole field, both halves."""
+        """Full field, both halves."""
         return np.concatenate([self.field[:0:-1], self.field])
 
     @property
     def affine(self) -> Floats:
-        """(4, 4): index of the whole field to mm."""
+        """Affine map (4, 4) from indices of the full field to mm."""
         affine = np.diag([self.step, self.step, self.step, 1.0])
         affine[:3, 3] = self.origin
         affine[0, 3] = -self.step * (self.field.shape[0] - 1)
         return affine
 
     def _around(self, body: Body, blend: float) -> tuple[tuple[slice, ...], Field]:
-        """The part of the lattice that a body may change, and its distance there."""
+        """Return the part of the lattice that a body may change, and the body's distance there."""
         low, high = body.low - (blend + 3.0), body.high + (blend + 3.0)
         cut = tuple(
             slice(int(np.searchsorted(axis, lo)), int(np.searchsorted(axis, hi, side="right")))
@@ -61,18 +61,18 @@ class Canvas:
         return cut, body(*np.ix_(*(axis[s] for axis, s in zip(self.axes, cut, strict=True))))
 
     def add(self, body: Body, blend: float = 0.0) -> None:
-        """Smooth union; ``blend`` is the width of the fillet, mm."""
+        """Add a body by smooth union; ``blend`` is the width of the fillet, mm."""
         cut, distance = self._around(body, blend)
         self.field[cut] = smin(self.field[cut], distance, blend)
 
     def cut(self, body: Body, blend: float = 0.0) -> None:
-        """Smooth subtraction."""
+        """Cut a body by smooth subtraction."""
         cut, distance = self._around(body, blend)
         self.field[cut] = -smin(-self.field[cut], distance, blend)
 
 
 class Body:
-    """A signed distance function with the box that holds its inside."""
+    """Signed distance function with a box that contains its inside."""
 
     def __init__(
         self, distance: Callable[[Field, Field, Field], Field], low: ArrayLike, high: ArrayLike
@@ -82,11 +82,11 @@ class Body:
         self.high = np.asarray(high, dtype=float)
 
     def __call__(self, x: Field, y: Field, z: Field) -> Field:
-        """Signed distance at points."""
+        """Return the signed distance at points."""
         return self.distance(x, y, z)
 
     def within(self, other: Body, blend: float = 0.0) -> Body:
-        """What is inside both."""
+        """Return the intersection of both bodies."""
         return Body(
             lambda x, y, z: -smin(-self(x, y, z), -other(x, y, z), blend),
             np.maximum(self.low, other.low),
@@ -94,13 +94,13 @@ class Body:
         )
 
     def without(self, other: Body, blend: float = 0.0) -> Body:
-        """What is inside this one only."""
+        """Return this body without the other."""
         return Body(
             lambda x, y, z: -smin(-self(x, y, z), other(x, y, z), blend), self.low, self.high
         )
 
     def joined(self, other: Body, blend: float = 0.0) -> Body:
-        """What is inside either, with a fillet."""
+        """Return the union of both bodies, with a fillet."""
         return Body(
             lambda x, y, z: smin(self(x, y, z), other(x, y, z), blend),
             np.minimum(self.low, other.low) - blend / 4,
@@ -109,7 +109,7 @@ class Body:
 
 
 def smin(a: Field, b: Field, blend: float) -> Field:
-    """Polynomial smooth minimum: rounded where both are within ``blend`` of each other."""
+    """Return a polynomial smooth minimum: rounded where both are within ``blend`` of each other."""
     if blend <= 0:
         return np.minimum(a, b)
     h = np.maximum(blend - np.abs(a - b), 0) / blend
@@ -117,7 +117,7 @@ def smin(a: Field, b: Field, blend: float) -> Field:
 
 
 def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> Body:
-    """Ellipsoid, turned about x, y, z; distance to first order, k (k - 1) / |grad|."""
+    """Return an ellipsoid, turned about x, y, z; distance to first order, k (k - 1) / |grad|."""
     rotation = scipy.spatial.transform.Rotation.from_euler("xyz", turn_deg, degrees=True)
     turn = rotation.as_matrix().astype(np.float32)
     reach = np.sqrt((turn**2) @ np.square(radii))
@@ -135,7 +135,7 @@ def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> Body:
 def rod(
     a: Point, b: Point, radius_a: float, radius_b: float | None = None, flatten: Point = (1, 1, 1)
 ) -> Body:
-    """A tapered rod with round ends; ``flatten`` > 1 makes it thinner along that axis."""
+    """Return a tapered rod with round ends; ``flatten`` > 1 makes it thinner along that axis."""
     radius_b = radius_a if radius_b is None else radius_b
     stretch = np.asarray(flatten, dtype=np.float32)
     a_, b_ = np.asarray(a) * stretch, np.asarray(b) * stretch
@@ -155,7 +155,7 @@ def rod(
 
 
 def chain(points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 1, 1)) -> Body:
-    """Tapered rods from point to point."""
+    """Return tapered rods from point to point."""
     body = rod(points[0], points[1], radii[0], radii[1], flatten)
     for i in range(1, len(points) - 1):
         body = body.joined(rod(points[i], points[i + 1], radii[i], radii[i + 1], flatten))
@@ -163,7 +163,7 @@ def chain(points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 
 
 
 def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float = 1.0) -> Body:
-    """A box with rounded edges, turned about z."""
+    """Return a box with rounded edges, turned about z."""
     c, s = np.cos(np.radians(turn_z_deg)), np.sin(np.radians(turn_z_deg))
     core = [max(h - rounding, 0.0) for h in half]
     reach = np.array([abs(c) * half[0] + abs(s) * half[1], abs(s) * half[0] + abs(c) * half[1]])
@@ -187,7 +187,7 @@ def wall(
     half_width: ArrayLike,
     rounding: float = 3.0,
 ) -> Body:
-    """An upright plate along a path in the (x, y) plane, height and width given at its corners."""
+    """Return an upright plate along a path in (x, y), with height and width at its corners."""
     corners = np.asarray(path, dtype=np.float32)
     table = np.array([middle_z, half_height, half_width], dtype=np.float32)
 

@@ -1,8 +1,8 @@
-"""Materials: what a part is made of, and how strongly it attenuates.
+"""Materials of parts, and their attenuation.
 
-The attenuation coefficient is the number that goes to the X-ray simulation and to the voxel truth,
-so that both speak of the same specimen. It is the total one, coherent scatter included, by the
-mixture rule over the elements,
+X-ray simulation and true volume use one attenuation coefficient, so that both describe the same
+specimen. It is the total coefficient, including coherent scatter, by the mixture rule over the
+elements,
 
     mu = rho * sum_i w_i (mu / rho)_i(E),
 
@@ -24,15 +24,15 @@ from twinct.errors import SpecimenError
 from twinct.scenario import Composition
 
 FRACTION_SUM_TOLERANCE = 0.005
-"""Tables round shares to three digits: about ten of them may miss 1 by this much."""
+"""Tolerance of the sum of mass fractions: tables round about ten shares to three digits."""
 
 MM_PER_CM = 10.0
 HEAVIEST_ELEMENT = 94
-"""xraylib's compounds go up to plutonium."""
+"""Heaviest element of xraylib's compounds, plutonium."""
 
 
 _ANGLES = 501
-"""Scattering angles over which the electron's energy is averaged: it is known to 1e-5 then."""
+"""Scattering angles for the mean electron energy, which is then accurate to 1e-5."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,15 @@ class Material:
         object.__setattr__(self, "mass_fractions", MappingProxyType(shares))
 
     def __hash__(self) -> int:
-        """Equal materials hash alike."""
+        """Return equal hashes for equal materials."""
         return hash((self.name, self.density_g_cm3, tuple(sorted(self.mass_fractions.items()))))
 
     def __reduce__(self) -> tuple[type[Material], tuple[str, float, dict[str, float]]]:
-        """A read-only mapping does not pickle by itself."""
+        """Support pickling, which a read-only mapping lacks."""
         return Material, (self.name, self.density_g_cm3, dict(self.mass_fractions))
 
     def mu_per_mm(self, energy_kev: float) -> float:
-        """Linear attenuation coefficient at a photon energy, 1/mm.
+        """Return the linear attenuation coefficient at a photon energy, 1/mm.
 
         Raises:
             SpecimenError: xraylib has no data at this energy.
@@ -93,16 +93,16 @@ class Material:
         return self.density_g_cm3 * mass_attenuation / MM_PER_CM
 
     def absorption_cm2_g(self, energy_kev: float) -> float:
-        """Mass energy-absorption coefficient mu_en / rho at a photon energy, cm^2/g.
+        """Return the mass energy-absorption coefficient mu_en / rho at a photon energy, cm^2/g.
 
-        By the mixture rule over the elements,
+        The mixture rule over the elements gives
 
             mu_en / rho = tau / rho + sigma_C / rho * <T> / E,
 
-        photoelectric and Compton parts of xraylib, T the energy of the electron (Klein, Nishina).
-        Fluorescence and bremsstrahlung count as absorbed on the spot; with them water is within
+        with the photoelectric and Compton parts of xraylib and the electron's energy T (Klein,
+        Nishina). Fluorescence and bremsstrahlung count as absorbed locally; so water is within
         1.5 % of the tables of Hubbell and Seltzer (NISTIR 5632) from 30 to 100 keV. xraylib's own
-        ``CS_Energy`` is 37 % low there at 30 keV.
+        ``CS_Energy`` is 37 % too low there at 30 keV.
 
         Raises:
             SpecimenError: xraylib has no data at this energy.
@@ -123,7 +123,7 @@ class Material:
 
 
 def _electrons_share(energy_kev: float) -> float:
-    """Mean share of a photon's energy that an electron takes in Compton scattering, <T> / E."""
+    """Return the mean share of the photon energy given to a Compton electron, <T> / E."""
     angle = np.linspace(0.0, np.pi, _ANGLES)
     per_angle = np.sin(angle) * [xraylib.DCS_KN(energy_kev, a) for a in angle.tolist()]
     left = np.array([xraylib.ComptonEnergy(energy_kev, a) for a in angle.tolist()])
@@ -131,15 +131,16 @@ def _electrons_share(energy_kev: float) -> float:
 
 
 def material(description: str | Composition, origin: str = "material") -> Material:
-    """Look a material up by name, or compose it.
+    """Return a material by name, or compose it.
 
     Args:
-        description: a built-in name (``material_names``), an element symbol, a compound of the NIST
-            list in xraylib, or a composition.
-        origin: where the description stands, for messages.
+        description: a built-in name (``material_names``), an element symbol, a compound from the
+            NIST list in xraylib, or a composition.
+        origin: key of the description, for messages.
 
     Raises:
-        SpecimenError: unknown name, bad formula, shares that do not add up to 1.
+        SpecimenError: the name is unknown, the formula is invalid, or the shares do not add up to
+            1.
     """
     if isinstance(description, Composition):
         try:
@@ -163,7 +164,7 @@ def material(description: str | Composition, origin: str = "material") -> Materi
 
 
 def material_names() -> tuple[str, ...]:
-    """Names that ``material`` knows: built-in ones, metals, then the compounds of NIST."""
+    """Return the names for ``material``: built-in ones, metals, then the NIST compounds."""
     return (*BUILT_IN, *METALS, *xraylib.GetCompoundDataNISTList())
 
 
@@ -202,7 +203,7 @@ def _key(name: str) -> str:
 
 
 def _by_symbol(data: dict[str, Any]) -> dict[str, float]:
-    """Mass fractions of what xraylib tells of a compound."""
+    """Return the mass fractions from xraylib's data on a compound."""
     shares = zip(data["Elements"], data["massFractions"], strict=True)
     return {xraylib.AtomicNumberToSymbol(z): share for z, share in shares if share > 0}
 
@@ -270,7 +271,7 @@ METALS: Mapping[str, str] = MappingProxyType(
     | {"silver": "Ag", "gold": "Au", "platinum": "Pt", "tungsten": "W", "tantalum": "Ta"}
     | {"beryllium": "Be", "zirconium": "Zr", "niobium": "Nb"}
 )
-"""Elements by their names, at the density that xraylib has for them."""
+"""Elements by name, with xraylib's density."""
 
 BUILT_IN: Mapping[str, Material] = MappingProxyType(
     {name: Material(name, *row) for name, row in _TABLE.items()}

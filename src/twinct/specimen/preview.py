@@ -12,11 +12,11 @@ from twinct.specimen import _kernels
 from twinct.specimen.build import BuiltSpecimen
 
 VIEWS = {"front": (0.0, 0.0), "three-quarter": (35.0, 12.0), "side": (90.0, 0.0)}
-"""Where the onlooker stands: degrees from +y (the face) towards +x, and above the horizon."""
+"""Position of the viewer: degrees from +y (the face) towards +x, and above the horizon."""
 
 COLOURS = ((0.90, 0.86, 0.76), (0.55, 0.63, 0.72), (0.80, 0.50, 0.40), (0.60, 0.72, 0.55))
 LIGHT = (-0.45, 0.55, 0.70)
-"""Direction to the light: right, up, towards the onlooker."""
+"""Direction to the light: right, up, towards the viewer."""
 
 
 def shaded(
@@ -27,7 +27,7 @@ def shaded(
     pixel_mm: float = 0.5,
     margin_mm: float = 8.0,
 ) -> NDArray[np.float32]:
-    """An orthographic picture in the specimen's own frame; see ``VIEWS`` for the two angles.
+    """Return an orthographic picture in the specimen's own frame; see ``VIEWS`` for the two angles.
 
     Returns:
         (rows, columns, 3) in [0, 1], row 0 on top, white background with an empty margin.
@@ -100,13 +100,13 @@ def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str =
 
 
 def _as_tall(picture: NDArray[np.float32], rows: int) -> NDArray[np.float32]:
-    """White bars above and below."""
+    """Return the picture with white bars above and below."""
     lack = rows - len(picture)
     return np.pad(picture, ((lack // 2, lack - lack // 2), (0, 0), (0, 0)), constant_values=1.0)
 
 
 def _corner_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Normals (faces, 3 corners, 3): of the vertex where it is smooth, else of the face."""
+    """Return normals (faces, 3 corners, 3): of the vertex if smooth there, else of the face."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     flat = np.cross(b - a, c - a)
     smooth = np.zeros_like(vertices)
@@ -122,7 +122,7 @@ def _corner_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> 
 def _with_hollows_darkened(
     colour: NDArray[np.float32], depth: NDArray[np.float64], pixel_mm: float
 ) -> NDArray[np.float32]:
-    """Darken what lies behind its surroundings, as less light gets there."""
+    """Darken pixels that lie behind their surroundings, as less light gets there."""
     from scipy.ndimage import gaussian_filter
 
     hit = np.isfinite(depth)
@@ -140,6 +140,6 @@ def _with_hollows_darkened(
 
 
 def _round_length(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not longer."""
+    """Return the largest of 1, 2, 5 times a power of ten that does not exceed a length."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))

@@ -1,4 +1,4 @@
-"""From the shape of a part in the scenario to its closed surface."""
+"""Conversion of a part's shape in the scenario to its closed surface."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
     import trimesh
 
 SPHERE_SUBDIVISIONS = 6
-"""81,920 triangles; their volume misses the sphere's by 0.02 %."""
+"""81,920 triangles, whose volume is within 0.02 % of the sphere's."""
 
 ICOSAHEDRON_EDGE = 1.2
-"""Of the unit sphere's, 1.05, and what a triangle is stretched by where it lands on the sphere."""
+"""Icosahedron's edge in a unit sphere, 1.05, times the stretch of its projection on the sphere."""
 
 CYLINDER_SECTIONS = 256
-"""A regular polygon of this many corners; its area misses the circle's by 0.01 %."""
+"""Corners of a regular polygon, whose area is within 0.01 % of the circle's."""
 
 
 def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
-    """The closed surface of a shape in its part's frame, mm, counter-clockwise seen from outside.
+    """Return a shape's closed surface in its part's frame, mm, counter-clockwise from outside.
 
     Raises:
-        SpecimenError: a file that cannot be read, an open or empty mesh, a threshold nothing
-            exceeds; the message names the part.
+        SpecimenError: a file cannot be read, a mesh is open or empty, or nothing exceeds a
+            threshold; the message names the part.
     """
     import trimesh
 
@@ -46,7 +46,7 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
             edge = shape.mesh_resolution_mm
             try:
                 return make[shape.kind](shape.scale, edge)
-            except (ValueError, IndexError):  # no corner of the lattice lies in it
+            except (ValueError, IndexError):  # no lattice point lies inside
                 raise SpecimenError(
                     f"part {name!r}: mesh_resolution_mm {edge:g} is too coarse for a {shape.kind} "
                     f"of scale {shape.scale:g}"
@@ -83,7 +83,7 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
 
 
 def triangles(shape: Shape) -> int:
-    """How many triangles a body of balls has; 0 of other bodies, which have few or are measured."""
+    """Return the number of triangles of round bodies; 0 for all others (few, or measured)."""
     match shape:
         case scenario.Sphere():
             size = shape.radius_mm
@@ -100,14 +100,14 @@ def triangles(shape: Shape) -> int:
 def _ball(semi_axes: tuple[float, float, float], edge_mm: float | None) -> trimesh.Trimesh:
     import trimesh
 
-    # Corners a little outside of the sphere: the polyhedron then has the sphere's own volume.
+    # Corners lie slightly outside the sphere, so that the polyhedron has the sphere's volume.
     ball = trimesh.creation.icosphere(subdivisions=_subdivisions(max(semi_axes), edge_mm))
     fit = (4 / 3 * math.pi / ball.volume) ** (1 / 3)
     return surface(ball.vertices * np.array(semi_axes) * fit, ball.faces)
 
 
 def _subdivisions(radius_mm: float, edge_mm: float | None) -> int:
-    """How often the edges of an icosahedron are halved."""
+    """Return the number of times that an icosahedron's edges are halved."""
     if edge_mm is None:
         return SPHERE_SUBDIVISIONS
     halvings = math.log2(ICOSAHEDRON_EDGE * radius_mm / edge_mm)

@@ -1,4 +1,4 @@
-"""One solid from the shells of a mesh: what lies in two of them counts once."""
+"""One solid from the shells of a mesh: overlaps count once."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 TOUCH = 1e-7
-"""A smaller share of the volume is rounding of shells that touch, in single precision."""
+"""Overlap below this share of the volume is the rounding of touching shells in single precision."""
 
 
 def joined_shells(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
-    """The solid that the shells of a mesh make together.
+    """Return the solid that the shells of a mesh form together.
 
-    Shells turned outwards are bodies and are united; shells turned inwards are the cavities of the
-    smallest body around them. A mesh whose shells do not meet comes back as it is. Messages start
-    with ``where``.
+    Shells with outward normals are bodies and are united; shells with inward normals are cavities
+    of the smallest body around them. A mesh whose shells do not meet is returned unchanged.
+    Messages start with ``where``.
 
     Raises:
-        SpecimenError: a shell turned inwards lies in no other shell, or crosses one; or a shell is
-            no solid.
+        SpecimenError: an inward shell lies in no other shell or crosses one, or a shell is not a
+            solid.
     """
     shells = _shells(mesh)
     if len(shells) == 1:
@@ -84,7 +84,7 @@ def _sum(solids: list[manifold3d.Manifold]) -> manifold3d.Manifold:
 def _carve(
     bodies: list[manifold3d.Manifold], cavity: manifold3d.Manifold, least: float, where: str
 ) -> None:
-    """Take a cavity out of the smallest body around it."""
+    """Cut a cavity out of the smallest body around it."""
     for i in sorted(range(len(bodies)), key=lambda i: bodies[i].volume()):
         if (cavity - bodies[i]).volume() < least < (cavity ^ bodies[i]).volume():
             bodies[i] = bodies[i] - cavity

@@ -1,4 +1,4 @@
-"""How large a specimen is beside what sees it: a file in another unit shows here first."""
+"""Comparison of a specimen's size with the field of view, which reveals a wrong unit of length."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.specimen.build import BuiltSpecimen
 
 FEW_VOXELS = 4
-"""What is smaller in every direction cannot be seen in a volume."""
+"""Minimum number of voxels along a part's longest edge; smaller parts are invisible in a volume."""
 
 MANY_FIELDS = 3
-"""A head sticks out of the paper's field of view; what is so many times as large is a mistake."""
+"""Maximum size in fields of view; a head exceeds the paper's, a larger part is a mistake."""
 
 UNITS_MM = {"micrometres": 1e-3, "millimetres": 1, "centimetres": 10, "inches": 25.4, "metres": 1e3}
 
 
 @dataclass(frozen=True)
 class SpecimenSize:
-    """Sizes to compare.
+    """Sizes of specimen, field of view and grid.
 
     Attributes:
         specimen_mm: edges of the specimen's bounding box in its own frame, (x, y, z).
-        field_mm: width and height of what the narrowest view sees in the specimen's middle.
+        field_mm: width and height of the smallest field of view at the specimen's middle.
         grid_mm: edges of the reconstructed box, (x, y, z).
-        warnings: parts that are so small or so large that their unit may be wrong.
+        warnings: parts whose size suggests a wrong unit.
     """
 
     specimen_mm: tuple[float, ...]
@@ -43,7 +43,7 @@ class SpecimenSize:
 def specimen_size(
     section: scenario.Specimen, built: BuiltSpecimen, geometry: ScanGeometry, grid: VolumeGrid
 ) -> SpecimenSize:
-    """Compare a specimen, as built of its section, with field of view and voxels."""
+    """Compare a specimen, built from ``section``, with field of view and voxels."""
     low, high = built.bounds
     field = _field_mm(geometry, built.world_from_specimen.apply((low + high) / 2))
     warnings = []
@@ -70,13 +70,13 @@ def specimen_size(
 
 
 def _field_mm(geometry: ScanGeometry, middle: Floats) -> Floats:
-    """Width and height of the panel's image at a point, in the view where it is smallest, (2,)."""
+    """Return width and height of the smallest field of view at a point, over all views, (2,)."""
     to_point, to_panel = geometry.depth(middle), geometry.sdd
     return np.array(geometry.panel.size_mm) * max(float((to_point / to_panel).min()), 0.0)
 
 
 def _fitting_unit(length: float, field_mm: float) -> str:
-    """The unit in which a length comes nearest to half the field of view."""
+    """Return the unit in which a length is closest to half the field of view."""
     return min(UNITS_MM, key=lambda name: abs(np.log(2 * length * UNITS_MM[name] / field_mm)))
 
 

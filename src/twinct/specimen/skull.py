@@ -1,7 +1,7 @@
 """The built-in adult skull, from implicit surfaces.
 
 The zero level of a signed distance field becomes a closed mesh. The field of the half x >= 0 is
-mirrored, so the skull is symmetric to the last bit of it.
+mirrored, so the skull is exactly symmetric.
 
 Design frame: x to the skull's left or right (symmetric), y anterior, z superior, mm, origin in the
 middle of the vault. The finished surface is moved so that the middle of its bounds is the origin.
@@ -52,17 +52,17 @@ def _cached(scale: float, resolution_mm: float) -> trimesh.Trimesh:
 
 
 def skull_surface(scale: float = 1.0, resolution_mm: float = 1.0) -> trimesh.Trimesh:
-    """The closed surface of the skull: face towards +y, middle of its bounds at the origin.
+    """Return the closed surface of the skull: face towards +y, middle of its bounds at the origin.
 
     Args:
         scale: 1 is adult size.
-        resolution_mm: cell of the lattice that it is extracted on, mm of the scaled skull.
+        resolution_mm: cell of the lattice for the surface extraction, mm of the scaled skull.
     """
     return _cached(float(scale), float(resolution_mm)).copy()
 
 
 def skull_canvas(step: float, margin_mm: float = 0.0) -> Canvas:
-    """The skull of adult size on half a lattice of so many mm, in the design frame."""
+    """Return the adult skull on half a lattice with cells of ``step`` mm, in the design frame."""
     low, high = np.subtract(LOWEST, (0, margin_mm, margin_mm)), np.add(HIGHEST, margin_mm)
     head = Canvas(step, low, high)
     for add in (_braincase, _base, _face, _cheeks, _openings, _jaw, _teeth):
@@ -74,23 +74,23 @@ UPPER_ARCH = (29.5, 50.0)
 LOWER_ARCH = (27.5, 47.5)
 """Semi-axes across and along of the quarter ellipses on which the teeth stand, mm."""
 ARCH_Y = 37.0
-"""The last molars stand about here."""
+"""Approximate y of the last molars."""
 UPPER_TEETH = (8.6, 6.8, 7.6, 7.0, 6.8, 10.2, 9.6)
 LOWER_TEETH = (5.6, 6.2, 7.0, 7.0, 7.2, 11.0, 10.4)
 """Mesiodistal widths, mm: two incisors, canine, two premolars, two molars."""
 UPPER_CROWN_Z = (-86.5, -97.0)
 LOWER_CROWN_Z = (-99.0, -108.5)
-"""Neck and edge of the upper, edge and neck of the lower crowns, mm: the teeth do not touch."""
+"""Z range of the crowns, mm: upper neck and edge, lower edge and neck. The teeth do not touch."""
 
 
 def vault() -> Body:
-    """The outer surface of the braincase, its floor among it; the inner one is WALL_MM inside."""
+    """Return the braincase's outer surface with its floor; the inner one is WALL_MM inside."""
     back = ellipsoid((0, -14, 2), (71.5, 76, 65))
     front = ellipsoid((0, 24, 4), (58, 63, 57))
     egg = back.joined(front, 26)
 
     def floor(y: Field) -> Field:
-        # Height of the skull base: posterior fossa, steps up at the clivus and the frontal fossa.
+        # Height of the skull base: posterior fossa, with steps at the clivus and the frontal fossa.
         return -61.0 + 9.0 * (1 + np.tanh((y - 4) / 9)) + 14.5 * (1 + np.tanh((y - 40) / 9))
 
     def slope(y: Field) -> Field:
@@ -144,7 +144,7 @@ def _base(head: Canvas) -> None:
 
 
 def orbit(grow: float = 0.0) -> Body:
-    """The cone of one orbit: rim ahead and outwards, apex back and inwards."""
+    """Return the cone of one orbit: rim at the front outside, apex at the back inside."""
     rim, apex = np.array([33.5, 77.0, -31.0]), np.array([17.0, 38.0, -28.0])
     ahead = rim + (rim - apex) * 0.6
     cone = rod(tuple(rim), tuple(apex), 19.3 + grow, 6 + grow, (1.0, 1.0, 1.12))
@@ -153,7 +153,7 @@ def orbit(grow: float = 0.0) -> Body:
 
 
 def ear_canal(grow: float = 0.0) -> Body:
-    """The way from outside into the petrous ridge."""
+    """Return the canal from outside into the petrous ridge."""
     return rod((62, -9, -50), (40, -5, -48), 3.6 + grow, 2.8 + grow)
 
 
@@ -188,7 +188,7 @@ def _openings(head: Canvas) -> None:
     head.cut(orbit(), 2)
     # Optic canal and superior fissure lead from the apex into the skull.
     head.cut(rod((17, 40, -28), (11, 22, -27), 2.4), 2)
-    # Nasal cavity: a pear in front, room behind it, choanae at the back.
+    # Nasal cavity: pear-shaped in front, a chamber behind, choanae at the back.
     pear = chain([(0, 100, -43), (2.8, 100, -55), (6.5, 100, -64.5)], [4.0, 5.8, 6.6])
     front = Body(
         lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y, (-14, 66, -75), (14, 110, -38)
@@ -203,13 +203,13 @@ def _openings(head: Canvas) -> None:
     head.add(block((0, 46, -51), (0.9, 18, 19), 0, 0.8), 2)
     head.add(rod((11.5, 64, -62), (11.5, 40, -61), 2.2, 1.8), 2)
     head.add(rod((10.5, 62, -50), (10.5, 40, -50), 2.0, 1.6), 2)
-    # Palate: hollow from below.
+    # Palate: concave from below.
     head.cut(ellipsoid((0, 56, -89), (23.5, 27, 13)), 4)
     # Infra-orbital and supra-orbital foramina, ear canal, jugular and carotid foramina.
     head.cut(rod((25, 92, -56), (25, 74, -53), 1.8), 1)
     head.cut(ear_canal(), 2)
     head.cut(rod((27, -10, -68), (25, -8, -50), 4), 2)
-    # Foramen magnum, with the way up into the braincase.
+    # Foramen magnum, with its passage up into the braincase.
     head.cut(ellipsoid((0, -24, -60), (15, 17.5, 40)).within(block((0, -24, -60), (30, 30, 22))), 3)
 
 
@@ -218,7 +218,7 @@ def _jaw(head: Canvas) -> None:
     angles = np.radians(np.linspace(0, 95, 20))
     path = [(a * np.sin(t), ARCH_Y + b * np.cos(t)) for t in angles]
     jaw = wall(path, np.full(20, -114.0), np.full(20, 6.5), np.full(20, 4.6), 3)
-    # Body: the base of the jaw runs outside of the teeth and rises towards the angle.
+    # Body: the base of the jaw runs outside the teeth and rises towards the angle.
     turn = np.linspace(0, 1, 24)
     base = _curve([(0, 82), (10, 80.5), (20, 71), (30, 54), (40, 33), (47.5, 12)], turn)
     middle = np.interp(turn, [0, 0.2, 0.35, 0.7, 1], [-126.5, -125, -121.5, -112.5, -101])
@@ -244,7 +244,7 @@ def _jaw(head: Canvas) -> None:
 
 
 def _curve(points: Sequence[tuple[float, float]], at: Floats) -> list[tuple[float, float]]:
-    """A smooth curve through points (x, y), at shares of its chord length."""
+    """Return points of a smooth curve through ``points`` (x, y), at shares of its chord length."""
     corners = np.asarray(points, dtype=float)
     walked = np.append(0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
     spline = scipy.interpolate.CubicSpline(walked / walked[-1], corners, bc_type="natural")
@@ -274,7 +274,7 @@ def _teeth(head: Canvas) -> None:
 
 
 def _without_crumbs(mesh: trimesh.Trimesh, smallest_mm3: float = 200.0) -> trimesh.Trimesh:
-    """Leave out closed pieces below this volume: slivers where a cut just met a surface."""
+    """Remove closed pieces below this volume: slivers where a cut just touched a surface."""
     import trimesh
 
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, len(mesh.faces))

@@ -1,4 +1,4 @@
-"""Closed surfaces: from a lattice of values, checked, simplified, subtracted from each other."""
+"""Closed surfaces: extracted from a lattice, checked, simplified, subtracted from each other."""
 
 from __future__ import annotations
 
@@ -15,32 +15,34 @@ if TYPE_CHECKING:
     import trimesh
 
 MAX_TRIANGLES = 700_000
-"""More than this costs rendering time without showing in a panel of half-millimetre pixels."""
+"""Maximum number of triangles: more cost rendering time without effect on 0.5 mm pixels."""
 
 TIE_BREAK = 1e-5
-"""Lattice values closer to the level than this share of their spread are moved off it: a surface
-through a lattice point has triangles without area."""
+"""Share of a lattice's spread within which values are moved off the level.
+
+A surface through a lattice point has triangles without area.
+"""
 
 
 def surface(vertices: ArrayLike, faces: ArrayLike) -> trimesh.Trimesh:
-    """A mesh of exactly these triangles; trimesh merges and drops nothing."""
+    """Return a mesh of exactly these triangles; trimesh merges and drops nothing."""
     import trimesh
 
     return trimesh.Trimesh(np.asarray(vertices, dtype=np.float64), np.asarray(faces), process=False)
 
 
 def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) -> trimesh.Trimesh:
-    """The closed surface around where a lattice of values exceeds a level.
+    """Return the closed surface around the region where a lattice exceeds a level.
 
-    The lattice is padded by its lowest value: a body cut by the lattice's border gets a lid.
+    The lattice is padded with its lowest value, so that a body at the lattice's border is closed.
 
     Args:
         values: (n0, n1, n2); at least one above and one below the level.
-        level: the surface runs where the values, linearly interpolated, equal it.
+        level: value on the surface, with linear interpolation.
         affine: (4, 4): lattice index to mm.
 
     Returns:
-        The mesh, counter-clockwise seen from outside, in the frame ``affine`` leads to.
+        The mesh, counter-clockwise seen from outside, in the target frame of ``affine``.
     """
     from skimage.measure import marching_cubes
 
@@ -55,15 +57,15 @@ def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) ->
         mesh = surface(vertices, faces[:, ::-1])
     if mesh.is_watertight:
         return mesh
-    # Two sheets may meet in one edge: the solid modeller splits them.
+    # Two sheets may meet in one edge; the solid modeller splits them.
     mended = from_manifold(to_manifold(mesh))
     return mended if len(mended.faces) else mesh
 
 
 def to_manifold(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
-    """The solid that the surface bounds; empty where the modeller cannot make sense of it."""
+    """Return the solid that the surface bounds; empty if the modeller rejects the surface."""
     raw = manifold3d.Mesh64(
-        # Copies: the modeller takes no read-only arrays, such as those it gave itself.
+        # Copies: the modeller accepts no read-only arrays, including its own.
         vert_properties=np.array(mesh.vertices, dtype=np.float64, order="C"),
         tri_verts=np.array(mesh.faces, dtype=np.uint64, order="C"),
     )
@@ -75,13 +77,13 @@ def to_manifold(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
 
 
 def from_manifold(solid: manifold3d.Manifold) -> trimesh.Trimesh:
-    """The surface of a solid."""
+    """Return the surface of a solid."""
     mesh = solid.to_mesh64()
     return surface(mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64))
 
 
 def simplified(mesh: trimesh.Trimesh, max_triangles: int = MAX_TRIANGLES) -> trimesh.Trimesh:
-    """The same closed surface with fewer triangles, moved by as little as it takes."""
+    """Return a closed surface with fewer triangles, moved as little as possible."""
     if len(mesh.faces) <= max_triangles:
         return mesh
     solid = to_manifold(mesh)
@@ -95,10 +97,10 @@ def simplified(mesh: trimesh.Trimesh, max_triangles: int = MAX_TRIANGLES) -> tri
 
 
 def refined(mesh: trimesh.Trimesh, longest_edge_mm: float) -> trimesh.Trimesh:
-    """The same solid with no edge longer than about 1.5 times a length: neighbours stay joined.
+    """Return an equal solid with edges up to about 1.5 times a length; neighbours stay joined.
 
     Raises:
-        SpecimenError: the mesh is no solid that can be refined.
+        SpecimenError: the mesh is not a solid, so it cannot be refined.
     """
     if not len(mesh.faces) or mesh.edges_unique_length.max() <= 1.5 * longest_edge_mm:
         return mesh
@@ -116,12 +118,12 @@ def subtract(
     name: str,
     solid: Callable[[trimesh.Trimesh], manifold3d.Manifold] = to_manifold,
 ) -> trimesh.Trimesh:
-    """What of a closed mesh lies outside all the others; it may be empty.
+    """Return the part of a closed mesh outside all others; it may be empty.
 
-    ``solid`` gives the solid of a mesh; see ``solids_once``.
+    ``solid`` converts a mesh to a solid; see ``solids_once``.
 
     Raises:
-        SpecimenError: the mesh, or one of the others, is no solid (it intersects itself badly).
+        SpecimenError: one of the meshes is not a solid (it intersects itself badly).
     """
     touching = [other for other in others if _boxes_meet(mesh, other)]
     if not touching:
@@ -136,7 +138,7 @@ def subtract(
 
 
 def solids_once() -> Callable[[trimesh.Trimesh], manifold3d.Manifold]:
-    """``to_manifold`` that makes the solid of each mesh once, as long as the meshes are there."""
+    """Return a ``to_manifold`` that caches the solid of each mesh; the meshes must stay alive."""
     made: dict[int, manifold3d.Manifold] = {}
 
     def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:

@@ -1,4 +1,4 @@
-"""CT volumes: read in patient axes, segment at a threshold, closed surface.
+"""CT volumes: read in patient axes, segmented at a threshold, converted to a closed surface.
 
 Patient axes are RAS as in NIfTI, mm: x towards the patient's right, y anterior, z superior. They
 become the part's axes, so a head stands upright and faces +y.
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
     import trimesh
 
 FARTHEST_MM = 1e6
-"""Of the numbers in an affine."""
+"""Limit of the numbers in an affine."""
 
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""DICOM speaks of left, posterior, superior."""
+"""Change from DICOM's axes: left, posterior, superior."""
 
 SLICE_TOLERANCE = 0.02
-"""Slices count as evenly spaced if their gaps agree within this share: headers are rounded."""
+"""Maximum relative deviation of evenly spaced slices: headers are rounded."""
 
 LARGEST_ARCHIVE = 4 * 2**30
-"""Bytes that an InVesalius project may unpack to: a volume of 1,000 slices and its masks."""
+"""Maximum unpacked size of an InVesalius project, bytes: a volume of 1,000 slices and its masks."""
 
 DICOM_SUFFIXES = (".dcm", ".ima", ".dicom")
-"""What is called so and is no DICOM file is damaged."""
+"""Suffixes of DICOM files; such a file without DICOM content is damaged."""
 
 DIRECTION_TOLERANCE = 1e-4
-"""Largest difference between the direction cosines of one series: headers are rounded."""
+"""Maximum difference between the direction cosines of one series: headers are rounded."""
 
 
 @dataclass(frozen=True, eq=False)
 class CtImage:
-    """A CT volume: values in HU, its axes in the file's order; ``affine`` leads to RAS, mm."""
+    """CT volume: values in HU, axes in the file's order; ``affine`` maps indices to RAS, mm."""
 
     values: NDArray[np.float32]
     affine: Floats
@@ -59,7 +59,7 @@ class CtImage:
 
 
 def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
-    """The closed surface around all that exceeds the threshold, in RAS, mm.
+    """Return the closed surface around all voxels above the threshold, in RAS, mm.
 
     Raises:
         SpecimenError: the file cannot be read, or nothing exceeds the threshold; names the part.
@@ -96,8 +96,8 @@ def read_ct(path: Path, where: str) -> CtImage:
     """Read a NIfTI file, the folder of one DICOM series, or an InVesalius project.
 
     Raises:
-        SpecimenError: no such file, another format, damaged, or not one volume; starts with
-            ``where``.
+        SpecimenError: the file does not exist, is damaged, has another format, or is not one
+            volume. The message starts with ``where``.
     """
     if path.is_dir():
         image = _read_dicom(path, where)
@@ -156,7 +156,7 @@ def _read_nifti(path: Path, where: str) -> CtImage:
 
 
 def _dicom_slices(folder: Path, where: str) -> list[Any]:
-    """Of all files of a folder those that hold an image; what is no DICOM at all is passed over."""
+    """Return all DICOM images of a folder; files of other formats are skipped."""
     import pydicom
     from pydicom.errors import InvalidDicomError
     from pydicom.filereader import read_file_meta_info
@@ -240,7 +240,7 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
             + np.float32(data.get("RescaleIntercept", 0))
             for data in slices
         ]
-    except Exception as error:  # decoders of compressed pixel data raise their own kinds
+    except Exception as error:  # decoders of compressed pixel data raise various types
         why = shortened(f"{type(error).__name__}: {error}")
         raise SpecimenError(
             f"{where}: pixel data cannot be read ({why}); "
@@ -258,10 +258,10 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
 
 
 def _read_inv3(path: Path, where: str) -> CtImage:
-    """InVesalius: a gzipped tar with main.plist and the volume as raw numbers (slice, row, column).
+    """Read an InVesalius project: a tar of main.plist and the raw volume (slice, row, column).
 
-    Slices run upwards, rows to the front (VTK's origin is at the lower left), columns to the
-    patient's left as in DICOM.
+    The tar may be gzipped. Slices run upwards, rows to the front (VTK's origin is at the lower
+    left), columns to the patient's left as in DICOM.
     """
     file_bytes(path, where, kind=SpecimenError)
     try:
@@ -288,7 +288,7 @@ def _read_inv3(path: Path, where: str) -> CtImage:
         raise SpecimenError(
             f"{where} is no InVesalius project: that is a tar archive, plain or gzipped"
         ) from None
-    except Exception as error:  # gzip, tar, property lists and arrays raise what they like
+    except Exception as error:  # gzip, tar, property lists and arrays raise various types
         why = shortened(f"{type(error).__name__}: {error}")
         raise SpecimenError(f"{where} cannot be read as an InVesalius project ({why})") from None
     if values.ndim != 3 or spacing.shape != (3,):
@@ -298,10 +298,10 @@ def _read_inv3(path: Path, where: str) -> CtImage:
 
 
 def _members(archive: tarfile.TarFile, where: str) -> dict[str, tarfile.TarInfo]:
-    """Regular files of an archive by name, links and devices left out; large ones are not read."""
+    """Return regular files of an archive by name, without links and devices, up to a total size."""
     found: dict[str, tarfile.TarInfo] = {}
     whole = 0
-    for member in archive:  # one header after the other: the next is reached by unpacking this one
+    for member in archive:  # finding the next header unpacks this member
         whole += 512 + member.size
         if whole > LARGEST_ARCHIVE:
             raise SpecimenError(

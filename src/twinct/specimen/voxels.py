@@ -1,13 +1,13 @@
-"""Closed triangle meshes to volume fractions on a voxel grid.
+"""Conversion of closed triangle meshes to volume fractions on a voxel grid.
 
-Every voxel is crossed by ``COLUMNS`` x ``COLUMNS`` lines along the grid's x axis. Where a line
-crosses the surface the inside begins or ends; the crossing's exact position gives the exact share
-of each voxel along the line. So a voxel's fraction is exact along x and sampled COLUMNS times along
-y and z: finer than COLUMNS^3 points.
+``COLUMNS`` x ``COLUMNS`` lines along the grid's x axis cross every voxel. The inside begins or ends
+where a line crosses the surface; the crossing's exact position gives the exact share of each voxel
+along the line. So a voxel's fraction is exact along x and sampled COLUMNS times along y and z:
+finer than COLUMNS^3 points.
 
-A line contributes the sum over its crossings of +-H(x - x_crossing), H the unit step; the sign is
-that of the surface normal. The sum needs no sorting. It is taken in fixed-point integers, so that
-outside of the mesh it is zero to the last bit.
+A line contributes the sum over its crossings of +-H(x - x_crossing), with the unit step H and the
+sign of the surface normal. The sum needs no sorting. It is computed in fixed-point integers, so
+that it is exactly zero outside the mesh.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ def volume_fractions(
     weight: float = 1.0,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Share of each voxel that lies inside a closed mesh, times a weight.
+    """Return the share of each voxel inside a closed mesh, times a weight.
 
     Args:
         vertices: (vertices, 3), mm, in the mesh's frame.
         faces: (faces, 3), counter-clockwise seen from outside; the mesh must be closed.
-        grid: where to sample; it may be shifted and turned, and may cut the mesh.
+        grid: voxel grid to sample; it may be shifted and rotated, and may cut the mesh.
         world_from_mesh: pose of the mesh's frame.
         weight: factor on the fractions.
-        out: (nz, ny, nx) float32 to add to; a new array of zeros where left out.
+        out: (nz, ny, nx) float32 to add to; a new array of zeros by default.
 
     Returns:
         ``out``.

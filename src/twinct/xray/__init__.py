@@ -1,4 +1,4 @@
-"""X-ray projections by gVXR, the only module that speaks to it."""
+"""X-ray projections by gVXR; no other package calls gVXR."""
 
 from twinct.xray.imager import Imager, prepare_engine
 

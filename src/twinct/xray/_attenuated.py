@@ -1,11 +1,11 @@
-"""Kernels: from path lengths to the signal of each pixel, summed over the samples inside it."""
+"""Kernels: from path lengths to the signal of each pixel, summed over its samples."""
 
 import numpy as np
 from numba import njit, prange
 
 LOG2_E = np.float32(1.4426950408889634)
 DARKEST_LOG2 = np.float32(-126.0)
-"""Below it single floats lose digits; nothing there is ever seen."""
+"""Lower limit of log2 of the transmission: below it, floats lose digits, and nothing is visible."""
 
 # exp2 on [-0.5, 0.5]: Taylor coefficients ln(2)^k / k!, relative error 1e-7.
 C1 = np.float32(0.6931471805599453)
@@ -22,7 +22,7 @@ OPTIONS = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy
 def _add_bin(mu, mean, square, rows, bits, scale, sums):
     """Add one energy bin of ``rows`` (materials, n) path lengths to sums (2, n).
 
-    Plain loops without a call or a branch, so that the compiler makes SIMD code of them.
+    Plain loops without calls or branches let the compiler generate SIMD code.
     """
     n = rows.shape[1]
     work = sums[2]
@@ -49,7 +49,8 @@ def sum_bins(paths, mus, means, squares, beam, samples, share, out):
     """Add the signal of every bin to ``out``: mean and mean square, (2, rows, columns).
 
     ``paths`` (materials, rows * samples, columns * samples) are in mm, ``mus`` (bins, materials) in
-    1/mm; ``means`` and ``squares`` (bins,) weigh the bins, ``beam`` each sample, ``share`` it all.
+    1/mm. ``means`` and ``squares`` (bins,) weight the bins, ``beam`` each sample, ``share`` the
+    total.
     """
     rows, n = out.shape[1], paths.shape[2]
     factor = np.float32(share / (samples * samples))
@@ -70,10 +71,11 @@ def sum_bins(paths, mus, means, squares, beam, samples, share, out):
 
 @njit(**OPTIONS)
 def look_up(paths, longest, table, beam, samples, share, out):
-    """The same for one material, from a table over sqrt(path / longest); linear between its nodes.
+    """Add the signal behind one material to ``out`` from a table over sqrt(path / longest).
 
-    ``longest`` is the path of the last node, in mm; the table (2, nodes) has mean and mean square.
-    In one thread: it takes 2 ms, and threads that wait for more work take time from gVXR's.
+    The table (2, nodes) holds mean and mean square, linear between nodes; ``longest`` is the path
+    length at the last node, mm. Single-threaded: it takes 2 ms, and waiting threads would take time
+    from gVXR's.
     """
     rows, n = out.shape[1], paths.shape[1]
     last = np.int32(table.shape[1] - 1)

@@ -1,19 +1,19 @@
-"""The one gVXR scene of this process, and the thread it lives in.
+"""The one gVXR scene of this process, and its thread.
 
-gVXR is a process-wide scene behind module functions. Its habits are dealt with here, so that nobody
-else needs to know them:
+gVXR is a process-wide scene behind module functions. This module handles its peculiarities, so that
+no other code needs to:
 
-- It draws in whatever OpenGL context is current in the calling thread. A call from another thread
+- It draws in the OpenGL context that is current in the calling thread. A call from another thread
   fails, and the views after it are wrong without an error; MuJoCo leaves its own context current
-  after it renders. So every call runs in one thread, which holds the gVXR context for good.
-- A context that was destroyed and made again gives wrong images. So the context is made once and
-  kept until the process ends; only the meshes come and go.
-- It writes to the C-level stdout and stderr. Its log goes to a memory file, and so does what it
-  writes past the log while it is being imported and set up.
+  after rendering. So every call runs in one thread, which owns the gVXR context permanently.
+- A context that was destroyed and created again gives wrong images. So the context is created once
+  and lives until the process ends; only the meshes change.
+- It writes to the C-level stdout and stderr. Its log goes to a memory file, together with anything
+  that it writes elsewhere during import and setup.
 - Its artefact filter, on by default, costs up to half the time and makes closed meshes worse: a
-  titanium sphere inside bone is off by up to 10 mm at its rim with the filter, 0.8 mm without. It
-  comes back with the first view on a panel of another size, so it is switched off after one.
-- Importing it takes about 5 s and 2 GB of memory that it keeps: it builds a sphere table.
+  titanium sphere inside bone is off by up to 10 mm at its rim with the filter, 0.8 mm without. The
+  filter returns with the first view on a panel of another size, so it is disabled after one view.
+- Its import takes about 5 s and 2 GB of permanent memory, for a sphere table.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ _PRIMER: Upload = (
     np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
     0.01,
 )
-"""A tiny body to take a first view of."""
+"""Tiny body for a first view."""
 
 _BEAM_MM = 300.0
-"""Where source and panel stand, off the origin, for that view."""
+"""Distance of source and panel from the origin in the first view."""
 
 
 class GvxrScene:
-    """gVXR in a thread of its own, used by one owner at a time."""
+    """gVXR in its own thread, with one owner at a time."""
 
     def __init__(self) -> None:
-        """Start nothing yet: gVXR is imported when the first owner comes."""
+        """Create an idle scene; gVXR is imported with the first owner."""
         self._thread: ThreadPoolExecutor | None = None
         self._gvxr: Any = None
         self._log = -1
@@ -69,12 +69,12 @@ class GvxrScene:
         self._bodies = 0
 
     def prepare(self) -> None:
-        """Import gVXR and look whether it can draw, before somebody needs it."""
+        """Import gVXR and check that it can draw, before it is needed."""
         if self._gvxr is None:
             self._call(self._start)
 
     def acquire(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
-        """Fill the scene. The caller owns it until ``release``."""
+        """Fill the scene. The caller owns the scene until ``release``."""
         if not self._owned.acquire(blocking=False):
             raise TwinctError(
                 "another X-ray imager is still open in this process, and gVXR has one scene for "
@@ -87,7 +87,7 @@ class GvxrScene:
             raise
 
     def release(self) -> None:
-        """Remove all meshes, so that the next owner finds an empty scene."""
+        """Remove all meshes, so that the next owner gets an empty scene."""
         try:
             if self._gvxr is not None:
                 self._call(self._gvxr.removePolygonMeshesFromSceneGraph)
@@ -95,10 +95,10 @@ class GvxrScene:
             self._owned.release()
 
     def expose(self, view: Vectors, image: NDArray[np.float32], body: int | None = None) -> None:
-        """Take one view in the frame of the meshes, of one body or, where None, of all.
+        """Take one view in the frame of the meshes, of one body or, with None, of all.
 
-        ``image`` receives photons for each one that left the source, (rows, columns). gVXR writes
-        as many pixels as its panel has, whatever the size of this array.
+        ``image`` receives photons per emitted photon, (rows, columns). gVXR writes as many pixels
+        as its panel has, whatever the size of this array.
         """
         self._call(self._shoot, view, image, body)
 
@@ -108,7 +108,7 @@ class GvxrScene:
         try:
             return self._thread.submit(function, *args).result()
         except (RuntimeError, ValueError, TypeError, OverflowError) as error:
-            # What SWIG makes of C++ exceptions.
+            # SWIG's translations of C++ exceptions.
             raise TwinctError(f"gVXR failed: {str(error).strip()}{self._complaints()}") from error
 
     def _fill(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
@@ -119,13 +119,13 @@ class GvxrScene:
             gvxr.usePointSource()
             gvxr.setDetectorNumberOfPixels(panel.columns, panel.rows)
             gvxr.setDetectorPixelSize(panel.pitch_u, panel.pitch_v, "mm")
-            # One photon for each pixel: the photon count of a pixel is the transmission.
+            # With one photon per pixel, the photon count of a pixel is its transmission.
             gvxr.setMonoChromaticPerPixelAtSDD(energy_kev, "keV", 1)
             self._add("primer", *_PRIMER)
             x, y, z = np.eye(3)
             self._shoot((-_BEAM_MM * x, _BEAM_MM * x, z, y), np.empty(panel.shape, np.float32))
             gvxr.removePolygonMeshesFromSceneGraph()
-            # The first view on a new panel switches the filter on again, whatever was set before.
+            # The first view on a new panel enables the filter, whatever was set before.
             gvxr.disableArtefactFiltering()
             for index, body in enumerate(bodies):
                 self._add(f"part-{index}", *body)
@@ -135,7 +135,7 @@ class GvxrScene:
     def _shoot(self, view: Vectors, image: NDArray[np.float32], body: int | None = None) -> None:
         gvxr = self._gvxr
         if body != self._shown:
-            # The meshes stay uploaded: this takes less than a microsecond.
+            # The meshes stay uploaded, so this takes less than a microsecond.
             gvxr.removePolygonMeshesFromXRayRenderer()
             for index in range(self._bodies) if body is None else (body,):
                 gvxr.addPolygonMeshAsInnerSurface(f"part-{index}")
@@ -184,7 +184,7 @@ class GvxrScene:
             os.dup2(self._log, 2)
             yield
         finally:
-            ctypes.CDLL(None).fflush(None)  # what C and C++ still hold back
+            ctypes.CDLL(None).fflush(None)  # flushes the C and C++ buffers
             for descriptor, stream in zip(kept, (1, 2), strict=True):
                 os.dup2(descriptor, stream)
                 os.close(descriptor)
@@ -215,9 +215,9 @@ def _import_gvxr() -> Any:
 
 @contextmanager
 def _no_display() -> Iterator[None]:
-    """Make gVXR take EGL: the same path on a desktop, over ssh and in a container.
+    """Make gVXR use EGL: identical on a desktop, over ssh and in a container.
 
-    With a display it would open a window first, which belongs to the main thread.
+    With a display, it would first open a window, which belongs to the main thread.
     """
     hidden = {name: os.environ.pop(name, None) for name in ("DISPLAY", "WAYLAND_DISPLAY")}
     try:
@@ -231,12 +231,12 @@ ENGINE = GvxrScene()
 
 
 class SceneOwner:
-    """Has the scene from where ``_open`` is set until ``close``; can be used as a context."""
+    """Owner of the scene while ``_open`` is set, until ``close``; usable as a context manager."""
 
     _open = False
 
     def close(self) -> None:
-        """Hand the scene over to the next one; closing twice does no harm."""
+        """Release the scene for the next owner; closing twice is harmless."""
         if self._open:
             self._open = False
             self._release()
@@ -251,7 +251,7 @@ class SceneOwner:
         self.close()
 
     def __del__(self) -> None:
-        # An owner that nobody can close any more must not block the next one.
-        # When the process ends, gVXR's thread is gone already.
+        # An unreachable owner must not block the next one. At the end of the process, gVXR's thread
+        # is already gone.
         with suppress(TwinctError):
             self.close()

@@ -1,4 +1,4 @@
-"""What gVXR would get wrong without an error: meshes, and where source and panel must not be."""
+"""Checks for silent errors of gVXR: invalid meshes, and invalid positions of source and panel."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 DEPTH_MM = 0.02
-"""Error of a path that a triangle's size may make."""
+"""Error of a path length allowed for a triangle's size."""
 
 
 def mesh_fault(mesh: Trimesh) -> str | None:
-    """Why gVXR cannot image a mesh; None where it can."""
+    """Return the reason why gVXR cannot image a mesh; None for a valid mesh."""
     if not len(mesh.faces):
         return "is empty: its mesh has no triangles"
     if not mesh.is_watertight:
@@ -30,31 +30,34 @@ def mesh_fault(mesh: Trimesh) -> str | None:
 
 
 def longest_edge(source_to_body_mm: float, depth_mm: float = DEPTH_MM) -> float:
-    """Longest edge of a triangle that gVXR images to a depth, mm.
+    """Return the longest edge of a triangle that gVXR images to a depth, mm.
 
-    It interpolates the distance to the source linearly inside a triangle, which is wrong by up to
+    gVXR interpolates the distance to the source linearly inside a triangle. The error is up to
     edge^2 / (8 distance).
     """
     return float(np.sqrt(8 * source_to_body_mm * depth_mm))
 
 
 def split(mesh: Trimesh, longest_edge_mm: float | None) -> Trimesh:
-    """The same solid without longer edges; the very mesh where there are none."""
+    """Return an equal solid without longer edges; the mesh itself if there are none."""
     return mesh if longest_edge_mm is None else refined(mesh, longest_edge_mm / 1.5)
 
 
 class Placement:
-    """The specimen, seen as what source and panel must stay clear of."""
+    """The specimen as an obstacle for source and panel."""
 
     def __init__(self, parts: Sequence[tuple[str, Trimesh]]) -> None:
-        """Take the name and the mesh of each part, mm."""
+        """Store the name and the mesh of each part, mm."""
         self._parts = [(name, mesh, corners(mesh)) for name, mesh in parts]
 
     def check(self, view: ScanGeometry) -> None:
-        """Refuse a view that gVXR would get wrong.
+        """Raise an error for a view that gVXR would render incorrectly.
 
-        gVXR counts what lies behind the panel as if it lay before it, and loses what surrounds the
-        source. The specimen's corners decide at once in any sensible scan.
+        gVXR treats objects behind the panel as if they lay before it, and loses objects around the
+        source. In any sensible scan, the specimen's corners decide at once.
+
+        Raises:
+            TwinctError: a part reaches through the panel, or encloses the source.
         """
         for name, mesh, box in self._parts:
             if _behind(view, box).any() and _reaches_through(view, np.asarray(mesh.vertices)):
@@ -68,7 +71,7 @@ class Placement:
 
 
 def corners(mesh: Trimesh) -> Floats:
-    """Of the box around a mesh, (8, 3)."""
+    """Return the corners of the box around a mesh, (8, 3)."""
     return np.array(np.meshgrid(*np.asarray(mesh.bounds).T)).reshape(3, -1).T
 
 
@@ -80,14 +83,15 @@ def _reaches_through(view: ScanGeometry, vertices: Floats) -> bool:
     behind = vertices[_behind(view, vertices)]
     if not len(behind):
         return False
-    # The bounds of the shadow, not its outline: a large triangle may cover the panel between them.
+    # The bounds of the shadow, not its outline: a large triangle may cover the panel between
+    # vertices.
     shadow = view.project(behind)[0]
     size = np.array([view.panel.columns, view.panel.rows])
     return bool((shadow.max(axis=0) > -0.5).all() and (shadow.min(axis=0) < size - 0.5).all())
 
 
 def _encloses(triangles: Floats, point: Floats) -> bool:
-    """Winding number of a closed surface about a point, from the solid angles of its triangles."""
+    """Return True if a closed surface encloses a point: sum the solid angles of its triangles."""
     a, b, c = np.moveaxis(triangles - point, 1, 0)
     la, lb, lc = (np.linalg.norm(edge, axis=1) for edge in (a, b, c))
     volume, ab, bc, ca = (

@@ -1,4 +1,4 @@
-"""The free beam: how many photons reach a pixel where nothing stands in the way."""
+"""The free beam: photons per pixel without an object."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from twinct.geometry import MM_PER_M, ScanGeometry
 
 
 def fall_off(view: ScanGeometry, samples: int = 1) -> NDArray[np.float32]:
-    """Inverse square and oblique incidence: (1 m / r)^2 cos(a), exactly, at each sample.
+    """Return the exact fall-off by distance and oblique incidence, (1 m / r)^2 cos(a), per sample.
 
     r is the distance from the focal spot, a the angle between ray and panel normal. Photons per
-    mm^2 at 1 m, times this, are photons per mm^2 of panel.
+    mm^2 at 1 m, times the fall-off, are photons per mm^2 of panel.
 
     Returns:
         (rows * samples, columns * samples), ``samples`` along each pixel edge.
@@ -28,5 +28,5 @@ def fall_off(view: ScanGeometry, samples: int = 1) -> NDArray[np.float32]:
 
 
 def _offsets(count: int, samples: int) -> NDArray[np.float64]:
-    """Sample positions along one edge of the panel, pixels from its middle."""
+    """Return sample positions along one edge of the panel, in pixels from its middle."""
     return (np.arange(count * samples) + 0.5) / samples - count / 2

@@ -1,6 +1,6 @@
-"""From the scenario's sections of source and detector to the physics they name.
+"""Physical models for the source and detector sections of the scenario.
 
-A file, material or number that cannot be used is an ``InputError`` that begins with its key.
+An unusable file, material or number raises an ``InputError`` that begins with its key.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ SCINTILLATORS = {
     "CsI": scenario.Composition(formula="CsI", density_g_cm3=4.51),
     "Gd2O2S": scenario.Composition(formula="Gd2O2S", density_g_cm3=7.32),
 }
-"""Solid densities; a powder screen is given by its own composition."""
+"""Solid densities; state the composition of a powder screen itself."""
 
 _FAINTEST = 1e-9
-"""Least share of its photons that a spectrum must keep behind its filters."""
+"""Minimum share of a spectrum's photons behind its filters."""
 
 
 def build_spectrum(source: scenario.Source) -> PhotonSpectrum:
-    """What the source emits, behind its filters.
+    """Return the source's spectrum behind its filters.
 
     Raises:
         MissingExtraError: SpekPy is needed and not installed.
@@ -55,7 +55,7 @@ def build_spectrum(source: scenario.Source) -> PhotonSpectrum:
 
 
 def _filtered(spectrum: PhotonSpectrum, filters: Sequence[scenario.Filter]) -> PhotonSpectrum:
-    """Behind all plates; refused where less than ``_FAINTEST`` of the photons is left."""
+    """Return the spectrum behind all plates; refuse it if less than ``_FAINTEST`` passes."""
     plates: list[tuple[Material, float]] = []
     problems: list[str] = []
     for i, plate in enumerate(filters):
@@ -82,7 +82,7 @@ def _filtered(spectrum: PhotonSpectrum, filters: Sequence[scenario.Filter]) -> P
 
 
 def build_response(detector: scenario.Detector) -> PhotonResponse:
-    """What the detector makes of a photon."""
+    """Return the detector's response to a photon."""
     section = detector.response
     if isinstance(section, scenario.CountingResponse):
         return PhotonResponse.counting()
@@ -98,9 +98,9 @@ def build_response(detector: scenario.Detector) -> PhotonResponse:
 
 
 def effective_energy_kev(source: scenario.Source, detector: scenario.Detector) -> float:
-    """Mean energy of the free beam, keV, each photon weighted with its signal.
+    """Return the mean energy of the free beam, keV, each photon weighted with its signal.
 
-    At this energy a specimen's true attenuation is stated, and beam hardening is corrected to it.
+    A specimen's true attenuation is stated at this energy, and beam hardening is corrected to it.
     """
     if source.spectrum is None:
         return source.energy_kev
@@ -110,7 +110,7 @@ def effective_energy_kev(source: scenario.Source, detector: scenario.Detector) -
 
 
 def build_spot(source: scenario.Source) -> Floats:
-    """Points of the focal spot in the source frame's x and y, (points, 2), mm."""
+    """Return points of the focal spot in the source frame's x and y, (points, 2), mm."""
     section = source.focal_spot
     if section is None:
         return np.zeros((1, 2))
@@ -126,7 +126,7 @@ def build_spot(source: scenario.Source) -> Floats:
 
 
 def build_spread(detector: scenario.Detector) -> PointSpreadFunction | None:
-    """The detector's point spread; the table of a file must not end where it still matters."""
+    """Return the detector's point spread; refuse a table from a file that ends too early."""
     section = detector.point_spread
     if section is None:
         return None
@@ -141,7 +141,7 @@ def build_spread(detector: scenario.Detector) -> PointSpreadFunction | None:
 
 
 def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_]:
-    """Dead pixels, (rows, columns)."""
+    """Return a mask of the dead pixels, (rows, columns)."""
     shape, section = detector.panel.shape, detector.bad_pixels
     if section is None:
         return np.zeros(shape, dtype=bool)
@@ -157,13 +157,13 @@ def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_
 
 
 def physical_panel(detector: scenario.Detector) -> Panel:
-    """The lattice before binning."""
+    """Return the panel before binning."""
     return detector.panel.divided(detector.binning)
 
 
 @contextmanager
 def _named(origin: str) -> Iterator[None]:
-    """Let problems begin with the key, or the file, that they come from."""
+    """Prefix problems with their key or file."""
     try:
         yield
     except MissingExtraError:

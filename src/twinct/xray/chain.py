@@ -32,15 +32,15 @@ from twinct.xray.spot import moved_source
 Image = NDArray[np.float32]
 
 _LEAST_TRANSMISSION = 1e-7
-"""Smallest transmission of an image without noise and without a bit depth."""
+"""Smallest transmission of an image without noise and bit depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewImages:
-    """One view as the machine has it, (rows, columns) each.
+    """Images of one view, (rows, columns) each.
 
-    Grey values, where bad pixels are 0 in ``raw``, and the transmission that ``flat`` (the free
-    beam) and ``dark`` give, above 0, bad pixels filled.
+    ``raw``, ``flat`` (the free beam) and ``dark`` are grey values; bad pixels are 0 in ``raw``.
+    ``transmission`` is computed from them, positive, with bad pixels filled.
     """
 
     raw: Image
@@ -52,17 +52,17 @@ class ViewImages:
 class Chain:
     """Source and detector of one scenario.
 
-    In the order of the physics: the expected signal of each physical pixel (the mean over what the
-    exposure's renders give), scatter, the quantum noise of what the pixel absorbs, the point spread
-    of the detector (which blurs that noise too), lag (which carries both on), electronic noise,
-    binning, gain, offset, saturation and bit depth, bad pixels. Flat and dark images take the same
-    way.
+    The steps follow the physics: the expected signal of each physical pixel (the mean over the
+    exposure's renders), scatter, the quantum noise of the absorbed photons, the point spread of the
+    detector (which blurs that noise too), lag (which carries both on), electronic noise, binning,
+    gain, offset, saturation and bit depth, bad pixels. Flat and dark images go through the same
+    steps.
 
     Attributes:
-        panel: the physical pixels, before binning.
+        panel: physical pixels, before binning.
         spot: points of the focal spot in the source frame's x and y, (points, 2), mm.
-        samples: along each edge of a physical pixel.
-        free: expected signal and its variance of a physical pixel in the free beam at the middle
+        samples: samples along each edge of a physical pixel.
+        free: expected signal of a physical pixel and its variance, in the free beam at the middle
             of the first commanded view's panel, at ``source.mas``, (2,).
     """
 
@@ -75,15 +75,16 @@ class Chain:
         seed: int = 0,
         mas: Floats | None = None,
     ) -> None:
-        """Build what the sections name.
+        """Build the models of source and detector.
 
         Args:
-            source: its section of the scenario.
-            detector: its section of the scenario.
-            materials: of the path lengths, in their order.
-            commanded: views; the first sets the gain, and where flat images are taken once.
-            seed: every random draw is keyed by it.
-            mas: tube load of each commanded view, (views,), mAs; ``source.mas`` where None.
+            source: source section of the scenario.
+            detector: detector section of the scenario.
+            materials: materials of the path lengths, in their order.
+            commanded: commanded views. The first sets the gain, and is the view of flat images that
+                are taken once.
+            seed: key of every random draw.
+            mas: tube load of each commanded view, (views,), mAs; ``source.mas`` by default.
         """
         self._loads = None if mas is None else np.asarray(mas, dtype=np.float64) / source.mas
         spectrum = build_spectrum(source)
@@ -106,32 +107,32 @@ class Chain:
         self._bad = build_bad_pixels(detector, seed)
         self._amplifier, self._electronic = Amplifier(1 / float(self.free[0])), 0.0
         if (readout := detector.readout) is not None:
-            # One gain for the whole scan: no view's free beam is above ``free_beam``.
+            # One gain for the whole scan: no view's free beam exceeds ``free_beam``.
             brightest = 1.0 if self._loads is None else float(self._loads.max())
             gain = readout.free_beam / (float(self.free[0]) * brightest)
             self._amplifier = Amplifier(gain, readout.offset, readout.bits, readout.saturation)
-            # Of a physical pixel, in grey values.
+            # For a physical pixel, in grey values.
             self._electronic = readout.electronic_noise * detector.binning
 
     def load(self, index: int) -> float:
-        """MAs of a view by its index, in units of ``source.mas``: 1 where none is commanded."""
+        """Return a view's mAs in units of ``source.mas``; 1 for views without a commanded load."""
         if self._loads is None or not 0 <= index < len(self._loads):
             return 1.0
         return float(self._loads[index])
 
     def physical(self, view: ScanGeometry) -> ScanGeometry:
-        """The same view on the physical pixels."""
+        """Return a view with the physical pixels."""
         return ScanGeometry(view.source, view.detector, view.u, view.v, self.panel)
 
     def from_spot(self, view: ScanGeometry) -> Iterator[ScanGeometry]:
-        """The view from each point of the focal spot."""
+        """Yield the view from each point of the focal spot."""
         for offset in self.spot:
             yield moved_source(view, offset) if offset.any() else view
 
     def blank(self) -> Image:
-        """Where exposures add up, (2 or 3, rows, columns).
+        """Return an empty accumulator for exposures, (2 or 3, rows, columns).
 
-        Mean and mean square of the signal and, where scatter is asked for, what is scattered.
+        It holds mean and mean square of the signal and, with a scatter model, the scattered signal.
         """
         planes = 2 if self._kernel is None else 3
         return np.zeros((planes, *self.panel.shape), dtype=np.float32)
@@ -141,8 +142,8 @@ class Chain:
 
         Args:
             paths: path lengths at the samples, (materials, ...), mm.
-            view: where source and panel were, on the physical pixels.
-            out: where the exposure adds up.
+            view: executed view on the physical pixels.
+            out: accumulator of the exposure.
             share: weight among the renders of this exposure.
         """
         beam = fall_off(view, self.samples)
@@ -161,19 +162,19 @@ class Chain:
         object_mm: float = 0.0,
         before: tuple[Image, float] | None = None,
     ) -> ViewImages:
-        """The machine's images of one view.
+        """Return the detector's images of one view.
 
         Args:
-            expected: what ``add`` made.
-            view: where source and panel were, on the physical pixels.
-            index: of the view; keys the noise.
-            object_mm: from the middle of the object to the panel, for scatter.
-            before: ``expected`` and ``object_mm`` of the view before, whose signal lags.
+            expected: accumulated exposure from ``add``.
+            view: executed view on the physical pixels.
+            index: index of the view; keys the noise.
+            object_mm: distance from the middle of the object to the panel, for scatter.
+            before: ``expected`` and ``object_mm`` of the previous view, whose signal lags.
         """
         rng = self._rng(index)
         signal = self._signal_of(expected, object_mm, rng)
         if before is not None:
-            # With the noise that it had: drawn again by its own key.
+            # The previous noise is drawn again by its own key.
             last, lag = (
                 self._signal_of(*before, self._rng(index - 1)),
                 np.float32(self._detector.lag),
@@ -188,11 +189,11 @@ class Chain:
         return ViewImages(raw, flat, dark, mend_bad_pixels(transmission, self._bad))
 
     def _rng(self, index: int) -> np.random.Generator:
-        # Modulo: what is imaged alone, as view 0, may still have one before it.
+        # Modulo: a view imaged alone, as view 0, may still have a predecessor.
         return view_rng(self._seed, "detector noise", index % 2**64)
 
     def _signal_of(self, expected: Image, object_mm: float, rng: np.random.Generator) -> Image:
-        """What one exposure leaves in the physical pixels: scatter, noise of quanta, spread."""
+        """Return one exposure's signal in the physical pixels, with scatter, noise and spread."""
         detector, pitch = self._detector, (self.panel.pitch_u, self.panel.pitch_v)
         if self._kernel is not None:
             scatter = self._kernel.spread(expected[2], *pitch, object_mm)
@@ -211,11 +212,11 @@ class Chain:
         return signal
 
     def _flat(self, view: ScanGeometry, index: int) -> Image:
-        """The flat image: normal noise, as of many photons, with one pattern for the whole scan."""
+        """Return the flat image with normal noise for its photon number, one pattern per scan."""
         way, commanded = self._detector.correction.flat_geometry, self._commanded
         if way == "view":
             return self._flat_at(self._free_beam(view) * np.float32(self.load(index)))
-        # Taken at the first view's mAs; another view's is known of the generator.
+        # The flat is taken at the first view's mAs; the generator reports every view's mAs.
         more = np.float32(self.load(index) / self.load(0))
         if index == 0 or (way == "first" and more == 1):
             return self._first_flat
@@ -236,8 +237,9 @@ class Chain:
         return self._flat_at(self._first_beam * np.float32(self.load(0)))
 
     def _free_beam(self, view: ScanGeometry) -> Image:
-        """Fall-off at each physical pixel."""
-        # From every point of the spot, as the views: what a spot off its centre does must cancel.
+        """Return the fall-off at each physical pixel."""
+        # From every point of the spot, like the views, so that the effect of an off-centre spot
+        # cancels.
         first, *others = self.from_spot(view)
         beam = binned(fall_off(first, self.samples), self.samples)
         for seen in others:
@@ -259,7 +261,7 @@ class Chain:
             elif isinstance(detector.noise, scenario.SnrNoise):
                 share = detector.binning / detector.noise.snr
                 variance = signal * np.float32(self.free[0] * share**2)
-            # Lag moves noise on from frame to frame: less of it is left in few of them.
+            # Lag carries noise from frame to frame, so an average of few frames has less noise.
             lag = detector.lag
             variance = variance * np.float32(1 - 2 * lag * (1 - lag) / frames)
             variance = variance + np.float32((self._electronic / self._amplifier.gain) ** 2)
@@ -268,7 +270,7 @@ class Chain:
 
     @cached_property
     def _flat_pattern(self) -> Image:
-        """The spread blurs quantum noise."""
+        """Unit noise of the flat image; the point spread blurs quantum noise."""
         pattern = self._pattern("flat noise")
         if isinstance(self._detector.noise, scenario.QuantumNoise) and self._spread is not None:
             pattern = self._spread.apply(pattern, self.panel.pitch_u, self.panel.pitch_v)
@@ -284,19 +286,19 @@ class Chain:
         return self._average(signal, frames)
 
     def _pattern(self, purpose: str) -> Image:
-        """Unit normal noise of the physical pixels."""
+        """Return unit normal noise of the physical pixels."""
         rng = view_rng(self._seed, purpose, 0)
         return rng.standard_normal(self.panel.shape, dtype=np.float32)
 
     def _average(self, signal: Image, frames: int) -> Image:
-        """Grey values of an average of frames: fractions, but for a single frame."""
+        """Return grey values of an average of frames: fractions, except for a single frame."""
         readout = self._amplifier
         if frames != 1:
             readout = Amplifier(readout.gain, readout.offset, None, min(readout.largest, 3e38))
         return readout.read(binned(signal, self._detector.binning))
 
     def _floor(self) -> float:
-        """Smallest grey value above the dark image that counts as light."""
+        """Return the smallest grey value above the dark image that counts as light."""
         if self._detector.readout is not None:
             return 0.5
         if isinstance(self._detector.noise, scenario.QuantumNoise):
@@ -306,7 +308,7 @@ class Chain:
 
 
 def _at_middle(view: ScanGeometry) -> float:
-    """``fall_off`` at the middle of the panel."""
+    """Return ``fall_off`` at the middle of the panel."""
     to_source = view.source[0] - view.detector[0]
     distance = float(np.linalg.norm(to_source))
     return MM_PER_M**2 * float(to_source @ view.normal[0]) / distance**3

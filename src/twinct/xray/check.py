@@ -1,4 +1,4 @@
-"""Whether source and detector can be built, before any work and without gVXR."""
+"""Checks that source and detector can be built, before any work and without gVXR."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from twinct.xray.spectrum import PhotonSpectrum
 T = TypeVar("T")
 
 _UNCOVERED = 1e-3
-"""Share of the photons that may lie outside a tabulated response."""
+"""Maximum share of the photons outside a tabulated response."""
 _WIDEST_SPOT = 0.25
-"""Width of a focal spot, as a share of the distance to the panel."""
+"""Maximum width of a focal spot, as a share of the distance to the panel."""
 
 
 def check_parts(
     source: scenario.Source, detector: scenario.Detector, views: ScanGeometry, seed: int = 0
 ) -> None:
-    """Build every part of the chain once, and look whether they go with the commanded views.
+    """Build every part of the chain once, and check that it suits the commanded views.
 
     Raises:
-        InputError: every file, material or number that cannot be used, each with its key.
+        InputError: a file, material or number is unusable; lists all of them by key.
         MissingExtraError: SpekPy is needed and not installed.
     """
     problems: list[str] = []

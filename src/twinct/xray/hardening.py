@@ -1,4 +1,4 @@
-"""Beam hardening: polychromatic line integrals brought to what one energy would have given."""
+"""Beam hardening: conversion of polychromatic line integrals to one energy."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from twinct.xray.response import PhotonResponse
 from twinct.xray.spectrum import PhotonSpectrum, attenuation
 
 _LARGEST_INTEGRAL = 17.0
-"""Line integrals above this are not told apart: no detector sees them."""
+"""Upper limit of line integrals: no detector can distinguish larger ones."""
 _BRIGHT = 0.1
-"""How far the table goes below 0, for noise, as a share of its range."""
+"""Extent of the table below 0, for noise, as a share of its range."""
 _NODES = (129, 2049)
-"""Nodes along the dense material, and along the line integral."""
+"""Number of nodes along the dense material, and along the line integral."""
 
 
 class Hardening:
-    """Solves the polychromatic model of known spectrum and materials for the path lengths.
+    """Inverse of the polychromatic model of known spectrum and materials.
 
-    One material: the line integral p(L) = -ln(signal(L) / signal(0)) is inverted, and mu(E) L
-    returned (linearisation, Herman, Phys. Med. Biol. 24 (1979) 81). Two: with the path in the dense
-    one known, p(L, L_dense) is inverted for the base material, which then has its mu(E) L added to
-    that of the dense one. That is the correction of Joseph and Spital (J. Comput. Assist. Tomogr. 2
-    (1978) 100), whose polynomial is here the model itself; the dense path comes from a segmented
-    first volume.
+    With one material, the line integral p(L) = -ln(signal(L) / signal(0)) is inverted, and mu(E) L
+    is returned (linearisation, Herman, Phys. Med. Biol. 24 (1979) 81). With two, the path length in
+    the dense material is known, p(L, L_dense) is inverted for the base material, and mu(E) L of
+    both materials is added. This is the correction of Joseph and Spital (J. Comput. Assist. Tomogr.
+    2 (1978) 100) with the model itself in place of their polynomial; the dense path length comes
+    from a segmented first volume.
     """
 
     def __init__(
@@ -42,11 +42,11 @@ class Hardening:
         """Tabulate the inverse.
 
         Args:
-            spectrum: of the free beam.
-            response: of the detector.
-            materials: the base material, and the dense one where there are two.
-            energy_kev: to which line integrals are brought.
-            longest_dense_mm: longest path in the dense material.
+            spectrum: spectrum of the free beam.
+            response: response of the detector.
+            materials: the base material, and optionally the dense one.
+            energy_kev: target energy of the line integrals.
+            longest_dense_mm: longest path length in the dense material.
         """
         energies = spectrum.energies_kev
         weight = spectrum.photons * response.mean(energies)
@@ -55,7 +55,7 @@ class Hardening:
         nodes = _NODES[0] if len(materials) == 2 else 1
         self._dense = np.linspace(0.0, max(longest_dense_mm, 1e-6), nodes)
         top = _LARGEST_INTEGRAL / max(float(mus[0].min()), 1e-9)
-        base = top * np.linspace(0, 1, 8 * _NODES[1]) ** 2  # dense where paths are short
+        base = top * np.linspace(0, 1, 8 * _NODES[1]) ** 2  # dense for short paths
         self._integrals = np.linspace(-_BRIGHT * _LARGEST_INTEGRAL, _LARGEST_INTEGRAL, _NODES[1])
         self._table = np.empty((nodes, _NODES[1]))
         for i, dense in enumerate(self._dense):
@@ -63,7 +63,7 @@ class Hardening:
             passed = np.exp(-np.multiply.outer(base, mus[0]) - behind)
             p = -np.log(passed @ weight / weight.sum())
             slope = passed[0] @ (weight * mus[0]) / (passed[0] @ weight)
-            # Below what the dense material alone gives, noise goes on along the tangent.
+            # Below the value of the dense material alone, noise continues along the tangent.
             tangent = (self._integrals - p[0]) / slope
             inverse = np.interp(self._integrals, p, base)
             self._table[i] = np.where(self._integrals < p[0], tangent, inverse)
@@ -71,9 +71,9 @@ class Hardening:
     def correct(
         self, integrals: NDArray[np.float32], dense_mm: NDArray[np.float32] | None = None
     ) -> NDArray[np.float32]:
-        """Polychromatic line integrals brought to the one energy, of the same shape.
+        """Return polychromatic line integrals converted to the target energy; keep their shape.
 
-        ``dense_mm`` is the path of each in the dense material, where there is one.
+        ``dense_mm`` is the path length of each in the dense material, if there is one.
         """
         at = (integrals - self._integrals[0]) / (self._integrals[1] - self._integrals[0])
         if dense_mm is None:

@@ -18,30 +18,31 @@ from twinct.xray.chain import Chain, ViewImages
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 
 Placed = tuple[ScanGeometry, Pose]
-"""Where everything was at one instant: source and panel, one view, and ``world_from_object``."""
+"""Executed geometry at one instant: one view of source and panel, and ``world_from_object``."""
 
 _NEAREST_MM = 150.0
-"""Distance from source to specimen where no commanded view tells it."""
+"""Distance from source to specimen if there are no commanded views."""
 
 
 def prepare_engine() -> None:
-    """Import gVXR and look whether it can draw: an imager made later finds it ready.
+    """Import gVXR and check that it can draw, so that a later imager starts at once.
 
     Raises:
-        InputError: gVXR or a system library it needs is not installed.
+        InputError: gVXR or a system library that it needs is not installed.
     """
     ENGINE.prepare()
 
 
 class Imager(SceneOwner):
-    """Renders views of one specimen with one source and one panel.
+    """Renderer for views of one specimen with one source and one panel.
 
     The meshes are uploaded once, in the specimen's frame; each view is expressed in that frame.
-    Only one imager can be open in a process. It may be used from any thread, by one at a time.
+    Only one imager can be open in a process. It may be used from any thread, by one thread at a
+    time.
 
-    A monochromatic point source and an ideal detector give gVXR's own image, a pixel sampled at its
-    centre. Anything else goes by path lengths (``PathRenderer``) through a ``Chain``; an image then
-    costs a render for each point of the focal spot times each instant of the exposure.
+    A monochromatic point source and an ideal detector give gVXR's own image, each pixel sampled at
+    its centre. All other cases use path lengths (``PathRenderer``) and a ``Chain``; an image then
+    costs one render per point of the focal spot and instant of the exposure.
     """
 
     def __init__(
@@ -57,18 +58,19 @@ class Imager(SceneOwner):
         """Upload the specimen.
 
         Args:
-            source: the photons.
-            detector: gives the panel that every view must have, and what it makes of photons.
-            specimen: parts that do not overlap, closed meshes in mm, in the specimen's frame.
-            commanded: the views of the scan. The first sets the detector's gain and has the flat
-                image, which each scales; the first view rendered where None. A view beyond them
-                counts as commanded where it is.
-            seed: keys the noise, with the index of the view.
-            mas: tube load of each commanded view, (views,), mAs; ``source.mas`` where None.
+            source: source section of the scenario.
+            detector: detector section, with the panel of every view and the response to photons.
+            specimen: disjoint parts, closed meshes in mm, in the specimen's frame.
+            commanded: views of the scan; by default the first rendered view. The first sets the
+                detector's gain and is the view of the flat image, which is scaled for the others. A
+                view beyond them counts as commanded in its executed geometry.
+            seed: key of the noise, together with the index of the view.
+            mas: tube load of each commanded view, (views,), mAs; ``source.mas`` by default.
 
         Raises:
-            SpecimenError: nothing to image, an open mesh, or an attenuation that is no number.
-            InputError: gVXR, SpekPy or a system library is missing, or a file cannot be used.
+            SpecimenError: there is nothing to image, a mesh is open, or an attenuation is not
+                finite or is negative.
+            InputError: gVXR, SpekPy or a system library is missing, or a file is unusable.
             TwinctError: another imager is open in this process, or gVXR failed.
         """
         self.panel = detector.panel
@@ -85,7 +87,7 @@ class Imager(SceneOwner):
             low, high = specimen.bounds
             self._centre = (low + high) / 2
             self._materials = tuple(dict.fromkeys(part.material for part in specimen.parts))
-            if commanded is not None:  # now, so that what is wrong with a file is said at once
+            if commanded is not None:  # now, to report unusable files at once
                 self._chain = self._new_chain(commanded)
             self._paths = PathRenderer(
                 [Body(part.mesh, part.material, part.name) for part in specimen.parts],
@@ -106,28 +108,29 @@ class Imager(SceneOwner):
             view: index of the view, which keys its noise.
 
         Returns:
-            Transmission I/I0 as the flat and dark images give it, (rows, columns); 1 in the free
-            beam, but for noise and for what the view is off the place of its flat image.
+            Transmission I/I0, corrected by the flat and dark images, (rows, columns). It is 1 in
+            the free beam, except for noise and for the pose difference between the view and its
+            flat image.
 
         Raises:
-            ValueError: not one view, or another panel.
-            TwinctError: the imager was closed, the specimen reaches through the panel, the source
-                is inside it, or gVXR failed.
+            ValueError: ``geometry`` is not one view, or has another panel.
+            TwinctError: the imager is closed, the specimen reaches through the panel, the source is
+                inside the specimen, or gVXR failed.
         """
         return self.expose([(geometry, world_from_object)], view)
 
     def expose(
         self, path: Sequence[Placed], view: int = 0, before: Placed | None = None
     ) -> NDArray[np.float32]:
-        """Take one view while things move: the mean over the instants of the path.
+        """Take one view during motion: the mean over the instants of the path.
 
         Args:
-            path: instants of equal duration, at least one; the middle one is where the view was.
+            path: instants of equal duration, at least one; the middle one is the view's geometry.
             view: index of the view, which keys its noise.
-            before: where the last view was taken, whose signal lags; none in the first view.
+            before: geometry of the previous view, whose signal lags; None for the first view.
 
         Returns:
-            Transmission, (rows, columns). See ``render``, also for what it raises.
+            Transmission, (rows, columns). See ``render``, also for the exceptions.
         """
         if not self._open:
             raise TwinctError("the X-ray imager was closed")
@@ -148,7 +151,7 @@ class Imager(SceneOwner):
     def frame(
         self, path: Sequence[Placed], view: int = 0, before: Placed | None = None
     ) -> ViewImages:
-        """The same, with raw, flat and dark images; not for an ideal detector, which has none."""
+        """Take one view with raw, flat and dark images, which an ideal detector does not have."""
         if self._paths is None:
             raise ValueError("an ideal source and detector give a transmission and nothing else")
         middle = path[len(path) // 2][0]
@@ -160,7 +163,7 @@ class Imager(SceneOwner):
         return chain.frame(expected, chain.physical(middle), view, self._object_mm(*path[0]), last)
 
     def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
-        """From the middle of the specimen to the panel, along its normal."""
+        """Return the distance from the specimen's middle to the panel, along the panel's normal."""
         centre = world_from_object.apply(self._centre)
         return float((centre - geometry.detector[0]) @ geometry.normal[0])
 
@@ -192,7 +195,7 @@ class Imager(SceneOwner):
 
 
 def _nearest_mm(specimen: BuiltSpecimen, commanded: ScanGeometry | None) -> float:
-    """From the source to the nearest of the specimen, about; never 0."""
+    """Return the approximate distance from the source to the specimen's nearest point; never 0."""
     if commanded is None or not specimen.parts:
         return _NEAREST_MM
     low, high = specimen.bounds

@@ -1,4 +1,4 @@
-"""Rays through metal and what surrounds it, of many energies: what they would be without it."""
+"""Polychromatic rays through metal and its surroundings, and their line integrals without metal."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from twinct.xray.spectrum import PhotonSpectrum, attenuation
 
 _NEWTON_STEPS = 12
 _ENOUGH_MM = 1e-4
-"""Path in the base material to which its equation is solved."""
+"""Accuracy of the path length in the base material."""
 _SHORTEST_MM = -50.0
-"""Path in the base material that is left at least: noise, or too much metal taken out."""
+"""Minimum path length in the base material, for noise or overcorrected metal."""
 
 
 class MetalModel:
     """The polychromatic model of known spectrum and materials, with metal in the way.
 
-    -ln(signal(L, L_dense, M) / signal(0, 0, 0)) is what is measured behind a path L in the base
-    material, L_dense in a dense one and M in each metal. With L_dense and M known it is solved for
-    L, as ``Hardening`` does without metal; what the ray would be without metal follows from L and
-    L_dense.
+    The measured line integral is -ln(signal(L, L_dense, M) / signal(0, 0, 0)) behind a path length
+    L in the base material, L_dense in a dense one and M in each metal. With L_dense and M known, it
+    is solved for L, as in ``Hardening`` without metal. The line integral without metal follows from
+    L and L_dense.
     """
 
     def __init__(
@@ -37,14 +37,14 @@ class MetalModel:
         metals: Sequence[Material],
         energy_kev: float | None,
     ) -> None:
-        """Look attenuations up.
+        """Compute the attenuations.
 
         Args:
-            spectrum: of the free beam.
-            response: of the detector.
-            materials: the base material, and the dense one where there are two.
-            metals: of each implant.
-            energy_kev: to which line integrals are brought; None: they stay polychromatic.
+            spectrum: spectrum of the free beam.
+            response: response of the detector.
+            materials: the base material, and optionally the dense one.
+            metals: material of each implant.
+            energy_kev: target energy of the line integrals; None: they stay polychromatic.
         """
         energies = spectrum.energies_kev
         weight = spectrum.photons * response.mean(energies)
@@ -58,12 +58,12 @@ class MetalModel:
     def without(
         self, measured: Floats, dense_mm: Floats | None, metal_mm: Floats
     ) -> tuple[Floats, Floats]:
-        """Line integrals without the metals, and their derivatives with each path in metal.
+        """Return line integrals without the metals, and their derivatives by each metal path.
 
         Args:
             measured: -ln of the transmission, (rays,).
-            dense_mm: paths in the dense material, (rays,), where there is one.
-            metal_mm: paths in the metals, (metals, rays).
+            dense_mm: path lengths in the dense material, (rays,), or None.
+            metal_mm: path lengths in the metals, (metals, rays).
 
         Returns:
             (rays,), and (metals, rays), 1/mm.
@@ -76,7 +76,7 @@ class MetalModel:
         passed = np.empty_like(behind)
         total = np.ones_like(measured)
         for _ in range(_NEWTON_STEPS):
-            # What is common to all energies is taken out beforehand: no sum underflows.
+            # The common part of all energies is factored out, so that no sum underflows.
             depth = np.multiply.outer(path, base) + behind
             least = depth.min(axis=1)
             passed = np.exp(least[:, None] - depth) * self._weight
@@ -101,7 +101,7 @@ class MetalModel:
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Line integrals of a scan corrected for one background, and what implants hide of them.
+    """Line integrals of a scan corrected for one background, with the model of its implants.
 
     Attributes:
         model: how all attenuate together.
@@ -116,7 +116,7 @@ class Corrected:
     dense_mm: NDArray[np.float32] | None
 
     def without(self, view: int, rays: NDArray[np.intp], lengths: Floats) -> tuple[Floats, Floats]:
-        """See ``twinct.recon.known.Behind``."""
+        """Return line integrals of rays without metal; see ``twinct.recon.known.Behind``."""
         dense = self.dense_mm
         dense_mm = None if dense is None else dense[view].flat[rays].astype(np.float64)
         measured = self.measured[view].flat[rays].astype(np.float64)

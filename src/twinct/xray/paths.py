@@ -1,4 +1,4 @@
-"""Path lengths of each ray in each material: all that an image of any spectrum needs of gVXR."""
+"""Path lengths of all rays in each material: the only input from gVXR for any spectrum."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 PATH_MU = 0.05
 """Attenuation, 1/mm, at which gVXR renders a path length.
 
-Path = -ln(transmission) / PATH_MU. Float32 keeps it to 1e-6 mm of a thin foil, and single floats
-end at 1.7 m. What is left is gVXR's own depth: 1e-4 mm at most at a distance of 600 mm.
+Path = -ln(transmission) / PATH_MU. float32 resolves 1e-6 mm of a thin foil, and its range ends at
+1.7 m. The remaining error is gVXR's own depth: at most 1e-4 mm at a distance of 600 mm.
 """
 
 ANY_KEV = 80.0
-"""Energy to render path lengths at: it takes part in nothing, as ``PATH_MU`` is given."""
+"""Energy for the rendering of path lengths; it has no effect, as ``PATH_MU`` is given."""
 _LEAST_FLOAT = np.float32(np.finfo(np.float32).tiny)
 LARGEST_TILE = 2048
-"""Pixels along an edge that gVXR can draw at once with software OpenGL; larger panels are tiled."""
+"""Maximum pixels along an edge for gVXR with software OpenGL; larger panels are tiled."""
 
 
 class Body(NamedTuple):
@@ -40,20 +40,20 @@ class Body(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What messages call it."""
+        """Name for messages."""
         return self.name or self.material.name
 
 
 class PathRenderer(SceneOwner):
-    """Renders path lengths of bodies that may each move by itself from view to view.
+    """Renderer for path lengths of bodies that may each move on their own from view to view.
 
-    The meshes are uploaded once. Each body is rendered by itself, in its own frame; that takes as
-    long as all of them in one pass. Bodies must not overlap: what lies in two counts in both.
-    Only one renderer or imager can be open in a process.
+    The meshes are uploaded once. Each body is rendered separately, in its own frame, which takes as
+    long as one pass over all bodies. Bodies must not overlap: an overlap counts in both. Only one
+    renderer or imager can be open in a process.
 
     Attributes:
-        materials: the distinct materials, in the order of their first body and of the images.
-        panel: the pixel lattice of every view.
+        materials: distinct materials, in the order of their first body and of the images.
+        panel: panel of every view.
         samples: samples along each pixel edge.
     """
 
@@ -67,14 +67,15 @@ class PathRenderer(SceneOwner):
         """Upload the bodies.
 
         Args:
-            bodies: what is imaged; at least one.
-            panel: the pixel lattice of every view.
+            bodies: bodies to image; at least one.
+            panel: panel of every view.
             samples: samples along each pixel edge; the cost grows with their square.
-            longest_edge_mm: longer edges of the meshes are split; see ``longest_edge``.
+            longest_edge_mm: maximum edge of the meshes, longer ones are split; see
+                ``longest_edge``.
 
         Raises:
-            SpecimenError: no body, an open mesh, or one that is inside out.
-            InputError: gVXR or a system library it needs is missing.
+            SpecimenError: there is no body, or a mesh is open or inside out.
+            InputError: gVXR or a system library that it needs is missing.
             TwinctError: another imager is open in this process, or gVXR failed.
         """
         if not bodies:
@@ -99,7 +100,7 @@ class PathRenderer(SceneOwner):
     def render(
         self, view: ScanGeometry, world_from_bodies: Pose | Sequence[Pose]
     ) -> NDArray[np.float32]:
-        """Path lengths of one view.
+        """Return the path lengths of one view.
 
         Args:
             view: exactly one view, in the world, with the panel of this renderer.
@@ -110,9 +111,10 @@ class PathRenderer(SceneOwner):
             are the centres of its samples x samples equal parts.
 
         Raises:
-            ValueError: not one view, another panel, or not one pose for each body.
-            TwinctError: the renderer was closed, a body reaches through the panel, the source is
-                inside one, or gVXR failed.
+            ValueError: ``view`` is not one view or has another panel, or the poses do not match the
+                bodies.
+            TwinctError: the renderer is closed, a body reaches through the panel, the source is
+                inside a body, or gVXR failed.
         """
         if not self._open:
             raise TwinctError("the X-ray renderer was closed")
@@ -145,7 +147,7 @@ class PathRenderer(SceneOwner):
         out: NDArray[np.float32],
         filled: bool,
     ) -> None:
-        """Render one tile; it may reach past the panel."""
+        """Render one tile, which may extend beyond the panel."""
         tile, fine, (row, column) = self._tile, self._fine, start
         down = (row + (tile.shape[0] - fine.rows) / 2) * fine.pitch_v
         right = (column + (tile.shape[1] - fine.columns) / 2) * fine.pitch_u
@@ -160,7 +162,7 @@ class PathRenderer(SceneOwner):
 
 
 def _misses(view: ScanGeometry, box: Floats) -> bool:
-    """Whether the shadow of a box surely lies off the panel."""
+    """Return True if the shadow of a box is certainly off the panel."""
     shadow = view.project(box)[0]
     if np.isnan(shadow).any():
         return False
@@ -169,5 +171,5 @@ def _misses(view: ScanGeometry, box: Floats) -> bool:
 
 
 def _even(count: int) -> int:
-    """Size of equal tiles that cover an edge."""
+    """Return the size of equal tiles that cover an edge."""
     return -(-count // -(-count // LARGEST_TILE))

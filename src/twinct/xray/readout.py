@@ -1,4 +1,4 @@
-"""From the signal of a pixel to the number that the detector writes, and what is wrong with it."""
+"""Conversion of a pixel's signal to a grey value, and correction of the resulting images."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Amplifier:
     """Amplifier and converter.
 
     Attributes:
-        gain: grey values for a signal of one.
+        gain: grey values per unit of signal.
         offset: grey value without signal.
-        bits: bit depth; None keeps fractions and has no upper end.
-        saturation: grey value at which a pixel saturates; None: the converter's largest.
+        bits: bit depth; None keeps fractions and has no upper limit.
+        saturation: grey value at which a pixel saturates; None: the converter's maximum.
     """
 
     gain: float = 1.0
@@ -32,12 +32,12 @@ class Amplifier:
 
     @property
     def largest(self) -> float:
-        """The largest grey value there is."""
+        """Largest possible grey value."""
         largest = np.inf if self.bits is None else float(2**self.bits - 1)
         return largest if self.saturation is None else min(self.saturation, largest)
 
     def read(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Grey values, (rows, columns): whole numbers from 0 where there is a bit depth."""
+        """Return grey values, (rows, columns); non-negative integers if there is a bit depth."""
         raw = signal * np.float32(self.gain) + np.float32(self.offset)
         if self.bits is not None:
             np.rint(raw, out=raw)
@@ -48,7 +48,7 @@ class Amplifier:
 
 
 def binned(image: Pixels, across: int, down: int | None = None) -> Pixels:
-    """Mean of blocks of pixels, ``across`` along u and as many, or ``down``, along v."""
+    """Return means of blocks of pixels, ``across`` along u and ``down`` (or ``across``) along v."""
     down = across if down is None else down
     if across == down == 1:
         return image
@@ -58,7 +58,7 @@ def binned(image: Pixels, across: int, down: int | None = None) -> Pixels:
 
 
 def mend_bad_pixels(image: NDArray[np.float32], bad: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Known bad pixels take the mean of the good ones around them; larger holes close inwards."""
+    """Fill known bad pixels with the mean of good neighbours; larger holes are filled inwards."""
     if not bad.any():
         return image
     if bad.all():
@@ -81,11 +81,11 @@ def correct(
     dark: NDArray[np.float32] | float,
     floor: float = 0.5,
 ) -> NDArray[np.float32]:
-    """Transmission by flat and dark images: (raw - dark) / (flat - dark).
+    """Return the transmission by flat and dark images: (raw - dark) / (flat - dark).
 
-    ``floor`` is the smallest difference to the dark image that counts as signal; whatever is darker
-    takes it, so that every line integral is finite. Half a grey value is what a converter cannot
-    tell from nothing.
+    ``floor`` is the smallest difference from the dark image that counts as signal. Darker values
+    are set to it, so that every line integral is finite. A converter cannot distinguish half a grey
+    value from zero.
     """
     light = np.maximum(raw - dark, np.float32(floor))
     return (light / np.maximum(flat - dark, np.float32(floor))).astype(np.float32)

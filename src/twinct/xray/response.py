@@ -1,4 +1,4 @@
-"""What a detector makes of a photon: the mean and the mean square of its signal, by energy.
+"""Response of a detector: mean and mean square of a photon's signal, by energy.
 
 The mean gives the image, the mean square its quantum noise: a sum over a Poisson number of photons,
 each with signal q, has the variance N E[q^2].
@@ -22,14 +22,14 @@ from twinct.xray.spectrum import attenuation
 
 @dataclass(frozen=True)
 class PhotonResponse:
-    """Signal of one photon that meets the detector.
+    """Signal of one photon that reaches the detector.
 
     Attributes:
-        name: for messages.
-        mean: energies in keV to the mean signal of a photon, in ``unit``.
-        square: energies in keV to the mean square of it.
+        name: name for messages.
+        mean: function from energies in keV to the mean signal of a photon, in ``unit``.
+        square: function from energies in keV to the mean square of the signal.
         unit: ``photons`` or ``keV``.
-        range_kev: where it is known; beyond a table's ends its first and last share stand.
+        range_kev: range of the table; beyond its ends, the first and last share apply.
     """
 
     name: str
@@ -40,20 +40,20 @@ class PhotonResponse:
 
     @classmethod
     def counting(cls) -> PhotonResponse:
-        """Ideal photon counting: one for each photon."""
+        """Return ideal photon counting: one per photon."""
         return cls("counting", np.ones_like, np.ones_like, "photons")
 
     @classmethod
     def integrating(cls) -> PhotonResponse:
-        """Ideal energy integration: all of a photon's energy."""
+        """Return ideal energy integration: the full energy of each photon."""
         return cls("integrating", lambda e: np.asarray(e, dtype=float), np.square, "keV")
 
     @classmethod
     def scintillator(cls, material: Material, thickness_mm: float) -> PhotonResponse:
-        """A layer that absorbs the photons it attenuates, with all of their energy.
+        """Return a layer that absorbs attenuated photons with their full energy.
 
-        A share 1 - exp(-mu t) of the photons is absorbed. Fluorescence and scattered photons that
-        escape are counted as absorbed.
+        A share 1 - exp(-mu t) of the photons is absorbed. Escaping fluorescence and scattered
+        photons count as absorbed.
         """
 
         def share(energies: Floats) -> Floats:
@@ -65,7 +65,7 @@ class PhotonResponse:
     def efficiency(
         cls, energies_kev: Floats, shares: Floats, name: str = "efficiency"
     ) -> PhotonResponse:
-        """A tabulated share of absorbed photons, each with all of its energy; linear between."""
+        """Return the response of a tabulated share of photons, absorbed with their full energy."""
         return cls._absorbing(lambda e: np.interp(e, energies_kev, shares), name)
 
     @classmethod
@@ -74,10 +74,10 @@ class PhotonResponse:
 
     @classmethod
     def read_efficiency(cls, path: Path) -> PhotonResponse:
-        """Two columns of text: energy in keV, share of photons absorbed (0 to 1).
+        """Read two columns of text: energy in keV, share of photons absorbed (0 to 1).
 
         Raises:
-            InputError: not such a table; names the file.
+            InputError: the file holds no such table; names the file.
         """
         energies, shares = read_columns(path, 2)
         problems = []
@@ -94,7 +94,7 @@ class PhotonResponse:
         return replace(made, range_kev=(float(energies[0]), float(energies[-1])))
 
     def behind(self, material: Material, thickness_mm: float) -> PhotonResponse:
-        """The same detector behind a window or filter, crossed at right angles."""
+        """Return this detector behind a window or filter, crossed at right angles."""
 
         def passed(energies: Floats) -> Floats:
             return np.exp(-attenuation(material, energies) * thickness_mm)

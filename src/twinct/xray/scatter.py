@@ -1,19 +1,19 @@
 """Scattered radiation: a forward-scatter kernel estimate.
 
 Ohnesorge, Flohr and Klingenbeck-Regn (Eur. Radiol. 9 (1999) 563) take the scatter that leaves along
-a ray as proportional to p exp(-p) and spread it over the panel by convolution. Here the factor and
-the kernel are not fitted but those of single Compton scattering: of the photons of a ray a number
-mu_C L exp(-mu L) is scattered once and attenuated like the primary ones; from the middle of the
-object they fly off by the Klein-Nishina cross section, and reach the panel at the distance r from
-their ray with cos^3(theta) / d^2 per mm^2, tan(theta) = r / d.
+a ray as proportional to p exp(-p) and spread it over the panel by convolution. Here factor and
+kernel are not fitted, but computed for single Compton scattering: of a ray's photons, mu_C L
+exp(-mu L) are scattered once and attenuated like the primary ones. From the middle of the object,
+they follow the Klein-Nishina cross section, and reach the panel at the distance r from their ray
+with cos^3(theta) / d^2 per mm^2, tan(theta) = r / d.
 
-Range of validity: photon energies above about 40 keV, where Compton scattering leads; objects small
-against their distance d to the panel; mu L up to about 2 at the middle. Scatter of higher order,
-coherent scatter (a narrow forward peak), and binding of the electrons are left out; an object is
-taken to be thin along the beam, at its middle. Against a Monte Carlo calculation of our own, of all
-orders, in a ball of water at 80 keV half-way to the panel, the ratio of scattered to primary energy
-at its middle is 11 % too low at a radius of 25 mm, 18 % at 50 mm and 23 % at 80 mm
-(``tests/xray/test_scatter.py``); ``detector.scatter.scale`` makes up for it.
+Range of validity: photon energies above about 40 keV, where Compton scattering dominates; objects
+small relative to their distance d from the panel; mu L up to about 2 at the middle. Higher-order
+scatter, coherent scatter (a narrow forward peak) and electron binding are neglected; the object is
+taken to be thin along the beam, at its middle. We compared it with our own Monte Carlo calculation
+of all orders, for a ball of water at 80 keV half-way to the panel. The ratio of scattered to
+primary energy at its middle is 11 % too low at a radius of 25 mm, 18 % at 50 mm and 23 % at 80 mm
+(``tests/xray/test_scatter.py``); ``detector.scatter.scale`` compensates for it.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from twinct.specimen.materials import MM_PER_CM, Material
 
 ELECTRON_KEV = 510.999
 _COARSE_MM = 4.0
-"""Scatter is smooth: it is worked out on cells of about this size."""
+"""Cell size of the computation, as scatter is smooth."""
 
 
 def compton_per_mm(material: Material, energy_kev: float) -> float:
-    """Linear attenuation by Compton scattering alone, 1/mm."""
+    """Return the linear attenuation by Compton scattering alone, 1/mm."""
     mass = sum(
         share * xraylib.CS_Compt(xraylib.SymbolToAtomicNumber(symbol), energy_kev)
         for symbol, share in material.mass_fractions.items()
@@ -43,7 +43,7 @@ def compton_per_mm(material: Material, energy_kev: float) -> float:
 
 
 def klein_nishina(cosine: Floats, energy_kev: float) -> Floats:
-    """Share of the photons scattered once that goes into a unit solid angle, 1/sr."""
+    """Return the share of once-scattered photons per unit solid angle, 1/sr."""
     mu = np.linspace(-1, 1, 2001)
     total = 2 * np.pi * np.trapezoid(_unscaled(mu, energy_kev), mu)
     return _unscaled(np.asarray(cosine), energy_kev) / total
@@ -59,7 +59,7 @@ class ScatterKernel:
     """Spread of scatter over one panel.
 
     Attributes:
-        energy_kev: mean energy that the detector sees.
+        energy_kev: mean energy of the detected photons.
         scale: factor on the amplitude.
     """
 
@@ -69,13 +69,13 @@ class ScatterKernel:
     def spread(
         self, scattered: NDArray[np.float32], pitch_u: float, pitch_v: float, distance_mm: float
     ) -> NDArray[np.float32]:
-        """Scatter on the panel, in the unit of the argument.
+        """Return the scatter on the panel, in the unit of ``scattered``.
 
         Args:
-            scattered: what each pixel's ray scatters: primary signal times mu_C L, (rows, columns).
+            scattered: scatter from each pixel's ray: primary signal times mu_C L, (rows, columns).
             pitch_u: pixel pitch along the columns, mm.
             pitch_v: pixel pitch along the rows, mm.
-            distance_mm: from the middle of the object to the panel.
+            distance_mm: distance from the middle of the object to the panel.
         """
         rows, columns = scattered.shape
         nv = min(max(int(_COARSE_MM / pitch_v), 1), rows)
@@ -90,7 +90,7 @@ class ScatterKernel:
         first = [n - 1 for n in cells.shape]
         full = np.asarray(scipy.fft.irfft2(product, s=shape))
         spread = full[first[0] : first[0] + cells.shape[0], first[1] : first[1] + cells.shape[1]]
-        # Cell values lie at the middle of nv x nu pixels; each pixel takes its area's share.
+        # Cell values lie at the middle of nv x nu pixels; each pixel takes the share of its area.
         at = ((np.arange(rows) + 0.5) / nv - 0.5, (np.arange(columns) + 0.5) / nu - 0.5)
         places = np.meshgrid(*at, indexing="ij")
         fine = scipy.ndimage.map_coordinates(spread, places, order=1, mode="nearest")
@@ -99,7 +99,7 @@ class ScatterKernel:
     def _kernel(
         self, shape: tuple[int, ...], size_u: float, size_v: float, distance: float
     ) -> Floats:
-        """Share of a ray's scatter that falls into each cell around it, (2 n - 1, 2 m - 1)."""
+        """Return the share of a ray's scatter in each cell around it, (2 n - 1, 2 m - 1)."""
         v = (np.arange(2 * shape[0] - 1) - (shape[0] - 1)) * size_v
         u = (np.arange(2 * shape[1] - 1) - (shape[1] - 1)) * size_u
         cosine = distance / np.sqrt(u[None] ** 2 + v[:, None] ** 2 + distance**2)

@@ -1,4 +1,4 @@
-"""From path lengths to the expected signal of each pixel, for a whole spectrum at once."""
+"""From path lengths to the expected signal of each pixel, over a whole spectrum."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from twinct.xray.response import PhotonResponse
 from twinct.xray.spectrum import PhotonSpectrum, attenuation
 
 NODES = 16384
-"""Nodes of the table for one material. Linear between them: 2e-6 of a signal at its darkest."""
+"""Nodes of the table for one material; interpolation errs by 2e-6 of a signal at its darkest."""
 
 _DARK = 1e-12
-"""The table ends where this share of the signal is left."""
+"""Remaining share of the signal at the end of the table."""
 _LONGEST_MM = 1e5
 
 
 class Signal:
-    """Beer-Lambert over a spectrum, as one detector sees it.
+    """Beer-Lambert law over a spectrum, for one detector.
 
-    For each pixel: sum over bins of photons x response x exp(-sum over materials of mu L), times
-    the fall-off of the beam, averaged over the samples inside the pixel. The mean square of the
-    response takes the same way, for the noise.
+    The signal of each pixel is the sum over bins of photons x response x exp(-sum over materials of
+    mu L), times the fall-off of the beam, averaged over the samples inside the pixel. The mean
+    square of the response is treated likewise, for the noise.
 
     Attributes:
         free: mean and mean square per mm^2 at 1 m and mAs in the free beam, (2,).
@@ -34,7 +34,7 @@ class Signal:
     def __init__(
         self, spectrum: PhotonSpectrum, materials: Sequence[Material], response: PhotonResponse
     ) -> None:
-        """Look the attenuation up."""
+        """Compute the attenuations."""
         energies = spectrum.energies_kev
         mean = spectrum.photons * response.mean(energies)
         square = spectrum.photons * response.square(energies)
@@ -60,11 +60,11 @@ class Signal:
         """Add one exposure to an image.
 
         Args:
-            paths: (materials, rows * samples, columns * samples), mm, at least 0.
-            beam: ``fall_off`` at each sample, of the same shape.
+            paths: path lengths, (materials, rows * samples, columns * samples), mm, at least 0.
+            beam: ``fall_off`` at each sample, (rows * samples, columns * samples).
             out: mean and mean square of the signal, (2, rows, columns), per mm^2 of panel and mAs.
             samples: samples along each pixel edge.
-            share: weight of this exposure among those that make the image.
+            share: weight of this exposure in the image.
         """
         from twinct.xray._attenuated import look_up, sum_bins
 
@@ -77,7 +77,7 @@ class Signal:
     def __call__(
         self, paths: NDArray[np.float32], beam: NDArray[np.float32], samples: int = 1
     ) -> NDArray[np.float32]:
-        """Mean and mean square of one exposure, (2, rows, columns); see ``add``."""
+        """Return mean and mean square of one exposure, (2, rows, columns); see ``add``."""
         rows, columns = paths.shape[1] // samples, paths.shape[2] // samples
         out = np.zeros((2, rows, columns), dtype=np.float32)
         self.add(paths, beam, out, samples=samples)
@@ -85,7 +85,7 @@ class Signal:
 
 
 def _tabulate(mu: Floats, mean: Floats, square: Floats) -> tuple[float, NDArray[np.float32]]:
-    """Path of the last node, and the table; nodes are dense where the soft part is absorbed."""
+    """Return the last node's path length and the table, dense where soft photons are absorbed."""
     low, high = 0.0, _LONGEST_MM
     for _ in range(60):
         middle = (low + high) / 2

@@ -1,4 +1,4 @@
-"""A spectrum: how many photons of each energy leave the source."""
+"""Photon spectrum of a source."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twinct.geometry import Floats
 from twinct.specimen.materials import Material
 
 XRAYLIB_KEV = (0.1, 800.0)
-"""Energies for which xraylib has attenuation."""
+"""Range of xraylib's attenuation data."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,9 +23,9 @@ class PhotonSpectrum:
 
     Attributes:
         energies_kev: centre of each bin, rising, keV, (bins,).
-        photons: photons in each bin, per mm^2 at 1 m from the focal spot and per mAs, (bins,).
-            Only their ratios are meaningful where ``absolute`` is false.
-        absolute: whether the photon number is known.
+        photons: photons in each bin, per mm^2 at 1 m from the focal spot and per mAs, (bins,). Only
+            their ratios are meaningful if ``absolute`` is false.
+        absolute: True if the photon number is known.
     """
 
     energies_kev: Floats
@@ -33,10 +33,11 @@ class PhotonSpectrum:
     absolute: bool = True
 
     def __init__(self, energies_kev: ArrayLike, photons: ArrayLike, absolute: bool = True) -> None:
-        """Leave out empty bins at both ends.
+        """Remove empty bins at both ends.
 
         Raises:
-            InputError: energies that do not rise or are not positive, negative or no photons.
+            InputError: energies do not rise or are not positive, or photons are negative or all
+                zero.
         """
         energies = np.array(energies_kev, dtype=np.float64, ndmin=1)
         counts = np.array(photons, dtype=np.float64, ndmin=1)
@@ -66,15 +67,15 @@ class PhotonSpectrum:
 
     @classmethod
     def monochromatic(cls, energy_kev: float, photons: float | None = None) -> PhotonSpectrum:
-        """One energy; photons per mm^2 at 1 m and mAs, where they are known."""
+        """Return a spectrum of one energy, with photons per mm^2 at 1 m and mAs if known."""
         return cls([energy_kev], [1.0 if photons is None else photons], photons is not None)
 
     @classmethod
     def read(cls, path: Path, absolute: bool = False) -> PhotonSpectrum:
-        """Two columns of text: energy in keV, photons of that bin; ``#`` starts a comment.
+        """Read two columns of text: energy in keV, photons of that bin; ``#`` starts a comment.
 
         Raises:
-            InputError: the file cannot be read or is no spectrum; names it.
+            InputError: the file cannot be read or holds no spectrum; names the file.
         """
         energies, photons = read_columns(path, 2)
         try:
@@ -96,16 +97,16 @@ class PhotonSpectrum:
         return float(self.photons.sum())
 
     def filtered(self, material: Material, thickness_mm: float) -> PhotonSpectrum:
-        """The spectrum behind a plate that is crossed at right angles."""
+        """Return the spectrum behind a plate that is crossed at right angles."""
         passed = np.exp(-attenuation(material, self.energies_kev) * thickness_mm)
         return PhotonSpectrum(self.energies_kev, self.photons * passed, self.absolute)
 
     def scaled(self, total: float) -> PhotonSpectrum:
-        """The same shape with a known number of photons per mm^2 at 1 m and mAs."""
+        """Return a spectrum of equal shape with a known photon number per mm^2 at 1 m and mAs."""
         return PhotonSpectrum(self.energies_kev, self.photons * (total / self.total), True)
 
     def rebinned(self, bins: int) -> PhotonSpectrum:
-        """At most ``bins`` bins of equal width; photon number and mean energy are kept.
+        """Return at most ``bins`` bins of equal width, preserving photon number and mean energy.
 
         The energy of a new bin is the mean of its photons.
         """
@@ -121,5 +122,5 @@ class PhotonSpectrum:
 
 
 def attenuation(material: Material, energies_kev: Floats) -> Floats:
-    """Linear attenuation coefficient at each energy, 1/mm."""
+    """Return the linear attenuation coefficient at each energy, 1/mm."""
     return np.array([material.mu_per_mm(float(energy)) for energy in energies_kev])

@@ -16,27 +16,27 @@ _STEPS = np.array([1 / _PLASTIC, 1 / _PLASTIC**2])
 
 
 def unit_square(samples: int) -> Floats:
-    """Points spread evenly over the unit square, (samples, 2): a spot's shape is laid over them."""
+    """Return evenly spread points of the unit square, (samples, 2), from which spots are shaped."""
     return np.mod(0.5 + np.arange(1, samples + 1)[:, None] * _STEPS, 1.0)
 
 
 def square_spot(size_x_mm: float, size_y_mm: float, unit: Floats) -> Floats:
-    """Points of a rectangle of constant intensity, (points, 2), mm, from ``unit_square``.
+    """Return points of a rectangle of constant intensity, (points, 2), mm, from ``unit_square``.
 
-    As with a Gaussian the variances are those of the spot, exactly.
+    As for a Gaussian, the variances are exactly those of the spot.
     """
     points = (unit - 0.5) * [size_x_mm, size_y_mm]
     return _with_variance(points, np.array([size_x_mm, size_y_mm]) ** 2 / 12)
 
 
 def gaussian_spot(sigma_x_mm: float, sigma_y_mm: float, unit: Floats) -> Floats:
-    """Points of a Gaussian, (points, 2), mm."""
+    """Return points of a Gaussian, (points, 2), mm."""
     sigma = np.array([sigma_x_mm, sigma_y_mm])
     return _with_variance(scipy.special.ndtri(unit) * sigma, sigma**2)
 
 
 def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, unit: Floats) -> Floats:
-    """Points of a measured spot, (points, 2), mm, about the middle of its image.
+    """Return points of a measured spot, (points, 2), mm, about the middle of its image.
 
     Args:
         intensity: (rows, columns); columns along x, row 0 at the lowest y.
@@ -45,7 +45,7 @@ def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, unit: Floa
         unit: points of the unit square.
 
     Raises:
-        InputError: no image, or one with negative or no intensity.
+        InputError: there is no image, or its intensity is negative, not finite or zero everywhere.
     """
     intensity = np.asarray(intensity, dtype=float)
     what = "the image of a focal spot"
@@ -69,7 +69,7 @@ def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, unit: Floa
 
 
 def moved_source(view: ScanGeometry, offset_mm: Floats) -> ScanGeometry:
-    """A view whose source is moved in the source frame's x and y; the panel stays."""
+    """Return a view whose source is moved in the source frame's x and y; the panel stays."""
     axes = view.source_poses()[0].rotation
     return replace(view, source=view.source + offset_mm @ axes[:, :2].T)
 

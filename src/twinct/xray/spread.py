@@ -16,20 +16,20 @@ from twinct.files.tables import read_columns
 from twinct.geometry import Floats
 
 _FREQUENCIES = 512
-"""Along each half axis, for an integral over frequencies."""
+"""Frequencies along each half axis, for an integral over frequencies."""
 MOST_MODULATION = 1.05
-"""Largest modulation: measured tables go above 1 by their noise, what sharpens by more."""
+"""Maximum modulation: measured tables exceed 1 by their noise, sharpening filters by more."""
 CUT_OFF = 0.1
-"""Largest modulation at the end of a table below the Nyquist frequency: an edge rings by 0.3 %."""
+"""Maximum modulation at a table's end below the Nyquist frequency: an edge rings by 0.3 %."""
 
 
 @dataclass(frozen=True)
 class PointSpreadFunction:
-    """A rotationally symmetric point spread.
+    """Rotationally symmetric point spread.
 
     Attributes:
-        mtf: spatial frequency in 1/mm (cycles) to modulation, 1 at 0.
-        reach_mm: how far it reaches; the image is mirrored at its edges as far as this.
+        mtf: function from spatial frequency in 1/mm (cycles) to modulation, 1 at 0.
+        reach_mm: radius of the point spread; the image is mirrored this far beyond its edges.
         end_per_mm: last frequency of a table, beyond which the modulation is taken as 0.
     """
 
@@ -39,10 +39,10 @@ class PointSpreadFunction:
 
     @classmethod
     def gaussian(cls, sigma_mm: float) -> PointSpreadFunction:
-        """A Gaussian.
+        """Return a Gaussian.
 
-        Two thin wires of diameter and gap d behind it dip by 20 % at d = sqrt(2) sigma: the basic
-        spatial resolution of ISO 19232-5 is 1.41 sigma, the pixel's own part left aside.
+        Behind a Gaussian, two thin wires of diameter and gap d dip by 20 % at d = sqrt(2) sigma. So
+        the basic spatial resolution of ISO 19232-5 is 1.41 sigma, without the pixel's part.
         """
         return cls(lambda f: np.exp(-2 * (np.pi * sigma_mm * f) ** 2), 5 * sigma_mm)
 
@@ -50,10 +50,10 @@ class PointSpreadFunction:
     def tabulated(
         cls, frequencies_per_mm: Floats, modulation: Floats, reach_mm: float = 5.0
     ) -> PointSpreadFunction:
-        """Linear between the rows of a table, 0 beyond its last frequency.
+        """Interpolate linearly between the rows of a table, 0 beyond its last frequency.
 
         Raises:
-            InputError: frequencies that do not rise from 0, or a modulation that is not 1 there.
+            InputError: the frequencies do not rise from 0, or the modulation at 0 is not 1.
         """
         frequencies = np.asarray(frequencies_per_mm, dtype=float)
         values = np.asarray(modulation, dtype=float)
@@ -73,10 +73,10 @@ class PointSpreadFunction:
 
     @classmethod
     def read(cls, path: Path) -> PointSpreadFunction:
-        """Two columns of text: spatial frequency in 1/mm, modulation from 0 to ``MOST_MODULATION``.
+        """Read two columns of text: frequency in 1/mm, modulation from 0 to ``MOST_MODULATION``.
 
         Raises:
-            InputError: not such a table; names the file.
+            InputError: the file holds no such table; names the file.
         """
         frequencies, values = read_columns(path, 2)
         problems: list[str] = []
@@ -95,10 +95,10 @@ class PointSpreadFunction:
         raise InputError([f"{path}: {problem}" for problem in problems])
 
     def check_end(self, pitch_mm: float) -> None:
-        """Refuse a table that breaks off where it still matters: what is cut off makes edges ring.
+        """Raise an error if a table ends where its modulation still matters: edges would ring.
 
         Raises:
-            InputError: it ends below the Nyquist frequency of the pitch, above ``CUT_OFF``.
+            InputError: the table ends below the pitch's Nyquist frequency and above ``CUT_OFF``.
         """
         nyquist = 0.5 / pitch_mm
         last = float(self.mtf(np.array(self.end_per_mm)))
@@ -111,7 +111,7 @@ class PointSpreadFunction:
     def apply(
         self, image: NDArray[np.float32], pitch_u: float, pitch_v: float
     ) -> NDArray[np.float32]:
-        """The image (rows, columns), spread; its sum stays but for what passes the edges."""
+        """Return the blurred image (rows, columns); its sum is kept, except at the edges."""
         rows, columns = image.shape
         pad_v = min(int(np.ceil(self.reach_mm / pitch_v)), rows - 1)
         pad_u = min(int(np.ceil(self.reach_mm / pitch_u)), columns - 1)
@@ -124,9 +124,10 @@ class PointSpreadFunction:
         return spread[pad_v : pad_v + rows, pad_u : pad_u + columns].astype(np.float32, copy=False)
 
     def noise_gain(self, pitch_u: float, pitch_v: float) -> float:
-        """Standard deviation of what the point spread makes of white noise of deviation 1.
+        """Return the standard deviation of white noise of deviation 1 after the point spread.
 
-        The root of the mean square of the modulation up to the Nyquist frequencies (Parseval).
+        It is the root of the mean square of the modulation up to the Nyquist frequencies
+        (Parseval).
         """
         half = (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES / 2
         f = np.hypot(half[:, None] / pitch_v, half[None, :] / pitch_u)
@@ -134,7 +135,7 @@ class PointSpreadFunction:
 
 
 def _fast(length: int) -> int:
-    """The next length that the transform is fast for."""
+    """Return the next length for which the transform is fast."""
     return int(scipy.fft.next_fast_len(length, real=True) or length)
 
 

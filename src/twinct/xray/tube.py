@@ -1,4 +1,4 @@
-"""The spectrum of an X-ray tube, by SpekPy: the only module that speaks to it."""
+"""Spectrum of an X-ray tube, by SpekPy; no other module calls SpekPy."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from twinct.xray.spectrum import PhotonSpectrum
 _CM2_MM2 = 100.0
 
 
-@lru_cache(maxsize=8)  # a second of SpekPy's time, and asked for at several places
+@lru_cache(maxsize=8)  # SpekPy takes a second, and several places call it
 def tube_spectrum(
     kvp: float, anode_angle_deg: float = 12.0, *, step_kev: float = 1.0, target: str = "W"
 ) -> PhotonSpectrum:
-    """What a tube emits before any filter, on the central ray.
+    """Return a tube's unfiltered spectrum on the central ray.
 
     SpekPy's model (Poludniowski et al., Med. Phys. 48 (2021) 3630) with its default physics
     (``casim``), per mAs and mm^2 at 1 m.
 
     Args:
         kvp: tube voltage, kV.
-        anode_angle_deg: between the anode's face and the central ray.
+        anode_angle_deg: angle between the anode's face and the central ray.
         step_kev: width of a bin.
         target: W, Mo or Rh.
 
     Raises:
-        InputError: outside what SpekPy knows.
+        InputError: the arguments are outside SpekPy's range.
         MissingExtraError: SpekPy is not installed.
     """
     try:

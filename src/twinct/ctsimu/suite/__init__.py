@@ -1,4 +1,4 @@
-"""The CTSimU qualification suite: our samples, our images, BAM's toolbox as judge."""
+"""The CTSimU qualification suite: our samples and images, judged by BAM's toolbox."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ __all__ = ["NOT_TAKEN", "TESTS", "Verdict", "qualify"]
 def qualify(
     folder: Path, tests: Sequence[str] = TESTS, *, step: Callable[[str], None] = lambda name: None
 ) -> list[Verdict]:
-    """Build the samples, render, and let the toolbox judge.
+    """Build the samples, render the images, and evaluate them with the toolbox.
 
-    Images that are there already are judged again, not rendered again. Each test gets a folder of
-    its own; figures go to ``qualification.json``. ``step`` is called with the name of each
+    Existing images are evaluated again, not rendered again. Each test has its own folder; figures
+    of merit are written to ``qualification.json``. ``step`` is called with the name of each
     rendering before it starts.
 
     Raises:
-        InputError: a test that does not exist.
+        InputError: a test does not exist.
         MissingExtraError: the toolbox is not installed.
-        StorageError: the folder cannot be made.
+        StorageError: the folder cannot be created.
     """
     unknown = [name for name in tests if name not in TESTS]
     if unknown:
@@ -61,7 +61,7 @@ def qualify(
 
 
 def _judged(test: str, folder: Path) -> list[Verdict]:
-    """Run the toolbox, which prints a lot, and read what it writes."""
+    """Run the toolbox with its output in a log file, and read its results."""
     toolbox = _toolbox()
     renderings = {case.key: str(Files(folder, case.name).metadata) for case in cases([test])}
     results = folder / f"{test}-results"
@@ -82,11 +82,11 @@ def _judged(test: str, folder: Path) -> list[Verdict]:
 
 @contextlib.contextmanager
 def _true_rotation() -> Iterator[None]:
-    """Make the toolbox turn its reference edge, which version 1.7 shears.
+    """Make the toolbox rotate its reference edge, which version 1.7 shears.
 
-    Its ``Vector.rotate_2D_xy`` computes y from the x that was turned already: the edge of 3 deg
-    comes out as 3.008 deg on one side and 2.996 deg on the other, 0.07 pixels off at its ends. The
-    figures of 2D-WE-2 alone hang on it.
+    Its ``Vector.rotate_2D_xy`` computes y from the rotated x: the edge of 3 deg is at 3.008 deg on
+    one side and 2.996 deg on the other, 0.07 pixels off at its ends. Only the figures of 2D-WE-2
+    depend on it.
     """
     from ctsimu.primitives import Vector
 

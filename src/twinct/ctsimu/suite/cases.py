@@ -1,7 +1,7 @@
-"""The scenario of every qualification test, with the samples of ``samples``.
+"""Scenarios of all qualification tests, with the samples of ``samples``.
 
-The geometry of 2D-FB, 2D-DW and 2D-WE is the one that the toolbox evaluates with. The tube spectra
-of BAM are not public: ours are SpekPy's, for the same voltage and window.
+The geometry of 2D-FB, 2D-DW and 2D-WE is the one that the toolbox uses in its evaluation. BAM's
+tube spectra are not public: ours are SpekPy's, for the same voltage and window.
 """
 
 from __future__ import annotations
@@ -22,18 +22,21 @@ DENSITY_G_CM3 = dict(
 )
 OPAQUE = "opaque"
 OPAQUE_G_CM3 = 1e7
-"""Of tungsten so dense that 0.01 mm of it lets nothing through."""
+"""Density of tungsten so high that 0.01 mm is opaque."""
 
 COVERAGE_SAMPLES = 20
-"""Along a pixel's edge in 2D-WE-2, which counts the pixels that the edge cuts, however little of
-them: the default, 3, finds about two thirds, which does not pass."""
+"""Rays along a pixel's edge in 2D-WE-2.
+
+The test counts every pixel that the edge cuts, however small the part. The default of 3 detects
+about two thirds, and fails.
+"""
 
 WEDGE_PANEL_MM, WEDGE_PITCH_MM = 1000.0, 0.2
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A sample in its place: the mesh is in the world."""
+    """Placed sample: its mesh is in the world."""
 
     name: str
     mesh: Callable[[], Trimesh]
@@ -42,16 +45,16 @@ class Piece:
 
 @dataclass(frozen=True)
 class Case:
-    """One rendering that a test wants.
+    """One rendering that a test needs.
 
     Attributes:
-        key: what the toolbox calls the sub-test; empty where there is only one.
-        panel_mm: from the source to the panel.
-        voltage_kv: of the tube; the energy where monochromatic.
-        copper_mm: filter.
-        parts: the samples; a later one counts where they overlap.
+        key: the toolbox's name of the sub-test; empty if there is only one.
+        panel_mm: distance from the source to the panel.
+        voltage_kv: tube voltage; the energy in keV if monochromatic.
+        copper_mm: thickness of the copper filter.
+        parts: samples; the later one counts where two overlap.
         scintillator: material and thickness in mm of a real detector.
-        snr: of one frame in the free beam.
+        snr: signal-to-noise ratio of one frame in the free beam.
         spot_mm: sigma of a Gaussian focal spot.
         samples: rays along each pixel edge.
     """
@@ -76,11 +79,11 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Of the files."""
+        """Stem of the file names."""
         return f"{self.test}_{self.key}" if self.key else self.test
 
     def write(self, folder: Path) -> Path:
-        """Write the samples and the scenario file; its path."""
+        """Write the samples and the scenario file, and return its path."""
         folder.mkdir(parents=True, exist_ok=True)
         entries = []
         for part in self.parts:
@@ -151,7 +154,7 @@ class Case:
 
 
 def cases(tests: Sequence[str]) -> list[Case]:
-    """All renderings that some tests want, in their order."""
+    """Return all renderings that the given tests need, in their order."""
     return [case for test in tests for case in _CASES[test]()]
 
 
@@ -269,10 +272,10 @@ _CASES: dict[str, Callable[[], list[Case]]] = {
 }
 
 TESTS = tuple(_CASES)
-"""Names of the tests that are taken."""
+"""Names of the supported tests."""
 
 NOT_TAKEN = {
     "2D-HS-1": "the foil of ten holes that it images is not public, and its sizes are not stated",
     "2D-SW-4": "it judges scattered radiation, which files of the format are refused for here",
 }
-"""The other 2D tests of the suite, and why they are left out."""
+"""Other 2D tests of the suite, with the reasons to leave them out."""

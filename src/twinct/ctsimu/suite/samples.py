@@ -1,4 +1,4 @@
-"""The samples of the qualification tests, made from what the tests ask for.
+"""Samples of the qualification tests, built from the tests' specifications.
 
 Image coordinates: x to the right and y down, in pixels, from the upper left corner of the panel;
 pixel (row, column) covers [column, column + 1) x [row, row + 1). The panel stands at a distance
@@ -18,7 +18,7 @@ from twinct.geometry import Floats
 from twinct.specimen.surface import from_manifold, surface
 
 TILT_RAD = np.radians(3.0)
-"""By how much edge and wires are turned, clockwise in the image."""
+"""Rotation of edge and wires, clockwise in the image."""
 
 EDGE_MM, EDGE_THICKNESS_MM = 5.0, 0.01
 
@@ -26,9 +26,12 @@ WEDGE_PANEL_PX = 1000
 WEDGE_STEPS_MM = (41.0, 35.89, 30.79, 25.68, 20.58, 15.47, 10.36, 5.26, 0.15)
 """Thickness of each step; step 1 is the lowest."""
 IRON_STEPS_MM = tuple(np.linspace(10.0, 0.02, 9).round(4).tolist())
-"""Of the iron wedge. Nobody states them: the Monte Carlo references for one energy (2D-SW-1,
-100 keV) are those of equal steps from 10 to 0.02 mm, each to within 0.005 mm. So that case cannot
-fail, and says nothing of our images."""
+"""Steps of the iron wedge.
+
+They are not published. The Monte Carlo references at one energy (2D-SW-1, 100 keV) match equal
+steps from 10 to 0.02 mm, each to within 0.005 mm. So that case cannot fail, and says nothing about
+our images.
+"""
 WEDGE_LEFT_PX, WEDGE_RIGHT_PX, WEDGE_JOINT_PX = 90.0, 900.0, 500.0
 WEDGE_RADIUS_MM = 400.0
 """Inner radius of the shells around the focal spot."""
@@ -36,20 +39,20 @@ WEDGE_RADIUS_MM = 400.0
 FACET_PX = 4.0
 """Size of the wedge's facets."""
 APART_PX = 1e-5
-"""The steps are solids of their own: what touches would share edges."""
+"""Gap between steps: they are separate solids, and touching ones would share edges."""
 
 WIRE_MM = (0.8, 0.63, 0.5, 0.4, 0.32, 0.25, 0.2, 0.16, 0.13, 0.1, 0.08, 0.063, 0.05)
 """Diameters and gaps of the duplex wires (ISO 19232-5)."""
 WIRE_LENGTH_MM = 15.0
 WIRE_APART_MM = 2.8
-"""Between neighbouring pairs: room for the unsharpness of the largest detector."""
+"""Distance of neighbouring pairs: room for the unsharpness of the largest detector."""
 WIRE_SIDES = 96
 
 
 def edge(distance_mm: float) -> trimesh.Trimesh:
-    """A square sheet whose upper right corner lies on the x axis; it lies below and left of it.
+    """Return a square sheet below and left of its upper right corner, which lies on the x axis.
 
-    The distance is that of its middle from the source.
+    ``distance_mm`` is the distance of its middle from the source.
     """
     corners = EDGE_MM * np.array([[0, 0], [0, 1], [-1, 1], [-1, 0]])  # x right, y down
     turned = corners @ _clockwise(TILT_RAD).T
@@ -63,19 +66,19 @@ def edge(distance_mm: float) -> trimesh.Trimesh:
 def duplex_wires(
     panel_mm: float, middle_mm: tuple[float, float], row_length_mm: float
 ) -> trimesh.Trimesh:
-    """Thirteen pairs of wires just before the panel, the thickest left.
+    """Return thirteen pairs of wires just before the panel, the thickest on the left.
 
     Args:
-        panel_mm: distance from the source to the panel; the wires touch it almost.
-        middle_mm: of the row of pairs, x to the right and y down from the panel's centre.
-        row_length_mm: of the row; the pairs are centred in it.
+        panel_mm: distance from the source to the panel; the wires almost touch it.
+        middle_mm: middle of the row of pairs, x to the right and y down from the panel's centre.
+        row_length_mm: length of the row; the pairs are centred in it.
     """
     place = -(3 * sum(WIRE_MM) + WIRE_APART_MM * (len(WIRE_MM) - 1)) / 2
     if -place > row_length_mm / 2:
         raise ValueError(f"the pairs take {-2 * place:.1f} mm, the row has {row_length_mm:.1f} mm")
     centre, turn = np.array(middle_mm), _clockwise(TILT_RAD)
     angles = 2 * np.pi * np.arange(WIRE_SIDES) / WIRE_SIDES
-    # Same area as the circle.
+    # The area equals that of the circle.
     swell = np.sqrt(2 * np.pi / WIRE_SIDES / np.sin(2 * np.pi / WIRE_SIDES))
     wires = []
     for diameter in WIRE_MM:
@@ -86,7 +89,7 @@ def duplex_wires(
             ends = []
             for end in (-WIRE_LENGTH_MM / 2, WIRE_LENGTH_MM / 2):
                 flat = np.column_stack([along, np.full(WIRE_SIDES, end)]) @ turn.T + centre
-                # Seen from the source, as if it touched the panel.
+                # Scaled, so that its shadow equals the one of a wire on the panel.
                 scale = depth / panel_mm
                 ends.append(np.column_stack([depth, -flat * scale[:, None]]))
             wires.append(_hull(np.concatenate(ends)))
@@ -101,11 +104,11 @@ def wedge(
     right: Callable[[float], float] = lambda y: WEDGE_RIGHT_PX,
     steps_mm: Sequence[float] = WEDGE_STEPS_MM,
 ) -> trimesh.Trimesh:
-    """Nine shells around the focal spot: every ray of a step crosses the same thickness.
+    """Return nine shells around the focal spot: each step has one thickness along all its rays.
 
     Args:
-        panel_mm: from the source to the panel.
-        pitch_mm: of its pixels.
+        panel_mm: distance from the source to the panel.
+        pitch_mm: pixel pitch.
         left: x of the left end by y.
         right: x of the right end by y.
         steps_mm: thickness of each step, the lowest first.
@@ -127,17 +130,17 @@ def wedge(
 
 
 def overlap_px(y: float) -> float:
-    """How far the right piece of 2D-SW-3 reaches left of the joint, in its lower three steps."""
+    """Return the overlap of 2D-SW-3, left of the joint, in its lower three steps."""
     return max(0.0, 10 * (y - 7 * WEDGE_PANEL_PX / 11) / (3 * WEDGE_PANEL_PX / 11))
 
 
 def gap_px(y: float) -> float:
-    """Width of the gap of 2D-SW-3 in its upper three steps."""
+    """Return the width of the gap of 2D-SW-3 in its upper three steps."""
     return max(0.0, 5 * (4 * WEDGE_PANEL_PX / 11 - y) / (3 * WEDGE_PANEL_PX / 11))
 
 
 def _slab(inner: Floats, outer: Floats) -> trimesh.Trimesh:
-    """The closed surface around two grids of points, (rows, columns, 3)."""
+    """Return the closed surface around two grids of points, (rows, columns, 3)."""
     rows, columns = inner.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     last = rows * columns
@@ -162,12 +165,12 @@ def _quads(index: np.ndarray) -> np.ndarray:
 
 
 def _strip(border: np.ndarray, last: int) -> np.ndarray:
-    """Between the border of the first grid, walked with the slab on one side, and the second's."""
+    """Return quads between both grids' borders; ``border`` walks with the slab on one side."""
     return np.stack([border[1:], border[:-1], border[:-1] + last, border[1:] + last], axis=-1)
 
 
 def _together(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """One mesh of solids that do not touch."""
+    """Join solids that do not touch into one mesh."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return surface(
         np.concatenate([part.vertices for part in parts]),
@@ -180,5 +183,5 @@ def _hull(points: Floats) -> trimesh.Trimesh:
 
 
 def _clockwise(angle: float) -> Floats:
-    """Turns points of an image, x right and y down."""
+    """Return the rotation matrix for image points, x to the right and y down."""
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

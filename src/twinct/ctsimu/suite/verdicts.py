@@ -1,4 +1,4 @@
-"""What the toolbox's result files say, held against what was asked for."""
+"""Verdicts on the toolbox's results, compared with the requirements of the tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twinct.ctsimu.suite.cases import COVERAGE_SAMPLES
 
 @dataclass(frozen=True)
 class Verdict:
-    """One figure of a test; ``passed`` is None where it is only reported."""
+    """One figure of merit of a test; ``passed`` is None if it is only reported."""
 
     test: str
     what: str
@@ -24,7 +24,7 @@ class Verdict:
 
 
 def verdicts(test: str, results: Path) -> list[Verdict]:
-    """Read the results of a test from the folder that the toolbox wrote them to."""
+    """Read the results of a test from the toolbox's output folder."""
     return _READERS[test](results)
 
 
@@ -85,7 +85,7 @@ def _wires(results: Path) -> list[Verdict]:
 
 
 def _near(test: str, what: str, value: float, wanted: float, unit: str) -> Verdict:
-    """A figure that must be met within 5 %."""
+    """Return the verdict on a figure with a tolerance of 5 %."""
     off = value / wanted - 1
     measured = f"{value:.3f} {unit} ({100 * off:+.2f} %)"
     return Verdict(test, what, f"{wanted:g} {unit} within 5 %", measured, abs(off) <= 0.05)

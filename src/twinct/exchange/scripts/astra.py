@@ -1,4 +1,4 @@
-"""Loads this folder into the ASTRA Toolbox (pip install astra-toolbox); its SIRT wants CUDA."""
+"""Load this folder into the ASTRA Toolbox (pip install astra-toolbox); its SIRT needs CUDA."""
 # pyright: reportMissingImports=false
 
 import argparse
@@ -10,13 +10,13 @@ HERE = Path(__file__).resolve().parent
 
 
 def arrays():
-    """The images (view, row, column), and the arguments of ASTRA's geometries by name."""
+    """Return the images (view, row, column), and the arguments of ASTRA's geometries by name."""
     with np.load(HERE / "geometry.npz") as stored:
         return np.load(HERE / "projections.npy", mmap_mode="r"), dict(stored)
 
 
 def load():
-    """ASTRA's projection geometry, its volume geometry, and the images as it wants them."""
+    """Return ASTRA's projection geometry, its volume geometry, and the images in its axis order."""
     import astra
 
     images, words = arrays()
@@ -27,7 +27,7 @@ def load():
 
 
 def reconstruct(iterations):
-    """SIRT; (z, y, x)."""
+    """Reconstruct with SIRT; return the volume (z, y, x)."""
     import astra
 
     views, voxels, images = load()

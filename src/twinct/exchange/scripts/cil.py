@@ -1,6 +1,6 @@
-"""Loads this folder into CIL (conda packages cil and astra-toolbox); its SIRT wants CUDA.
+"""Load this folder into CIL (conda packages cil and astra-toolbox); its SIRT needs CUDA.
 
-CIL must be new enough to have Cone3D_Flex.
+CIL must be recent enough to have Cone3D_Flex.
 """
 # pyright: reportMissingImports=false
 
@@ -13,13 +13,13 @@ HERE = Path(__file__).resolve().parent
 
 
 def arrays():
-    """The images (view, row, column), and CIL's arguments by name."""
+    """Return the images (view, row, column), and CIL's arguments by name."""
     with np.load(HERE / "geometry.npz") as stored:
         return np.load(HERE / "projections.npy"), dict(stored)
 
 
 def load():
-    """CIL's acquisition data, with its geometry, and the image geometry of the volume."""
+    """Return CIL's acquisition data with its geometry, and the image geometry of the volume."""
     from cil.framework import AcquisitionData, AcquisitionGeometry, ImageGeometry
 
     images, words = arrays()
@@ -33,14 +33,14 @@ def load():
     )
     pixels, pitch = words["num_pixels"].tolist(), words["pixel_size"].tolist()
     views.set_panel(pixels, pitch, origin="bottom-left")
-    # CIL's own order of axes is the one of the file: view, vertical, horizontal.
+    # CIL's axis order equals the file's: view, vertical, horizontal.
     data = AcquisitionData(images, deep_copy=False, geometry=views)
     data.reorder("astra")
     return data, ImageGeometry(*words["volume"].tolist(), *words["voxel"].tolist())
 
 
 def reconstruct(iterations):
-    """SIRT; (z, y, x)."""
+    """Reconstruct with SIRT; return the volume (z, y, x)."""
     from cil.optimisation.algorithms import SIRT
     from cil.plugins.astra import ProjectionOperator
 

@@ -1,4 +1,4 @@
-"""Loads this folder into LEAP (github.com/LLNL/LEAP), and reconstructs it with LEAP's SART."""
+"""Load this folder into LEAP (github.com/LLNL/LEAP), and reconstruct it with LEAP's SART."""
 # pyright: reportMissingImports=false
 
 import argparse
@@ -10,13 +10,13 @@ HERE = Path(__file__).resolve().parent
 
 
 def arrays():
-    """The images (view, row, column), and LEAP's arguments by name."""
+    """Return the images (view, row, column), and LEAP's arguments by name."""
     with np.load(HERE / "geometry.npz") as stored:
         return np.load(HERE / "projections.npy"), dict(stored)
 
 
 def load():
-    """LEAP's model with geometry and volume set, and the images."""
+    """Return LEAP's model with geometry and volume, and the images."""
     from leapctype import tomographicModels
 
     images, words = arrays()
@@ -32,7 +32,7 @@ def load():
 
 
 def reconstruct(iterations):
-    """SART in ten subsets of views; (z, y, x)."""
+    """Reconstruct with SART in ten subsets of views; return the volume (z, y, x)."""
     model, images = load()
     volume = model.allocateVolume()
     volume[:] = 0

@@ -1,4 +1,4 @@
-"""Reads this folder with NumPy. Programs that know OpenCT open openct.json itself."""
+"""Read this folder with NumPy. Programs that support OpenCT open openct.json directly."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def arrays():
-    """The images (view, row, column), first row on top, and the matrices (view, 3, 4)."""
+    """Return the images (view, row, column), first row on top, and the matrices (view, 3, 4)."""
     words = json.loads((HERE / "openct.json").read_text())
     columns, rows = words["geometry"]["detectorPixel"]
     stored = words["projections"]["images"]

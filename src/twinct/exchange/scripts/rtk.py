@@ -1,4 +1,4 @@
-"""Loads this folder into RTK (pip install itk-rtk), and reconstructs it with RTK's SART."""
+"""Load this folder into RTK (pip install itk-rtk), and reconstruct it with RTK's SART."""
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false
 
 import argparse
@@ -14,7 +14,7 @@ IMAGE = itk.Image[itk.F, 3]
 
 
 def geometry():
-    """All views."""
+    """Return the geometry of all views."""
     reader = RTK.ThreeDCircularProjectionGeometryXMLFileReader.New()
     reader.SetFilename(str(HERE / "geometry.xml"))
     reader.GenerateOutputInformation()
@@ -22,12 +22,12 @@ def geometry():
 
 
 def projections():
-    """The stack of images: column, row, view."""
+    """Return the stack of images: column, row, view."""
     return itk.imread(str(HERE / "projections.mha"), itk.F)
 
 
 def volume():
-    """The voxels to reconstruct, all zero."""
+    """Return the voxels to reconstruct, all zero."""
     facts = json.loads((HERE / "export.json").read_text())["volume"]
     size, voxel = facts["shape_z_y_x"][::-1], facts["voxel_x_y_z_mm"]
     source = RTK.ConstantImageSource[IMAGE].New()
@@ -40,7 +40,7 @@ def volume():
 
 
 def reconstruct(iterations, relaxation=0.3):
-    """SART, one view for each update, in RTK's own random order; (z, y, x)."""
+    """Reconstruct with SART, one view per update, in RTK's random order; return (z, y, x)."""
     sart = RTK.SARTConeBeamReconstructionFilter[IMAGE, IMAGE].New()
     sart.SetInput(0, volume())
     sart.SetInput(1, projections())
@@ -48,7 +48,7 @@ def reconstruct(iterations, relaxation=0.3):
     sart.SetNumberOfIterations(iterations)
     sart.SetNumberOfProjectionsPerSubset(1)
     sart.SetLambda(relaxation)
-    # Its weights for a shifted panel assume a circular orbit.
+    # RTK's weights for a shifted panel assume a circular orbit.
     sart.SetDisableDisplacedDetectorFilter(True)
     sart.Update()
     return itk.array_from_image(sart.GetOutput())

@@ -1,7 +1,8 @@
-"""Loads this folder into TIGRE (github.com/CERN/TIGRE), and runs its SART on a CUDA card.
+"""Load this folder into TIGRE (github.com/CERN/TIGRE), and run its SART on a CUDA card.
 
-Rays and pixels are exact in any view. TIGRE weights its back projection as if the views went round
-z; in its SART, with one view for each update, most of that weight cancels, in its CGLS it does not.
+Rays and pixels are exact in any view. But TIGRE's back projection is weighted as if the views
+rotated about z. In its SART, with one view per update, most of that weight cancels; in its CGLS it
+does not.
 """
 # pyright: reportMissingImports=false
 
@@ -16,13 +17,13 @@ SIZES = ("nDetector", "dDetector", "nVoxel", "dVoxel")
 
 
 def arrays():
-    """The images (view, row, column), and TIGRE's attributes by name."""
+    """Return the images (view, row, column), and TIGRE's attributes by name."""
     with np.load(HERE / "geometry.npz") as stored:
         return np.load(HERE / "projections.npy"), dict(stored)
 
 
 def load():
-    """TIGRE's geometry, its angles, and the images."""
+    """Return TIGRE's geometry, its angles, and the images."""
     import tigre
 
     images, words = arrays()
@@ -38,7 +39,7 @@ def load():
 
 
 def reconstruct(iterations, relaxation=0.3):
-    """SART, one view for each update; (z, y, x)."""
+    """Reconstruct with SART, one view per update; return the volume (z, y, x)."""
     from tigre import algorithms
 
     geometry, angles, images = load()
