@@ -1,4 +1,4 @@
-"""Work done by several machines, by Ray: the only package that imports it."""
+"""Work on several machines by Ray; no other package imports Ray."""
 
 from twinct.cluster.pool import RayPool
 

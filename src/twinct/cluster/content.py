@@ -1,4 +1,4 @@
-"""Files and folders as bytes, for the way between machines."""
+"""Packing of files and folders into bytes, for transport between machines."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
-"""Ray shares arrays between the processes of a machine; bytes it would copy to each."""
+"""Bytes as an array: Ray shares arrays between a machine's processes, but copies bytes."""
 
 
 def pack(path: Path) -> Bytes:
-    """A file or folder, whatever its name."""
+    """Pack a file or folder, without its own name."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", strict_timestamps=False) as archive:
         for one in (path, *sorted(path.rglob("*"))):
@@ -23,7 +23,7 @@ def pack(path: Path) -> Bytes:
 
 
 def unpack(content: Bytes, path: Path) -> None:
-    """What was packed, under a name; its folder exists, and nothing has the name."""
+    """Unpack content to a new path in an existing folder."""
     with zipfile.ZipFile(io.BytesIO(content.data)) as archive:
         for member in archive.infolist():
             member.filename = path.name + member.filename.removeprefix("content")

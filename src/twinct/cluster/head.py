@@ -1,7 +1,7 @@
-"""Ray on this machine, for one process and no longer than that lives.
+"""Ray on this machine for a single parent process, with whose end it ends.
 
-``python -m twinct.cluster.head LIFELINE REPORT SETTINGS``, by ``twinct.cluster.local`` only. Ray's
-processes belong to this one's group, which the kernel kills with the process that asked for it.
+Only ``twinct.cluster.local`` starts it, by ``python -m twinct.cluster.head LIFELINE REPORT
+SETTINGS``. Ray's processes belong to its process group, which the kernel kills with the parent.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twinct.pool.lifeline import end_with
 
 
 def main() -> None:
-    """Start Ray, report its address, and stay."""
+    """Start Ray, report its address, and wait to be killed."""
     end_with(int(sys.argv[1]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     report = int(sys.argv[2])

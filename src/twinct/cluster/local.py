@@ -1,4 +1,4 @@
-"""Starts and ends Ray on this machine: on loopback, with a token, nothing left behind."""
+"""Start and end of Ray on this machine: on loopback, with a token, without leftovers."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from twinct.errors import LinkError
 
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_BACKEND_LOG_LEVEL": "fatal",  # what goes wrong comes as an exception, too
+    "RAY_BACKEND_LOG_LEVEL": "fatal",  # errors arrive as exceptions anyway
     "RAY_IGNORE_UNHANDLED_ERRORS": "1",
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # else it prints advice
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # otherwise Ray prints advice
 }
-"""Of every process that talks to Ray."""
+"""Environment variables of every process that uses Ray."""
 
 CLIENT = {"RAY_NUM_REDIS_GET_RETRIES": "2", "RAY_py_gcs_connect_timeout_s": "5"}
-"""Of one that joins a Ray that is there: a few seconds, after which nobody answers."""
+"""Further variables of a process that joins a running Ray: timeouts of a few seconds."""
 
 PATIENCE_S = 300.0
-"""A busy machine starts Ray in half a minute, a very busy one in minutes."""
+"""Timeout of the start: a busy machine starts Ray in half a minute, a very busy one in minutes."""
 
 
 _PREFIX, _LIFELINE = "twinct-ray-", "lifeline"
@@ -39,24 +39,24 @@ class LocalRay:
     """Ray's processes on this machine.
 
     Attributes:
-        address: where it answers.
-        lifeline: a named pipe that is held open as long as this process lives.
+        address: address of Ray.
+        lifeline: a named pipe that this process holds open while it lives.
     """
 
     def __init__(self, processors: int, memory_bytes: int) -> None:
-        """Start them.
+        """Start Ray.
 
         Raises:
-            LinkError: they did not start.
+            LinkError: Ray did not start.
         """
-        # Sockets have short names only: the folder is not that of TMPDIR.
+        # Paths of sockets must be short, so TMPDIR is not used.
         _sweep()
         self._folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir="/tmp"))
         self.lifeline = self._folder / _LIFELINE
         unheld = self._folder / "unheld"
         os.mkfifo(unheld)
         self._held = os.open(unheld, os.O_RDWR | os.O_CLOEXEC)
-        unheld.rename(self.lifeline)  # under this name it is always held
+        unheld.rename(self.lifeline)  # a pipe of this name always has a holder
         read, self._group = os.pipe()
         heard, report = os.pipe()
         self._before = {name: os.environ.get(name) for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN")}
@@ -75,7 +75,7 @@ class LocalRay:
                 env={
                     **{k: v for k, v in os.environ.items() if k not in CLIENT},
                     **ENVIRONMENT,
-                    # Ray then knows no address but loopback, and listens there alone.
+                    # Ray then uses and listens on loopback only.
                     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
                     "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path),
                 },
@@ -98,11 +98,11 @@ class LocalRay:
 
     @property
     def alive(self) -> bool:
-        """Whether the process that started Ray lives."""
+        """True while the process that started Ray lives."""
         return self._process.poll() is None
 
     def close(self) -> None:
-        """Kill them all, and what works for them."""
+        """Kill all processes of Ray and their descendants."""
         family = list(_descendants(self._process.pid))
         os.close(self._held)
         os.close(self._group)
@@ -119,9 +119,9 @@ class LocalRay:
 
 
 def _sweep() -> None:
-    """Remove what processes left that were killed: nobody holds their lifelines."""
+    """Remove folders of killed processes, whose lifelines have no holder."""
     for folder in Path("/tmp").glob(f"{_PREFIX}*"):
-        with contextlib.suppress(OSError):  # not ours, or held: BlockingIOError
+        with contextlib.suppress(OSError):  # not ours, or held (BlockingIOError)
             pipe = os.open(folder / _LIFELINE, os.O_RDONLY | os.O_NONBLOCK)
             try:
                 os.read(pipe, 1)

@@ -1,4 +1,4 @@
-"""What is done on a node: one piece of work, a look at its versions, clearing up."""
+"""Functions that run on a node: one piece of work, report of versions, removal of folders."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from twinct.version import __version__
 
 
 def ray_module() -> Any:
-    """Ray: it takes seconds, and reads its environment when it is imported."""
+    """Import Ray; this takes seconds, and Ray reads its environment at import."""
     import ray
 
     return ray
@@ -33,7 +33,7 @@ def ray_module() -> Any:
 
 @dataclass(frozen=True)
 class Ticket:
-    """Content that may be fetched: Ray's reference in a list, so that Ray leaves it alone."""
+    """Content to be fetched; a list around its reference keeps Ray from resolving it."""
 
     digest: str
     name: str
@@ -42,12 +42,12 @@ class Ticket:
 
 @dataclass(frozen=True)
 class Terms:
-    """What a pool tells each process that works for it.
+    """Settings of a pool for each of its worker processes.
 
     Attributes:
         pool: name of its folders on the nodes.
-        threads: of a piece of work.
-        versions: that the process must have.
+        threads: threads of a piece of work.
+        versions: versions that the process must have.
         lifeline: a named pipe that the pool's process holds, if it is on this machine.
     """
 
@@ -59,14 +59,14 @@ class Terms:
 
 @dataclass(frozen=True)
 class NodePlace:
-    """A folder of a node; what was offered is unpacked there, once."""
+    """Place of work on a node; each offer is unpacked once into its folder."""
 
     folder: Path
     threads: int
     tickets: Mapping[str, Ticket]
 
     def fetch(self, name: str) -> Path:
-        """Unpack it unless another worker of the node has."""
+        """Return the path of an offer; unpack it unless another worker has already done so."""
         ticket = self.tickets[name]
         path = self.folder / "inputs" / ticket.digest / ticket.name
         if path.exists():
@@ -78,7 +78,7 @@ class NodePlace:
             unpack(content, draft / ticket.name)
             draft.rename(path.parent)
         except OSError:
-            if not path.exists():  # else another worker was faster
+            if not path.exists():  # otherwise another worker was faster
                 raise
         finally:
             remove(draft)
@@ -87,7 +87,7 @@ class NodePlace:
 
 @cache
 def versions() -> str:
-    """Of what has to be the same everywhere; twinct's also by its sources."""
+    """Return the versions that must agree on all nodes, with a digest of twinct's sources."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
@@ -98,7 +98,7 @@ def versions() -> str:
 
 
 def folder(pool: str) -> Path:
-    """That a pool has on this machine; the same after a new start of Ray."""
+    """Return the folder of a pool on this machine; it does not change when Ray restarts."""
     parent = os.environ.get("TWINCT_CACHE") or str(
         Path(tempfile.gettempdir()) / f"twinct-studies-{os.getuid()}"
     )
@@ -107,9 +107,9 @@ def folder(pool: str) -> Path:
 
 @cache
 def _prepare(terms: Terms) -> None:
-    """Once a process, before its first work."""
+    """Set up a process before its first work."""
     if terms.lifeline is not None:
-        # Ray ends its processes, too, in its own time and not while an engine is at work.
+        # Ray ends its processes, too, but late, and not while an engine is at work.
         end_with(os.open(terms.lifeline, os.O_RDONLY | os.O_NONBLOCK))
     if versions() != terms.versions:
         raise InputError(
@@ -121,7 +121,7 @@ def _prepare(terms: Terms) -> None:
 def work(
     request: bytes, tickets: dict[str, Ticket], terms: Terms
 ) -> tuple[Outcome, dict[str, Bytes]]:
-    """What came of it, and the content of its parcels."""
+    """Execute a request; return its outcome and the content of its parcels."""
     _prepare(terms)
     place = NodePlace(folder(terms.pool), terms.threads, tickets)
     place.folder.mkdir(parents=True, exist_ok=True)
@@ -134,10 +134,10 @@ def work(
 
 
 def look() -> tuple[str, str]:
-    """Name and versions of this node."""
+    """Return name and versions of this node."""
     return socket.gethostname(), versions()
 
 
 def clear(pool: str) -> None:
-    """Remove the folder of a pool."""
+    """Remove the folder of a pool on this node."""
     shutil.rmtree(folder(pool), ignore_errors=True)

@@ -1,4 +1,4 @@
-"""A pool of processes on the machines that Ray has."""
+"""Pool of processes on the machines of a Ray cluster."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ from twinct.pool.work import Died, Event, Work
 from twinct.threads import available_threads
 
 ANSWER_S = 10.0
-"""In which a cluster has to answer."""
+"""Timeout for a connection to a cluster."""
 
 ASK_S = 300.0
-"""In which each node has to answer: on a busy one a process needs a minute to start."""
+"""Timeout for an answer of each node: on a busy node, a process needs a minute to start."""
 
 LOOK_S = 2.0
-"""How often a pool that waits makes sure that Ray is there."""
+"""Interval at which a waiting pool checks that Ray still answers."""
 
 
 _SETTINGS = b"\4"
 _HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _SETTINGS + b"\0\0\0\0\0"
-"""How HTTP/2 begins, from either side a frame of settings (RFC 9113, 3.4 and 6.5)."""
+"""Preface of HTTP/2; either side begins with a frame of settings (RFC 9113, 3.4 and 6.5)."""
 
 
 @dataclass(frozen=True)
 class _Come:
-    """A parcel that is in Ray's store on this machine, whatever comes of the node that made it."""
+    """Parcel in Ray's store on this machine, independent of the node that made it."""
 
     content: Bytes
     pool: RayPool
 
     def save(self, path: Path) -> None:
-        """Unpack it there.
+        """Unpack the parcel to a path.
 
         Raises:
-            StorageError: it cannot be written.
+            StorageError: the path cannot be written.
             ValueError: the pool is closed, and Ray's store with it.
         """
         if self.pool.closed:
@@ -64,12 +64,12 @@ class _Come:
 class RayPool:
     """Processes on all nodes of a Ray cluster; see ``twinct.pool.Pool``.
 
-    One thread at a time may use it, and one pool a process. Each piece of work is a task of Ray: it
-    starts where processors and memory are free, in a process that works for nobody else meanwhile,
-    and stays warm for the next. Parcels can be saved until it is closed.
+    Only one thread at a time may use the pool, and a process may have only one pool. Each piece of
+    work is a task of Ray: it starts on a node with free processors and memory, in a process of its
+    own, which stays warm for the next piece. Parcels can be saved until the pool is closed.
 
     Attributes:
-        closed: whether it is.
+        closed: True once the pool is closed.
     """
 
     def __init__(
@@ -81,20 +81,22 @@ class RayPool:
         workers: int | None = None,
         memory_bytes: int | None = None,
     ) -> None:
-        """Connect; every node is asked for its versions.
+        """Connect to Ray, and check the versions of every node.
 
         Args:
             address: None or ``local`` starts Ray on this machine and ends it with the pool;
                 ``auto`` or HOST:PORT joins a cluster.
-            name: of the pool's folder on each node, ``$TWINCT_CACHE`` (or a folder for temporary
-                files) / name / host.
-            threads: of a piece of work.
-            workers: processes at a time, for a Ray of this machine; None for what threads allow.
-            memory_bytes: for a Ray of this machine; None for what this process may take now.
+            name: name of the pool's folder on each node, ``$TWINCT_CACHE`` (or a folder for
+                temporary files) / name / host.
+            threads: threads of a piece of work.
+            workers: number of concurrent processes, for a local Ray; None: as many as the threads
+                of this machine allow.
+            memory_bytes: memory limit of a local Ray; None: the memory available now.
 
         Raises:
             MissingExtraError: Ray is not installed.
-            InputError: no Ray answers at the address, or a node has another twinct, Ray or Python.
+            InputError: no Ray answers at the address, or a node has another version of twinct, Ray
+                or Python.
             LinkError: Ray did not start.
         """
         require("cluster")
@@ -148,26 +150,26 @@ class RayPool:
 
     @property
     def slots(self) -> int:
-        """Of all nodes that live; at least one, since another may come."""
+        """Slots of all live nodes; at least 1, as further nodes may join."""
         return self._measured()[1]
 
     @property
     def most_memory_bytes(self) -> int:
-        """Of the largest node that was ever seen."""
+        """Memory of the largest node since the pool was created."""
         return self._measured()[2]
 
     def offer(self, name: str, path: Path) -> None:
-        """It travels when work first names it, once to each node."""
+        """Offer a path under a name; it is sent when work first needs it, once to each node."""
         self.withdraw(name)
         self._paths[name] = Path(path).absolute()
 
     def withdraw(self, name: str) -> None:
-        """Work that was submitted before keeps it."""
+        """Withdraw an offer; work that was submitted before can still use it."""
         self._paths.pop(name, None)
         self._tickets.pop(name, None)
 
     def submit(self, work: Work) -> None:
-        """See ``twinct.pool.Pool``."""
+        """Submit work; see ``twinct.pool.Pool``."""
         request = sent(work)
         if work.memory_bytes > (most := self.most_memory_bytes):
             raise MemoryShortageError(
@@ -185,10 +187,10 @@ class RayPool:
         self._running[outcome] = (work.key, content)
 
     def wait(self, timeout_s: float | None = None) -> list[Event]:
-        """See ``twinct.pool.Pool``.
+        """Wait for events; see ``twinct.pool.Pool``.
 
         Raises:
-            InputError: a node with another twinct, Ray or Python has come.
+            InputError: a new node has another version of twinct, Ray or Python.
             LinkError: the whole cluster is gone.
         """
         until = float("inf") if timeout_s is None else time.monotonic() + timeout_s
@@ -197,7 +199,7 @@ class RayPool:
             with self._speaking():
                 references = list(self._running)
                 ready, _ = self._ray.wait(references, timeout=min(left, LOOK_S))
-                if ready:  # and whatever else is
+                if ready:  # fetch all finished tasks at once
                     ready, _ = self._ray.wait(references, num_returns=len(references), timeout=0)
                     return [self._event(reference) for reference in ready]
             if left <= LOOK_S:
@@ -206,7 +208,7 @@ class RayPool:
         return []
 
     def close(self, *, clear: bool = False) -> None:
-        """See ``twinct.pool.Pool``; a Ray that was started for the pool ends with it."""
+        """Close the pool and the Ray that it started; see ``twinct.pool.Pool``."""
         if self.closed:
             return
         self.closed = True
@@ -257,12 +259,12 @@ class RayPool:
             return Died(key, "its node was lost", blamed=False)
         except (failures.RaySystemError, failures.LocalRayletDiedError, failures.RpcError):
             raise
-        except failures.RayError as error:  # full disk, full store: not without end
+        except failures.RayError as error:  # full disk or store: limit the retries
             return Died(key, f"Ray gave it up: {_line(error)}")
         return event(key, outcome, {name: _Come(one, self) for name, one in packed.items()})
 
     def _compare(self) -> None:
-        """Refuse nodes with other versions."""
+        """Raise if a node has other versions."""
         problems: list[str] = []
         for found in self._each_node(node.look):
             if isinstance(found, Exception):
@@ -275,7 +277,7 @@ class RayPool:
             raise InputError(problems)
 
     def _each_node(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
-        """What each node answers, or its error; nodes that are gone are left out."""
+        """Call a function on each node; return its results or errors, without lost nodes."""
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         task = self._ray.remote(num_cpus=0, max_retries=0)(function)
@@ -293,19 +295,19 @@ class RayPool:
             try:
                 found.append(self._ray.get(reference, timeout=ASK_S))
             except (failures.TaskUnschedulableError, failures.NodeDiedError):
-                continue  # Ray counts a node that is gone for some seconds more
+                continue  # Ray lists a lost node for some more seconds
             except failures.RayError as error:
                 found.append(error)
         return found
 
     def _look(self) -> None:
-        """Make sure that Ray is there: its own patience is a minute, and it ends the process."""
+        """Raise if Ray does not answer; Ray itself waits a minute, and then ends the process."""
         if not _answers(self._address) or (self._head is not None and not self._head.alive):
             raise LinkError(f"Ray at {self._address} does not answer any more: the cluster is gone")
 
     @contextlib.contextmanager
     def _speaking(self) -> Iterator[None]:
-        """Tell in one message that Ray is gone."""
+        """Turn all errors of a lost connection into one ``LinkError``."""
         try:
             yield
         except (
@@ -318,18 +320,18 @@ class RayPool:
 
 
 def _connect(address: str, local: bool) -> str:
-    """Join a cluster; its address."""
+    """Join a cluster and return its address."""
     if address != "auto" and not _answers(address, as_ray=True):
         raise InputError(f"{address}: no Ray answers there (HOST:PORT, auto or local needed)")
     ray = node.ray_module()
     from ray._private import ray_constants, worker
 
-    # Ray has read its environment when it was imported.
+    # Ray has read its environment at import; make it read the environment again.
     ray._raylet.Config.initialize("")
     ray._raylet.AuthenticationTokenLoader.instance().reset_cache()
-    # A local Ray listens on loopback alone, where Ray's clients do not look else.
+    # A local Ray listens on loopback only, which Ray's clients do not try otherwise.
     ray_constants.ENABLE_RAY_CLUSTER = not local
-    # Of deaths our events tell; Ray's messages would come between.
+    # Events report deaths; suppress Ray's own messages.
     worker.print_to_stdstream = lambda *_, **__: None
     handler = signal.getsignal(signal.SIGTERM)
     try:
@@ -339,13 +341,13 @@ def _connect(address: str, local: bool) -> str:
         problem = f"{address}: no Ray answers there that we can use: {_line(error)}"
         raise InputError(problem) from error
     finally:
-        signal.signal(signal.SIGTERM, handler)  # Ray puts its own there
+        signal.signal(signal.SIGTERM, handler)  # Ray installs its own handler
     return context.address_info["gcs_address"]
 
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep away from the terminal what Ray's C++ part writes to it."""
+    """Suppress the terminal output of Ray's C++ part during a block."""
     sys.stderr.flush()
     kept = os.dup(2)
     with open(os.devnull, "wb") as nowhere:
@@ -358,7 +360,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _answers(address: str, *, as_ray: bool = False) -> bool:
-    """Whether something listens there, and speaks as Ray does: gRPC, over HTTP/2."""
+    """Return True if a server listens there; ``as_ray``: if it speaks gRPC over HTTP/2."""
     host, _, port = address.rpartition(":")
     try:
         with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S) as connection:

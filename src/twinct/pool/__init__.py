@@ -1,4 +1,4 @@
-"""Work done by other processes: of this machine here, of several in ``twinct.cluster``."""
+"""Work in other processes of this machine; ``twinct.cluster`` uses several machines."""
 
 from twinct.pool.local import LocalPool
 from twinct.pool.mapping import each, map_over

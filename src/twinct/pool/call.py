@@ -1,4 +1,4 @@
-"""One call of a function in a worker: sent by names, done, and what came of it sent back."""
+"""One call of a function in a worker: request, execution and outcome."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from twinct.pool.work import Done, Failed, Made, Parcel, Place, Work
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a call, so that it can be sent: nothing in it needs its classes to be known.
+    """Outcome of a call, which any process can unpickle without importing its classes.
 
     Attributes:
-        value: pickled; empty if it failed.
-        parcels: where what was made lies at the place of work.
-        failure: kind, problems and trace.
-        seconds: that the function took.
+        value: pickled result; empty after a failure.
+        parcels: paths of the created files and folders at the place of work.
+        failure: kind, problems and trace of a failure.
+        seconds: duration of the call.
     """
 
     value: bytes = b""
@@ -33,7 +33,7 @@ class Outcome:
 
 
 class _ByNames(pickle.Pickler):
-    """Refuses what another process could not import, where pickle only notes its name."""
+    """Pickler that refuses objects of ``__main__``, which other processes cannot import."""
 
     def reducer_override(self, obj: Any) -> Any:
         if getattr(obj, "__module__", None) == "__main__" and hasattr(obj, "__qualname__"):
@@ -45,7 +45,7 @@ class _ByNames(pickle.Pickler):
 
 
 def sent(work: Work) -> bytes:
-    """Function and argument of work, for a worker's ``call``.
+    """Pickle function and argument of work, for a worker's ``call``.
 
     Raises:
         InputError: another process cannot import the function, or a class of its argument.
@@ -62,7 +62,7 @@ def sent(work: Work) -> bytes:
 
 
 def call(request: bytes, place: Place) -> Outcome:
-    """Do it; whatever the function raises is told, not raised."""
+    """Execute a request; exceptions of the function are part of the outcome, not raised."""
     begun = time.monotonic()
     try:
         function, argument = pickle.loads(request)
@@ -76,17 +76,17 @@ def call(request: bytes, place: Place) -> Outcome:
                 raise FileNotFoundError(f"{path}, made as {name!r}, is not there")
         value = pickle.dumps(made.value, pickle.HIGHEST_PROTOCOL)
         return Outcome(value, parcels, seconds=seconds)
-    except BaseException as error:  # work that asks for the end of its process has failed, too
+    except BaseException as error:  # includes SystemExit of the function
         return Outcome(failure=_failure(error), seconds=time.monotonic() - begun)
 
 
 def event(key: str, outcome: Outcome, parcels: Mapping[str, Parcel]) -> Done | Failed:
-    """What the pool tells of it."""
+    """Return the event that a pool reports for an outcome."""
     failure = outcome.failure
     if failure is None:
         try:
             return Done(key, pickle.loads(outcome.value), parcels, outcome.seconds)
-        except Exception as error:  # a class that can be sent, and not be made here
+        except Exception as error:  # some classes can be pickled but not restored here
             failure = _failure(error)
     return Failed(key, *failure, outcome.seconds)
 

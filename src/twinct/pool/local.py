@@ -1,4 +1,4 @@
-"""A pool of processes on this machine."""
+"""Pool of processes on this machine."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from twinct.pool.work import Died, Event, Work
 from twinct.threads import SETTING
 
 MOST_PASSED = 16
-"""Pieces of work that may start before the first in line, while that waits for memory."""
+"""Number of pieces of work that may overtake the first in line while it waits for memory."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class _Task:
 
 
 class _Worker:
-    """A process, and what it is doing."""
+    """A worker process and its current task."""
 
     def __init__(self, number: int, folder: Path, threads: int) -> None:
         self.number = number
@@ -46,7 +46,7 @@ class _Worker:
         read, self._lifeline = os.pipe()
         log = folder / "logs" / f"worker-{number}.log"
         inherited = (theirs.fileno(), read)
-        # -P: modules are those that this process would import, not those of the current folder.
+        # -P: import the same modules as this process, not modules in the current folder.
         program = [sys.executable, "-P", "-u", "-X", "faulthandler", "-m", "twinct.pool.worker"]
         try:
             with storage_errors(log):
@@ -75,21 +75,21 @@ class _Worker:
 
     @property
     def alive(self) -> bool:
-        """Whether it can be given work."""
-        # It stays unreaped: as long as it is, its number is no other process's, nor its group's.
+        """True if the process can take work."""
+        # WNOWAIT leaves it unreaped, so that no other process or group can get its number.
         options = os.WEXITED | os.WNOHANG | os.WNOWAIT
         return os.waitid(os.P_PID, self._process.pid, options) is None
 
     def resident_bytes(self) -> int:
-        """Memory that it holds."""
+        """Return the resident memory of the process."""
         try:
             pages = Path(f"/proc/{self._process.pid}/statm").read_text(encoding="ascii").split()[1]
-        except (OSError, IndexError):  # it is no more
+        except (OSError, IndexError):  # the process has ended
             return 0
         return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
     def end(self) -> str:
-        """Kill it, unless it is dead, and all that it started in its group; how it ended."""
+        """Kill the process and its group; return a clause that says how it ended."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         code = self._process.wait()
@@ -106,27 +106,27 @@ def _name(number: int) -> str:
 
 
 class LocalPool:
-    """Processes of this machine, started when there is work for them; see ``twinct.pool.Pool``.
+    """Processes of this machine, started on demand; see ``twinct.pool.Pool``.
 
-    One thread at a time may use it. Work starts in the order of submission; while the first in line
-    waits for memory, others that fit may pass it, at most 16 of them. Idle workers stay warm unless
-    running work may need the memory that they hold. The kernel kills the workers when this process
+    Only one thread at a time may use the pool. Work starts in the order of submission; while the
+    first in line waits for memory, at most 16 others that fit may overtake it. Idle workers stay
+    warm unless running work may need their memory. The kernel kills the workers when this process
     ends, however it ends.
     """
 
     def __init__(
         self, folder: Path, *, workers: int, threads: int = 1, memory_bytes: int | None = None
     ) -> None:
-        """Nothing is started yet.
+        """Create the pool without starting any process.
 
         Args:
-            folder: where work may keep files; the workers' output goes to ``logs`` in it.
-            workers: processes, at most.
-            threads: of each of them.
-            memory_bytes: of all of them; None for what this process may take now.
+            folder: folder for files of the work; the workers' output goes to its ``logs``.
+            workers: largest number of processes.
+            threads: threads of each process.
+            memory_bytes: memory limit of all processes; None: the memory available now.
 
         Raises:
-            InputError: not at least one worker, thread and byte.
+            InputError: fewer than one worker, thread or byte.
         """
         most = available_bytes()[0] if memory_bytes is None else memory_bytes
         told = {"workers": workers, "threads": threads, "memory_bytes": most}
@@ -149,24 +149,24 @@ class LocalPool:
 
     @property
     def slots(self) -> int:
-        """Its processes."""
+        """Largest number of processes."""
         return self._slots
 
     @property
     def most_memory_bytes(self) -> int:
-        """All that the pool has."""
+        """Memory limit of the whole pool."""
         return self._memory
 
     def offer(self, name: str, path: Path) -> None:
-        """Workers get this very path."""
+        """Offer a path under a name; workers use this path itself, not a copy."""
         self._offered[name] = Path(path).absolute()
 
     def withdraw(self, name: str) -> None:
-        """Work that was submitted before keeps it."""
+        """Withdraw an offer; work that was submitted before can still use it."""
         self._offered.pop(name, None)
 
     def submit(self, work: Work) -> None:
-        """See ``twinct.pool.Pool``."""
+        """Submit work; see ``twinct.pool.Pool``."""
         request = sent(work)
         if work.memory_bytes > self._memory:
             raise MemoryShortageError(
@@ -183,7 +183,7 @@ class LocalPool:
         self._start_what_fits()
 
     def wait(self, timeout_s: float | None = None) -> list[Event]:
-        """See ``twinct.pool.Pool``."""
+        """Wait for events; see ``twinct.pool.Pool``."""
         until = None if timeout_s is None else time.monotonic() + timeout_s
         events: list[Event] = []
         self._start_what_fits()
@@ -199,7 +199,7 @@ class LocalPool:
         return events
 
     def close(self, *, clear: bool = False) -> None:
-        """End all processes; what was under way is not told of any more."""
+        """End all processes; running work is not reported any more."""
         self._closed = True
         self._queue.clear()
         self._keys.clear()
@@ -214,13 +214,13 @@ class LocalPool:
             worker = self._free_worker()
             worker.task = task
             self._make_room()
-            with contextlib.suppress(OSError):  # it has died just now, which is heard next
+            with contextlib.suppress(OSError):  # the worker has just died; ``wait`` reports it
                 worker.connection.send_bytes(task.message)
             del self._queue[place]
             self._passed = 0 if place == 0 else self._passed + 1
 
     def _next(self) -> int | None:
-        """Place in the queue of what may start now."""
+        """Return the place in the queue of the next task that may start; None if there is none."""
         running = [worker.task for worker in self._workers if worker.task is not None]
         if len(running) == self._slots:
             return None
@@ -233,7 +233,7 @@ class LocalPool:
         return None
 
     def _free_worker(self) -> _Worker:
-        """A warm one if there is any."""
+        """Return an idle worker, or else start one."""
         for worker in [w for w in self._workers if w.task is None]:
             if worker.alive:
                 return worker
@@ -243,7 +243,7 @@ class LocalPool:
         return self._workers[-1]
 
     def _make_room(self) -> None:
-        """End idle workers whose memory the running ones may need."""
+        """End idle workers whose memory the running workers may need."""
         idle = [worker for worker in self._workers if worker.task is None]
         tasks = [worker.task for worker in self._workers if worker.task is not None]
         free = self._memory - sum(task.memory_bytes for task in tasks)

@@ -1,4 +1,4 @@
-"""Work after work through a pool: who dies is tried again, and no more is held than is needed."""
+"""Streams of work through a pool, with retries after deaths of workers and a bounded backlog."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from twinct.errors import InputError, TwinctError
 from twinct.pool.work import Died, Done, Failed, Place, Pool, Work
 
 AHEAD = 2
-"""Pieces of work under way for each slot of the pool, so that no worker waits for this process."""
+"""Pieces of work in the pool for each of its slots, so that no worker waits for this process."""
 
 _numbers = itertools.count()
 
 
 def each(pool: Pool, source: Iterable[Work | None], deaths: int = 3) -> Iterator[Done | Failed]:
-    """Do all work of a source; what came of it, as it comes.
+    """Execute all work of a source, and yield its results as they arrive.
 
-    Work whose worker died is done again. Where the work may be to blame for that, only until it has
-    happened ``deaths`` times.
+    Work is repeated if its worker died. Deaths that the work may have caused count, and after
+    ``deaths`` of them the work fails.
 
     Args:
-        pool: nobody else may wait for its events meanwhile.
-        source: asked for more only while little is under way. None says that nothing is ready: it
-            is asked again after the next event.
-        deaths: after which work is given up.
+        pool: the pool; no other caller may wait for its events meanwhile.
+        source: read only while the pool has little work. None means that no work is ready: the
+            source is read again after the next event.
+        deaths: number of deaths after which work fails.
 
     Yields:
-        ``Failed`` also of work that takes more memory than the pool can give
-        (``MemoryShortageError``), or that was given up (``WorkerDied``).
+        Results; also ``Failed`` for work that needs more memory than the pool has
+        (``MemoryShortageError``), or that reached the number of deaths (``WorkerDied``).
 
     Raises:
-        ValueError: nothing is ready, and nothing under way that could change it.
-        InputError: work that no other process can do; see ``Pool.submit``.
+        ValueError: the source has nothing ready while the pool has no work.
+        InputError: work that another process cannot import; see ``Pool.submit``.
     """
     under_way: dict[str, Work] = {}
     killed: dict[str, int] = {}
@@ -60,7 +60,7 @@ def each(pool: Pool, source: Iterable[Work | None], deaths: int = 3) -> Iterator
                 raise ValueError("a source has nothing ready, and nothing is under way")
             return
         for event in pool.wait():
-            if event.key not in under_way:  # of an earlier source that was not read to its end
+            if event.key not in under_way:  # from an earlier, unfinished source
                 continue
             if isinstance(event, Died):
                 count = killed[event.key] = killed.get(event.key, 0) + event.blamed
@@ -82,18 +82,18 @@ def map_over(
     memory_bytes: int = 0,
     inputs: tuple[str, ...] = (),
 ) -> Iterator[Any]:
-    """``function(argument, place)`` of each argument, in their order, as far as they are asked for.
+    """Yield ``function(argument, place)`` for each argument, in order, as results are consumed.
 
     Args:
-        function: one that can be imported by its name.
-        arguments: taken as results are, a few ahead for each worker.
-        pool: nobody else may wait for its events meanwhile.
-        memory_bytes: that a call takes at its peak.
-        inputs: names of contents that it may fetch.
+        function: a function that can be imported by its name.
+        arguments: read as results are consumed, a few ahead for each worker.
+        pool: the pool; no other caller may wait for its events meanwhile.
+        memory_bytes: peak memory of a call.
+        inputs: names of offers that a call may fetch.
 
     Raises:
-        InputError: of the first call that failed for bad input.
-        TwinctError: of the first call that failed otherwise; its note is the traceback there.
+        InputError: the first call to fail had bad input.
+        TwinctError: the first call to fail had another problem; its note is the worker's traceback.
     """
     name, taken, given = f"map {next(_numbers)}", 0, 0
     ready: dict[int, Any] = {}

@@ -1,4 +1,4 @@
-"""Files and folders that arrive complete or not at all."""
+"""Files and folders that arrive completely or not at all."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from twinct.files.writing import draft_of, storage_errors
 
 @dataclass(frozen=True)
 class Here:
-    """A parcel that lies on this machine already."""
+    """Parcel that is already on this machine."""
 
     path: Path
 
     def save(self, path: Path) -> None:
-        """Link its files there, or copy them where the disk is another one.
+        """Hard-link its files to a path, or copy them to another disk.
 
         Raises:
-            StorageError: it cannot be written.
+            StorageError: the path cannot be written.
         """
         with arriving(path) as draft:
             if self.path.is_dir():
@@ -34,10 +34,10 @@ class Here:
 
 @contextlib.contextmanager
 def arriving(path: Path) -> Iterator[Path]:
-    """A draft beside a file or folder, which takes its place when the block ends well.
+    """Yield the path of a draft, which replaces a file or folder if the block succeeds.
 
     Raises:
-        StorageError: it cannot be written.
+        StorageError: the path cannot be written.
     """
     draft = draft_of(path)
     old = draft.with_name(f"{draft.name}.old")
@@ -56,7 +56,7 @@ def arriving(path: Path) -> Iterator[Path]:
 
 
 def remove(path: Path) -> None:
-    """A file or folder, if it is there."""
+    """Remove a file or folder, if it exists."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:

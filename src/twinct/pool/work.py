@@ -1,4 +1,4 @@
-"""Work for processes: what is asked of one, what comes back, where it works."""
+"""Interfaces of a pool: work, its place, its results and the pool itself."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from typing import Any, Protocol, Self
 
 
 class Place(Protocol):
-    """Where a piece of work is done: what its function is given beside its argument."""
+    """Place of work, which a function receives in addition to its argument."""
 
     @property
     def folder(self) -> Path:
-        """Of this node: outlives a worker, is shared by the workers of the node alone."""
+        """Folder of this node, shared by the node's workers only; it outlives a worker."""
         ...
 
     @property
     def threads(self) -> int:
-        """That the work may use; they are bounded already."""
+        """Number of threads of the work, which is already limited to them."""
         ...
 
     def fetch(self, name: str) -> Path:
-        """A file or folder that the pool was offered under a name, to be read only.
+        """Return the path of an offered file or folder, which is read-only.
 
         Raises:
-            KeyError: the work did not name it among its inputs.
+            KeyError: the name is not among the inputs of the work.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Work:
-    """One call of a function, in another process.
+    """One call of a function in another process.
 
     Attributes:
-        key: tells it from all other work that is in the pool.
-        function: ``function(argument, place)``; one that can be imported by its name. It returns
-            a plain value, or ``Made``.
-        argument: whatever can be pickled.
-        memory_bytes: that it takes at its peak.
-        inputs: names of contents that it may fetch; see ``Pool.offer``.
+        key: unique key among all work in the pool.
+        function: ``function(argument, place)``, which can be imported by its name. It returns a
+            plain value, or ``Made``.
+        argument: any object that can be pickled.
+        memory_bytes: peak memory of the call.
+        inputs: names of offers that the call may fetch; see ``Pool.offer``.
     """
 
     key: str
@@ -52,20 +52,20 @@ class Work:
 
 @dataclass(frozen=True)
 class Made:
-    """A value, and files or folders that go with it to whoever asked."""
+    """A value, and files or folders that are sent back with it."""
 
     value: Any
     parcels: Mapping[str, Path] = field(default_factory=dict[str, Path])
 
 
 class Parcel(Protocol):
-    """A file or folder that was made at a place."""
+    """A file or folder that work has created."""
 
     def save(self, path: Path) -> None:
-        """Put it there, complete or not at all.
+        """Write the parcel to a path, completely or not at all.
 
         Raises:
-            StorageError: it cannot be written.
+            StorageError: the path cannot be written.
         """
         ...
 
@@ -85,11 +85,11 @@ class Failed:
     """Work that raised.
 
     Attributes:
-        key: of the work.
+        key: key of the work.
         kind: name of the exception's class.
-        problems: one sentence each: those of an ``InputError``, else the exception's text.
+        problems: one sentence each: problems of an ``InputError``, or the exception's text.
         trace: the traceback, empty for errors that twinct raises on purpose.
-        seconds: that it took.
+        seconds: duration of the call.
     """
 
     key: str
@@ -101,12 +101,12 @@ class Failed:
 
 @dataclass(frozen=True)
 class Died:
-    """Work whose worker died over it.
+    """Work whose worker died.
 
     Attributes:
-        key: of the work.
+        key: key of the work.
         how: a short clause: ``its worker was ended by SIGKILL``, ``its node was lost``.
-        blamed: whether the work may be what killed it; not if the node was lost.
+        blamed: True if the work may have killed the worker; False if the node was lost.
     """
 
     key: str
@@ -118,7 +118,7 @@ Event = Done | Failed | Died
 
 
 class Pool(Protocol):
-    """Processes that do work, one piece at a time each. A context manager: its end leaves none."""
+    """Worker processes, each with one piece of work at a time; a context manager that ends them."""
 
     def __enter__(self) -> Self: ...
 
@@ -126,41 +126,41 @@ class Pool(Protocol):
 
     @property
     def slots(self) -> int:
-        """Pieces of work that may be under way at a time, memory apart."""
+        """Largest number of concurrent pieces of work, apart from memory limits."""
         ...
 
     @property
     def most_memory_bytes(self) -> int:
-        """That one piece of work may take anywhere; more would never be started."""
+        """Memory limit of one piece of work; larger work would never start."""
         ...
 
     def offer(self, name: str, path: Path) -> None:
-        """Make a file or folder of this machine known under a name; it must not change."""
+        """Offer a file or folder of this machine under a name; its content must not change."""
         ...
 
     def withdraw(self, name: str) -> None:
-        """Forget what was offered under a name."""
+        """Withdraw the offer of a name."""
         ...
 
     def submit(self, work: Work) -> None:
-        """Take work; it starts, in the order of submission, when a worker and memory are free.
+        """Queue work; it starts, in order of submission, when a worker and memory are free.
 
-        What it names among its inputs has to be offered by then.
+        Its inputs must have been offered before.
 
         Raises:
-            InputError: its function or argument is not one that another process can import.
-            MemoryShortageError: it takes more than ``most_memory_bytes``.
+            InputError: another process cannot import the function or the argument.
+            MemoryShortageError: the work needs more than ``most_memory_bytes``.
             ValueError: the pool has work of this key, or an input was not offered.
         """
         ...
 
     def wait(self, timeout_s: float | None = None) -> list[Event]:
-        """What came back since the last call; waits for the first, or until the time is over.
+        """Return the events since the last call; wait for the first one, or until the timeout.
 
-        Empty at once if no work is under way.
+        Return an empty list at once if the pool has no work.
         """
         ...
 
     def close(self, *, clear: bool = False) -> None:
-        """End all processes, busy ones too; ``clear`` also removes the nodes' folders."""
+        """End all processes, even busy ones; ``clear`` also removes the nodes' folders."""
         ...

@@ -1,6 +1,7 @@
-"""A worker of a pool on this machine: one piece of work after another, in its main thread.
+"""Worker process of a local pool, which executes work sequentially in its main thread.
 
-``python -m twinct.pool.worker CONNECTION LIFELINE THREADS FOLDER``, by ``twinct.pool.local`` only.
+Only ``twinct.pool.local`` starts it, by ``python -m twinct.pool.worker CONNECTION LIFELINE THREADS
+FOLDER``.
 """
 
 from __future__ import annotations
@@ -21,23 +22,23 @@ from twinct.threads import limit_threads
 
 @dataclass(frozen=True)
 class LocalPlace:
-    """A folder of this machine; what was offered is where it was."""
+    """Place of work on this machine; offers are used at their original paths."""
 
     folder: Path
     threads: int
     inputs: Mapping[str, Path]
 
     def fetch(self, name: str) -> Path:
-        """What was offered."""
+        """Return the path of an offer."""
         return self.inputs[name]
 
 
 def main() -> None:
-    """Work until the pool is gone."""
+    """Execute work until the pool ends."""
     connection, lifeline, threads = map(int, sys.argv[1:4])
     os.set_inheritable(connection, False)
     end_with(lifeline)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the pool's: it ends its workers
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pool handles Ctrl-C and ends its workers
     limit_threads(threads)
     pool = Connection(connection)
     while True:

@@ -1,4 +1,4 @@
-"""A run: from scenario to scan to volume to figures, in memory or in a folder."""
+"""Runs: from a scenario to a scan, a volume and its figures, in memory or in a folder."""
 
 from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
 from twinct.runs.again import derive_geometry, load_scan, reconstruct_again

@@ -1,4 +1,4 @@
-"""Acquires a scan, in memory or into its store; starts what takes the views."""
+"""Acquisition of a scan, in memory or into a store, and start of the simulations."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ Link = Literal["ros2", "local"]
 def rig_factory(
     link: Link, logs: Path, audience: Audience, hear: Callable[[Heard], None] | None = None
 ) -> Generator[RigFactory, None, None]:
-    """What starts the simulations; whatever can be missing for that is missed here.
+    """Yield the factory that starts the simulations, after checking that the link works.
 
-    The ROS domain is taken and said at once, so that who wants to follow the scan joins in time.
-    What the nodes print goes to the folder ``logs``; ``hear`` is told all that they say over ROS.
+    The ROS domain is claimed and announced at once, so that other nodes can join in time. The
+    output of the nodes goes to the folder ``logs``; ``hear`` receives all their ROS messages.
 
     Raises:
-        InputError: the link's extra, or the ROS domain asked for, cannot be used.
+        InputError: the link's extra or the requested ROS domain cannot be used.
     """
     if link == "local":
         from twinct.xray import prepare_engine
@@ -67,12 +67,12 @@ def simulate(
 ) -> Scan:
     """Plan, move and expose every view in this process, without files and without ROS.
 
-    A workshop holds parts already built of this scenario; observers hear of plan, moving joints
-    and views.
+    A workshop provides parts of this scenario that are already built. Observers are notified of
+    the plan, the moving joints and the views.
 
     Raises:
-        InputError: a file or material of the source or the detector that cannot be used.
-        TrajectoryError: views that cannot be reached, or would collide; before anything moves.
+        InputError: a file or material of the source or the detector cannot be used.
+        TrajectoryError: a view is out of reach or would collide; raised before anything moves.
         MotionError: the arms did not arrive.
     """
     workshop = workshop or Workshop(scenario)
@@ -106,12 +106,12 @@ def acquire_to_store(
     watch: Stopwatch | None = None,
     observers: Observers = (),
 ) -> ScanStore:
-    """Take the views that the store lacks; each is on disk before the next is requested.
+    """Acquire the views that the store lacks; write each one before the next is requested.
 
-    ``watch`` counts the seconds of this call alone.
+    ``watch`` counts the seconds of this call only.
 
     Raises:
-        ScanExistsError: there is a scan and ``resume`` is false, or it is another scenario's.
+        ScanExistsError: a scan exists and ``resume`` is false, or it belongs to another scenario.
     """
     scenario, targets = workshop.scenario, workshop.targets
     store = ScanStore.resume(path, scenario) if resume and path.exists() else None
@@ -133,7 +133,7 @@ def acquire_to_store(
         step()
 
     with audience_of(observers) as audience:
-        for views in missing:  # several only where some were damaged
+        for views in missing:  # several ranges only if views were damaged
             state = store.state(views.start - 1) if store and views.start else None
             with ExitStack() as stack:
                 rig = stack.enter_context(closing(make_rig(workshop, views.start, state)))
@@ -153,7 +153,7 @@ def acquire_to_store(
 
 
 def with_frames(view: View, index: int, imager: Imager, panel: Panel) -> View:
-    """A view with raw, flat and dark image: rendered once more, since no link carries them."""
+    """Return a view with raw, flat and dark images, rendered again as no link transmits them."""
     path = [instant.placed(panel) for instant in view.reached.path]
     before = view.reached.before
     frames = imager.frame(path, index, before.placed(panel) if before else None)
@@ -161,14 +161,14 @@ def with_frames(view: View, index: int, imager: Imager, panel: Panel) -> View:
 
 
 def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[ViewImages]:
-    """Raw, flat and dark images of views of a scan, rendered again from the executed poses.
+    """Yield raw, flat and dark images of views, rendered again from the executed poses.
 
-    A scan stores transmission only, unless ``detector.keep`` asks for more; these are the images
-    that it came from, to the last bit.
+    A scan stores transmission only, unless ``detector.keep`` requests more. The images are
+    bit-identical to those that the transmission was computed from.
 
     Raises:
-        InputError: an ideal source and detector, which have no such images; or lag together with
-            motion blur, for which the scan does not hold where the last exposure ended.
+        InputError: source and detector are ideal, hence without such images; or lag is combined
+            with motion blur, as the scan does not store the pose at the end of an exposure.
     """
     source, detector = scan.scenario.source, scan.scenario.detector
     if source.ideal and detector.ideal:

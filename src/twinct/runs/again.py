@@ -1,4 +1,4 @@
-"""A scan asked again: other geometries and other reconstructions of a run that was made."""
+"""Further geometries and reconstructions of a finished run."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ log = logging.getLogger(__name__)
 
 
 def load_scan(path: str | Path) -> Scan:
-    """A finished scan: the folder of a run, with the geometries derived from it, or a scan.zarr.
+    """Load a finished scan from a scan.zarr, or from a run's folder with its derived geometries.
 
     Raises:
-        InputError: there is none, or it is damaged.
-        ScanExistsError: not all of its views were acquired yet.
+        InputError: there is no scan, or it is damaged.
+        ScanExistsError: some views are not acquired yet.
     """
     path = Path(path)
     if (path / "zarr.json").is_file():
@@ -56,16 +56,17 @@ def load_scan(path: str | Path) -> Scan:
 def derive_geometry(
     path: str | Path, name: str, overrides: Iterable[str] = (), observers: Observers = ()
 ) -> NamedGeometry:
-    """What the robots of a scan would report with other noise: a geometry beside it.
+    """Derive and store the geometry that the robots of a scan would report with other errors.
 
     Args:
         path: folder of a run.
-        name: of the geometry.
-        overrides: ``uncertainty.KEY=VALUE`` against the run's scenario.
-        observers: hear of the stage.
+        name: name of the geometry.
+        overrides: changes ``uncertainty.KEY=VALUE`` to the run's scenario.
+        observers: notified of the stage.
 
     Raises:
-        InputError: another key, a name that is taken, no scan.
+        InputError: a key of another section, a reserved name, or no scan.
+        ScanExistsError: another geometry has this name.
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "uncertainty")
@@ -96,20 +97,21 @@ def reconstruct_again(
     name: str | None = None,
     observers: Observers = (),
 ) -> Reconstruction:
-    """Add a reconstruction to a finished run, and tell of it in its figures and its report.
+    """Add a reconstruction to a finished run, and update the run's figures and report.
 
-    The same one is never made twice: what is there is given back.
+    An identical reconstruction is not computed again: the existing one is returned.
 
     Args:
         path: folder of a run.
-        overrides: ``reconstruction.KEY=VALUE`` against the run's scenario.
-        geometry: name of the one to reconstruct from; the scenario's first where None.
-        name: of the reconstruction; after its algorithm and geometry where None.
-        observers: hear of stages and iterations.
+        overrides: changes ``reconstruction.KEY=VALUE`` to the run's scenario.
+        geometry: geometry to reconstruct from; None: the scenario's first.
+        name: name of the reconstruction; None: named after its algorithm and geometry.
+        observers: notified of stages and iterations.
 
     Raises:
-        InputError: another key, a geometry that is not there, a name that is taken, or what the
-            algorithm or the memory refuse; nothing has been written then.
+        InputError: a key of another section, an unknown geometry, settings that the algorithm
+            refuses, or too little memory; nothing is written in that case.
+        ScanExistsError: the name is taken, or the same reconstruction has another name.
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "reconstruction")
@@ -188,7 +190,7 @@ def _free_name(scenario: Scenario, which: str, kept: dict[str, Reconstruction]) 
 
 
 def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:
-    """The scenario that a run was made with, with some keys changed."""
+    """Return the scenario that a run was made with, with some keys changed."""
     if not folder.scenario.is_file() or not folder.scan.is_dir():
         raise InputError(
             f"{folder.path} is no folder of a run: scenario.yaml and scan.zarr make one"

@@ -1,4 +1,4 @@
-"""A scan calibrated: what its geometry was found to be, beside the one that was believed."""
+"""Calibration of a scan: the estimated geometry is stored beside the believed one."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ from twinct.specimen.balls import nominal_centres
 from twinct.views import PosePairs
 
 Start = Literal["believed", "epipolar"]
-"""What self-calibration goes on from: what was believed, or epipolar consistency."""
+"""Start of self-calibration: the believed geometry, or the result of epipolar consistency."""
 
 SAME_MM = 1e-6
-"""Views asked for within this are the same."""
+"""Largest distance between commanded poses that count as the same view, mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class SelfCalibrated:
-    """What a scan found of itself, and how far that is from the truth of the simulation.
+    """Self-calibration of a scan, compared with the executed geometry.
 
     Attributes:
-        found: what was found.
-        believed: what was believed, moved as a whole to where the executed geometry lies.
-        after: what was found, moved so.
-        start: what planes that views share say, where asked for.
-        started: its geometry, moved so.
+        found: the self-calibration.
+        believed: the believed geometry, aligned with the executed one.
+        after: the calibrated geometry, aligned with the executed one.
+        start: result of epipolar consistency, if requested.
+        started: geometry of ``start``, aligned with the executed one.
     """
 
     found: SelfCalibration
@@ -66,12 +66,12 @@ class SelfCalibrated:
 
 @dataclass(frozen=True, eq=False)
 class OnlineCalibrated:
-    """What balls on the specimen say, and how far that is from the truth of the simulation.
+    """Calibration from balls on the specimen, compared with the executed geometry.
 
     Attributes:
-        found: what was found.
-        believed: what was believed, moved as a whole to where the executed geometry lies.
-        after: what was found, moved so.
+        found: the calibration.
+        believed: the believed geometry, aligned with the executed one.
+        after: the calibrated geometry, aligned with the executed one.
     """
 
     found: OnlineCalibration
@@ -80,10 +80,10 @@ class OnlineCalibrated:
 
 
 def phantom_of(scenario: Scenario) -> BallPhantom:
-    """The balls of a scenario's specimen as its maker describes them, in the world.
+    """Return the ball phantom of a scenario, at its nominal dimensions, in the world frame.
 
     Raises:
-        CalibrationError: there are none.
+        CalibrationError: the specimen has no ``ball_helix``.
     """
     specimen = scenario.specimen
     for part in specimen.parts:
@@ -102,17 +102,18 @@ def calibrate_beads(
     others: Iterable[str | Path] = (),
     observers: Observers = (),
 ) -> BallCalibration:
-    """Find the geometry of a phantom's scan, and keep it beside the believed one.
+    """Estimate the geometry of a phantom's scan, and store it beside the believed one.
 
     Args:
         path: folder of a run whose specimen is a phantom.
-        name: of the geometry.
-        others: folders of runs that asked for the same views; they get it, too.
-        observers: hear of each view.
+        name: name of the geometry.
+        others: folders of runs with the same commanded views; they get the geometry, too.
+        observers: notified of each view.
 
     Raises:
-        CalibrationError: it is no phantom's scan, or no view can be told.
-        InputError: a name that is taken, no scan, a scan of other views; nothing is written.
+        CalibrationError: the specimen is no phantom, or no view can be calibrated.
+        InputError: a reserved name, no scan, or a scan of other views; nothing is written.
+        ScanExistsError: another geometry has this name; nothing is written.
     """
     refuse_own(name)
     folders = [Folder(Path(folder)) for folder in (path, *others)]
@@ -137,10 +138,10 @@ def calibrate_beads(
 
 
 def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
-    """What the shadows of a phantom's balls say of its scan, view by view.
+    """Calibrate each view of a phantom's scan from the shadows of the balls.
 
     Raises:
-        CalibrationError: it is no phantom's scan, or no view can be told.
+        CalibrationError: the specimen is no phantom, or no view can be calibrated.
     """
     return calibrated(
         scan.transmission,
@@ -152,7 +153,7 @@ def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
 
 
 def _blur_px(scan: Scan, audience: Audience) -> float:
-    """Sigma of the detector's blur."""
+    """Return the sigma of the detector's point spread, pixels; 0 for a spread from a file."""
     panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
     if isinstance(spread, FileSpread):
         audience.say("detector.point_spread is of a file: shadows count as sharp", warning=True)
@@ -168,19 +169,20 @@ def calibrate_balls(
     name: str = "balls",
     observers: Observers = (),
 ) -> OnlineCalibrated:
-    """Find the geometry of a scan from balls at unknown places on its specimen, and keep it.
+    """Estimate and store the geometry of a scan from balls at unknown places on its specimen.
 
     Args:
         path: folder of a run.
-        prior: what is known of the errors; 0.5 mm and 0.2 deg, each view's own, unless given.
-        radius_mm: of each ball.
+        prior: spread of the errors; by default 0.5 mm and 0.2 deg, independent for each view.
+        radius_mm: radius of each ball.
         align: as for ``calibrate_self``.
-        name: of the geometry.
-        observers: hear of each round.
+        name: name of the geometry.
+        observers: notified of each round.
 
     Raises:
-        CalibrationError: fewer than five balls are found, or no view sees as many.
-        InputError: a name that is taken, no scan; nothing is written.
+        CalibrationError: fewer than five balls are detected, or no view sees five.
+        InputError: a reserved name, or no scan; nothing is written.
+        ScanExistsError: another geometry has this name; nothing is written.
     """
     refuse_own(name)
     folder, prior = Folder(Path(path)), prior or PosePrior()
@@ -228,22 +230,23 @@ def calibrate_self(
     name: str = "self",
     observers: Observers = (),
 ) -> SelfCalibrated:
-    """Find the geometry of a scan from its own projections, and keep it beside the believed one.
+    """Estimate and store the geometry of a scan from its own projections.
 
     Args:
         path: folder of a run; the grid of its scenario should hold the whole specimen.
-        prior: what is known of the errors; 0.5 mm and 0.2 deg, each view's own, unless given.
-        what: may have moved: source and panel, or the patient between them.
-        start: what to go on from; epipolar first moves each view, without a volume, until it tells
-            the same as others of planes through both sources.
-        align: keep the geometry moved as a whole to where the executed one lies, by the seven modes
-            that no image shows: figures then compare volumes, not where they lie.
-        name: of the geometry.
-        observers: hear of each round.
+        prior: spread of the errors; by default 0.5 mm and 0.2 deg, independent for each view.
+        what: the part that may have moved: source and panel, or the patient between them.
+        start: initial geometry; ``epipolar`` first corrects each view, without a volume, until it
+            agrees with the other views on the planes through both sources.
+        align: align the stored geometry with the executed one, by the seven modes that no image
+            shows: figures then compare the volumes, not their positions.
+        name: name of the geometry.
+        observers: notified of each round.
 
     Raises:
-        InputError: a name that is taken, no scan; nothing is written.
-        CalibrationError: no view shares planes with others that tell something.
+        InputError: a reserved name, or no scan; nothing is written.
+        ScanExistsError: another geometry has this name; nothing is written.
+        CalibrationError: no view shares an informative plane with another one.
     """
     refuse_own(name)
     folder, prior = Folder(Path(path)), prior or PosePrior()
@@ -295,27 +298,27 @@ def calibrate_self(
 
 
 def _points_of(grid: VolumeGrid) -> Floats:
-    """The middle of a grid and four points about it, a sixth of its size away, mm."""
+    """Return a grid's centre and four points around it, off by a sixth of its size, world, mm."""
     size = grid.voxel * np.array(grid.shape[::-1])
     about = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1]])
     return grid.world_from_grid.apply(size / 6 * about)
 
 
 def refuse_own(name: str) -> None:
-    """Refuse the names that every scan has.
+    """Raise if a geometry's name is reserved.
 
     Raises:
-        InputError: it is one, or may not be a file's.
+        InputError: every scan has a geometry of this name, or it is no valid file name.
     """
     if checked_name(name) in OWN:
         raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
 
 
 def keep(geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan]]) -> None:
-    """Keep a geometry beside each of some scans.
+    """Store each geometry beside its scan.
 
     Raises:
-        ScanExistsError: another one has its name there; nothing is written.
+        ScanExistsError: a scan has another geometry of this name; nothing is written.
     """
     for geometry, (folder, scan) in zip(geometries, where, strict=True):
         name = geometry.name
@@ -326,10 +329,10 @@ def keep(geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan
 
 
 def _same_views(path: Path, scan: Scan, phantom: Scan) -> None:
-    """Refuse a scan that went elsewhere.
+    """Raise unless a scan and the phantom's scan have the same commanded views.
 
     Raises:
-        InputError: it did.
+        InputError: another number of views, or a view more than ``SAME_MM`` away.
     """
     if len(scan) != len(phantom):
         raise InputError(f"{path} has {len(scan)} views, the phantom's scan {len(phantom)}")

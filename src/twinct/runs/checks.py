@@ -1,4 +1,4 @@
-"""What is looked at before any work: extras, physics, and whether the views see the specimen."""
+"""Checks before any work: extras, physics, and visibility of the specimen in the views."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from twinct.specimen.size import SpecimenSize, specimen_size
 
 
 def check_sight(workshop: Workshop) -> list[str]:
-    """Make sure that the views see the specimen; return what else a user should know.
+    """Check that the views see the specimen, and return warnings for the user.
 
     Raises:
-        TrajectoryError: no view sees the specimen, it stands behind a panel, or no voxel is seen by
-            every view, so that nothing could be judged.
+        TrajectoryError: no view sees the specimen, it reaches behind a panel, or no voxel is seen
+            by every view, so that the volume could not be judged.
         InputError: see ``check_places``.
     """
     place = workshop.specimen.world_from_specimen
@@ -63,10 +63,10 @@ def check_sight(workshop: Workshop) -> list[str]:
 
 
 def check_places(workshop: Workshop) -> None:
-    """Make sure that there is something to measure where the section ``evaluation`` looks.
+    """Check that all regions and bodies of the section ``evaluation`` can be measured.
 
     Raises:
-        InputError: regions without a voxel, bodies too small, each with its key.
+        InputError: regions without a voxel, or bodies that are too small, each with its key.
     """
     scenario = workshop.scenario
     if scenario.evaluation is None:
@@ -88,7 +88,7 @@ def _views(views: tuple[int, ...]) -> str:
 
 
 def check_physics(workshop: Workshop) -> None:
-    """Make sure that source, detector and corrections can be built, before any other work.
+    """Check that source, detector and corrections can be built, before any other work.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
@@ -104,7 +104,7 @@ def check_physics(workshop: Workshop) -> None:
 
 
 def check_corrections(scenario: Scenario) -> None:
-    """Make sure that beam hardening and metal can be corrected, before any other work.
+    """Check that beam hardening and metal can be corrected, before any other work.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
@@ -121,15 +121,15 @@ def _check_all(*checks: Callable[[], object]) -> None:
             raise
         except InputError as error:
             problems += error.problems
-    if problems:  # both need the spectrum, and may say the same of it
+    if problems:  # several checks need the spectrum and may report the same problem
         raise InputError(dict.fromkeys(problems))
 
 
 def findings(workshop: Workshop) -> dict[str, str]:
-    """What there is to know of a scenario that can be run, in words, after planning it.
+    """Plan a scenario and describe it in words, by topic.
 
     Raises:
-        TrajectoryError: views that cannot be reached, or would collide.
+        TrajectoryError: a view is out of reach or would collide.
     """
     scenario, plan = workshop.scenario, workshop.plan
     grid = scenario.reconstruction.volume_grid
@@ -160,14 +160,14 @@ def findings(workshop: Workshop) -> dict[str, str]:
 
 
 def check_geometries(scenario: Scenario, derived: Path | None = None) -> None:
-    """Refuse a run that would reconstruct from what its scan cannot have.
+    """Raise if a scenario reconstructs from a geometry that its scan cannot have.
 
     Args:
-        scenario: what is to be run.
-        derived: folder of the geometries that were derived from its scan, if there is one already.
+        scenario: scenario to be run.
+        derived: folder of the geometries derived from its scan, if a scan exists.
 
     Raises:
-        InputError: a geometry that is none of every scan, nor one of those.
+        InputError: a geometry that is neither common to all scans nor in the folder.
     """
     known = (*OWN, RELATIVE, *(named_geometries(derived) if derived else ()))
     others = [name for name in scenario.reconstruction.geometries if name not in known]
@@ -179,10 +179,10 @@ def check_geometries(scenario: Scenario, derived: Path | None = None) -> None:
 
 
 def require_extras(scenario: Scenario) -> None:
-    """Refuse before any work what is not installed.
+    """Raise unless the extras that a scenario needs are installed.
 
     Raises:
-        InputError: naming the extra that brings it.
+        InputError: a package is missing; names the extra that provides it.
     """
     robots = ["robots"] if scenario.cell.kind == "arms" else []
     rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []

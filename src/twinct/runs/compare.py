@@ -1,4 +1,4 @@
-"""Finished runs, and further reconstructions of them, beside each other."""
+"""Comparison of finished runs and of their further reconstructions."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ from twinct.volume import Volume
 
 
 def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Comparison:
-    """Compare finished runs; the first is what the others are compared with.
+    """Compare finished runs with the first one.
 
-    Slices are at the same places in the world. Grids may differ, and specimens, too: what cannot be
-    compared then is among the ``notes``.
+    All slices show the same planes in the world. Grids and specimens may differ; the ``notes`` then
+    list the values that cannot be compared.
 
     Args:
-        folders: of runs, or of further reconstructions, ``RUN/reconstructions/NAME``; two or more.
-        observers: hear of the stage.
+        folders: two or more runs or further reconstructions, ``RUN/reconstructions/NAME``.
+        observers: notified of the stage.
 
     Raises:
-        InputError: naming each folder that holds none or comes twice; only one folder.
+        InputError: folders without a finished run or listed twice, each with its name; or fewer
+            than two folders.
     """
     found = _entries([Path(folder) for folder in folders])
     labels = _labels(found)
@@ -52,7 +53,7 @@ def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Compari
 
 @dataclass(frozen=True)
 class _Entry:
-    """What one folder holds; the scenario is that of its reconstruction."""
+    """Content of one folder, with the scenario of its reconstruction."""
 
     path: Path
     run: Run
@@ -60,15 +61,15 @@ class _Entry:
     kept: Reconstruction | None = None
 
     def volume(self) -> Volume:
-        """Its voxels, read anew: those of all runs at once may not fit into memory."""
+        """Read the volume; it is not cached, as the volumes of all runs may exceed the memory."""
         return self.kept.volume if self.kept else Volume.read(self.run.paths.volume)
 
 
 def _entries(paths: Sequence[Path]) -> list[_Entry]:
-    """Read and check all folders, but no images.
+    """Read and check all folders, without their images.
 
     Raises:
-        InputError: with a sentence for each that cannot be compared.
+        InputError: one sentence for each folder that cannot be compared.
     """
     found: dict[Path, _Entry] = {}
     problems: list[str] = []
@@ -98,8 +99,8 @@ def _entry(path: Path) -> _Entry:
         check_files(path)
         kept, folder = Reconstruction.read(path), folder.parents[1]
     run = finished_run(Folder(folder if kept else path))
-    run = Run(run.scenario, run.paths)  # without the volume that was looked at
-    _ = run.figures  # so that those that cannot be read are named now
+    run = Run(run.scenario, run.paths)  # drops the volume that finished_run has read
+    _ = run.figures  # reports unreadable figures now
     if kept is None:
         return _Entry(path, run, run.scenario)
     section = SECTIONS[str(kept.settings["algorithm"])].model_validate(dict(kept.settings))
@@ -107,7 +108,7 @@ def _entry(path: Path) -> _Entry:
 
 
 def _labels(entries: Sequence[_Entry]) -> list[str]:
-    """The part of each path that tells it from the others."""
+    """Return the distinctive part of each path."""
     runs = [entry.run.paths.path.resolve() for entry in entries]
     common = Path(os.path.commonpath([path.parent for path in runs]))
     return [
@@ -119,7 +120,7 @@ def _labels(entries: Sequence[_Entry]) -> list[str]:
 def _compared(
     entry: _Entry, label: str, specimen: BuiltSpecimen, planes: dict[str, Plane], truth: str
 ) -> Compared:
-    """Cut a volume by the planes; the first one chooses them."""
+    """Cut a volume along the planes; choose the planes if there are none yet."""
     from twinct.xray.build import effective_energy_kev
 
     scenario, run, kept = entry.scenario, entry.run, entry.kept

@@ -1,4 +1,4 @@
-"""The folder of a run: what lies where, and whether it may be written."""
+"""Folder of a run: paths of its files, and checks before anything is written."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from twinct.scenario import Scenario, load_scenario, stage_digests
 
 @dataclass(frozen=True)
 class Folder:
-    """Where a run keeps what, below its ``--out``.
+    """Paths of all files of a run, below its ``--out``.
 
     Attributes:
         path: the folder itself.
         scan: the scan store.
         volume: the reconstruction.
-        truth: what it is judged against, on the same grid.
+        truth: the true volume, on the grid of the reconstruction.
         metrics: the figures.
         report: the report.
-        geometries: derived from the scan, a file each.
-        arms: both of them, as the scan of a phantom told.
-        reconstructions: others of the same scan, a folder each.
-        checkpoints: reconstructions that are under way.
-        scenario: as it was run, defaults included.
-        views: of a scan that was imported from another tool's recording.
-        seconds: of a run that is under way.
-        logs: what the nodes of the ROS 2 link said.
-        log: what happened.
-        lock: held by the process that works here.
+        geometries: geometries derived from the scan, a file each.
+        arms: both arms, as calibrated by a phantom's scan.
+        reconstructions: further reconstructions of the scan, a folder each.
+        checkpoints: checkpoints of unfinished reconstructions.
+        scenario: the scenario as it was run, defaults included.
+        views: views of a scan that was imported from another tool's recording.
+        seconds: timing of an unfinished run.
+        logs: output of the nodes of the ROS 2 link.
+        log: the log of the run.
+        lock: held by the process that works in the folder.
     """
 
     path: Path
@@ -61,26 +61,27 @@ class Folder:
 
     @property
     def results(self) -> tuple[Path, ...]:
-        """What a finished run leaves."""
+        """Files that a finished run always has."""
         return self.scan, self.volume, self.metrics, self.report
 
     def scenario_of_run(self, overrides: tuple[str, ...] = (), *, planned: bool) -> Scenario:
-        """The scenario that the run was made with, some of its keys changed.
+        """Return the scenario that the run was made with, with some keys changed.
 
-        A scan from before there were plans, which is not ``planned``, does not say so.
+        Scans of early versions are not ``planned``; their scenario does not state the reactive
+        motion scheme, so it is added.
         """
         scheme = () if planned else ("motion.scheme=reactive",)
         return load_scenario(self.scenario, (*scheme, *overrides))
 
     def finished(self, scenario: Scenario) -> bool:
-        """Whether everything of this very scenario is there."""
+        """Return True if the folder holds all results of exactly this scenario."""
         if not all(p.exists() for p in self.results):
             return False
         told = read_metrics(self.metrics).get("reconstruction_digest")
         return told == self.volume_digest(scenario)
 
     def measured(self, scenario: Scenario) -> bool:
-        """Whether the figures of a finished run are those that a scenario asks for."""
+        """Return True if a run was judged with the section ``evaluation`` of a scenario."""
         if not self.scenario.is_file():
             return True
         told = read_file(self.scenario, "scenario").value
@@ -89,7 +90,7 @@ class Folder:
         return told == (asked and asked.model_dump(mode="json"))
 
     def volume_digest(self, scenario: Scenario) -> str:
-        """Of all that the volume depends on, derived geometries included."""
+        """Return the digest of all inputs of the volume, derived geometries included."""
         digest = stage_digests(scenario)["volume"]
         derived = [name for name in scenario.reconstruction.geometries if name not in OWN]
         if derived:
@@ -99,14 +100,14 @@ class Folder:
         return digest
 
     def refuse_others(self) -> None:
-        """Raise where something else than a run of before is in the way."""
+        """Raise if the folder holds anything that is not part of a run."""
         own = names_below(Folder)
         drafts = [draft_of(self.path / name).name for name in (*own, "scan.zarr.new")]
         recorded = (path.name for path in recordings(self.path))
         check_folder(self.path, {*own, "scan.zarr.new", *drafts, *recorded})
 
     def refuse_if_taken(self) -> None:
-        """Raise where a run of before must not be touched."""
+        """Raise if the folder already holds results or recordings of a run."""
         there = (*self.results, *recordings(self.path))
         if taken := [p.name for p in there if p.exists()]:
             raise ScanExistsError(
@@ -116,10 +117,10 @@ class Folder:
 
 
 def refuse_other_keys(overrides: Iterable[str], section: str) -> None:
-    """Refuse what would change more of a run than one of its sections.
+    """Raise if an override changes a key outside one section of the scenario.
 
     Raises:
-        InputError: an override of another key.
+        InputError: an override of a key of another section.
     """
     others = [o for o in overrides if not o.startswith((f"{section}.", f"{section}="))]
     if others:
@@ -130,15 +131,15 @@ def refuse_other_keys(overrides: Iterable[str], section: str) -> None:
 
 
 def as_yaml(scenario: Scenario) -> str:
-    """The resolved scenario, defaults included."""
+    """Return the resolved scenario as YAML, defaults included."""
     return written(json.loads(scenario.resolved()))
 
 
 def read_metrics(path: Path) -> dict[str, Any]:
-    """Figures of a finished run.
+    """Read the figures of a finished run.
 
     Raises:
-        InputError: they cannot be read; names the file.
+        InputError: the file cannot be read; names the file.
     """
     try:
         metrics = read_json(path)

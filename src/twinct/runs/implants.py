@@ -1,4 +1,4 @@
-"""Known implants of a scan: from its scenario to poses, and to line integrals without them."""
+"""Known implants of a scan: estimation of their poses, and removal from the line integrals."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Known:
     """An implant as the scenario describes it.
 
     Attributes:
-        name: what messages call it.
-        material: what it is made of.
-        implant: its shape, and where it is believed to be.
+        name: name in messages.
+        material: its material.
+        implant: its shape and believed pose.
     """
 
     name: str
@@ -53,10 +53,10 @@ class TakenOut:
 
     Attributes:
         line_integrals: (views, rows, columns), surroundings of the grid included.
-        known: what was looked for.
-        found: where it is.
-        world_from_specimen: where the specimen is believed to stand.
-        energy_kev: of the volume's attenuation.
+        known: the implants that the scenario describes.
+        found: the estimate for each of them.
+        world_from_specimen: believed pose of the specimen.
+        energy_kev: energy at which the volume's attenuation is given.
     """
 
     line_integrals: NDArray[np.float32]
@@ -66,9 +66,9 @@ class TakenOut:
     energy_kev: float
 
     def put_back(self, volume: Volume) -> Volume:
-        """A volume of these line integrals with the implants in it, each voxel by its share.
+        """Return a volume with the implants inserted, each voxel in proportion to its share.
 
-        What was found of them is among the extras, as ``implants``.
+        The estimates of the implants are added to the extras, as ``implants``.
         """
         from twinct.specimen.voxels import volume_fractions
 
@@ -84,10 +84,10 @@ class TakenOut:
         return Volume(array, volume.grid, extras)
 
     def told(self) -> list[dict[str, Any]]:
-        """Poses in the specimen's frame as the scenario has them, and what separates them.
+        """Return pose, displacement and uncertainty of each implant, in the specimen's frame.
 
-        Standard deviations of positions are along the specimen's axes, of rotations about the
-        implant's own.
+        Standard deviations of positions are along the specimen's axes, standard deviations of
+        rotations about the implant's own axes.
         """
         specimen_from_world = self.world_from_specimen.inverse()
         told: list[dict[str, Any]] = []
@@ -95,7 +95,7 @@ class TakenOut:
             pose, believed = found.world_from_implant, one.implant.world_from_implant
             of_specimen = specimen_from_world @ pose
             position, rotation = of_specimen.to_euler()
-            turn = of_specimen.rotation  # a covariance is of the implant's own axes
+            turn = of_specimen.rotation  # the covariance is in the implant's axes
             along = np.diag(turn @ found.covariance[:3, :3] @ turn.T)
             about = np.diag(found.covariance)[3:]
             told.append(
@@ -122,15 +122,15 @@ def implants_taken_out(
     mask: NDArray[np.bool_] | None,
     callback: Callback,
 ) -> TakenOut:
-    """Line integrals, corrected as the scenario asks for, without the implants that it knows.
+    """Correct line integrals as the scenario states, and remove its known implants.
 
     Args:
-        scenario: what is believed of source, detector and specimen.
+        scenario: believed source, detector and specimen.
         section: its ``reconstruction.metal``.
         measured: -ln of the transmission, (views, rows, columns).
         A: the projector, with the believed geometry.
-        mask: where a pixel counts.
-        callback: of each ``sart`` but that of the correction of beam hardening.
+        mask: True where a pixel counts.
+        callback: callback of each ``sart``, except in the correction of beam hardening.
     """
     from twinct.xray.build import effective_energy_kev
 
@@ -180,15 +180,15 @@ def implants_taken_out(
 
 
 def volumes_of(section: KnownImplants) -> int:
-    """SART iterations that ``implants_taken_out`` tells of."""
+    """Return the number of SART iterations that ``implants_taken_out`` reports."""
     return section.first_iterations * (2 + section.rounds)
 
 
 def known_implants(scenario: Scenario, section: KnownImplants) -> list[Known]:
-    """The implants of a scenario, where they are believed to be.
+    """Return the implants of a scenario at their believed poses.
 
     Raises:
-        InputError: names of parts that are none, shapes or materials that cannot be built.
+        InputError: unknown names of parts; shapes or materials that cannot be built.
     """
     from twinct.specimen.materials import material
     from twinct.specimen.shapes import shape_surface
@@ -218,11 +218,11 @@ def known_implants(scenario: Scenario, section: KnownImplants) -> list[Known]:
 
 
 def check_implants(scenario: Scenario, section: KnownImplants, views: ScanGeometry) -> None:
-    """Look at what can be known before any work.
+    """Check the known implants before any work.
 
     Raises:
-        InputError: see ``known_implants``; attenuations that do not rise; implants outside of the
-            grid; views whose every ray passes one.
+        InputError: see ``known_implants``; attenuations that do not rise from tissue to bone to
+            implant; implants outside the grid; views whose rays all pass through implants.
     """
     from twinct.xray.build import effective_energy_kev
 
@@ -259,7 +259,7 @@ def _beam(
     A: Projector,
     mask: NDArray[np.bool_] | None,
 ) -> Beam:
-    """How the scan's beam attenuates in a background and in the implants together."""
+    """Return the beam's attenuation model for a background together with the implants."""
     from twinct.specimen.materials import material
     from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
     from twinct.xray.implants import Corrected, MetalModel
@@ -268,7 +268,7 @@ def _beam(
     energy: float | None = effective_energy_kev(scenario.source, scenario.detector)
     spectrum, response = build_spectrum(scenario.source), build_response(scenario.detector)
     materials = [] if section is None else materials_of(section)
-    if section is None:  # what surrounds the implants is not known better
+    if section is None:  # soft tissue, as the material around the implants is unknown
         materials = [material("soft_tissue")]
         energy = None
     elif not materials:

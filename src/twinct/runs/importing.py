@@ -1,4 +1,4 @@
-"""Imports a scan from recordings of it."""
+"""Import of a scan from its recordings."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 
 def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
-    """Make a run's folder with the scan that recordings hold.
+    """Create a run's folder from recordings of a scan.
 
-    ``run(..., resume=True)`` takes views that they miss. Raw, flat and dark images are no messages:
-    where ``detector.keep`` asks for them they are rendered once more.
+    ``run(..., resume=True)`` acquires the views that are missing. Raw, flat and dark images are not
+    recorded: they are rendered again if ``detector.keep`` requests them.
 
     Args:
-        paths: recordings of one scan, twinct's own or another tool's of the same topics.
+        paths: recordings of one scan, by twinct or by another tool with the same topics.
         out: the folder, without a run in it.
 
     Raises:
-        InputError: one is no recording, or there is no complete view in them; nothing is written.
+        InputError: a file is no recording, or there is no complete view; nothing is written.
         MissingExtraError: the extra ``record`` is not installed.
         ScanExistsError: the folder holds a scan.
-        StorageError: it cannot be written.
+        StorageError: the folder cannot be written.
     """
     from twinct.record import read_recordings
 

@@ -1,4 +1,4 @@
-"""Beam hardening of a scan: from its scenario to corrected line integrals."""
+"""Beam hardening correction of a scan's line integrals, as its scenario states."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from twinct.xray.hardening import Hardening
 
 RELAXATION = 0.3
-"""Relaxation of the first volume, where the algorithm itself has none."""
+"""Relaxation of the first volume if the algorithm has no relaxation of its own."""
 
 _KEY = "reconstruction.beam_hardening"
 
@@ -31,10 +31,10 @@ def hardening_corrected(
     A: Projector,
     mask: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """Polychromatic line integrals at one energy, where the scenario asks for it.
+    """Return line integrals corrected for beam hardening, or unchanged without such a section.
 
-    Integrals are (views, rows, columns), the mask may lack the views; ``A`` and the mask are for
-    the volume that two materials need.
+    Line integrals are (views, rows, columns); the mask may lack the views. Only the correction for
+    two materials, which reconstructs a first volume, uses ``A`` and the mask.
     """
     section = scenario.reconstruction.beam_hardening
     if section is None:
@@ -70,9 +70,10 @@ def corrected_for(
     *,
     keep: bool = False,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """Integrals corrected for two materials that a volume tells apart, with ``keep`` their paths.
+    """Return line integrals corrected for two materials, which a volume separates by attenuation.
 
-    The volume is (z, y, x); paths are those in the dense material, (views, rows, columns), mm.
+    The volume is (z, y, x). With ``keep``, also return the path lengths in the dense material,
+    (views, rows, columns), mm.
     """
     from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
     from twinct.xray.hardening import Hardening
@@ -85,7 +86,7 @@ def corrected_for(
     low, high = base.mu_per_mm(energy), dense.mu_per_mm(energy)
     share = np.empty_like(volume)
     for plane, values in zip(share, volume, strict=True):
-        # From a quarter to three quarters of the step between them: noise counts as neither.
+        # It rises from 0 at 1/4 of the step to 1 at 3/4, so that small noise does not change it.
         plane[:] = np.clip(2 * (values - low) / (high - low) - 0.5, 0, 1)
     paths = A(share)
     known = build_spectrum(source), build_response(detector)
@@ -97,7 +98,7 @@ def corrected_for(
 
 
 def _each(hardening: Hardening, integrals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Correct one view at a time: the table is looked up in float64."""
+    """Correct one view at a time to save memory: the table look-up works in float64."""
     corrected = np.empty_like(integrals)
     for image, given in zip(corrected, integrals, strict=True):
         image[:] = hardening.correct(given)
@@ -105,16 +106,17 @@ def _each(hardening: Hardening, integrals: NDArray[np.float32]) -> NDArray[np.fl
 
 
 def hardening_bytes(section: BeamHardening, voxels: int, pixels: int) -> int:
-    """Bytes that ``hardening_corrected`` takes beside what it is given; pixels of all views."""
+    """Return the bytes that ``hardening_corrected`` allocates; ``pixels`` counts all views."""
     volumes = 0 if section.kind == "one_material" else 2
     return 4 * (pixels + volumes * voxels) + SPARE_BYTES
 
 
 def check_hardening(scenario: Scenario) -> None:
-    """Look at what the correction needs, before any work.
+    """Check the materials of the correction before any work.
 
     Raises:
-        InputError: unknown materials, each with its key, or a dense one that attenuates less.
+        InputError: unknown materials, each with its key; or a dense material that does not
+            attenuate more than the base material.
     """
     section = scenario.reconstruction.beam_hardening
     if section is None:
@@ -133,7 +135,7 @@ def check_hardening(scenario: Scenario) -> None:
 
 
 def materials_of(section: BeamHardening) -> list[Material]:
-    """Those that the section names: none, one, or base and dense."""
+    """Return the materials that the section names: none, one, or base and dense."""
     from twinct.specimen.materials import material
 
     names = ("material",) if section.kind == "one_material" else ("base", "dense")

@@ -1,4 +1,4 @@
-"""A run: plan, acquire, reconstruct, judge and report, every stage kept in one folder."""
+"""A run: plan, acquire, reconstruct, judge and report, with all results in one folder."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run; what is on disk, below ``paths``, is read when it is first asked for."""
+    """A finished run, whose files below ``paths`` are read on first access."""
 
     scenario: Scenario
     paths: Folder
 
     @cached_property
     def scan(self) -> Scan:
-        """Images and poses of all views, and the geometries that were derived from them."""
+        """Images and poses of all views, and the geometries derived from them."""
         derived = named_geometries(self.paths.geometries)
         return replace(ScanStore(self.paths.scan).read(), scenario=self.scenario, derived=derived)
 
@@ -72,11 +72,11 @@ class Run:
 
     @cached_property
     def figures(self) -> dict[str, Any]:
-        """What ``metrics.json`` holds."""
+        """Content of ``metrics.json``."""
         return read_metrics(self.paths.metrics)
 
     def __repr__(self) -> str:
-        """One line."""
+        """Return name and folder in one line."""
         return f"Run({self.scenario.name!r}, {str(self.paths.path)!r})"
 
 
@@ -94,22 +94,22 @@ def run(
     """Run a scenario from the plan to the report.
 
     Args:
-        scenario: what to run, or its file.
-        out: folder for the results; a scan that is there is never touched without ``resume``.
-        link: ``ros2`` starts both simulations as processes; ``local`` runs them in this one.
-        resume: go on with what is there. Views are never taken twice; a volume that was made with
-            other settings is made anew.
-        record: write all that is said during the scan to ``scan.mcap`` in the folder.
-        threads: that each process may use; see ``limit_threads``.
-        workshop: holds parts already built of this scenario.
-        observers: hear of the plan, moving joints, views, iterations, stages and warnings; see
+        scenario: the scenario, or its file.
+        out: folder for the results; an existing scan is never changed without ``resume``.
+        link: ``ros2`` starts both simulations as processes; ``local`` runs them in this process.
+        resume: continue with the existing results. Intact views are not acquired again; a volume
+            made with other settings is reconstructed again.
+        record: write all messages of the scan to ``scan.mcap`` in the folder.
+        threads: number of threads of each process; see ``limit_threads``.
+        workshop: provides parts of this scenario that are already built.
+        observers: notified of the plan, moving joints, views, iterations, stages and warnings; see
             ``twinct.observers``.
 
     Raises:
-        InputError: whatever can be known before work starts; nothing has been written then.
+        InputError: a problem detected before work starts; nothing has been written.
         FolderInUseError: another process works in the folder.
-        TrajectoryError: views that cannot be reached, or would collide; nothing has been written.
-        TwinctError: what went wrong afterwards. Every acquired view is kept.
+        TrajectoryError: a view is out of reach or would collide; nothing has been written.
+        TwinctError: a failure during the work. Every acquired view is stored.
     """
     load_numba()
     limit_threads(threads)
@@ -147,7 +147,7 @@ def run(
         folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
         stack.enter_context(logged_to(folder.log))
-        if not resume:  # somebody may have been faster while this one planned
+        if not resume:  # another process may have written here while this one planned
             folder.refuse_if_taken()
         _note(workshop, folder, link, warnings)
         if resume:
@@ -155,7 +155,7 @@ def run(
         with closing(recorder) if recorder else nullcontext():
             take = workshop, folder, seconds, make_rig, audience, recorder
             _take_views(*take, resume=resume)
-        if folder.finished(scenario):  # some of its views were damaged
+        if folder.finished(scenario):  # only damaged views had to be acquired again
             folder.seconds.unlink(missing_ok=True)
         else:
             _make_volumes(workshop, folder, seconds, audience)
@@ -163,10 +163,10 @@ def run(
 
 
 def finished_run(folder: Folder) -> Run:
-    """The run that a folder holds.
+    """Return the finished run of a folder.
 
     Raises:
-        InputError: it holds no finished run, or one that was being made anew.
+        InputError: the folder holds no finished run, or its volume was made with other settings.
     """
     needed = (folder.scan, folder.volume, folder.metrics, folder.scenario)
     if missing := [p.name for p in needed if not p.exists()]:
@@ -187,12 +187,12 @@ def report_again(path: str | Path, observers: Observers = (), overrides: Iterabl
 
     Args:
         path: folder of a run.
-        observers: hear of the stages.
-        overrides: ``evaluation.KEY=VALUE`` against the run's scenario: what else is measured.
+        observers: notified of the stages.
+        overrides: changes ``evaluation.KEY=VALUE`` to the run's scenario, for other figures.
 
     Raises:
-        InputError: the folder holds no finished run, or one that was being made anew; another key;
-            what cannot be measured.
+        InputError: see ``finished_run``; a key of another section; regions or bodies that cannot
+            be measured.
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "evaluation")
@@ -203,7 +203,7 @@ def report_again(path: str | Path, observers: Observers = (), overrides: Iterabl
 
 
 def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
-    """Rewrite the figures of a run; the scenario may differ in what is measured."""
+    """Rewrite the figures of a run; the scenario may differ in its section ``evaluation``."""
     folder, now = made.paths, Run(scenario, made.paths)
     workshop = Workshop(scenario, ScanStore(folder.scan).plan)
     asked_anew = scenario.evaluation != made.scenario.evaluation
@@ -216,7 +216,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
         first = judge(now.scan, made.volume, truth, workshop.specimen)
         figures = {scenario.reconstruction.geometries[0]: first}
         for which, values in before.get("image_by_geometry", {}).items():
-            # Their volumes are gone: what was not measured in them then never can be.
+            # Only the first volume is stored: the others cannot be measured again.
             told = {k: v for k, v in values.items() if not (asked_anew and k in OF_KIND)}
             figures.setdefault(which, ImageFigures.of(told))
         if asked_anew:
@@ -231,7 +231,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
 
 
 def _judge_others(run: Run, workshop: Workshop, audience: Audience) -> None:
-    """Judge the reconstructions beside a run's own, too."""
+    """Judge the further reconstructions of a run, too."""
     for kept in kept_reconstructions(run.paths.reconstructions).values():
         section = SECTIONS[str(kept.settings["algorithm"])].model_validate(dict(kept.settings))
         scenario = run.scenario.model_copy(update={"reconstruction": section})
@@ -243,7 +243,7 @@ def _judge_others(run: Run, workshop: Workshop, audience: Audience) -> None:
 
 
 def _prepare(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Audience) -> list[str]:
-    """All that is done before anything is written; what a user should know."""
+    """Check and plan before anything is written; return warnings for the user."""
     require_feasible(workshop.scenario, workshop.commanded)
     check_space(folder.path, workshop.scenario, len(workshop.targets))
     with seconds.stage("specimen"), audience.stage("specimen", 1) as step:
@@ -258,7 +258,7 @@ def _prepare(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Aud
 
 
 def _note(workshop: Workshop, folder: Folder, link: Link, warnings: list[str]) -> None:
-    """Write down what is run."""
+    """Write the scenario, and log the run's settings and warnings."""
     scenario = workshop.scenario
     write_text(folder.scenario, as_yaml(scenario))
     log.info("twinct run %s, %s link, digests %s", scenario.name, link, stage_digests(scenario))
@@ -299,10 +299,10 @@ def _take_views(
 
 
 def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Audience) -> None:
-    """Reconstruct from each geometry, judge, keep the first volume, report."""
+    """Reconstruct from each geometry, judge, store the first volume, and report."""
     scenario = workshop.scenario
     with seconds.stage("truth"):
-        # The store's own scenario may name another reconstruction: this run's counts.
+        # The scenario in the store may state another reconstruction; this run's counts.
         scan = Run(scenario, folder).scan
         scan.reported.write(folder.geometries)
         truth = truth_of(scan, workshop, audience)
@@ -335,12 +335,12 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience
 
 
 def _note_of(folder: Folder, scenario: Scenario) -> str:
-    """What ties a volume to the settings that made it."""
+    """Return the note in a volume's file that identifies the settings that made it."""
     return f"twinct {folder.volume_digest(scenario)[:32]}"
 
 
 def _note_of_0_1(store: ScanStore, folder: Folder) -> str | None:
-    """The same of a run of version 0.1, which had another digest; None of a later one."""
+    """Return the note of a run of version 0.1, with its older digest; None for later versions."""
     if store.digest_0_1 is None:
         return None
     told = read_file(folder.scenario, "scenario").value

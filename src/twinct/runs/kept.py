@@ -1,4 +1,4 @@
-"""Reconstructions beside a run's own: a folder each, with settings, figures and cross-sections."""
+"""Further reconstructions of a run: a folder each, with settings, figures and cross-sections."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from twinct.volume import Volume
 
 FORMAT = "twinct reconstruction 1"
 _FILES = ("volume.nii", "sections.npz")
-"""Of which a digest is kept; see ``check_files``."""
+"""Files whose digests are stored; see ``check_files``."""
 _ARRAYS = ("reconstruction", "truth", "roi")
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A reconstruction that is kept beside a run's own.
+    """A further reconstruction of a run, stored beside the run's own volume.
 
     Attributes:
-        name: of its folder.
-        digest: of everything that its voxels depend on.
+        name: name of its folder.
+        digest: digest of everything that its voxels depend on.
         geometry: name of the geometry that it was made from.
-        geometry_digest: of that geometry; empty for the scan's own.
+        geometry_digest: digest of the geometry; empty for the scan's own.
         in_words: algorithm and settings in one line.
         settings: the section ``reconstruction`` that made it, defaults included.
-        figures: against the truth.
-        residuals: of each iteration.
-        seconds: that it took.
+        figures: image figures, relative to the truth.
+        residuals: residual of each iteration.
+        seconds: duration of the reconstruction.
         slices: cross-sections, see ``twinct.report.cross_sections``.
         path: its folder; the voxels are in ``volume.nii`` there.
-        found: what its algorithm found out beside the voxels, see ``twinct.report.FOUND``.
+        found: further results of the algorithm, see ``twinct.report.FOUND``.
     """
 
     name: str
@@ -59,19 +59,19 @@ class Reconstruction:
 
     @property
     def told(self) -> str:
-        """How it was made, and what was found, in one line."""
+        """Algorithm, settings and further results in one line."""
         return with_found(self.in_words, self.found)
 
     @property
     def volume(self) -> Volume:
-        """Its voxels, 1/mm."""
+        """The volume, 1/mm, read from its file."""
         return Volume.read(self.path / "volume.nii")
 
     def keep(self, volume: Volume) -> None:
-        """Write it; its folder appears when it is complete.
+        """Write the reconstruction; its folder appears only when it is complete.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: a file cannot be written.
         """
         draft = self.path.with_name(f".{self.path.name}.partial")
         shutil.rmtree(draft, ignore_errors=True)
@@ -93,24 +93,24 @@ class Reconstruction:
         draft.rename(self.path)
 
     def write_figures(self, figures: ImageFigures) -> None:
-        """Write others in place of its figures."""
+        """Replace the figures in the folder."""
         file = self.path / "reconstruction.json"
         told = read_json(file)
         write_json(file, told | {"figures": plain(figures.as_dict())})
 
     @classmethod
     def read(cls, path: Path) -> Reconstruction:
-        """Read what ``keep`` wrote, the voxels left aside.
+        """Read a folder that ``keep`` wrote, without the voxels.
 
         Raises:
-            InputError: it is no such folder, or damaged.
+            InputError: the folder holds no reconstruction, or is damaged.
         """
         try:
             told = read_json(path / "reconstruction.json")
             if told.pop("format") != FORMAT:
                 raise ValueError(f"not of the format {FORMAT!r}")
             told.pop("files", None)
-            # Two of its values once lay beside what is found now.
+            # Earlier versions stored these two keys at the top level instead of in ``found``.
             before = {key: told.pop(key) for key in ("implants", "passes") if key in told}
             told.setdefault("found", {key: value for key, value in before.items() if value})
             with np.load(path / "sections.npz") as arrays:
@@ -140,10 +140,10 @@ class Reconstruction:
 
 
 def check_files(path: Path) -> None:
-    """Compare a kept reconstruction with its digests.
+    """Check the files of a reconstruction against their digests.
 
     Raises:
-        InputError: it cannot be read, or a file is not the one that was written.
+        InputError: the folder cannot be read, or a file differs from its digest.
     """
     found = Reconstruction.read(path)
     told = read_json(path / "reconstruction.json")
@@ -157,10 +157,10 @@ def _digest(path: Path) -> str:
 
 
 def kept_reconstructions(folder: Path) -> dict[str, Reconstruction]:
-    """All in a folder, by name; none where there is no folder.
+    """Read all reconstructions in a folder, by name; an absent folder has none.
 
     Raises:
-        InputError: one is damaged.
+        InputError: a reconstruction is damaged.
     """
     if not folder.is_dir():
         return {}

@@ -1,4 +1,4 @@
-"""Both arms of a cell calibrated by a phantom's scan, and what that says of other scans."""
+"""Kinematic calibration of both arms from a phantom's scan, and its use for other scans."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from twinct.uncertainty.arms import mean_compliance, spreads
 from twinct.uncertainty.executed import view_sigmas
 
 PLACED_MM, PLACED_DEG = 2.0, 1.0
-"""What is left of the phantom's place in the room once nominal arms have told it."""
+"""Standard deviations of the phantom's pose in the room, after registration by nominal arms."""
 
 
 def arm_prior(uncertainty: Uncertainty, chain: Chain) -> ArmPrior:
-    """What a scenario says of how far an arm may be off.
+    """Return the prior of an arm's errors that a scenario states.
 
     Raises:
-        InputError: it says that nothing is.
+        InputError: the scenario states no errors of links or tools.
     """
     section = uncertainty.arms
     squares = {"base": np.array([PLACED_MM**2] * 3 + [np.radians(PLACED_DEG) ** 2] * 3)}
     squares |= {"links": np.zeros(6), "tool": np.zeros(6)}
     for spread in spreads(section):
         squares[spread.frame] += spread.sigma**2
-    # What is missing of each link's growth is a length like others while a scan lasts.
+    # During a scan, a link's missing thermal growth acts like any other error of its length.
     squares["links"][:3] += section.drift_mm**2
     if not any(squares["links"]) and not any(squares["tool"]):
         raise InputError(
@@ -66,16 +66,16 @@ def arm_prior(uncertainty: Uncertainty, chain: Chain) -> ArmPrior:
 
 
 def view_covariance(uncertainty: Uncertainty) -> Floats:
-    """Of source and panel about where their arms are, as of ``resection.PARAMETERS``, (9, 9)."""
+    """Return the covariance of each view's own errors, by ``resection.PARAMETERS``, (9, 9)."""
     source, panel = view_sigmas(uncertainty.views)
     return np.diag(np.concatenate([source[:3], panel]) ** 2)
 
 
 def chains_of_scan(scenario: Scenario) -> tuple[Chain, Chain]:
-    """Nominal arms of a scenario.
+    """Return the nominal kinematic chains of a scenario's arms, source first.
 
     Raises:
-        InputError: it has none.
+        InputError: the scenario has no arms.
     """
     if not isinstance(scenario.cell, Cell):
         raise InputError(
@@ -93,17 +93,19 @@ def calibrate_kinematics(
     others: Iterable[str | Path] = (),
     observers: Observers = (),
 ) -> KinematicCalibration:
-    """Find both arms from a phantom's scan, keep them in ``arms.json``, and the geometry beside it.
+    """Calibrate both arms from a phantom's scan; store ``arms.json`` and the resulting geometry.
 
     Args:
         path: folder of a run whose specimen is a phantom.
-        name: of the geometry.
-        others: folders of runs of the same arms, along any trajectory; they get it, too.
-        observers: hear of each view.
+        name: name of the geometry.
+        others: folders of runs with the same arms, along any trajectory; each gets its geometry.
+        observers: notified of each view.
 
     Raises:
-        CalibrationError: it is no phantom's scan, or does not tell enough.
-        InputError: a name that is taken, no scan, none of arms, or of others; nothing is written.
+        CalibrationError: the specimen is no phantom, or too few views can be used.
+        InputError: a reserved name, no scan, a scan without arms or with other arms; nothing is
+            written.
+        ScanExistsError: another geometry has this name; nothing is written.
     """
     refuse_own(name)
     folders = [Folder(Path(folder)) for folder in (path, *others)]
@@ -132,16 +134,17 @@ def calibrate_kinematics(
 def apply_kinematics(
     path: str | Path, arms: str | Path, *, name: str = "kinematics", observers: Observers = ()
 ) -> CalibratedArms:
-    """Add what calibrated arms say of a scan's joints to it, as a geometry.
+    """Compute and store the geometry of a scan from its encoder readings and calibrated arms.
 
     Args:
         path: folder of a run.
         arms: file of ``calibrate_kinematics``.
-        name: of the geometry.
-        observers: hear of it.
+        name: name of the geometry.
+        observers: attached during the call; they receive no events.
 
     Raises:
-        InputError: a name that is taken, no scan, no such file, or one of another cell.
+        InputError: a reserved name, no scan, no file of arms, or arms of another cell.
+        ScanExistsError: another geometry has this name.
     """
     refuse_own(name)
     folder = Folder(Path(path))
@@ -153,7 +156,7 @@ def apply_kinematics(
 
 
 def seen_by(scan: Scan, views: tuple[Resection | None, ...]) -> Seen:
-    """What the balls of a phantom's scan tell, with the joints of the views that were told."""
+    """Return encoder readings, geometry and covariance of the views that could be calibrated."""
     told = [(index, view) for index, view in enumerate(views) if view is not None]
     own = view_covariance(scan.scenario.uncertainty)
     return Seen(

@@ -1,4 +1,4 @@
-"""The log of a run."""
+"""Log file of a run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 @contextmanager
 def logged_to(path: Path) -> Generator[None, None, None]:
-    """Keep what the package logs meanwhile, behind what is there."""
+    """Append the package's log messages to a file for the duration of a block."""
     handler = logging.FileHandler(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     logger = logging.getLogger("twinct")

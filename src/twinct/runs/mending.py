@@ -1,4 +1,4 @@
-"""Mends what a damaged scan store holds of no single view: made anew, where it is the very same."""
+"""Repair of the files of a scan store that belong to no single view (its frame)."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ log = logging.getLogger(__name__)
 
 
 def resumable(folder: Folder, scenario: Scenario) -> ScanStore:
-    """The store of a run that shall go on, mended where its frame is damaged.
+    """Open the store of a run to be resumed, and repair its frame if it is damaged.
 
-    Views are none of this: they are taken again, see ``ScanStore.resume``.
+    Damaged views are not repaired but acquired again, see ``ScanStore.resume``.
 
     Raises:
-        DamagedError: the scenario does not give the same frame; nothing has been changed.
+        DamagedError: the scenario does not yield the same frame; nothing has been changed.
         InputError: the scenario cannot be planned.
     """
     try:
@@ -36,10 +36,10 @@ def resumable(folder: Folder, scenario: Scenario) -> ScanStore:
 
 
 def mend_frame(path: Path, workshop: Workshop, error: DamagedError) -> None:
-    """Make the files anew that an error tells of, from what the scenario gives today.
+    """Recreate the files that an error lists, from the scenario.
 
     Raises:
-        DamagedError: that is not what was there; nothing has been changed.
+        DamagedError: the new files differ from the original ones; nothing has been changed.
     """
     make_way(path, error.found)
     scenario, draft = workshop.scenario, path.with_name(f"{path.name}.new")
@@ -50,7 +50,7 @@ def mend_frame(path: Path, workshop: Workshop, error: DamagedError) -> None:
         write_frame(draft, scenario, workshop.commanded_poses, *robots, mas=workshop.mas)
         fresh = read_frame_manifest(draft) or {}
         broken = [damage.file for damage in error.found]
-        if FRAME_FILE in broken:  # all that tells which scan this is
+        if FRAME_FILE in broken:  # then only the root's digest identifies the scan
             kept, vouched = {ROOT: root_digest(path)}, [ROOT]
             broken = [FRAME_FILE, *(damage.file for damage in compared(path, fresh))]
         else:

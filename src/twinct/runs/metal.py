@@ -1,4 +1,4 @@
-"""Metal of a scan: from its scenario to line integrals without it."""
+"""Metal artefact reduction of a scan: line integrals without metal, as its scenario states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def metal_replaced(
     mask: NDArray[np.bool_] | None,
     callback: Callback,
 ) -> WithoutMetal:
-    """Line integrals (views, rows, columns) without metal, and the metal.
+    """Return line integrals without metal, (views, rows, columns), and the metal's voxels.
 
     Raises:
         InputError: see ``without_metal``, with the key.
@@ -42,7 +42,7 @@ def metal_replaced(
 
 
 def none_found(metal: WithoutMetal) -> str | None:
-    """What to tell where nothing was replaced."""
+    """Return a message if no metal was detected, else None."""
     if metal.voxels.size:
         return None
     return (
@@ -53,10 +53,11 @@ def none_found(metal: WithoutMetal) -> str | None:
 
 
 def check_metal(scenario: Scenario) -> None:
-    """Look at what the reduction needs, before any work.
+    """Check the materials of the reduction before any work.
 
     Raises:
-        InputError: unknown materials, each with its key, or such as do not attenuate more and more.
+        InputError: unknown materials, each with its key, or attenuations that do not rise from
+            tissue to metal.
     """
     section = scenario.reconstruction.metal
     if not isinstance(section, Nmar):
@@ -68,7 +69,7 @@ def check_metal(scenario: Scenario) -> None:
 
 
 def _attenuations(scenario: Scenario, section: Nmar) -> dict[str, float]:
-    """Of tissue, bone and metal at the mean energy that the detector sees, 1/mm."""
+    """Return the attenuation of tissue, bone and metal at the detected mean energy, 1/mm."""
     from twinct.specimen.materials import material
     from twinct.xray.build import effective_energy_kev
 

@@ -1,4 +1,4 @@
-"""The figures that a scenario's section ``evaluation`` asks for, of the regions that it names."""
+"""Figures that a scenario's section ``evaluation`` requests, for the regions that it names."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ OF_KIND = {
     "tasks": ("detectability",),
     "streaks": ("streak_rel",),
 }
-"""Kinds of figures, and what each has for every name; curves not among them."""
+"""Kinds of figures, and the scalar figures of each kind; curves are left out."""
 
 _LEAST_RADIUS_VOXELS = 2.0
-"""Of a body whose edge is looked at."""
+"""Smallest radius of a body whose edge gives an MTF, voxels."""
 
 
 def named_figures(section: Evaluation) -> list[str]:
-    """Dotted names of the figures that a section asks for, below ``image``."""
+    """Return the dotted names, below ``image``, of the figures that a section requests."""
     names = {kind: [one.label for one in getattr(section, kind)] for kind in list(OF_KIND)[1:]}
     names["regions"] = [region.name for region in section.regions]
     return [
@@ -65,13 +65,13 @@ def named_figures(section: Evaluation) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the regions and parts of a scenario lie on a grid.
+    """Voxels of the regions and parts of a scenario.
 
     Attributes:
-        scenario: that names them.
-        specimen: its parts as they were built.
-        world_from_specimen: where the specimen is.
-        grid: the lattice.
+        scenario: scenario that names the regions.
+        specimen: the built specimen with its parts.
+        world_from_specimen: pose of the specimen.
+        grid: grid of the voxels.
     """
 
     scenario: Scenario
@@ -81,11 +81,11 @@ class Places:
 
     @property
     def section(self) -> Evaluation:
-        """What is asked for."""
+        """The section ``evaluation``, or an empty one."""
         return self.scenario.evaluation or Evaluation()
 
     def region(self, name: str) -> Voxels:
-        """The voxels of a region."""
+        """Return the voxels of a region."""
         region = self.section.region(name)
         pose, shape = self.world_from_specimen @ region.specimen_from_region, region.shape
         match shape:
@@ -99,7 +99,7 @@ class Places:
                 return shell(self.part(shape.part), self.grid, shape.from_mm, shape.to_mm)
 
     def part(self, name: str) -> Voxels:
-        """The voxels that a part has a share of."""
+        """Return all voxels that a part fills, even partly."""
         mesh = next(part.mesh for part in self.specimen.parts if part.name == name)
         low, high = np.asarray(mesh.bounds)
         middle = Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
@@ -111,7 +111,7 @@ class Places:
         return Voxels(box, volume_fractions(mesh.vertices, mesh.faces, grid, place) > 0)
 
     def body(self, name: str) -> tuple[Pose, scenario.Sphere | scenario.Cylinder]:
-        """Pose in the world and shape of a sphere or a cylinder, a part's or a region's."""
+        """Return world pose and shape of a region or a part that is a sphere or a cylinder."""
         for region in self.section.regions:
             if region.name == name and isinstance(
                 region.shape, scenario.Sphere | scenario.Cylinder
@@ -124,7 +124,7 @@ class Places:
         raise AssertionError(f"no sphere or cylinder {name!r}")
 
     def check(self) -> list[str]:
-        """What cannot be measured, one sentence each, beginning with its key."""
+        """Return a sentence for each entry that cannot be measured, beginning with its key."""
         found: list[str] = []
         for i, region in enumerate(self.section.regions):
             if isinstance(region.shape, scenario.Shell):
@@ -151,12 +151,12 @@ class Places:
         return found
 
     def figures(self, volume: Any, truth: Any, mu_reference: float) -> dict[str, Any]:
-        """All figures that are asked for, by kind and name, with curves.
+        """Compute all requested figures and curves, by kind and name.
 
         Args:
             volume: attenuation on the grid, (z, y, x), 1/mm.
             truth: true attenuation on the grid, (z, y, x), 1/mm.
-            mu_reference: that figures are relative to, 1/mm.
+            mu_reference: attenuation to which figures are relative, 1/mm.
         """
         section, found = self.section, {kind: dict[str, Any]() for kind in OF_KIND}
         places = {region.name: self.region(region.name) for region in section.regions}
@@ -209,7 +209,7 @@ class Places:
         points = centres(self.grid, box, pose)
         offset = np.linalg.norm(points[..., : curved + 1], axis=-1) - radius
         values = volume[box]
-        if isinstance(shape, scenario.Cylinder):  # its side, not its ends
+        if isinstance(shape, scenario.Cylinder):  # the lateral surface only
             side = np.abs(points[..., 2]) <= shape.height_mm / 2
             offset, values = offset[side], values[side]
         try:
@@ -249,7 +249,7 @@ def _of_transfer(transfer: Mtf | None) -> dict[str, Any]:
 
 
 def _signal(signal: scenario.SphereSignal | scenario.GaussianSignal, grid: VolumeGrid) -> Floats:
-    """Contrast of each voxel of a lattice that is wider than the signal by half on all sides."""
+    """Return the contrast on a grid of twice the sphere's size, or of 6 sigma to each side."""
     sphere = isinstance(signal, scenario.SphereSignal)
     half = 2 * signal.radius_mm if sphere else 6 * signal.sigma_mm
     count = (2 * np.ceil(half / grid.voxel[::-1]) + 1).astype(int).tolist()
@@ -262,7 +262,7 @@ def _signal(signal: scenario.SphereSignal | scenario.GaussianSignal, grid: Volum
 def contrast_at(
     signal: scenario.SphereSignal | scenario.GaussianSignal, radius_mm: Floats, edge_mm: float
 ) -> Floats:
-    """Contrast of voxels at distances from a signal's middle, of mu(reference)."""
+    """Return the contrast of voxels at distances from a signal's centre, in mu(reference)."""
     if isinstance(signal, scenario.GaussianSignal):
         return signal.contrast_rel * np.exp(-((radius_mm / signal.sigma_mm) ** 2) / 2)
     return signal.contrast_rel * np.clip((signal.radius_mm - radius_mm) / edge_mm + 0.5, 0, 1)

@@ -1,4 +1,4 @@
-"""What a run takes of the machine, told before it starts."""
+"""Estimates of the memory, disk space and threads of a run, before it starts."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from twinct.specimen.shapes import triangles
 from twinct.threads import threads
 
 PROCESS_BYTES = 400 * 2**20
-"""A process with its libraries and kernels, before it holds anything of the scan."""
+"""Memory of a process with its libraries and kernels, without any data of the scan."""
 
 ROOM_BYTES = 250 * 2**20
-"""The room as a model, and the two arms in it."""
+"""Memory of the room's model with both arms."""
 
 GVXR_BYTES = 2500 * 2**20
-"""gVXR takes this when it is imported, and gives little of it back."""
+"""Memory that gVXR allocates at import; it releases little."""
 
 SKULL_BYTES_PER_CELL = 40
 SKULL_MM = 220.0
-"""The built-in skull is cut out of a lattice of this edge, the brain out of a smaller one."""
+"""Edge of the lattice of the built-in skull; the lattice of the brain is smaller."""
 HEAD_MM = 320.0
-"""The same of the head."""
+"""Edge of the lattice of the built-in head."""
 
 FILE_FACTOR = 24
-"""Bytes in memory for each byte of a mesh or a compressed CT volume, at the peak."""
+"""Peak bytes in memory for each byte of a mesh file or a compressed CT volume."""
 
 BYTES_PER_TRIANGLE = 200
-"""Of a body that is made, with what its library keeps of it; measured with ``ball_helix``."""
+"""Bytes of a generated body, its library's share included; measured with ``ball_helix``."""
 
 REPORT_BYTES = 300 * 2**20
 
 
 @dataclass(frozen=True)
 class Need:
-    """What one stage takes, all processes of the run together.
+    """Resources of one stage, summed over all processes of the run.
 
     Attributes:
-        memory_bytes: at the peak, an estimate from above.
-        disk_bytes: that it leaves in the folder.
-        threads: that compute at a time.
-        processes: that are there.
+        memory_bytes: upper estimate of the peak memory.
+        disk_bytes: size of the stage's files in the folder.
+        threads: number of threads that compute at a time.
+        processes: number of processes.
     """
 
     memory_bytes: int
@@ -56,23 +56,23 @@ class Need:
 
 
 def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
-    """Bytes and threads of each stage of a run, before anything is built or rendered.
+    """Estimate bytes and threads of each stage of a run, before anything is built or rendered.
 
-    The figures of the engines were measured with software OpenGL; specimens from files are told by
-    the size of the files.
+    The memory of the engines was measured with software OpenGL; specimens from files are estimated
+    by the size of the files.
 
     Returns:
-        In the order of the stages: ``specimen``, ``plan``, ``views``, ``truth``, ``reconstruction``
+        The stages in their order: ``specimen``, ``plan``, ``views``, ``truth``, ``reconstruction``
         and ``report``.
     """
-    views = Workshop(scenario).asked  # what the plan may choose takes no bytes
+    views = Workshop(scenario).asked  # choices of the plan, such as an order, need no memory
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"
     specimen = PROCESS_BYTES + _specimen_bytes(scenario)
     room = ROOM_BYTES if scenario.cell.kind == "arms" else 0
     simulations = room + GVXR_BYTES + 16 * image
-    # Each node builds the specimen anew; in one process gVXR stays until the end.
+    # Each node builds its own specimen; in a single process, gVXR stays loaded until the end.
     stays = GVXR_BYTES if local else 0
     acquiring = specimen + simulations if local else 3 * specimen + simulations
     scan, stored = 2 * number * image, (1 + len(scenario.detector.keep)) * number * image
@@ -88,12 +88,12 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
 
 
 def require_memory(scenario: Scenario) -> None:
-    """Refuse what this process could not hold even if it held nothing else, by its keys.
+    """Raise if a single part, image, scan or grid alone exceeds the available memory.
 
-    A run needs more: ``needs`` estimates that from above, this tells of each thing from below.
+    These are lower bounds for each object; ``needs`` estimates the whole run from above.
 
     Raises:
-        MemoryShortageError: one sentence for each thing that is too large.
+        MemoryShortageError: one sentence for each object that is too large, with its keys.
     """
     available, limit = available_bytes()
     panel, views = scenario.detector.panel, len(Workshop(scenario).asked)

@@ -1,4 +1,4 @@
-"""What a scenario's errors do to its geometry, without a move or an image."""
+"""Propagation of a scenario's errors to its geometry, without motion or images."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from twinct.scenario import GantryCell
 from twinct.uncertainty.propagation import NominalScan, Propagation, propagate
 
 LATTICE = 5
-"""Points along each axis of the grid, of which those count that every view sees."""
+"""Points along each axis of the grid; only points that every view sees are used."""
 
 TOLD_VIEWS = 5
-"""Views, evenly among all, whose covariances with each other are written."""
+"""Number of evenly spaced views whose mutual covariances are written."""
 
 FRAME = (
     "errors are executed less believed: displacement of the focal spot, mm, and turn of the "
@@ -26,10 +26,10 @@ FRAME = (
 
 
 def nominal_scan(workshop: Workshop) -> NominalScan:
-    """The views of a scenario as its controllers will have them.
+    """Return the nominal views of a scenario, as its controllers expect them.
 
     Raises:
-        TrajectoryError: views that cannot be reached, or would collide.
+        TrajectoryError: a view is out of reach or would collide.
     """
     cell = workshop.scenario.cell
     if isinstance(cell, GantryCell):
@@ -44,11 +44,11 @@ def nominal_scan(workshop: Workshop) -> NominalScan:
 
 
 def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
-    """Draw a scenario's errors so often, and give their covariances to first order beside them.
+    """Draw a scenario's errors repeatedly, and compute their first-order covariances.
 
     Raises:
-        InputError: fewer than two draws, or arms that were calibrated.
-        TrajectoryError: views that cannot be reached, or would collide.
+        InputError: fewer than two draws, or calibrated arms (``uncertainty.calibration``).
+        TrajectoryError: a view is out of reach or would collide.
     """
     if draws < 2:
         raise InputError(f"draws ({draws}) must be at least 2: one has no spread")
@@ -70,7 +70,7 @@ def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
 
 
 def seen_points(workshop: Workshop) -> Floats:
-    """The isocentre, and a lattice of the points of the grid that every view sees, (points, 3)."""
+    """Return the isocentre and the points of a lattice that every view sees, (points, 3), mm."""
     scenario, views = workshop.scenario, workshop.commanded
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     shares = np.arange(LATTICE) / (LATTICE - 1)
@@ -80,13 +80,13 @@ def seen_points(workshop: Workshop) -> Floats:
     last = np.array([panel.columns, panel.rows]) - 1.0
     images = views.project(places)
     seen = ((images >= 0) & (images <= last)).all(axis=(0, 2))
-    # A file of views turns about the world's origin.
+    # A file of views has no isocentre: use the world's origin.
     isocentre = getattr(scenario.trajectory, "isocentre_mm", (0.0, 0.0, 0.0))
     return np.concatenate([[isocentre], places[seen]])
 
 
 def told_errors(found: Propagation, workshop: Workshop) -> dict[str, Any]:
-    """The same as plain data: distributions, causes, covariances."""
+    """Return propagated errors as plain data: distributions, causes and covariances."""
     scenario, errors, analytic = workshop.scenario, found.errors, found.analytic
     draws, views = errors.shape[:2]
     shown = sorted({k * (views - 1) // (TOLD_VIEWS - 1) for k in range(TOLD_VIEWS)})
@@ -121,7 +121,7 @@ def told_errors(found: Propagation, workshop: Workshop) -> dict[str, Any]:
 
 
 def figures(found: Propagation) -> dict[str, Floats]:
-    """What is told of the errors of each draw and view, (draws, views)."""
+    """Return the figures that describe the errors of each draw and view, (draws, views)."""
     errors, pixels = found.errors, found.pixels.astype(float)
     parts = {
         "source_mm": np.linalg.norm(errors[..., :3], axis=-1),
@@ -136,7 +136,7 @@ def figures(found: Propagation) -> dict[str, Floats]:
 
 
 def summary(found: Propagation) -> dict[str, dict[str, float]]:
-    """Distributions over all draws and views."""
+    """Return the distribution of each figure over all draws and views."""
     return {name: _spread(values.ravel()) for name, values in figures(found).items()}
 
 

@@ -1,4 +1,4 @@
-"""What a run is judged against, and its figures and report, written into its folder."""
+"""Truth, figures and report of a run, written into its folder."""
 
 from __future__ import annotations
 
@@ -55,19 +55,19 @@ from twinct.volume import Volume
 log = logging.getLogger(__name__)
 
 _SHOWN_VIEWS = 4
-"""Projections shown in the report."""
+"""Number of projections in the report."""
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What a reconstruction is judged against.
+    """Truth against which a reconstruction is judged.
 
     Attributes:
         volume: attenuation of the specimen, (z, y, x), 1/mm, float32.
         region: voxels that every view sees, (z, y, x), bool.
         mu_reference: attenuation to which figures are relative, 1/mm.
-        grid: the lattice of both.
-        executed: where the views were, relative to the specimen.
+        grid: grid of volume and region.
+        executed: executed geometry of the views, relative to the specimen.
     """
 
     volume: NDArray[np.float32]
@@ -78,7 +78,7 @@ class Truth:
 
     @cached_property
     def depth(self) -> RegionDepth:
-        """How deep voxels lie in the region."""
+        """Depth of the voxels in the region."""
         return region_depth(self.executed, self.grid)
 
     @cached_property
@@ -92,7 +92,7 @@ class Truth:
 
 
 def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -> Truth:
-    """The truth of a scan, where the specimen really was, and the region every view sees."""
+    """Compute the true volume of a scan, with the specimen's true pose, and its region."""
     from twinct.xray.build import effective_energy_kev
 
     scenario = scan.scenario
@@ -110,9 +110,9 @@ def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -
 def judge(
     scan: Scan, volume: Volume, truth: Truth, specimen: BuiltSpecimen | None = None
 ) -> ImageFigures:
-    """The image figures of a reconstruction, and those that the section ``evaluation`` asks for.
+    """Compute the image figures of a reconstruction, with the section ``evaluation``.
 
-    Its parts are those of the specimen, which is built where it is needed and not given.
+    The section refers to parts of the specimen, which is built if it is needed and not given.
     """
     scenario, array = scan.scenario, volume.array
     grid, mu = scenario.reconstruction.volume_grid, truth.mu_reference
@@ -129,13 +129,13 @@ def judge(
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What a run found out, beside its scan.
+    """Results of a run, except its scan.
 
     Attributes:
-        volume: the reconstruction that is kept, 1/mm.
-        truth: what it is judged against.
-        figures: of each geometry that was reconstructed from.
-        residuals: of each iteration, by geometry.
+        volume: the reconstruction that is stored, 1/mm.
+        truth: truth against which it is judged.
+        figures: figures of the reconstruction from each geometry.
+        residuals: residual of each iteration, by geometry.
     """
 
     volume: Volume
@@ -147,9 +147,9 @@ class Results:
 def write_results(
     folder: Folder, workshop: Workshop, scan: Scan, results: Results, timing: Seconds | Timing
 ) -> None:
-    """Write report.html and metrics.json, each complete or not at all.
+    """Write report.html and metrics.json, each completely or not at all.
 
-    The timing is of this run, still counting, or of the run that is reported again.
+    The timing is a running ``Seconds``, or the ``Timing`` of a run that is reported again.
     """
     scenario, others = workshop.scenario, kept_reconstructions(folder.reconstructions)
     with timing.stage("report") if isinstance(timing, Seconds) else nullcontext():
@@ -186,7 +186,7 @@ def write_results(
 
 
 def figures_of(scan: Scan, image: Mapping[str, ImageFigures]) -> dict[str, Any]:
-    """All of ``metrics.json`` that depends on nothing but a scan and the figures of its volumes."""
+    """Return the part of ``metrics.json`` that depends on a scan and its image figures only."""
     nothing = {stage: 0.0 for stage in STAGES}
     whole = build_metrics(**_of_scan(scan), image=image, seconds=nothing, scenario_digest="")
     others = "seconds", "real_time_factor", "scenario_digest", "twinct_version"
@@ -210,7 +210,7 @@ def _of_scan(scan: Scan) -> dict[str, Any]:
 
 
 def _geometries(scan: Scan) -> dict[str, Any]:
-    """What is believed of the poses, in each way: what made it, how far it is off."""
+    """Return origin, digest and errors of the believed and each derived geometry."""
     return {
         found.name: {
             "made_by": dict(found.made_by),
@@ -223,9 +223,9 @@ def _geometries(scan: Scan) -> dict[str, Any]:
 
 
 def _reprojection(scan: Scan, taken: PosePairs) -> dict[str, float]:
-    """How far off the image of the isocentre is, as the specimen sees source and panel, pixels."""
+    """Return mean and maximum reprojection error of the isocentre, seen from the specimen, px."""
     panel, trajectory = scan.scenario.detector.panel, scan.scenario.trajectory
-    # A file of views turns about the world's origin.
+    # A file of views has no isocentre: use the world's origin.
     isocentre = np.array([getattr(trajectory, "isocentre_mm", (0.0, 0.0, 0.0))])
     off = reprojection_px(scan.relative.geometry(panel), taken.geometry(panel), isocentre)
     return {name: float(of(off)) for name, of in (("mean", np.mean), ("max", np.max))}
@@ -245,7 +245,7 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
 
 
 def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData:
-    """All that a report shows but most figures."""
+    """Return the content of a report; of the figures, only the residuals."""
     scenario, plan, truth = workshop.scenario, workshop.plan, results.truth
     grid = scenario.reconstruction.volume_grid
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
@@ -268,7 +268,7 @@ def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData
 
 
 def _room(workshop: Workshop) -> bytes | None:
-    """Picture of the room in the middle of the path; none without MuJoCo, which a gantry spares."""
+    """Draw the room at the middle of the path; return None if MuJoCo is not installed."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "room.png"
         try:

@@ -1,4 +1,4 @@
-"""The seconds that each stage of a run takes, also over interruptions."""
+"""Timing of the stages of a run, across interruptions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Timing:
     """Seconds of a finished run.
 
     Attributes:
-        stages: wall-clock seconds by stage; all but ``total`` add up to it.
+        stages: wall-clock seconds by stage; all other stages add up to ``total``.
         real_time_factor: simulated over wall-clock seconds of the motion.
     """
 
@@ -30,7 +30,7 @@ class Timing:
 
 @dataclass
 class Seconds:
-    """Wall-clock seconds of each stage, also of runs that were interrupted before."""
+    """Wall-clock seconds of each stage, including earlier, interrupted runs."""
 
     path: Path
     start: float = field(default_factory=time.perf_counter)
@@ -40,7 +40,7 @@ class Seconds:
 
     @contextlib.contextmanager
     def stage(self, name: str, keep: bool = False) -> Generator[None, None, None]:
-        """Time a block of work; ``keep`` also writes all seconds down."""
+        """Time a block of work; with ``keep``, also write all seconds to the file."""
         start = time.perf_counter()
         try:
             yield
@@ -51,13 +51,13 @@ class Seconds:
 
     @contextlib.contextmanager
     def views(self) -> Generator[Stopwatch, None, None]:
-        """A stopwatch for the views; its seconds are kept, however the block ends."""
+        """Yield a stopwatch for the views; store its seconds, even if the block fails."""
         watch, start = Stopwatch(), time.perf_counter()
         try:
             yield watch
         finally:
             parts = {"motion": watch.motion_s, "xray": watch.xray_s, "storing": watch.storing_s}
-            # Before the first view and after the last: both simulations start and end.
+            # The rest is the time in which both simulations start and end.
             parts["link"] = time.perf_counter() - start - sum(parts.values())
             for name, spent in parts.items():
                 self.stages[name] = self.stages.get(name, 0.0) + spent
@@ -65,17 +65,17 @@ class Seconds:
             self.keep()
 
     def go_on(self) -> None:
-        """Count from where an interrupted run of before stood."""
+        """Add the seconds of an earlier, interrupted run."""
         with contextlib.suppress(OSError, ValueError):
             self.before = read_json(self.path)
 
     def keep(self) -> None:
-        """Write down what a resumed run goes on from."""
+        """Write the seconds from which a resumed run continues."""
         now = self.stages | {"total": self._elapsed(), "simulated": self.simulated_s}
         write_text(self.path, json.dumps(self._with_before(now)))
 
     def finished(self) -> Timing:
-        """All seconds, those of interrupted runs of before included."""
+        """Return all seconds, including earlier, interrupted runs."""
         stages = self._with_before(self.stages | {"total": self._elapsed()})
         simulated = self.simulated_s + stages.pop("simulated", 0.0)
         total = stages.pop("total")

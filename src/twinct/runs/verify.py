@@ -1,4 +1,4 @@
-"""Whether everything in the folder of a run is what was written there."""
+"""Integrity checks of all files in the folder of a run."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from twinct.volume import Volume
 
 @dataclass(frozen=True)
 class Verdict:
-    """What ``verify`` found.
+    """Result of ``verify``.
 
     Attributes:
-        problems: one sentence each, naming file, or view and array.
-        unknown: files in the store that are none of its own; they do no harm.
-        in_words: what was looked at.
+        problems: one sentence each, with the file, or view and array.
+        unknown: foreign files in the store; they do no harm.
+        in_words: the extent of the check.
     """
 
     problems: tuple[str, ...]
@@ -30,13 +30,13 @@ class Verdict:
 
 
 def verify(path: str | Path) -> Verdict:
-    """Look at each file of a scan store, and at what was made from it.
+    """Check each file of a scan store, and all results made from it.
 
     Args:
         path: folder of a run, or a scan store.
 
     Raises:
-        InputError: there is neither.
+        InputError: the path is neither.
     """
     folder = Folder(Path(path))
     store = folder.scan if folder.scan.is_dir() else folder.path
@@ -79,7 +79,7 @@ def _undecodable(scan: ScanStore) -> list[str]:
 
 
 def _of_results(folder: Folder) -> list[str]:
-    """What is beside the store, as far as it is there."""
+    """Return the problems of all existing results beside the store."""
     named = folder.geometries.glob("[!.]*.json")
     made = folder.reconstructions.glob("[!.]*/")
     checks: list[tuple[Callable[[Path], object], Path]] = [

@@ -1,4 +1,4 @@
-"""Views that a plan may choose from: all over the sphere, and those that the arms can have."""
+"""Candidate views of a plan: views all over the sphere, and the reachable ones among them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twinct.scenario import Cell, Scenario
 from twinct.trajectory import OrbitSettings, UniformTrajectory, commanded_views
 
 TOGETHER = 40
-"""Candidates whose reach is looked at as one piece of work."""
+"""Number of candidates whose reach is checked as one piece of work."""
 
 if TYPE_CHECKING:
     from twinct.motion.branches import Configurations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 def orbit_of(scenario: Scenario) -> OrbitSettings:
-    """The scenario's path.
+    """Return the scenario's trajectory about an isocentre.
 
     Raises:
-        InputError: it is none about an isocentre.
+        InputError: the trajectory has no isocentre.
     """
     section = scenario.trajectory
     if not isinstance(section, OrbitSettings):
@@ -40,7 +40,7 @@ def orbit_of(scenario: Scenario) -> OrbitSettings:
 
 
 def candidates_of(scenario: Scenario) -> ScanGeometry:
-    """Views all over the sphere, at the distances of the scenario's path."""
+    """Return views all over the sphere, with SOD and SDD of the scenario's path."""
     orbit, task = orbit_of(scenario), scenario.task
     assert task is not None
     section = UniformTrajectory(
@@ -55,7 +55,7 @@ def candidates_of(scenario: Scenario) -> ScanGeometry:
 
 
 def own_path(scenario: Scenario, views: int) -> ScanGeometry:
-    """The scenario's path with another number of views."""
+    """Return the scenario's path with another number of views."""
     section = orbit_of(scenario).model_copy(update={"views": views})
     return commanded_views(section, scenario.detector.panel)
 
@@ -63,13 +63,13 @@ def own_path(scenario: Scenario, views: int) -> ScanGeometry:
 def reachable(
     workshop: Workshop, geometry: ScanGeometry, progress: Progress, pool: Pool | None = None
 ) -> NDArray[np.intp]:
-    """Candidates that both arms can hold at a time, with the clearance that a way keeps.
+    """Return the indices of candidates that both arms can reach together, with clearance.
 
     Args:
-        workshop: of the scenario.
+        workshop: workshop of the scenario.
         geometry: the candidates.
-        progress: hears how far it is.
-        pool: other processes that look; this one, if there is none.
+        progress: receives the progress.
+        pool: processes that do the work; None: this process.
     """
     if not isinstance(workshop.scenario.cell, Cell):
         return np.arange(len(geometry))
@@ -91,9 +91,9 @@ def _held(workshop: Workshop, geometry: ScanGeometry) -> NDArray[np.intp]:
 
 
 def seconds_between(workshop: Workshop, geometry: ScanGeometry) -> Floats:
-    """How long both arms take from view to view at least, s, (views, views).
+    """Return the minimum time of both arms between all pairs of views, s, (views, views).
 
-    Not a number from and to views that one of the arms cannot hold.
+    NaN from and to views that one of the arms cannot reach.
     """
     from twinct.motion import moving_seconds, speeds_of
 
@@ -109,7 +109,7 @@ def seconds_between(workshop: Workshop, geometry: ScanGeometry) -> Floats:
 def _holding(
     workshop: Workshop, geometry: ScanGeometry
 ) -> tuple[Holder, tuple[Configurations, Configurations]]:
-    """What of each arm alone holds views."""
+    """Return the solver of joint configurations, and the configurations of each arm alone."""
     from twinct.reach import Holder, Poses
 
     holder = Holder(workshop.cell, workshop.scenario.motion, roll_free=workshop.roll_free)
@@ -118,7 +118,7 @@ def _holding(
 
 
 def spread_evenly(sources: Floats, number: int) -> list[int]:
-    """Views spread evenly: each the farthest from those before (Gonzalez 1985)."""
+    """Choose views evenly: each is the farthest from all previous ones (Gonzalez 1985)."""
     chosen = [0]
     far = np.linalg.norm(sources - sources[0], axis=1)
     while len(chosen) < number:

@@ -1,4 +1,4 @@
-"""The mAs of planned views: shared so that most is detected, the dose still within its limit."""
+"""Distribution of the mAs over planned views for detectability, within the dose limit."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from twinct.scenario import ExposureSharing
 
 @dataclass(frozen=True, eq=False)
 class Shared:
-    """Exposures of chosen views, and what is had with them.
+    """Exposures of chosen views, and their figures of merit.
 
     Attributes:
-        exposures: of each view, in units of what all have without, mean 1, (views,).
-        figures: of the goals that depend on them, by name.
-        equal: the same at equal exposures.
+        exposures: exposure of each view relative to equal exposures, mean 1, (views,).
+        figures: figures of the goals that depend on exposures, by name.
+        equal: these figures at equal exposures.
     """
 
     exposures: Floats
@@ -27,17 +27,17 @@ class Shared:
     equal: dict[str, float]
 
     def __post_init__(self) -> None:
-        """Freeze."""
+        """Make the exposures read-only."""
         lock(self, "exposures")
 
 
 def share_exposure(section: ExposureSharing, goals: Sequence[Goal], views: Sequence[int]) -> Shared:
-    """Share the mAs among views; where the dose would exceed its limit, only a part of the way.
+    """Distribute the mAs over views; go only part of the way if the dose limit requires it.
 
     Args:
-        section: bounds.
-        goals: detectability among them.
-        views: that were chosen.
+        section: bounds of the exposures.
+        goals: goals of the task, with detectability.
+        views: the chosen views.
     """
     measures = {goal.name: goal for goal in goals if goal.name in ("detectability", "dose")}
     found = measures["detectability"].measure

@@ -1,4 +1,4 @@
-"""The best path of a family: parameters of the scenario's trajectory, by CMA-ES."""
+"""Search for the best path of a family: parameters of the scenario's trajectory, by CMA-ES."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from twinct.scenario import FamilySearch, ViewTask
 from twinct.trajectory import OrbitSettings, commanded_views
 
 MISSED = -1e3
-"""Worth of a path that cannot be had, and more so the more of it is missed: the search is led."""
+"""Worth of an infeasible path, scaled by 1 + its violation, which guides the search."""
 
 TOGETHER = 2
-"""Paths that are judged as one piece of work."""
+"""Number of paths that are judged as one piece of work."""
 
 
 @dataclass(frozen=True, eq=False)
 class TunedPath:
-    """What a search found.
+    """Result of a search in a family.
 
     Attributes:
-        section: the trajectory, as a scenario has it.
-        parameters: what was sought, by key.
-        views: its views.
-        worth: of the best path after each generation.
+        section: the trajectory, as a section of a scenario.
+        parameters: the optimised parameters, by key.
+        views: views of the path.
+        worth: worth of the best path after each generation.
     """
 
     section: OrbitSettings
@@ -56,18 +56,18 @@ def best_path(
     progress: Progress,
     pool: Pool | None = None,
 ) -> TunedPath:
-    """Search for the path that is worth most, all of whose views the arms can have.
+    """Search for the path of highest worth whose views are all reachable.
 
     Args:
-        workshop: of a scenario whose task has a family.
-        reference: views spread evenly, which measures are counted in.
-        journal: what is known of an earlier search; hears of each generation.
-        progress: hears how far it is.
-        pool: other processes that judge paths; this one, if there is none.
+        workshop: workshop of a scenario whose task has a family.
+        reference: evenly spread views; their measures are the units.
+        journal: state of an earlier search; each generation is written to it.
+        progress: receives the progress.
+        pool: processes that judge paths; None: this process.
 
     Raises:
-        InputError: keys that the trajectory does not have or values that it refuses; no path
-            within the bounds can be had, with what the nearest misses.
+        InputError: keys that the trajectory does not have, or values that it refuses; no feasible
+            path within the bounds, with the violations of the nearest one.
         MissingExtraError: cmaes is not installed.
     """
     task = workshop.scenario.task
@@ -118,8 +118,8 @@ class _Piece:
     """Paths to be judged.
 
     Attributes:
-        reference: views spread evenly.
-        tried: error of a volume of these; None: paths are not tried.
+        reference: evenly spread views.
+        tried: error of a volume of the reference views; None: paths are not tried.
         sets: parameters of each path.
     """
 
@@ -129,13 +129,13 @@ class _Piece:
 
 
 def error_of(workshop: Workshop, views: ScanGeometry) -> float:
-    """Error in the task's region of a volume of the views, of which nothing is kept."""
+    """Return the error of a volume of the views in the task's region; store no files."""
     with TemporaryDirectory(prefix="twinct-trial-") as folder:
         return trial(workshop, views, None, Path(folder), "path").error_rel
 
 
 def _judged(workshop: Workshop, piece: _Piece) -> list[tuple[float, str]]:
-    """Worth of each path, and what it misses."""
+    """Return the worth of each path, and its violations in words."""
     reference, task = piece.reference, workshop.scenario.task
     assert task is not None
     panel, count = workshop.scenario.detector.panel, task.views

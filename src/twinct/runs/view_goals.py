@@ -1,6 +1,6 @@
-"""What a scenario's task counts, for given candidate views: from the patient to measures.
+"""Goals of a scenario's task for candidate views, computed from a model of the patient.
 
-The specimen of the scenario stands for the patient, as a prior volume would.
+The specimen of the scenario represents the patient, as a prior volume would.
 """
 
 from __future__ import annotations
@@ -56,37 +56,37 @@ from twinct.xray.build import build_response, build_spectrum, effective_energy_k
 from twinct.xray.spectrum import attenuation
 
 PRIOR_MM = 3.0
-"""Voxels of the patient through which photons go."""
+"""Voxel size of the patient's attenuation volume."""
 
 BOX = 32
-"""Voxels along an edge of the grid about the signal."""
+"""Voxels along an edge of the grid around the signal."""
 
 POINTS = 12
-"""Points of the region on its surface, beside its middle."""
+"""Number of points on the region's surface, in addition to its centre."""
 
 NORMALS = 200
-"""Planes through each point."""
+"""Number of planes through each point."""
 
 PIXEL_MM = 1.0
-"""Pixels of which metal is seen, at the panel; finer ones are taken together."""
+"""Pixel pitch for metal, at the panel; finer pixels are binned."""
 
 ENERGIES = 5
-"""Bins of a spectrum for dose."""
+"""Number of energy bins of a spectrum for dose."""
 
 KNOWN_GB = 2.0
-"""What the goal of known shares may hold of rays."""
+"""Memory limit for the rays of the goal ``known``, GB."""
 
 PART_POINTS = 200
-"""Points of a part whose kerma is averaged, at most."""
+"""Largest number of points of a part, such as for its mean kerma."""
 
 
 @dataclass(frozen=True, eq=False)
 class Patient:
-    """The specimen as views are planned for it.
+    """Model of the specimen for the planning of views.
 
     Attributes:
-        workshop: of the scenario.
-        voxel_mm: of the volume that stands for it.
+        workshop: workshop of the scenario.
+        voxel_mm: voxel size of the specimen's volume.
     """
 
     workshop: Workshop
@@ -94,7 +94,7 @@ class Patient:
 
     @cached_property
     def _fractions(self) -> tuple[VolumeGrid, list[tuple[BuiltPart, NDArray[np.float32]]]]:
-        """Share of each voxel that each part has, on a coarse grid that holds them all."""
+        """Volume fractions of each part, on a coarse grid that holds all parts."""
         specimen = self.workshop.specimen
         low, high = specimen.bounds
         pose = specimen.world_from_specimen @ Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
@@ -107,7 +107,7 @@ class Patient:
         ]
 
     def attenuation(self, energy_kev: float) -> Volume:
-        """Attenuation on a coarse grid, 1/mm."""
+        """Return the attenuation on a coarse grid, 1/mm."""
         grid, fractions = self._fractions
         total = np.zeros(grid.shape, np.float32)
         for part, share in fractions:
@@ -115,11 +115,11 @@ class Patient:
         return Volume(total, grid)
 
     def part(self, name: str) -> BuiltPart:
-        """A part by its name."""
+        """Return a part by its name."""
         return next(part for part in self.workshop.specimen.parts if part.name == name)
 
     def points_of(self, name: str, seed: int) -> Floats:
-        """Points of a part, in the world, (points, 3), mm."""
+        """Return points inside a part, in the world, (points, 3), mm."""
         mesh, rng = self.part(name).mesh, np.random.default_rng([seed, 15])
         low, high = np.asarray(mesh.bounds)
         step = float(np.cbrt(mesh.volume / PART_POINTS))
@@ -128,7 +128,7 @@ class Patient:
         grid = VolumeGrid(count.tolist(), (high - low) / count[::-1], middle)
         inside = volume_fractions(mesh.vertices, mesh.faces, grid, Pose.identity()) > 0.5
         index = np.argwhere(inside)[:, ::-1]
-        if not len(index):  # a plate that no cell is half full of
+        if not len(index):  # a thin plate fills no cell by half
             index = np.array([[n // 2 for n in grid.shape_xyz]])
         if len(index) > PART_POINTS:
             index = rng.permutation(index)[:PART_POINTS]
@@ -138,13 +138,13 @@ class Patient:
     def photons(
         self, geometry: ScanGeometry, place: Floats, voxel_mm: float, key: str
     ) -> tuple[ScanGeometry, Floats]:
-        """Photons behind the patient on pixels as coarse as voxels, and the views with these.
+        """Compute the photons behind the patient, on pixels as coarse as voxels.
 
         Args:
             geometry: the views.
-            place: where voxels are seen, in the world, mm.
-            voxel_mm: their edge.
-            key: what asks for it.
+            place: position of the voxels, in the world, mm.
+            voxel_mm: edge of the voxels.
+            key: key of the scenario, for messages.
 
         Returns:
             The views with a coarse panel; photons, (views, rows, columns).
@@ -170,7 +170,7 @@ class Patient:
 
 
 def region_points(task: ViewTask, world_from_specimen: Pose) -> Floats:
-    """Middle of the task's region, and points on its surface, in the world, (points, 3), mm."""
+    """Return the centre of the task's region and points on its surface, world, (points, 3), mm."""
     around = task.radius_mm * fibonacci_directions(POINTS)
     points = np.vstack([np.zeros((1, 3)), around[: POINTS if task.radius_mm else 0]])
     return world_from_specimen.apply(points + np.asarray(task.position_mm))
@@ -183,17 +183,17 @@ def goals_of(
     even: Sequence[int],
     progress: Progress,
 ) -> list[Goal]:
-    """Goals of the task, for views by their index in a geometry.
+    """Build the goals of the task, for views given by their index in a geometry.
 
     Args:
-        workshop: of a scenario with a task.
-        geometry: candidates, then other views to compare with.
-        candidates: how many these are.
-        even: views spread evenly over the candidates: what measures are counted in.
-        progress: hears how far it is.
+        workshop: workshop of a scenario with a task.
+        geometry: candidates, followed by other views for comparison.
+        candidates: number of candidates.
+        even: evenly spread candidates; their measures are the units.
+        progress: receives the progress.
 
     Raises:
-        InputError: no view sees the region, or there is no photon number where one is needed.
+        InputError: no view sees the region, or a goal needs a photon number that is not given.
     """
     task, patient = workshop.scenario.task, Patient(workshop)
     assert task is not None
@@ -228,7 +228,7 @@ def _moving(
     *,
     in_order: bool,
 ) -> Goal:
-    """Seconds that the arms take; in the order of the views, as on a path, or the shortest."""
+    """Build the goal of the arms' moving time, in the order of views or on the shortest tour."""
     if not isinstance(workshop.scenario.cell, Cell):
         raise InputError("task.moving: a gantry has no arms that take time (cell.kind: arms)")
     from twinct.motion import shortest_tour
@@ -261,18 +261,19 @@ def _cost(name: str, section: MetalGoal | DoseGoal, each: Floats, even: Sequence
     measure = Mean(each)
     spread = float(each[list(even)].mean())
     limit = None if section.at_most_rel is None else section.at_most_rel * spread
-    # Where views spread evenly have nothing of it, no other has much.
+    # If evenly spread views have zero cost, no other choice has much.
     return Goal(name, measure, -section.weight, spread or 1.0, limit)
 
 
 @dataclass(frozen=True, eq=False)
 class _Metal:
-    """Metal as views see it.
+    """Metal in the beam.
 
     Attributes:
-        substances: of each body.
-        points: of the metal, (points, 3), mm.
-        lengths: in each body of rays through points, (bodies, points seen) of each view.
+        substances: material of each body.
+        points: returns points of the metal, (points, 3), mm.
+        lengths: returns path lengths in each body of rays through points, (bodies, points seen)
+            for each view.
     """
 
     substances: list[Material]
@@ -281,10 +282,10 @@ class _Metal:
 
 
 def _metal_of(patient: Patient, section: MetalGoal) -> _Metal:
-    """Metal of the specimen's parts, or that a volume shows.
+    """Return the metal of the specimen's parts, or the metal in a volume.
 
     Raises:
-        InputError: a volume that is none or shows no metal, an unknown material.
+        InputError: an unreadable volume or one without metal, or an unknown material.
     """
     if (seen := section.seen) is None:
         place, seed = patient.workshop.specimen.world_from_specimen, patient.workshop.scenario.seed
@@ -313,7 +314,7 @@ def _metal_of(patient: Patient, section: MetalGoal) -> _Metal:
 
 
 def _metal(patient: Patient, section: MetalGoal, geometry: ScanGeometry, points: Floats) -> Floats:
-    """What metal does to each view; as much as it does at most where a view sees no point."""
+    """Return the effect of metal on each view; the maximum for views that see no point."""
     scenario, panel = patient.workshop.scenario, geometry.panel
     metal = _metal_of(patient, section)
     if section.rays == "metal":
@@ -331,7 +332,7 @@ def _metal(patient: Patient, section: MetalGoal, geometry: ScanGeometry, points:
         found = mean_of_views([spectral_shift(one, mu, weights) for one in lengths])
     else:
         coarse, photons = patient.photons(geometry, points[0], PRIOR_MM, "task.metal.counts")
-        if section.seen is not None:  # of which the prior may know nothing
+        if section.seen is not None:  # the prior may lack this metal
             energy = effective_energy_kev(scenario.source, scenario.detector)
             volume = Volume.read(section.seen.path)
             there = (volume.array > section.seen.above_per_mm).astype(np.float32)
@@ -343,7 +344,7 @@ def _metal(patient: Patient, section: MetalGoal, geometry: ScanGeometry, points:
 
 
 def _dose(patient: Patient, section: DoseGoal, geometry: ScanGeometry) -> Floats:
-    """Primary kerma of each view, Gy."""
+    """Return the primary kerma of each view, Gy."""
     scenario = patient.workshop.scenario
     spectrum = build_spectrum(scenario.source)
     if not spectrum.absolute:
@@ -373,14 +374,14 @@ def _detectability(
     even: Sequence[int],
     progress: Progress,
 ) -> Measure:
-    """D' of the signal, about the middle of the region."""
+    """Build the measure d' of the signal in the centre of the region."""
     scenario, voxel = patient.workshop.scenario, section.voxel_mm
     energy = effective_energy_kev(scenario.source, scenario.detector)
     z, y, x = np.indices((BOX, BOX, BOX)) - BOX // 2
     radius = voxel * np.sqrt(x * x + y * y + z * z)
     contrast = contrast_at(section.signal, radius, voxel)
     signal = contrast * patient.workshop.specimen.reference_mu(energy)
-    # Voxel BOX // 2 has its centre at the place.
+    # Centre voxel BOX // 2 at the place.
     grid = VolumeGrid((BOX,) * 3, voxel, Pose.from_euler(place - voxel / 2, (0.0, 0.0, 0.0)))
     coarse, photons = patient.photons(geometry, place, voxel, "task.detectability")
     projector = Projector(coarse, grid)
@@ -401,14 +402,14 @@ def _detectability(
 def _known(
     patient: Patient, task: ViewTask, section: KnownGoal, geometry: ScanGeometry, place: Floats
 ) -> Measure:
-    """Share of the region's variance that views take away."""
+    """Build the measure of the share of the region's variance that views remove."""
     scenario = patient.workshop.scenario
     energy = effective_energy_kev(scenario.source, scenario.detector)
     mu = patient.workshop.specimen.reference_mu(energy)
     around = patient.attenuation(energy).grid
     edges = around.size_mm
     voxel = float(np.cbrt(edges.prod() / section.voxels))
-    count = np.maximum(np.floor(edges / voxel).astype(int), 1)  # not above what is asked for
+    count = np.maximum(np.floor(edges / voxel).astype(int), 1)  # at most the requested number
     grid = VolumeGrid(count[::-1].tolist(), edges / count, around.world_from_grid)
     coarse, photons = patient.photons(geometry, place, voxel, "task.known")
     held = photons.size * int(count.prod()) * 4 / 1e9

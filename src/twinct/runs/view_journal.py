@@ -1,4 +1,4 @@
-"""How far a search for views is, on disk."""
+"""Journal of a search for views, on disk."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from twinct.scenario import Scenario, stage_digests
 
 
 class Journal:
-    """How far a search is; each change is written.
+    """State of a search; each change is written to disk.
 
     Attributes:
-        within_reach: indices of the candidates that the arms can have, once they are known.
-        state: of the choice among them.
-        generations: worth of the paths of each generation, of a search in a family.
+        within_reach: indices of the reachable candidates, once they are known.
+        state: state of the choice among them.
+        generations: worth of all paths of each generation, for a family of paths.
     """
 
     def __init__(self, path: Path, scenario: Scenario, resume: bool) -> None:
-        """Read what is there.
+        """Read the existing journal, if any.
 
         Raises:
-            ScanExistsError: there is a search, and nobody asked to resume, or another one.
-            InputError: it cannot be read.
+            ScanExistsError: a journal exists and ``resume`` is false, or its scenario is another.
+            InputError: the journal cannot be read.
         """
         self._path, self._digest = path, _digest(scenario)
         self.within_reach: NDArray[np.intp] | None = None
@@ -57,17 +57,17 @@ class Journal:
         self.generations = kept["generations"]
 
     def found(self, within_reach: NDArray[np.intp]) -> None:
-        """The candidates within reach are known."""
+        """Write the candidates within reach."""
         self.within_reach = within_reach
         self._write()
 
     def went_on(self, state: Searched) -> None:
-        """The choice went on by a step."""
+        """Write the state after a step of the choice."""
         self.state = state
         self._write()
 
     def judged(self, worth: Sequence[float]) -> None:
-        """A generation of paths was judged."""
+        """Write the worth of the paths of a generation."""
         self.generations.append(list(worth))
         self._write()
 

@@ -1,4 +1,4 @@
-"""Views planned for a scenario's task: from candidates that the arms can have to a trajectory."""
+"""Planning of views for a scenario's task: from reachable candidates to a trajectory."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ TRIED = (view_tried.FOLDER, view_tried.PICTURE)
 
 @dataclass(frozen=True, eq=False)
 class ViewPlan:
-    """What was planned.
+    """Result of view planning.
 
     Attributes:
-        views: the chosen views, rising by candidate.
-        figures: of each goal, of the chosen views, of views spread evenly and of the scenario's own
-            path with as many, by name; None where the arms cannot have them.
-        candidates: how many there were.
-        reachable: how many of them the arms can have.
+        views: the chosen views, in the order of the candidates, or of the path of a family.
+        figures: figure of each goal by name, for the chosen views, for evenly spread views and for
+            the scenario's own path with as many views; None if the arms cannot reach the views.
+        candidates: number of candidates.
+        reachable: number of reachable candidates.
         scan_s: duration of the motion plan; None with a gantry.
-        clearance_mm: smallest on the way; None likewise.
-        scouted: where scout views saw the patient; None: it lies where the scenario says.
-        tried: error of volumes in the region, by views, of the reference's attenuation; None: no
-            images were made.
+        clearance_mm: smallest clearance along the motion plan; None with a gantry.
+        scouted: pose of the patient from scout views; None: the scenario's pose.
+        tried: error of the volume in the region for each set of views, relative to the reference's
+            attenuation; None: no images were made.
     """
 
     views: ScanGeometry
@@ -74,29 +74,29 @@ def plan_views(
     pool: Pool | None = None,
     progress: Progress = SILENT,
 ) -> ViewPlan:
-    """Choose views for the task of a scenario, and plan how the arms take them.
+    """Choose views for the task of a scenario, and plan the motion of the arms.
 
     Writes views.csv, planned.yaml, which ``twinct run`` executes, plan.npz, plan.json and plan.png.
 
     Args:
         source: scenario file.
         out: folder for the results.
-        overrides: of keys of the scenario.
-        scout: run of a few views to which the scenario's specimen is registered before; what is
-            written has it there.
-        try_views: make images of the planned views and of the scenario's path, as by a gantry, and
-            reconstruct both: what is achieved.
-        resume: go on with a search that was interrupted.
-        pool: other processes that look for what is within reach and judge paths of a family; what
-            they find is what this one would.
-        progress: hears how far it is.
+        overrides: changes ``KEY=VALUE`` to the scenario.
+        scout: run of a few views to which the specimen is registered first; the planned scenario
+            contains the resulting pose.
+        try_views: simulate images of the planned views and of the scenario's path, as by a gantry,
+            reconstruct both, and report the errors.
+        resume: continue an interrupted search.
+        pool: processes that check reach and judge paths of a family, with the same results; None:
+            this process.
+        progress: receives the progress.
 
     Raises:
-        InputError: no task, a region that no view sees, limits that no choice keeps, fewer
-            candidates within reach than views; each with the nearest that is possible. Scout views
-            that show something else than the specimen.
-        ScanExistsError: the folder holds a search, and nobody asked to resume, or another one.
-        TrajectoryError: no way joins the chosen views.
+        InputError: no task, a region that no view sees, limits that no choice meets, or fewer
+            reachable candidates than views, each with the nearest possible value; or scout views
+            that do not show the specimen.
+        ScanExistsError: the folder holds a search and ``resume`` is false, or another search.
+        TrajectoryError: no collision-free motion connects the chosen views.
     """
     scenario = load_scenario(source, overrides)
     task = scenario.task
@@ -156,16 +156,16 @@ def plan_views(
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """Views that were chosen.
+    """Chosen views.
 
     Attributes:
-        views: in the order in which they are written.
-        goals: what counted.
-        figures: of each goal, as in ``ViewPlan``.
-        worth: of the best choice after each step of the search.
-        told: what plan.json says of them besides.
-        section: the trajectory that has them; None: they are a file's.
-        mas: of each, (views,); None: the source's.
+        views: views in the order in which they are written.
+        goals: goals of the search.
+        figures: figures of each goal, as in ``ViewPlan``.
+        worth: worth of the best choice after each step of the search.
+        told: further entries of plan.json.
+        section: the trajectory of the views; None: they are written to a file.
+        mas: mAs of each view, (views,); None: the source's.
     """
 
     views: ScanGeometry
@@ -185,7 +185,7 @@ def _chosen(
     journal: Journal,
     progress: Progress,
 ) -> _Choice:
-    """Any of the candidates within reach."""
+    """Choose views among the reachable candidates."""
     even = spread_evenly(within.source, task.views)
     together = ScanGeometry.joined([within, own])
     goals = goals_of(workshop, together, len(within), even, progress)
@@ -222,7 +222,7 @@ def _tuned(
     progress: Progress,
     pool: Pool | None,
 ) -> _Choice:
-    """The best path of the scenario's family."""
+    """Choose the best path of the scenario's family."""
     count = task.views
     reference = within[spread_evenly(within.source, count)]
     found = best_path(workshop, reference, journal, progress, pool)
@@ -257,7 +257,7 @@ def _driven(
     out: Path,
     section: OrbitSettings | None,
 ) -> tuple[float | None, float | None]:
-    """Write the scenario that takes the views; seconds and clearance of its motion."""
+    """Write the scenario of the views; return duration and clearance of its motion plan."""
     folder = out.resolve()
     trajectory = {"kind": "file", "path": str(folder / VIEWS)}
     if section is not None:
@@ -283,7 +283,7 @@ def _driven(
 
 
 def _told(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
-    """What plan.json says."""
+    """Return the content of plan.json."""
     seen = plan.scouted
     return {
         "scouted": seen

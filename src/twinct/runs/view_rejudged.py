@@ -1,4 +1,4 @@
-"""What a scenario's errors leave of what its views were planned for, without an image."""
+"""Goals of planned views under a scenario's errors, without images."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from twinct.uncertainty.propagation import draw, project
 
 @dataclass(frozen=True, eq=False)
 class Rejudged:
-    """A goal of a task without errors and with them.
+    """Figure of a task's goal without and with errors.
 
     Attributes:
-        commanded: of the views where they were planned.
-        drawn: of each scan that was drawn, (draws,).
+        commanded: figure of the planned views.
+        drawn: figure of each drawn scan, (draws,).
     """
 
     commanded: float
     drawn: Floats
 
     def __post_init__(self) -> None:
-        """Freeze."""
+        """Make the figures read-only."""
         lock(self, "drawn")
 
 
 def rejudged(
     workshop: Workshop, draws: int, progress: Progress = SILENT
 ) -> tuple[dict[str, Rejudged], Floats]:
-    """Judge the views of a scenario by its task, as its errors have them.
+    """Judge the views of a scenario by its task, under its errors.
 
-    What views tell is told of where they are executed. Detectability is lowered besides by their
-    being believed elsewhere: that images disagree where the region's middle is blurs the signal, as
-    a Gaussian of their root mean square in each direction does (``Detectability.blurred``).
+    Goals are evaluated at the executed poses. Detectability is further reduced by the errors of the
+    believed poses: images that disagree about the position of the region's centre blur the signal,
+    like a Gaussian with their root mean square in each direction (``Detectability.blurred``).
 
-    A penalty is relative to these views, as no others are known here. Where arms were calibrated
-    (``uncertainty.calibration``) all scans are those of this pair, believed as it was calibrated;
-    else other arms are drawn for each.
+    Penalties are relative to the scenario's views, as no other views are known here. With
+    calibrated arms (``uncertainty.calibration``), all scans use this pair and its calibrated model;
+    otherwise other arms are drawn for each scan.
 
     Args:
-        workshop: of a scenario with a task.
-        draws: how many scans.
-        progress: hears how far it is.
+        workshop: workshop of a scenario with a task.
+        draws: number of scans.
+        progress: receives the progress.
 
     Returns:
         Each goal by its name; the blur of each scan, one sigma in each direction, (draws,), mm.
 
     Raises:
-        InputError: calibrated arms that are no such file, or of another cell.
-        TrajectoryError: views that cannot be reached, or would collide.
+        InputError: no file of calibrated arms, or arms of another cell.
+        TrajectoryError: a view is out of reach or would collide.
     """
     scenario = workshop.scenario
     task = scenario.task
@@ -78,7 +78,7 @@ def rejudged(
     executed = [_geometry(true[0, k], true[1, k], panel) for k in range(draws)]
     place = workshop.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
     blur = _blur_mm(true, believed, planned, place)
-    without_moving = task.model_copy(update={"moving": None})  # which takes as long
+    without_moving = task.model_copy(update={"moving": None})  # errors do not change it
     quiet = Workshop(scenario.model_copy(update={"task": without_moving}))
     together = ScanGeometry.joined([planned, *executed])
     mas = workshop.mas
@@ -96,7 +96,7 @@ def rejudged(
 
 
 def _geometry(sources: Floats, detectors: Floats, panel: Panel) -> ScanGeometry:
-    """Of poses as matrices, (views, 4, 4)."""
+    """Return the geometry of poses given as matrices, (views, 4, 4)."""
     source, detector = (
         [Pose.from_matrix(one[:3, 3], one[:3, :3]) for one in side] for side in (sources, detectors)
     )
@@ -104,9 +104,10 @@ def _geometry(sources: Floats, detectors: Floats, panel: Panel) -> ScanGeometry:
 
 
 def _blur_mm(true: Floats, believed: Floats, planned: ScanGeometry, place: Floats) -> Floats:
-    """How far images of a place disagree about it, at the place, in each direction, (draws,), mm.
+    """Return the disagreement of images about a place, rms in each direction, (draws,), mm.
 
-    What all of them agree upon moves the place and blurs nothing: it is taken out, to first order.
+    Distances are measured at the place. A shift common to all images moves the place without blur;
+    it is removed to first order.
     """
     panel = planned.panel
     around = place + np.vstack([np.zeros(3), np.eye(3)])
@@ -126,7 +127,7 @@ def _blur_mm(true: Floats, believed: Floats, planned: ScanGeometry, place: Float
 
 
 def _judged(goal: Goal, views: range, sigma_mm: float, task: ViewTask, exposures: Floats) -> float:
-    """A goal with blur and exposures, where it depends on them."""
+    """Return the figure of a goal, with blur and exposures if it depends on them."""
     if isinstance(goal.measure, Detectability):
         assert task.detectability is not None
         sigma = sigma_mm / task.detectability.voxel_mm

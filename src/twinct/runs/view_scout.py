@@ -1,4 +1,4 @@
-"""Where the patient lies: a few scout views move a plan's prior to where they saw it."""
+"""Registration of a plan's prior to the patient, by a few scout views."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from twinct.scenario import Scenario
 from twinct.xray.build import effective_energy_kev
 
 VOXEL_MM = 2.0
-"""Voxels of the prior that is registered: those a plan takes are coarser."""
+"""Voxel size of the registered prior; a plan's prior is coarser."""
 
 AROUND_MM = 20.0
-"""How far the patient may lie beside the prior."""
+"""Margin around the prior for the patient's displacement."""
 
 FEWEST = 2
-"""Views: along the beam of a single one hardly anything is seen."""
+"""Smallest number of views: a single one hardly shows displacements along its beam."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scouted:
-    """Where scout views saw the patient.
+    """Pose of the patient, estimated from scout views.
 
     Attributes:
-        world_from_specimen: where the specimen lies.
-        moved_mm: how far its middle is from where the prior had it.
-        turned_deg: and how far it is turned.
-        views: how many scout views told it.
+        world_from_specimen: pose of the specimen.
+        moved_mm: displacement of its centre from the prior.
+        turned_deg: rotation from the prior.
+        views: number of scout views.
     """
 
     world_from_specimen: Pose
@@ -46,7 +46,7 @@ class Scouted:
 
     @property
     def overrides(self) -> list[str]:
-        """``KEY=VALUE`` that move the specimen of a scenario."""
+        """Changes ``KEY=VALUE`` that move a scenario's specimen to this pose."""
         position, degrees = self.world_from_specimen.to_euler()
         return [
             f"specimen.position_mm={position.tolist()}",
@@ -57,16 +57,16 @@ class Scouted:
 def scouted(scenario: Scenario, path: Path, progress: Progress) -> Scouted:
     """Register the specimen of a scenario, as one volume, to a scan of a few views.
 
-    Poses are those that the scan's first volume is made of, which are believed, not executed.
+    The poses are the scan's first geometry for reconstruction, normally the believed one.
 
     Args:
-        scenario: whose specimen is the prior; it may lie some centimetres and degrees off.
+        scenario: its specimen is the prior; it may be off by some centimetres and degrees.
         path: folder of a run, or its scan.zarr.
-        progress: hears how far it is.
+        progress: receives the progress.
 
     Raises:
-        InputError: no scan, too few views, or one of something else.
-        ScanExistsError: not all of its views were acquired yet.
+        InputError: no scan, too few views, or a scan of something else.
+        ScanExistsError: some views are not acquired yet.
     """
     scan = load_scan(path)
     if len(scan) < FEWEST:

@@ -1,4 +1,4 @@
-"""Planned views tried beside the scenario's own path: images, volumes, errors in the region."""
+"""Simulated trials of planned views and of the scenario's path: images, volumes, errors."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ FOLDER, PICTURE = "tried", "tried.png"
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What came of a set of views.
+    """Result of a set of views.
 
     Attributes:
-        error_rel: root mean square error in the task's region, of the reference's attenuation.
-        volume: of these views, (z, y, x).
-        truth: likewise.
+        error_rel: root mean square error in the task's region, relative to the reference's
+            attenuation.
+        volume: reconstruction of the views, (z, y, x).
+        truth: true volume, (z, y, x).
     """
 
     error_rel: float
@@ -40,14 +41,14 @@ class Trial:
 def trial(
     workshop: Workshop, geometry: ScanGeometry, mas: Floats | None, folder: Path, name: str
 ) -> Trial:
-    """Make images of views as by a gantry, and reconstruct them as the scenario says.
+    """Simulate images of views as by a gantry, and reconstruct them as the scenario states.
 
     Args:
-        workshop: of a scenario with a task; its specimen is built once for all trials.
+        workshop: workshop of a scenario with a task; its specimen is built once for all trials.
         geometry: the views.
-        mas: of each, (views,); None: the source's.
-        folder: keeps the scan, where a later call goes on.
-        name: of the scan.
+        mas: mAs of each view, (views,); None: the source's.
+        folder: folder of the scan, from which a later call continues.
+        name: name of the scan.
     """
     region, _, _ = _region(workshop.scenario)
     file, store = (folder / f"{name}{ending}" for ending in (".csv", ".zarr"))
@@ -68,16 +69,17 @@ def tried(
 ) -> dict[str, float]:
     """Try sets of views, and draw the volumes side by side in ``PICTURE``.
 
-    The scans are kept in ``FOLDER``, where a later call goes on.
+    The scans are stored in ``FOLDER``, from which a later call continues.
 
     Args:
-        workshop: of a scenario with a task.
+        workshop: workshop of a scenario with a task.
         views: the sets, by name, with the mAs of each view; None: the source's for all.
-        out: folder of both.
-        progress: hears how far it is.
+        out: folder that contains ``PICTURE`` and ``FOLDER``.
+        progress: receives the progress.
 
     Returns:
-        Root mean square error in the task's region, of the reference's attenuation, by name.
+        Root mean square error in the task's region, relative to the reference's attenuation, by
+        name.
     """
     scenario = workshop.scenario
     task = scenario.task
@@ -106,7 +108,7 @@ def tried(
 def _region(
     scenario: Scenario,
 ) -> tuple[NDArray[np.bool_], VolumeGrid, tuple[float, float, float]]:
-    """Voxels of the task's region, (z, y, x); the grid, and the region's middle in it, mm."""
+    """Return voxels of the task's region, (z, y, x), the grid, and the centre in its frame, mm."""
     task, grid = scenario.task, scenario.reconstruction.volume_grid
     assert task is not None
     place = scenario.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
@@ -117,7 +119,7 @@ def _region(
 
 
 def _of_gantry(scenario: Scenario, file: Path) -> Scenario:
-    """The scenario with the views of a file, and nothing that has to reach them."""
+    """Return the scenario with the views of a file and a gantry instead of arms."""
     told = scenario.model_dump(mode="json")
     told |= {"cell": {"kind": "gantry"}, "motion": {}, "task": None}
     told["trajectory"] = {"kind": "file", "path": str(file.resolve())}

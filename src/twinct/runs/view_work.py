@@ -1,4 +1,4 @@
-"""Pieces of a search for views, by other processes or this one: what comes back is the same."""
+"""Distribution of a search for views over processes, without influence on its results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twinct.pool import Place, Pool, map_over
 from twinct.scan import Workshop
 
 GB = 1.5
-"""Memory that a piece is taken to need at its peak, GB."""
+"""Assumed peak memory of a piece, GB."""
 
 Piece = TypeVar("Piece")
 Found = TypeVar("Found")
@@ -23,17 +23,18 @@ def spread(
     pieces: Iterable[Piece],
     pool: Pool | None,
 ) -> Iterator[Found]:
-    """``function(workshop, piece)`` of each piece, in their order.
+    """Yield ``function(workshop, piece)`` for each piece, in order.
 
     Args:
-        function: one that can be imported by its name.
-        workshop: whose scenario goes to the other processes, not what it has built.
-        pieces: cut alike whoever does them, as searches for configurations depend on it.
-        pool: who does them; None: this process, one after the other.
+        function: a function that can be imported by its name.
+        workshop: only its scenario is sent to the other processes, none of its built parts.
+        pieces: pieces of work, cut independently of the pool, as searches for configurations
+            depend on the cut.
+        pool: processes that do the work; None: this process, one piece after the other.
 
     Raises:
-        InputError: of the first piece that failed for bad input.
-        TwinctError: of the first that failed otherwise.
+        InputError: the first piece to fail had bad input.
+        TwinctError: the first piece to fail had another problem.
     """
     if pool is None:
         yield from (function(workshop, piece) for piece in pieces)
@@ -50,5 +51,5 @@ def _there(argument: tuple[bytes, Callable[[Workshop, Any], Any], Any], place: P
 
 @lru_cache(maxsize=1)
 def _workshop(scenario: bytes) -> Workshop:
-    """Built once by each worker."""
-    return Workshop(pickle.loads(scenario))  # of the process that started this one
+    """Build the workshop once in each worker."""
+    return Workshop(pickle.loads(scenario))  # safe: sent by the parent process

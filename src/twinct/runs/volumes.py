@@ -1,4 +1,4 @@
-"""From a scan to a volume, as the scenario says: any algorithm, checkpoints, observers."""
+"""Reconstruction of a scan as its scenario states: any algorithm, checkpoints, observers."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ from twinct.volume import Volume
 log = logging.getLogger(__name__)
 
 DARKEST = 1e-7
-"""Transmission taken for anything darker, so that a line integral stays finite (16.1)."""
+"""Lower limit of the transmission, which keeps line integrals finite (at most 16.1)."""
 
 
 def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
-    """-ln(I/I0) of each pixel, float32, same shape."""
+    """Return -ln(I/I0) of each pixel, float32, of the same shape."""
     darkest = np.float32(DARKEST)
     integrals = np.maximum(transmission, darkest)
     np.log(integrals, out=integrals)
@@ -70,21 +70,21 @@ def reconstruct(
     observers: Observers = (),
     **settings: Any,
 ) -> Volume:
-    """Reconstruct a scan as its scenario says, or otherwise.
+    """Reconstruct a scan as its scenario states, or with other settings.
 
     Args:
         scan: projections and poses.
-        algorithm: another than the scenario's, whose keys it takes over as far as it has them.
-        geometry: ``commanded``, ``executed``, ``believed`` or the name of a derived one; the
-            scenario's first where None.
+        algorithm: replaces the scenario's algorithm, and inherits the keys that both have.
+        geometry: ``commanded``, ``executed``, ``believed`` or the name of a derived geometry;
+            None: the scenario's first.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool. Bad pixels
-            never do, but for an algorithm that knows no mask.
-        checkpoints: folder in which each iteration is kept, and from which a later call with the
-            same projections, poses, mask and settings goes on; not of an algorithm that cannot.
-        watch: called after each iteration, also those of the call before, with its number from 1
-            and the root mean square of p - A x, taken during it before each update; not for
-            algorithms that have none.
-        observers: hear of each iteration, with its volume.
+            never count, unless the algorithm supports no mask.
+        checkpoints: folder for a checkpoint of each iteration. A later call with the same
+            projections, poses, mask and settings continues from it, if the algorithm can resume.
+        watch: called after each iteration, and for each iteration of a resumed call, with its
+            number from 1 and the root mean square of p - A x, taken before each update; not called
+            by algorithms without residuals.
+        observers: notified of each iteration, with its volume.
         **settings: other values of keys of the section ``reconstruction``, such as
             ``iterations=3`` or ``grid={"voxels": 64, "voxel_mm": 2.5}``.
 
@@ -93,8 +93,8 @@ def reconstruct(
 
     Raises:
         MissingExtraError: the algorithm is not installed.
-        InputError: the algorithm cannot do this scan or this mask, the poses make no geometry, or
-            the memory does not suffice.
+        InputError: the algorithm does not support the scan or the mask, the poses form no valid
+            geometry, or the memory is too small.
     """
     if algorithm is not None or settings:
         scan = replace(scan, scenario=_otherwise(scan.scenario, algorithm, settings))
@@ -199,7 +199,11 @@ def _grid_alone(
     pixels: NDArray[np.bool_] | None,
     audience: Audience,
 ) -> NDArray[np.float32]:
-    """Line integrals without what lies around the grid, by what an algorithm expects in it."""
+    """Remove the surroundings of the grid from line integrals.
+
+    An algorithm with ``expects`` predicts the volume in the grid; the surroundings are then removed
+    a second time, with this prediction.
+    """
     around, algorithm = section.around, algorithms()[section.algorithm]
     assert around is not None
 
@@ -221,7 +225,7 @@ def _grid_alone(
 
 
 def _counted(volume: Volume, section: Reconstruction, before: int) -> Volume:
-    """Where the section says when to stop: with the number of passes, those before it included."""
+    """Add the total number of passes to a volume's extras, if the section has a stop criterion."""
     if getattr(section, "stop", None) is None:
         return volume
     passes = before + volume.extras.get("passes", 0)
@@ -230,23 +234,23 @@ def _counted(volume: Volume, section: Reconstruction, before: int) -> Volume:
 
 
 def _good_pixels(scan: Scan, mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    """A mask without the bad pixels: what the detector filled them with is no measurement."""
+    """Exclude bad pixels from a mask: their filled-in values are no measurements."""
     if scan.bad_pixels is None:
         return mask
     good = ~scan.bad_pixels
     if mask is None:
         return good
     fits = mask.dtype == np.bool_ and mask.shape[-2:] == good.shape
-    return mask & good if fits else mask  # what does not is refused where it is used
+    return mask & good if fits else mask  # other masks are refused by the algorithm
 
 
 def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
-    """Bytes of each stage of a reconstruction at its peak, with what a run holds beside it."""
+    """Return the peak bytes of each stage of a reconstruction, with the run's other arrays."""
     section = scenario.reconstruction
     algorithm = algorithms()[section.algorithm]
     grid = section.volume_grid
     voxels, pixels = math.prod(grid.shape), len(views) * math.prod(views.panel.shape)
-    # Transmission and line integrals; the truth and its region, and the first of several volumes.
+    # Transmission and line integrals, the truth and its region, and the first of several volumes.
     held = 8 * pixels + 5 * voxels + (4 * voxels if len(section.geometries) > 1 else 0)
     stages: dict[str, int] = {}
     if section.beam_hardening is not None:
@@ -254,12 +258,12 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     if around := section.around:
         own = surroundings_bytes(views, grid, margin_mm=around.margin_mm, voxel_mm=around.voxel_mm)
         stages["surroundings"] = held + own
-        if algorithm.expects is not None:  # the first ones, the volume and its line integrals
+        if algorithm.expects is not None:  # plus first line integrals, volume and its projection
             stages["surroundings"] += 8 * pixels + 4 * voxels
     if section.metal is not None:
         stages["metal"] = held + metal_bytes(voxels, pixels)
     if isinstance(section.metal, KnownImplants):
-        # Measured and corrected integrals, and paths in the dense material, live beside them.
+        # Plus measured and corrected line integrals, and path lengths in the dense material.
         stages["implants"] = held + 12 * pixels + implant_bytes(voxels, pixels)
     stages[algorithm.name] = held + peak_bytes(
         algorithm, voxels, pixels, algorithm.extra_volumes(section)
@@ -268,11 +272,11 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
 
 
 def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
-    """Refuse before any work what the algorithm cannot do, or what does not fit into memory.
+    """Raise before any work if the algorithm cannot reconstruct the scan, or memory is too small.
 
     Raises:
-        InputError: an engine that is none, a grid behind a source, no circular scan for fdk, or a
-            prior that cannot be used; or too little memory, with what is needed and there.
+        InputError: an unknown engine, a grid behind a source, no circular scan for ``fdk``, or an
+            unusable prior; or too little memory, with the needed and the available amount.
     """
     asked_for()
     section = scenario.reconstruction
@@ -298,7 +302,7 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
 
 
 def _digest(scan: Scan, poses: ScanGeometry, mask: NDArray[np.bool_] | None) -> str:
-    """SHA-256 of all that a checkpoint comes from, the projections themselves included."""
+    """Return the SHA-256 of all inputs of a checkpoint, the projections included."""
     digest = hashlib.sha256(stage_digests(scan.scenario)["volume"].encode())
     arrays = (poses.source, poses.detector, poses.u, poses.v, scan.transmission)
     for array in arrays if mask is None else (*arrays, mask):
@@ -309,7 +313,7 @@ def _digest(scan: Scan, poses: ScanGeometry, mask: NDArray[np.bool_] | None) -> 
 
 @dataclass
 class _Follower:
-    """The callback of an algorithm: ticks, sums up residuals, keeps what each iteration made."""
+    """Callback of an algorithm: reports progress, sums up residuals, writes checkpoints."""
 
     tick: Callable[[], None]
     kept: _Checkpoints
@@ -338,13 +342,13 @@ class _Follower:
 
 @dataclass(frozen=True)
 class _Checkpoints:
-    """The newest iteration of a reconstruction, on disk."""
+    """Checkpoints of a reconstruction on disk; only the newest one is stored."""
 
     folder: Path | None
     name: str
 
     def newest(self, grid: VolumeGrid) -> tuple[int, NDArray[np.float32] | None, list[float]]:
-        """Iterations done, their volume and their residuals."""
+        """Return the number of finished iterations, their volume and their residuals."""
         for file in self._files():
             try:
                 with np.load(file) as content:
@@ -357,7 +361,7 @@ class _Checkpoints:
         return 0, None, []
 
     def keep(self, iterations: int, volume: NDArray[np.float32], residuals: list[float]) -> None:
-        """Write a checkpoint, then remove the ones before it."""
+        """Write a checkpoint, then remove the older ones."""
         if self.folder is None:
             return
         with storage_errors(self.folder):

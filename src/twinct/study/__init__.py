@@ -1,4 +1,4 @@
-"""Studies: many scans from one file, each thing done once, safe against any death."""
+"""Studies: many scans from one file, without duplicate work, and resumable after any failure."""
 
 from twinct.study.design import Design, Trial, load_study
 from twinct.study.driver import Tally

@@ -1,4 +1,4 @@
-"""What trials of each kind took on this machine, for estimates."""
+"""Statistics of the time and size of trials on this machine, for estimates."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Book:
     """Mean seconds and bytes by kind of work, over all studies of this user on this machine.
 
     Attributes:
-        path: its file; ``$XDG_CACHE_HOME/twinct/study.json``.
-        entries: by kind: how many were counted, and the mean.
+        path: its file, ``$XDG_CACHE_HOME/twinct/study.json``.
+        entries: number of values and their mean, by kind.
     """
 
     path: Path
@@ -27,7 +27,7 @@ class Book:
 
     @classmethod
     def open(cls) -> Book:
-        """Read it; an empty one where there is none, or no readable one: it only helps."""
+        """Read the book; return an empty one if the file is absent or unreadable."""
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         path = Path(base) / "twinct" / "study.json"
         try:
@@ -38,17 +38,17 @@ class Book:
         return cls(path, entries)
 
     def add(self, kind: str, value: float) -> None:
-        """Count one more; older ones count for no more than twenty."""
+        """Add a value to the mean; all earlier values together weigh at most twenty."""
         number, mean = self.entries.get(kind, (0, 0.0))
         number = min(number, 20)
         self.entries[kind] = number + 1, mean + (value - mean) / (number + 1)
 
     def mean(self, kind: str) -> float | None:
-        """Of a kind; None: it has not been counted here."""
+        """Return the mean of a kind; None if it has no values."""
         return self.entries[kind][1] if kind in self.entries else None
 
     def write(self) -> None:
-        """Keep it where that is possible: no study shall fail for its estimates."""
+        """Write the book; only log a failure, as no study should fail for its estimates."""
         told = {kind: list(entry) for kind, entry in self.entries.items()}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""All trials of a study looked at before the first starts: what each needs, and what is wrong."""
+"""Checks of all trials of a study before the first one starts, with their costs."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from twinct.study.design import Design, Trial
 from twinct.study.figures import figure_names
 
 MOST_PROBLEMS = 20
-"""Problems that are told at a time."""
+"""Number of problems after which checking stops."""
 
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A trial that can be tried.
+    """A valid trial.
 
     Attributes:
-        trial: which.
-        key: hex digest that identifies it, whatever its number.
+        trial: the trial.
+        key: hex digest that identifies it, independent of its number.
         scan: digest of its scan.
-        volume: digests of its volume and of what is believed of its poses, and what is measured:
-            trials may have all of it in common, and then all figures.
-        cost: of what kind it is; trials of a kind take alike.
+        volume: digests of its volume and its believed poses, and its section ``evaluation``; trials
+            with equal values have equal figures.
+        cost: its kind of cost; trials of one kind take similar resources.
     """
 
     trial: Trial
@@ -45,12 +45,12 @@ class Checked:
 
 @dataclass(frozen=True)
 class Cost:
-    """What trials of one kind take.
+    """Resources of one kind of trials.
 
     Attributes:
-        scan: what the kind of scan is called in the book of seconds.
-        rest: the same of all that comes after.
-        stages: of a run of this kind.
+        scan: name of the kind of scan in the book.
+        rest: name of the kind of all later stages in the book.
+        stages: needs of each stage of a run.
     """
 
     scan: str
@@ -59,33 +59,33 @@ class Cost:
 
     @property
     def memory_bytes(self) -> int:
-        """At the peak."""
+        """Peak memory."""
         return max(need.memory_bytes for need in self.stages.values())
 
     @property
     def scan_bytes(self) -> int:
-        """Of its scan on disk."""
+        """Size of the scan on disk."""
         return self.stages["views"].disk_bytes
 
     @property
     def volume_bytes(self) -> int:
-        """Of its volume on disk."""
+        """Size of the volume on disk."""
         return self.stages["reconstruction"].disk_bytes
 
 
 @dataclass
 class Checker:
-    """Checks trials of a design; remembers what they have in common."""
+    """Checker of the trials of a design; caches costs and materials."""
 
     design: Design
     costs: dict[str, Cost] = field(default_factory=dict[str, Cost])
     materials: dict[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
     def checked(self, trials: Iterable[Trial], progress: Progress = SILENT) -> list[Checked]:
-        """All trials, each a scenario that can be had.
+        """Check trials, and return all of them with their costs.
 
         Raises:
-            InputError: with a sentence for each problem, the first twenty of them.
+            InputError: one sentence for each problem, for about the first twenty.
         """
         found: list[Checked] = []
         problems: dict[str, Trial] = {}
@@ -137,10 +137,10 @@ class Checker:
         return f"{place + ': ' if place else ''}figure {name!r}: no trial has it; {hint}"
 
     def _check_materials(self, scenario: Scenario) -> None:
-        """Refuse materials that nobody knows; each is looked up once.
+        """Raise if a material is unknown; look up each material once.
 
         Raises:
-            SpecimenError: with a sentence for each.
+            SpecimenError: one sentence for each unknown material.
         """
         problems: list[str] = []
         for index, part in enumerate(scenario.specimen.parts):
@@ -157,10 +157,10 @@ class Checker:
             raise SpecimenError(problems)
 
     def one(self, trial: Trial) -> Checked:
-        """A trial that a search came upon.
+        """Return a single trial of a search with its cost.
 
         Raises:
-            ScenarioError: it is no scenario.
+            ScenarioError: the scenario is invalid.
         """
         return self._checked(trial, self.design.scenario(trial))
 
@@ -188,8 +188,8 @@ class Checker:
 
 
 def trial_key(volume: str, trial: Trial) -> str:
-    """What identifies a trial, whatever its number: digest of its volume, and what it changes."""
-    changes = {  # files count by what is in them, and by their names, wherever they lie
+    """Return the digest of a trial's volume and its changes, independent of its number."""
+    changes = {  # files count by content (in the volume's digest) and name, not by folder
         key: Path(value).name if key.rpartition(".")[2] in FILE_KEYS else value
         for key, value in trial.changes.items()
     }
@@ -198,7 +198,7 @@ def trial_key(volume: str, trial: Trial) -> str:
 
 
 def progressed(trials: Iterable[Trial], progress: Progress) -> Iterator[Trial]:
-    """The same trials, told of as a stage."""
+    """Yield the trials, and report the progress as a stage."""
     listed = list(trials)
     with progress.stage("check of all trials", len(listed)) as step:
         for trial in listed:

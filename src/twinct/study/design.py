@@ -1,4 +1,4 @@
-"""From a study file to its trials: which keys of the scenario each of them changes."""
+"""Design of a study: its trials, and the keys of the scenario that each of them changes."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Trial:
     """One scenario of a study.
 
     Attributes:
-        number: in the study's order, from 0.
-        axes: value of each axis by its label; None where it does not apply.
-        changes: dotted keys of the scenario and what they are set to, in this order.
-        seed: of the repetition; None where there are none.
+        number: number in the study's order, from 0.
+        axes: value of each axis by its label; None for an axis that does not apply.
+        changes: dotted keys of the scenario and their new values, in order of application.
+        seed: seed of the repetition; None without repetitions.
     """
 
     number: int
@@ -42,7 +42,7 @@ class Trial:
     seed: int | None = None
 
     def __str__(self) -> str:
-        """What it is called in messages."""
+        """Return its name in messages."""
         told = [f"{label} = {value}" for label, value in self.axes.items() if value is not None]
         told += [] if self.seed is None else [f"seed {self.seed}"]
         return f"trial {self.number}" + (f" ({', '.join(told)})" if told else "")
@@ -50,7 +50,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Choice:
-    """One value of an axis: what it sets, and what tables say."""
+    """One value of an axis: its changes to the scenario, and its labels in tables."""
 
     changes: Mapping[str, Any]
     labels: Mapping[str, Any]
@@ -58,14 +58,14 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A study with its scenario, read and ready to be tried.
+    """A study with its scenario, ready to run.
 
     Attributes:
-        study: the file's sections.
-        template: the scenario, with what the study sets in all trials.
-        places: who set each key that is varied, in the words of a message.
-        text: the file as it was written, or as YAML would have it.
-        folder: what its files are relative to.
+        study: sections of the study file.
+        template: the scenario, with the study's changes to all trials.
+        places: origin of each varied key, for messages.
+        text: text of the file, or the plain data as JSON, which is YAML, too.
+        folder: folder to which files are relative.
     """
 
     study: Study
@@ -76,31 +76,31 @@ class Design:
 
     @cached_property
     def choices(self) -> tuple[tuple[Choice, ...], ...]:
-        """What each axis may set."""
+        """Possible values of each axis."""
         return tuple(tuple(_choices(axis, self.folder)) for axis in self.study.axes)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What tables call the axes."""
+        """Names of the axes in tables."""
         if self.study.search:
             return tuple(dimension.name for dimension in self.study.search.keys)
         return tuple(label for axis in self.study.axes for label in _labels(axis))
 
     @property
     def seeds(self) -> tuple[int | None, ...]:
-        """Seeds of the repetitions; one None where there are none."""
+        """Seeds of the repetitions; a single None without repetitions."""
         again = self.study.repetitions
         return tuple(range(again.first, again.first + again.number)) if again else (None,)
 
     def trials(self) -> Iterator[Trial]:
-        """All trials of the axes; the last axis, then the seed, changes fastest."""
+        """Iterate over all trials of the axes; the seed changes fastest, then the last axis."""
         return itertools.chain.from_iterable(
             self.repeated(index * len(self.seeds), choice)
             for index, choice in enumerate(self._crossed(Choice({}, {}), 0))
         )
 
     def repeated(self, first: int, choice: Choice) -> Iterator[Trial]:
-        """The trials of one combination, one for each seed; numbered from ``first``."""
+        """Yield the trials of one combination, one for each seed, numbered from ``first``."""
         again = self.study.repetitions
         for number, seed in enumerate(self.seeds, first):
             seeds = dict.fromkeys(again.keys, seed) if again else {}
@@ -108,15 +108,15 @@ class Design:
             yield Trial(number, labels, {**choice.changes, **seeds}, seed)
 
     def at(self, *sections: str) -> str:
-        """Beginning of a message: the place of the first of these sections that the file has."""
+        """Return the prefix of a message: the origin of the first section that the file has."""
         found = next((self.places[name] for name in sections if name in self.places), "")
         return found and f"{found}: "
 
     def scenario(self, trial: Trial) -> Scenario:
-        """What a trial runs.
+        """Return the scenario of a trial.
 
         Raises:
-            ScenarioError: as ``load_scenario`` does.
+            ScenarioError: see ``load_scenario``.
         """
         return self.template.varied(trial.changes, self.places)
 
@@ -136,7 +136,7 @@ class Design:
             )
 
     def _value(self, key: str, so_far: Choice) -> Any:
-        """What a key has after the changes so far; the default where nothing sets it."""
+        """Return the value of a key after the changes so far, or else its default."""
         for setter, value in reversed([*so_far.changes.items()]):
             if setter == key:
                 return value
@@ -146,21 +146,21 @@ class Design:
 
     @cached_property
     def defaults(self) -> Any:
-        """All keys of the scenario before anything is varied, as far as that is a whole one."""
+        """All keys of the scenario before variation; without defaults if it is incomplete."""
         try:
             return self.template.varied({}, {}).model_dump(mode="json")
-        except ScenarioError:  # not complete without the axes
+        except ScenarioError:  # incomplete without the axes
             return self.template.data
 
 
 def load_study(source: str | Path | Mapping[str, Any]) -> Design:
-    """Read and validate a study; its trials are checked by ``check_trials``.
+    """Read and validate a study; ``Checker`` checks its trials.
 
     Args:
-        source: YAML file, or plain data, from which files are relative to the working folder.
+        source: YAML file, or plain data, whose files are relative to the working folder.
 
     Raises:
-        InputError: with one sentence for each problem, naming key, value and origin.
+        InputError: one sentence for each problem, with key, value and origin.
     """
     if isinstance(source, Mapping):
         draft, folder = Draft(dict(source)), Path.cwd()
@@ -186,7 +186,7 @@ def load_study(source: str | Path | Mapping[str, Any]) -> Design:
 
 
 def _template(study: Study, draft: Draft) -> Template:
-    """Its scenario; one that stands in the study's file knows the lines of its keys there."""
+    """Read the study's scenario; an inline scenario keeps the line numbers of its keys."""
     if isinstance(study.scenario, dict):
         read = Template.read(study.scenario)
         lines = {key[1:]: at for key, at in draft.origins.items() if key[:1] == ("scenario",)}
@@ -226,7 +226,7 @@ def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
     if many := [f"{name} has {n}" for name, n in numbers.items() if n > study.max_trials]:
         place = design.at("max_trials", "axes", "repetitions")
         yield f"{place}more than {study.max_trials} trials (max_trials): {', '.join(many)}"
-        return  # they would be made to be counted
+        return  # the checks below would generate all values
     for index, axis in enumerate(study.axes):
         numbers = {part.name: len(list(_values(part))) for part in axis.paired or ()}
         if len(set(numbers.values())) > 1:
@@ -277,7 +277,7 @@ def _values(axis: Axis) -> Iterable[Any]:
             numbers = np.geomspace(span.first, span.last, span.number)
         else:
             numbers = np.linspace(span.first, span.last, span.number)
-        # Twelve digits: 0.3, where the step's rounding would give 0.30000000000000004.
+        # Twelve digits remove rounding errors of the step, such as 0.30000000000000004.
         found = [float(f"{number:.12g}") for number in numbers]
         return dict.fromkeys(round(x) for x in found) if span.whole else found
     draw = axis.draw
@@ -291,7 +291,7 @@ def _values(axis: Axis) -> Iterable[Any]:
 
 
 def _told(value: Any) -> Any:
-    """A value as a table holds it: a list or section becomes its JSON, a file its name."""
+    """Return a value as a table holds it: lists and sections as JSON, others unchanged."""
     return json.dumps(value) if isinstance(value, (list, dict)) else value
 
 
@@ -303,7 +303,7 @@ def _named(folder: Path, name: str) -> str:
 
 
 def _absolute(key: str, value: Any, folder: Path) -> Any:
-    """Files of the study are relative to it."""
+    """Return a value with its file names made absolute, relative to the study's folder."""
     if is_mapping(value):
         return {name: _absolute(name, inner, folder) for name, inner in value.items()}
     if is_list(value):

@@ -1,4 +1,4 @@
-"""Runs a study: gives trials to a pool, each thing once, and journals what comes back."""
+"""Execution of a study on a pool: trials without duplicates, their results in the journal."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from twinct.study.taking import START, Errand, scan_name, take_scan, try_trial
 log = logging.getLogger(__name__)
 
 _SCAN = "scan "
-"""How keys of work that takes a shared scan begin."""
+"""Prefix of the keys of work that acquires a shared scan."""
 
 
 @dataclass(frozen=True)
 class Tally:
-    """How far a study is.
+    """Progress of a study.
 
     Attributes:
-        done: trials that came to their end, those of before included.
-        failed: trials that cannot be had.
-        running: trials and scans that the pool has.
-        total: trials of the study.
-        left_s: seconds until the end, as far as it can be told.
+        done: number of finished trials, earlier runs included.
+        failed: number of failed trials.
+        running: number of trials and scans that the pool works on.
+        total: number of trials of the study.
+        left_s: estimated seconds until the end; None before the first result.
     """
 
     done: int
@@ -52,11 +52,11 @@ class Driver:
 
     Attributes:
         design: the study.
-        folder: its own.
-        rows: its journal.
-        pool: what works.
-        tell: hears of each change.
-        total: trials of the study, as far as they are known.
+        folder: folder of the study.
+        rows: rows of its journal.
+        pool: workers of the study.
+        tell: called at each change.
+        total: number of trials of the study, as far as they are known.
     """
 
     design: Design
@@ -75,14 +75,14 @@ class Driver:
         self._scans: dict[str, _SharedScan] = {}
         self._twins: dict[str, list[Checked]] = {}
         self._running = 0
-        self._slots = 1  # of the pool when it was last given work: it may be closed by now
+        self._slots = 1  # cached, as the pool may be closed when it is needed
 
     def run(self, trials: Sequence[Checked], *, retry: bool = False) -> None:
-        """Try those of some trials that have no row yet; each has one when this returns.
+        """Run all trials that have no row yet; on return, each trial has a row.
 
         Args:
-            trials: which.
-            retry: try failed ones again.
+            trials: the trials.
+            retry: run failed trials again.
 
         Raises:
             TwinctError: the pool is lost, or the folder cannot be written.
@@ -102,7 +102,7 @@ class Driver:
         self._book.write()
 
     def _works(self, trials: Sequence[Checked], released: deque[Checked]) -> Iterator[Work | None]:
-        """What the pool shall do next; None while all that is left waits for scans."""
+        """Yield the next work for the pool, or None while all remaining trials wait for scans."""
         waiting = iter(trials)
         while True:
             one = released.popleft() if released else next(waiting, None)
@@ -117,7 +117,7 @@ class Driver:
                 return
 
     def _without_twins(self, trials: Sequence[Checked], retry: bool) -> list[Checked]:
-        """One trial of each volume that is not there; the others get its figures in the end."""
+        """Return one trial for each new volume; the other trials get its figures later."""
         wanted = [one for one in trials if self.rows.wanted(one.key, retry=retry)]
         if self.design.study.keep == "everything" or not wanted:
             return wanted
@@ -135,7 +135,7 @@ class Driver:
         return firsts
 
     def _share(self, trials: Sequence[Checked]) -> None:
-        """Find the scans that several trials have in common."""
+        """Register the scans that several trials share, and offer existing ones to the pool."""
         search = self.design.study.search
         keys = [key for d in search.keys for key in d.keys] if search else []
         later = bool(keys) and not any({*readers(key)} & _BEFORE_IMAGES for key in keys)
@@ -149,7 +149,7 @@ class Driver:
                     self.pool.offer(scan_name(digest), kept)
 
     def _work(self, one: Checked) -> Work | None:
-        """What a trial asks for now; None where that is another's to bring, or has failed."""
+        """Return the next work of a trial; None if it waits for a scan, or the scan has failed."""
         shared = self._scans.get(one.scan)
         if shared is None or shared.there:
             return self._trial_work(one, shared is not None)
@@ -171,9 +171,9 @@ class Driver:
         return Work(one.key, try_trial, errand, one.cost.memory_bytes, tuple(names))
 
     def errand(self, one: Checked, *, shared: bool) -> Errand:
-        """A trial as it travels; ``shared``: its scan is another trial's, too."""
+        """Return a trial in the form sent to workers; ``shared``: other trials use its scan."""
         scenario: Scenario = self.design.scenario(one.trial)
-        told = str(one.trial).partition(" (")[2].removesuffix(")")  # its number may become another
+        told = str(one.trial).partition(" (")[2].removesuffix(")")  # its number may change
         name = f"{self.design.study.name}: {told}" if told else self.design.study.name
         scenario = scenario.model_copy(update={"name": name})
         return Errand(
@@ -187,7 +187,7 @@ class Driver:
         )
 
     def _scanned(self, digest: str, event: Done | Failed) -> list[Checked]:
-        """Trials that may go on now that their scan is there; none if it has failed."""
+        """Store a shared scan and return the trials that waited for it; none if it failed."""
         shared = self._scans[digest]
         waiting, shared.waiting = shared.waiting, []
         if isinstance(event, Failed):
@@ -225,7 +225,7 @@ class Driver:
             self._leave(one)
 
     def book_around(self, wall_s: float) -> None:
-        """Count what a study takes beside its trials: start of workers, table, page."""
+        """Book the time of a study beside its trials: start of workers, table, page."""
         if self._ended:
             book = Book.open()
             busy_s = self._busy_s / min(self._slots, self._ended)
@@ -237,7 +237,7 @@ class Driver:
         self._book.add(kind, seconds)
 
     def _count_trial(self, one: Checked, event: Done, kept: Path | None) -> None:
-        """Count seconds and bytes of a trial; those of a scan that it took itself apart."""
+        """Book seconds and bytes of a trial; count its own scan separately."""
         spent, scan_s = event.value["seconds"], 0.0
         if one.scan not in self._scans:
             scan_s = sum(spent.get(stage, 0.0) for stage in _SCAN_STAGES)
@@ -270,7 +270,7 @@ class Driver:
                 del self._scans[one.scan]
 
     def say(self) -> None:
-        """Tell how far it is."""
+        """Report the progress."""
         counts = Counter(self.rows.status.values())
         left, running = self.total - len(self.rows.status), min(self._running, self._slots)
         spent = time.monotonic() - self._began
@@ -281,19 +281,19 @@ class Driver:
 _BEFORE_IMAGES = {"surface", "plan", "executed", "images"}
 _OF_SCAN = ("specimen", "plan", "views")
 _SCAN_STAGES = ("scan", "plan", "motion", "xray", "storing", "link")
-"""Stages whose seconds are of a scan; all but the first two as ``twinct.run`` tells them."""
+"""Stages that belong to a scan; all but the first two are stages of ``twinct.run``."""
 
 
 @dataclass
 class _SharedScan:
-    """A scan that several trials have in common.
+    """A scan that several trials share.
 
     Attributes:
-        wanted: trials that have not ended yet.
-        there: whether it has been taken.
-        waiting: trials that go on once it is there.
-        failed: why it cannot be taken.
-        seconds: that it took, until a row tells of them.
+        wanted: number of trials that have not ended yet.
+        there: True once the scan is stored.
+        waiting: trials that wait for the scan.
+        failed: failure of the scan, if any.
+        seconds: seconds of the scan, until they are assigned to a row.
     """
 
     wanted: int = 0
@@ -303,6 +303,6 @@ class _SharedScan:
     seconds: dict[str, float] = field(default_factory=dict[str, float])
 
     def take_seconds(self) -> dict[str, float]:
-        """The seconds, once."""
+        """Return the seconds, and clear them so that they count once."""
         found, self.seconds = self.seconds, {}
         return found

@@ -1,4 +1,4 @@
-"""What a study will take, told before it is run."""
+"""Estimates of the time and disk space of a study, before it runs."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ ROW_BYTES = 2_000
 TABLE_BYTES = 30_000
 SECTIONS_BYTES = 100_000
 PAGE_BYTES = 150_000
-"""Taken until one was written here."""
+"""Sizes that are assumed until the book has values of this machine."""
 
 BYTES_IN_TABLE = 250
-"""Of a row in the table of results: columns are compressed, and have a size of their own."""
+"""Bytes of a row in the table of results; the columns' fixed size is ``TABLE_BYTES``."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a study will take.
+    """Estimated resources of a study.
 
     Attributes:
-        trials: that are still to be tried.
-        scans: among them, each taken once.
-        disk_bytes: in its folder, in the end.
-        seconds: wall-clock; None where no trial of one of its kinds has run on this machine.
-        measured: whether trials of all its kinds were run on this machine; else the bytes are
-            those of files that nothing compresses.
+        trials: number of trials still to run.
+        scans: number of different scans among them.
+        disk_bytes: final size of their results in the folder.
+        seconds: wall-clock time; None if a kind of trial has never run on this machine.
+        measured: True if all kinds of trials have run on this machine; else the sizes assume
+            uncompressed files.
     """
 
     trials: int
@@ -44,17 +44,17 @@ class Estimate:
 
 
 def estimate(study: Study, trials: Sequence[Checked], workers: int, book: Book) -> Estimate:
-    """Of the trials that are still to be tried, by so many workers."""
+    """Estimate the resources of the trials still to run, with a number of workers."""
     whole = study.keep == "everything"
     numbers = Counter(one.scan for one in trials)
     first = {one.scan: one for one in trials}
-    # Trials with one volume have it once.
+    # Trials that share a volume reconstruct it once.
     tried = trials if whole else list({one.volume: one for one in trials}.values())
     seconds: list[float | None] = [book.mean(one.cost.scan) for one in first.values()]
     seconds += [book.mean(one.cost.rest) for one in tried]
     known = [s for s in seconds if s is not None]
     kept = [one for digest, one in first.items() if whole or numbers[digest] > 1]
-    # Hard links: a scan that is kept in a trial's folder, too, takes its bytes once.
+    # Trial folders hold shared scans as hard links, so each scan's bytes count once.
     size = sum(_mean(book, f"{one.cost.scan} bytes", one.cost.scan_bytes) for one in kept)
     size += len(trials) * (_mean(book, "row bytes", ROW_BYTES) + BYTES_IN_TABLE)
     if study.keep != "figures":
@@ -76,17 +76,17 @@ def estimate(study: Study, trials: Sequence[Checked], workers: int, book: Book) 
 
 
 def page_kind(study: Study) -> str:
-    """What pages of studies like this are called in the book."""
+    """Return the name of the kind of a study's page in the book."""
     return f"page {len(study.axes)} {len(study.figures)} bytes"
 
 
 def page_parts(combinations: int) -> int:
-    """Into how many parts of about one size a page goes: its best trials; trends take little."""
+    """Return the number of similar-sized parts of a page: its best trials; trends are small."""
     return max(min(combinations, MOST_SHOWN), 1)
 
 
 def bytes_below(paths: Iterable[Path]) -> int:
-    """Of all files in folders, and files; one with several names (hard links) counts once."""
+    """Return the total size of files, also in folders; hard links of one file count once."""
     files = (file for path in paths for file in ([path] if path.is_file() else path.rglob("*")))
     told = (file.stat() for file in files if file.is_file())
     return sum({(one.st_dev, one.st_ino): one.st_size for one in told}.values())

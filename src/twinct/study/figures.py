@@ -1,4 +1,4 @@
-"""The figures of a trial: numbers by dotted name, as ``metrics.json`` nests them."""
+"""Figures of a trial: numbers by dotted name, which follows the nesting of ``metrics.json``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OF_IMAGE = (
 
 
 def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    """What depends on the scenario alone: no seconds, no digests."""
+    """Return the figures that depend on the scenario alone, without seconds and digests."""
     found: dict[str, float | None] = {}
     for name in (*_IMAGES, *_SECTIONS, *_WITH_ARMS):
         if name in metrics:
@@ -32,7 +32,7 @@ def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def figure_names(scenario: Scenario) -> tuple[str, ...]:
-    """The figures that a trial of a scenario will have."""
+    """Return the names of the figures that a trial of a scenario will have."""
     asked = scenario.evaluation
     of_image = [*_OF_IMAGE, *(named_figures(asked) if asked else ())]
     names = [f"image.{name}" for name in of_image]

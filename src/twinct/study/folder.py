@@ -1,4 +1,4 @@
-"""The folder of a study, and whose it is."""
+"""Folder of a study: paths of its files, and its identity."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ FORMAT = "twinct study 1"
 
 @dataclass(frozen=True)
 class StudyFolder:
-    """Where a study keeps what it has.
+    """Paths of all files of a study.
 
     Attributes:
         path: the folder.
         study: the study's file, as it was last run.
-        identity: which study it is.
+        identity: name and digest that identify the study.
         journal: a line for each trial that ended.
-        results: the table made from that.
-        page: the same for people.
-        log: tracebacks, and what else happened.
+        results: the table of results, made from the journal.
+        page: the results as a web page.
+        log: the log, with tracebacks.
         lock: held by the process that runs the study.
-        scans: those that several trials share.
-        trials: what is kept of each.
-        best: cross-sections of the best.
-        inputs: descriptions of arms, with all that belongs to them.
-        work: where workers of this machine work.
+        scans: scans that several trials share.
+        trials: stored volumes or folders of the trials.
+        best: cross-sections of the best trials.
+        inputs: descriptions of arms, with all files that they include.
+        work: working folder of this machine's workers.
     """
 
     path: Path
@@ -53,11 +53,11 @@ class StudyFolder:
     work = Below("work")
 
     def check(self, design: Design, *, resume: bool) -> None:
-        """Make sure that a study may be run here.
+        """Check that a study may run in the folder.
 
         Raises:
-            InputError: the folder holds something else, or another study.
-            ScanExistsError: it holds this study, and ``resume`` is false.
+            InputError: the folder holds other files, or another study.
+            ScanExistsError: the folder holds this study, and ``resume`` is false.
         """
         own = names_below(StudyFolder)
         check_folder(self.path, {*own, *(draft_of(Path(name)).name for name in own)})
@@ -77,11 +77,11 @@ class StudyFolder:
 
     @property
     def name(self) -> str:
-        """What the study is called among all others: as before, or a new name."""
+        """Unique name of the study: the stored one, or else a new one."""
         return self._there()["id"] if self.identity.exists() else uuid.uuid4().hex[:12]
 
     def claim(self, design: Design, name: str) -> None:
-        """Write down whose folder it is; ``check`` has been asked."""
+        """Write the study's identity and file; call ``check`` first."""
         if not self.identity.exists():
             told = {**_identity(design), "id": name, "name": design.study.name}
             write_json(self.identity, told)
@@ -98,7 +98,7 @@ class StudyFolder:
 
 
 def _identity(design: Design) -> dict[str, Any]:
-    """What must not change: the scenario before anything is varied, and what is kept."""
+    """Return the parts that must not change: the scenario before variation, and ``keep``."""
     data = {k: v for k, v in design.template.data.items() if k not in ("name", "description")}
     base = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()
     return {"format": FORMAT, "base": base, "keep": design.study.keep}

@@ -1,4 +1,4 @@
-"""Files that scenarios name, offered to a pool by their content."""
+"""Input files of scenarios, offered to a pool by their content."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from twinct.scenario.digests import content_digest
 
 
 class Inputs:
-    """What the scenarios of a study name; each content is offered once.
+    """Input files of a study's scenarios, each offered once.
 
     Args:
-        folder: where files are put together that belong to one description of an arm.
+        folder: folder in which the files of one arm's description are collected.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -25,7 +25,7 @@ class Inputs:
         self._known: dict[Path, tuple[str, str]] = {}
 
     def offered(self, scenario: Scenario, pool: Pool) -> Mapping[str, tuple[str, str]]:
-        """By key: the name under which a content is offered, and where in it the file is.
+        """Offer a scenario's files; return offered name and path inside the offer, by key.
 
         Raises:
             OSError: a file cannot be read.
@@ -42,7 +42,7 @@ class Inputs:
         return found
 
     def _arm(self, path: Path, name: str) -> tuple[Path, str]:
-        """A folder with all that an arm's description includes, and where in it that is."""
+        """Collect an arm's description and its includes; return their folder and its main file."""
         files = [file.absolute() for file in read_arm_xml(path, str(path)).files]
         common = Path(os.path.commonpath([file.parent for file in files]))
         folder = self._folder / name

@@ -1,4 +1,4 @@
-"""The journal of a study: a line for each trial that ended, safe as soon as it is written."""
+"""Journal of a study: a line for each trial that ended, synced to disk when it is written."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ Status = Literal["done", "failed"]
 
 @dataclass(frozen=True)
 class Row:
-    """What became of one trial.
+    """Result of one trial.
 
     Attributes:
         trial: its number in the study's order.
-        key: hex digest that identifies the trial, whatever its number.
-        axes: value on each axis, by the axis's label; None where an axis does not apply.
-        seed: of the repetition.
+        key: hex digest that identifies the trial, independent of its number.
+        axes: value on each axis, by the axis's label; None for an axis that does not apply.
+        seed: seed of the repetition.
         status: "done" or "failed".
-        figures: by dotted name, such as "pose_error.source.position_mm.mean"; None where a figure
-            is not finite.
-        seconds: of each stage.
-        message: why it failed.
+        figures: figures by dotted name, such as "pose_error.source.position_mm.mean"; None for a
+            figure that is not finite.
+        seconds: seconds of each stage.
+        message: reason of a failure.
         kind: class of the error.
         scan: digest of the scan that it used.
-        report: path of its report or folder, relative to the study's folder; empty: none.
-        current: whether the study names it still; what was left out of it is kept, and comes back
-            when it is named again.
+        report: path of its report or volume, relative to the study's folder; empty: none.
+        current: True if the study still has the trial; rows of removed trials are retained, and
+            become current again with their trial.
     """
 
     trial: int
@@ -56,7 +56,7 @@ class Row:
     current: bool = True
 
     def to_json(self) -> str:
-        """One line of strict JSON, without its end."""
+        """Return the row as one line of strict JSON, without a newline."""
         told = vars(self) | {
             "figures": {
                 name: value if value is not None and math.isfinite(value) else None
@@ -67,10 +67,10 @@ class Row:
 
     @classmethod
     def from_json(cls, line: str) -> Row:
-        """Read what ``to_json`` wrote; names that rows have in common are held once.
+        """Read a line of ``to_json``; names are interned, as many rows share them.
 
         Raises:
-            ValueError: it is something else.
+            ValueError: the line is no row.
         """
         told = json.loads(line)
         if not isinstance(told, dict):
@@ -93,20 +93,20 @@ _FIELDS = {field.name for field in fields(Row)}
 
 
 class Journal:
-    """Rows in a file that only grows; one process appends, others may read meanwhile.
+    """Rows in an append-only file; one process appends while others may read.
 
-    What a killed writer left of a line is no row: it is not read, and removed before the next
-    row is written.
+    An incomplete last line, left by a killed writer, is not read, and removed before the next row
+    is written.
     """
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / NAME
 
     def append(self, rows: Iterable[Row]) -> None:
-        """Write rows; they are on the disk when it returns.
+        """Write rows, and return when they are on the disk.
 
         Raises:
-            StorageError: they cannot be written.
+            StorageError: the rows cannot be written.
         """
         lines = "".join(row.to_json() + "\n" for row in rows).encode()
         new = not self.path.exists()
@@ -119,18 +119,18 @@ class Journal:
             _sync_folder(self.path.parent)
 
     def rows(self) -> list[Row]:
-        """The last row of each trial that the study names, by its number.
+        """Return the last row of each current trial, sorted by number.
 
         Raises:
-            InputError: a line is broken; it names file and line.
+            InputError: a line is broken; names file and line.
         """
         return [row for row in self.all_rows() if row.current]
 
     def all_rows(self) -> list[Row]:
-        """The same with trials that were left out since; none before the first is written.
+        """Return the last row of each trial, removed trials included; none without a file.
 
         Raises:
-            InputError: a line is broken; it names file and line.
+            InputError: a line is broken; names file and line.
         """
         found: dict[str, Row] = {}
         try:
@@ -152,7 +152,7 @@ class Journal:
         return sorted(found.values(), key=lambda row: (row.trial, row.key))
 
     def whole_bytes(self) -> int:
-        """Size of all lines that are complete; a larger one tells that rows came after.
+        """Return the size of all complete lines; it grows with each row.
 
         Raises:
             OSError: there is no journal, or it cannot be read.
@@ -170,7 +170,7 @@ def _whole_bytes(descriptor: int) -> int:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Keep the name of a new file, too, when the power fails."""
+    """Sync a folder, so that a new file's name survives a power failure, too."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,4 +1,4 @@
-"""The page of a study, from its rows."""
+"""Page of a study, made from its rows."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from twinct.study.settings import Axis
 def write_page(
     folder: StudyFolder, design: Design, rows: Sequence[Row], total: int, wall_seconds: float
 ) -> None:
-    """Write ``study.html`` of what has ended so far.
+    """Write ``study.html`` with all trials that have ended.
 
     Raises:
-        StorageError: it cannot be written.
+        StorageError: the page cannot be written.
     """
     study = design.study
     ranked, better = study.ranked_by

@@ -1,4 +1,4 @@
-"""The results of a study as one table: made from its journal, kept as a parquet file."""
+"""Table of a study's results, made from its journal and stored as a parquet file."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ NAME = "results.parquet"
 _FIRST, _LAST = ("trial",), ("message", "kind", "scan", "report", "key")
 _BETWEEN = ("seed", "status")
 OWN_COLUMNS = frozenset(_FIRST + _BETWEEN + _LAST)
-"""Names that no axis may have; nor may one be that of a figure, or begin with "seconds."."""
+"""Names that no axis may have; names of figures and "seconds.*" are reserved, too."""
 
 _JOURNAL_BYTES = b"twinct.journal_bytes"
-"""How much of the journal a file of results holds: clocks do not tell, files are copied."""
+"""Metadata key of the journal's size; it dates the results, as copies change file times."""
 
 
 def results_table(rows: Iterable[Row]) -> pd.DataFrame:
-    """A line for each trial, by its number.
+    """Return a table with a line for each trial, sorted by number.
 
     Columns are the trial's number, its value on each axis, seed, status, figures by dotted name,
-    ``seconds.STAGE``, message, kind, scan, report and key. Types do not depend on what is missing:
-    whole numbers are Int64, other numbers float64 (NaN: none), truth values boolean, texts string.
-    An axis with values of several kinds is text, as JSON where a value is none.
+    ``seconds.STAGE``, message, kind, scan, report and key. Types do not depend on missing values:
+    whole numbers are Int64, other numbers float64 (NaN: missing), truth values boolean, texts
+    string. An axis with values of several kinds is text, with values other than text as JSON.
 
     Raises:
-        InputError: two columns would have one name.
+        InputError: two columns would have the same name.
         MissingExtraError: the extra ``study`` is not installed.
     """
     require("study")
@@ -62,7 +62,7 @@ def results_table(rows: Iterable[Row]) -> pd.DataFrame:
 
 
 def _typed(values: Sequence[Any]) -> Any:
-    """A column of one type, missing values included."""
+    """Return a column of a single type, missing values included."""
     import pandas as pd
 
     kinds = {type(value) for value in values if value is not None}
@@ -93,16 +93,16 @@ def _texts(values: Sequence[str | None]) -> Any:
 
 
 def write_results(folder: Path, rows: Iterable[Row]) -> None:
-    """Write ``results.parquet`` into a study's folder, complete or not at all.
+    """Write ``results.parquet`` into a study's folder, completely or not at all.
 
     Args:
-        folder: of the study.
-        rows: all that its journal holds, as ``Journal.rows`` gives them.
+        folder: folder of the study.
+        rows: all rows of its journal, from ``Journal.rows``.
 
     Raises:
-        InputError: two columns would have one name.
+        InputError: two columns would have the same name.
         MissingExtraError: the extra ``study`` is not installed.
-        StorageError: it cannot be written.
+        StorageError: the file cannot be written.
     """
     require("study")
     import pyarrow as pa
@@ -117,12 +117,12 @@ def write_results(folder: Path, rows: Iterable[Row]) -> None:
 
 
 def load_results(folder: str | Path) -> pd.DataFrame:
-    """The results of a study, as far as it has come, as a pandas table; see ``results_table``.
+    """Load the results of a finished or running study as a pandas table; see ``results_table``.
 
-    They are read from ``results.parquet``, or made from the journal where that has more.
+    The table is read from ``results.parquet``, or made from the journal if the journal is newer.
 
     Raises:
-        InputError: it is no folder of a study, or its journal is broken.
+        InputError: the folder holds no study, or its journal is broken.
         MissingExtraError: the extra ``study`` is not installed.
     """
     require("study")
@@ -140,5 +140,5 @@ def load_results(folder: str | Path) -> pd.DataFrame:
         if told == str(journal.whole_bytes()).encode():
             return pq.read_table(path).to_pandas()
     except (OSError, pa.ArrowException):
-        pass  # none yet, or damaged: the journal has it all
+        pass  # absent or damaged: the journal is complete
     return results_table(journal.rows())

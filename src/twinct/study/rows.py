@@ -1,4 +1,4 @@
-"""The journal of a study under way: rows of its trials, and the pictures of the best."""
+"""Rows of a running study, written to its journal, and cross-sections of its best trials."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from twinct.study.journal import Journal, Row
 from twinct.study.settings import Study
 
 MOST_BEST = 24
-"""Trials whose cross-sections are kept, one for each combination of values."""
+"""Number of trials whose cross-sections are stored, one for each combination of values."""
 
 
 class Rows:
-    """Rows by the key of their trial; each is in the journal before anybody hears of it."""
+    """Rows by the key of their trial; each one is written to the journal before it is used."""
 
     def __init__(self, folder: StudyFolder, study: Study) -> None:
-        """Read those of before."""
+        """Read the rows of earlier runs."""
         self._folder = folder
         self._figure, self._better = study.ranked_by
         self._journal = Journal(folder.path)
@@ -41,7 +41,7 @@ class Rows:
             self._ranked[_combination(row)] = self._rank(row), row.key
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Keep rows of trials that ended."""
+        """Store rows of trials that ended."""
         rows = list(rows)
         self._journal.append(rows)
         for row in rows:
@@ -51,7 +51,7 @@ class Rows:
                 self.status.pop(row.key, None)
 
     def done(self, one: Checked, event: Done, seconds: Mapping[str, float], report: str) -> Row:
-        """A trial that came to its end; its cross-sections are kept if it is among the best."""
+        """Store the row of a finished trial, and its cross-sections if it is among the best."""
         row = _row(
             one,
             status="done",
@@ -67,12 +67,12 @@ class Rows:
         return row
 
     def copied(self, one: Checked, row: Row) -> None:
-        """A trial whose volume is the very one of another trial."""
+        """Store the row of a trial whose volume is identical to the volume of another row."""
         told = {"figures": row.figures, "seconds": {}, "report": row.report}
         self.add([_row(one, status="done", **told)])
 
     def failed(self, trials: Iterable[Checked], event: Failed) -> None:
-        """Trials that cannot be had, for one reason."""
+        """Store rows of trials that failed for the same reason."""
         message, seconds = "; ".join(event.problems), {"total": event.seconds}
         self.add(
             _row(
@@ -82,15 +82,15 @@ class Rows:
         )
 
     def refused(self, trial: Trial, error: InputError) -> str:
-        """A trial that is no scenario; its key."""
+        """Store the row of a trial with an invalid scenario, and return its key."""
         key, message = trial_key("", trial), "; ".join(error.problems)
         told = {"figures": {}, "seconds": {}, "message": message, "kind": type(error).__name__}
-        if key not in self.status:  # a search that is replayed comes upon it again
+        if key not in self.status:  # a resumed search repeats it
             self.add([Row(trial.number, key, trial.axes, trial.seed, status="failed", **told)])
         return key
 
     def renumbered(self, now: Mapping[str, int]) -> None:
-        """Give trials the numbers that they have now, by key; those left out are told no more."""
+        """Update the trials' numbers, by key; trials without a number are no longer current."""
         moved = [
             dataclasses.replace(row, trial=now.get(row.key, row.trial), current=row.key in now)
             for row in self._journal.all_rows()
@@ -100,15 +100,15 @@ class Rows:
             self.add(changed)
 
     def wanted(self, key: str, *, retry: bool) -> bool:
-        """Whether a trial is still to be tried."""
+        """Return True if a trial has still to be run."""
         return key not in self.status or (retry and self.status[key] == "failed")
 
     def figures(self, name: str) -> dict[str, float | None]:
-        """One figure of all trials that have ended, by their keys; None of those that failed."""
+        """Return one figure of all trials that ended, by key; None for failed trials."""
         return {row.key: row.figures.get(name) for row in self._journal.rows()}
 
     def all(self) -> list[Row]:
-        """Of all trials that ended, by number."""
+        """Return the rows of all trials that ended, sorted by number."""
         return self._journal.rows()
 
     def _among_best(self, row: Row) -> bool:
@@ -151,6 +151,6 @@ def _row(one: Checked, **told: Any) -> Row:
 
 
 def sections_of(folder: StudyFolder, row: Row) -> Path | None:
-    """File of a trial's cross-sections, if they were kept."""
+    """Return the file of a trial's cross-sections; None if they are not stored."""
     path = folder.best / f"{row.key}.npz"
     return path if path.exists() else None

@@ -1,4 +1,4 @@
-"""A study from its file to its page."""
+"""Run of a study, from its file to its page."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ StudySource = str | Path | Mapping[str, Any]
 
 @dataclass(frozen=True)
 class StudyRun:
-    """A study that was run.
+    """Result of a study.
 
     Attributes:
-        folder: all that it has.
-        done: trials that came to their end.
-        failed: trials that cannot be had.
+        folder: folder of the study.
+        done: number of finished trials.
+        failed: number of failed trials.
     """
 
     folder: StudyFolder
@@ -51,23 +51,23 @@ class StudyRun:
 
     @property
     def results(self) -> pd.DataFrame:
-        """Its table; see ``twinct.load_results``."""
+        """Table of the results; see ``twinct.load_results``."""
         return load_results(self.folder.path)
 
     def __repr__(self) -> str:
-        """One line."""
+        """Return folder and number of trials in one line."""
         return f"StudyRun({str(self.folder.path)!r}, {self.done} done, {self.failed} failed)"
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a study would do.
+    """Preview of a study.
 
     Attributes:
-        trials: that it would try, those that are there already left out.
-        there: trials that are there already.
-        total: trials of the study; more than these two of a search, whose first batch they are.
-        estimate: what it would take.
+        trials: trials that it would run, without existing ones; for a search, of its first batch.
+        there: number of existing trials; for a search, of its first batch.
+        total: number of trials of the whole study.
+        estimate: estimated resources of ``trials``.
     """
 
     trials: Sequence[Trial]
@@ -88,24 +88,24 @@ def run_study(
     tell: Callable[[Tally], None] | None = None,
     observers: Observers = (),
 ) -> StudyRun:
-    """Run a study: every trial gets a row, whatever dies meanwhile.
+    """Run a study; every trial gets a row, even if workers die.
 
     Args:
-        source: the study's file, or the same as plain data.
+        source: the study's file, or its content as plain data.
         out: folder for the results.
-        address: where Ray answers: ``auto``, HOST:PORT, or ``local`` for one of this machine's own;
+        address: address of Ray: ``auto``, HOST:PORT, or ``local`` to start Ray on this machine;
             None: a pool of local processes.
-        jobs: trials at a time on this machine; as many as its processors give threads.
-        memory_bytes: that all of them may take together; what this machine has.
-        resume: go on with what is there, or extend it.
-        retry: try failed trials again.
-        tell: hears of each change.
-        observers: hear of the stages before.
+        jobs: number of concurrent trials on this machine; by default all its threads are used.
+        memory_bytes: memory limit of all trials together; by default this machine's memory.
+        resume: continue or extend an existing study.
+        retry: run failed trials again.
+        tell: called at each change.
+        observers: notified of the stages before the first trial.
 
     Raises:
-        InputError: whatever can be known before work starts; nothing has been written then.
+        InputError: a problem detected before work starts; nothing has been written.
         FolderInUseError: another process works in the folder.
-        TwinctError: what went wrong afterwards; all rows are kept.
+        TwinctError: a failure during the work; all rows are stored.
     """
     require("study")
     design, folder = load_study(source), StudyFolder(Path(out))
@@ -157,10 +157,10 @@ def dry_run(
     retry: bool = False,
     observers: Observers = (),
 ) -> DryRun:
-    """Check a study and tell what it would do; of a search, its first batch.
+    """Check a study and return a preview; for a search, of its first batch.
 
     Raises:
-        InputError: whatever can be known before work starts.
+        InputError: a problem that is detected before work starts.
     """
     design = load_study(source)
     with audience_of(observers) as audience:
@@ -178,7 +178,7 @@ def dry_run(
 
 
 def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[Checked]:
-    """All trials of the axes, checked; of a search, those that can be checked before."""
+    """Check and return all trials of the axes, or the first batch of a search."""
     study = design.study
     place = design.at("max_trials", "axes", "search", "repetitions")
     if study.search is None:
@@ -197,9 +197,9 @@ def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[
 
 
 def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> None:
-    """Ask for batches until all sets of values are tried; rows of before are told as they were.
+    """Request and run batches until all sets of values are tried; reuse existing rows.
 
-    What is asked for again is not tried again: it has one row, which counts as often as it is.
+    A set that the search repeats is not run again: its single row counts each time.
     """
     search = design.study.search
     tried: list[Tried] = []
@@ -233,7 +233,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
 
 
 def _repeated(design: Design, values: Sequence[Mapping[str, Any]], first: int) -> Iterator[Trial]:
-    """The trials of sets of values, the first of which has this number."""
+    """Yield the trials of sets of values, numbered from the set ``first``."""
     search, seeds = design.study.search, len(design.seeds)
     assert search is not None
     for number, chosen in enumerate(values, first):
@@ -267,7 +267,7 @@ def _workers(threads_each: int) -> int:
 def _conclude(
     design: Design, folder: StudyFolder, rows: Rows, total: int, wall_seconds: float
 ) -> None:
-    """Write table and page of what there is, also of a study that was interrupted."""
+    """Write table and page of all existing rows, also after an interruption."""
     found = rows.all()
     if not found:
         return
@@ -284,7 +284,7 @@ def _conclude(
 
 @contextmanager
 def _logged_to(path: Path) -> Iterator[None]:
-    """Keep what the package logs meanwhile."""
+    """Write the package's log messages to a file for the duration of a block."""
     handler = logging.FileHandler(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     logger = logging.getLogger("twinct.study")

@@ -1,4 +1,4 @@
-"""A search: sets of values asked for in batches, the same again whenever the same is told."""
+"""Search for the best values: batches of sets that depend on the earlier results only."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from twinct.study.design import Choice
 from twinct.study.settings import Dimension, Search
 
 Tried = tuple[Mapping[str, Any], float | None]
-"""Values by name, and the figure that they gave; None where they failed."""
+"""Values by name, and their figure; None if the trial failed."""
 
 
 def asked(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
-    """The next batch of values, by the dimensions' names; fewer at the end.
+    """Return the next batch of values, by the dimensions' names; the last one may be smaller.
 
-    It depends on the search and on what was tried alone: the sampler (Optuna's TPE) starts anew
-    with each batch, seeded by the search's seed and the number of trials before.
+    The batch depends only on the search and the earlier trials: the sampler (Optuna's TPE) is
+    created for each batch, seeded by the search's seed and the number of earlier trials.
 
     Args:
-        search: what is searched.
-        tried: all trials before, in the order in which they were asked for.
+        search: settings of the search.
+        tried: all earlier trials, in the order in which they were requested.
 
     Raises:
         MissingExtraError: Optuna is not installed.
@@ -33,9 +33,9 @@ def asked(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     number = min(search.batch, search.trials - len(tried))
     seed = (search.seed * 1_000_003 + len(tried)) % 2**32
-    with warnings.catch_warnings():  # that the sampler's option is experimental
+    with warnings.catch_warnings():  # the sampler's option is experimental
         warnings.simplefilter("ignore")
-        # In a batch each set keeps away from those that are not judged yet.
+        # constant_liar spreads the sets of a batch, as they have no figures yet.
         sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
     study = optuna.create_study(sampler=sampler, direction=search.direction)
     ranges = {dimension.name: _distribution(dimension) for dimension in search.keys}
@@ -53,7 +53,7 @@ def asked(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
 
 
 def choice_of(search: Search, values: Mapping[str, Any]) -> Choice:
-    """What a set of values changes."""
+    """Return the changes that a set of values makes to the scenario."""
     changes = {key: values[d.name] for d in search.keys for key in d.keys}
     return Choice(changes, dict(values))
 

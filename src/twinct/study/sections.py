@@ -1,4 +1,4 @@
-"""Cross-sections of a trial in one small file, so that the best can be shown without volumes."""
+"""Cross-sections of a trial in one small file, to show the best trials without volumes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ARRAYS = ("reconstruction", "truth", "roi")
 
 
 def packed_sections(sections: Mapping[str, CrossSection], mu_reference: float) -> bytes:
-    """A file's content: them, and the attenuation that the figures are relative to, 1/mm."""
+    """Pack cross-sections and the reference attenuation of the figures, 1/mm, into bytes."""
     arrays = {
         f"{plane}.{name}": getattr(section, name)
         for plane, section in sections.items()
@@ -29,7 +29,7 @@ def packed_sections(sections: Mapping[str, CrossSection], mu_reference: float) -
 
 
 def read_sections(path: Path) -> tuple[dict[str, CrossSection], float]:
-    """Read a file of what ``packed_sections`` gave."""
+    """Read a file that ``packed_sections`` made."""
     with np.load(path) as arrays:
         told = json.loads(str(arrays["told"]))
         sections = {

@@ -1,4 +1,4 @@
-"""The study file: which scenario, what is varied, how often, and what is kept."""
+"""Sections of a study file: scenario, varied keys, repetitions, and stored results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class Range(Section):
-    """Numbers at even steps, both ends included."""
+    """Evenly spaced numbers, both ends included."""
 
     first: Finite = Field(description="The first number.")
     last: Finite = Field(description="The last number.")
@@ -58,13 +58,13 @@ class _Between(_Draw):
 
 
 class UniformDraw(_Between):
-    """Numbers drawn evenly between two ends."""
+    """Numbers from a uniform distribution."""
 
     kind: Literal["uniform"] = Field(description="Drawn evenly.")
 
 
 class LogUniformDraw(_Between):
-    """Numbers whose logarithms are drawn evenly."""
+    """Numbers from a log-uniform distribution."""
 
     kind: Literal["log_uniform"] = Field(description="Logarithms drawn evenly.")
     low: Positive = Field(description="Lower end.")
@@ -83,7 +83,7 @@ Draw = Annotated[UniformDraw | LogUniformDraw | NormalDraw, Field(discriminator=
 
 
 class Axis(Section):
-    """One thing that is varied: a key, or several keys at once."""
+    """Axis of a study: a key that is varied, or several keys at once."""
 
     key: Keys | None = setting(None, "Dotted key of the scenario; several get the same value.")
     label: str | None = setting(None, "What tables call it; the key unless given.")
@@ -123,12 +123,12 @@ class Axis(Section):
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name in tables."""
         return self.label or ", ".join(self.keys)
 
 
 class Repetitions(Section):
-    """The same again with other seeds."""
+    """Repetitions of each trial with other seeds."""
 
     number: Count = Field(description="How many seeds.")
     key: Keys = setting("seed", "The key that gets them, such as uncertainty.seed.")
@@ -175,12 +175,12 @@ class Dimension(Section):
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name in tables."""
         return self.label or ", ".join(self.keys)
 
 
 class Search(Section):
-    """Values that are found out, not listed: the best of a figure (Optuna's TPE)."""
+    """Search for the values that give the best figure, instead of listed values (Optuna's TPE)."""
 
     figure: str = Field(description="The figure, such as image.rmse_rel; its mean over the seeds.")
     direction: Literal["minimize", "maximize"] = setting("minimize", "Which way is better.")
@@ -214,7 +214,7 @@ class Study(Section):
 
     @property
     def ranked_by(self) -> tuple[str, Literal["lower", "higher", ""]]:
-        """The figure by which trials are ranked, and which way; empty: as the figure has it."""
+        """Figure by which trials are ranked, and the better direction; empty: the figure's own."""
         if self.search is None:
             return self.figures[0], ""
         return self.search.figure, "lower" if self.search.direction == "minimize" else "higher"

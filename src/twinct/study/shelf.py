@@ -1,4 +1,4 @@
-"""What the workers of one node share: each thing is made once, and found by its digest."""
+"""Cache that the workers of one node share: each entry is made once, and named by its digest."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from twinct.version import __version__
 
 @dataclass(frozen=True)
 class Shelf:
-    """Things in a folder, by kind and digest; one process makes a thing, the others wait for it."""
+    """Cache in a folder, by kind and digest; one process makes an entry, others wait for it."""
 
     folder: Path
 
     def path(self, kind: str, digest: str, make: Callable[[Path], None]) -> Path:
-        """A folder or file that ``make`` writes; a draft of before, from a worker that died, stays.
+        """Return the path of a folder or file, which ``make`` writes if it does not exist.
 
         Args:
-            kind: of the thing.
-            digest: of all that it depends on.
-            make: given the draft's path; what is there already, it goes on from.
+            kind: kind of the entry.
+            digest: digest of all its inputs.
+            make: writes the entry to the path of a draft; continues the draft of a worker that
+                died, if there is one.
         """
         final = self.folder / kind / digest
         if final.exists():
@@ -42,7 +43,7 @@ class Shelf:
         return final
 
     def array(self, digest: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """An array, which ``make`` computes."""
+        """Return an array, which ``make`` computes if it is not cached."""
 
         def save(draft: Path) -> None:
             with draft.open("wb") as stream:
@@ -51,7 +52,7 @@ class Shelf:
         return np.load(self.path("arrays", digest, save))
 
     def thing(self, digest: str, make: Callable[[], Any]) -> Any:
-        """Anything that can be pickled; kept for this version, as another's code may differ."""
+        """Return any object that can be pickled; cached for this version of twinct only."""
 
         def save(draft: Path) -> None:
             draft.write_bytes(pickle.dumps(make()))
@@ -60,7 +61,7 @@ class Shelf:
 
     @contextlib.contextmanager
     def locked(self, kind: str, digest: str) -> Iterator[None]:
-        """Wait until no other process holds this; the kernel frees what a dead one held."""
+        """Hold an entry's lock during a block; the kernel releases the locks of dead processes."""
         path = self.folder / kind / f".{digest}.lock"
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)

@@ -1,4 +1,4 @@
-"""What a worker does for a study: takes a scan, or tries a trial of it."""
+"""Work for a study in a worker: acquisition of a scan, or a whole trial."""
 
 from __future__ import annotations
 
@@ -50,22 +50,22 @@ log = logging.getLogger(__name__)
 
 
 def scan_name(digest: str) -> str:
-    """What a shared scan is offered under."""
+    """Return the name under which a shared scan is offered."""
     return f"scan-{digest[:32]}"
 
 
 @dataclass(frozen=True)
 class Errand:
-    """A trial, as it travels to a worker.
+    """A trial in the form sent to a worker.
 
     Attributes:
         key: digest that identifies the trial.
-        scenario: as plain data.
-        files: names under which the files of its keys are offered, and where in there each is.
+        scenario: the scenario as plain data.
+        files: offered name and path inside the offer of each file, by its key.
         scan: digest of its scan.
-        shared: whether the scan is another trial's, too: it is offered under ``scan_name``.
-        keep: what comes back beside the figures.
-        link: between the two simulations.
+        shared: True if other trials use the scan, which is offered under ``scan_name``.
+        keep: results that are returned in addition to the figures.
+        link: link between the two simulations.
     """
 
     key: str
@@ -78,11 +78,11 @@ class Errand:
 
     @property
     def scan_name(self) -> str:
-        """What its scan is offered under."""
+        """Name under which its scan is offered."""
         return scan_name(self.scan)
 
     def scenario_at(self, place: Place) -> Scenario:
-        """The scenario, with the files as they are at a place."""
+        """Return the scenario, with the paths of its files at a place of work."""
         data = json.loads(json.dumps(self.scenario))
         for key, (name, inner) in self.files.items():
             path = place.fetch(name)
@@ -104,13 +104,13 @@ class _Seconds:
 
 
 def take_scan(errand: Errand, place: Place) -> Made:
-    """Take a scan that several trials share.
+    """Acquire a scan that several trials share.
 
     Returns:
         Its seconds, and the store as the parcel ``scan``.
 
     Raises:
-        InputError: it cannot be taken.
+        InputError: the scan cannot be acquired.
     """
     scenario, shelf, seconds = errand.scenario_at(place), Shelf(place.folder), _Seconds()
     _check(scenario)
@@ -123,14 +123,14 @@ def take_scan(errand: Errand, place: Place) -> Made:
 
 
 def try_trial(errand: Errand, place: Place) -> Made:
-    """Take, reconstruct and judge one trial.
+    """Acquire, reconstruct and judge one trial.
 
     Returns:
-        Figures, seconds and ``sections``, a small file of cross-sections; with ``volume`` that as a
-        parcel, with ``everything`` the run's folder as ``run``.
+        Figures, seconds and ``sections``, a small file of cross-sections; also the parcel
+        ``volume`` if volumes are stored, or ``run``, the run's folder, if everything is stored.
 
     Raises:
-        InputError: it cannot be run.
+        InputError: the trial cannot be run.
     """
     shelf, seconds = Shelf(place.folder), _Seconds()
     _start(errand, seconds)
@@ -150,7 +150,7 @@ def try_trial(errand: Errand, place: Place) -> Made:
 
 
 START = "start"
-"""The stage of a worker's first work in which it loads the engines; no trial's own."""
+"""Stage in which a worker loads the engines, before its first trial; it belongs to no trial."""
 
 _SMALLEST = {
     "cell": {"kind": "gantry"},
@@ -162,9 +162,9 @@ _SMALLEST = {
 
 
 def _start(errand: Errand, seconds: _Seconds) -> None:
-    """Load all engines by a trial of next to nothing, so that the first trial takes as others do.
+    """Load all engines by a tiny trial, so that the first trial takes as long as the others.
 
-    Over ROS 2 they are loaded by other processes, with each scan.
+    Over ROS 2, other processes load them with each scan.
     """
     global _started
     if not _started and errand.link == "local":
@@ -184,7 +184,7 @@ def _check(scenario: Scenario) -> None:
 
 
 def _scan_path(errand: Errand, place: Place) -> Path | None:
-    """The shared scan: of this node where it took it, else as it was offered."""
+    """Return the path of the shared scan: this node's own one, or else the offered one."""
     if not errand.shared:
         return None
     taken_here = place.folder / "scans" / errand.scan / "scan.zarr"
@@ -192,7 +192,7 @@ def _scan_path(errand: Errand, place: Place) -> Path | None:
 
 
 def _acquire(errand: Errand, workshop: Workshop, folder: Path) -> None:
-    """Take a scan into a folder, or what one that was begun there lacks."""
+    """Acquire a scan into a folder, or the missing views of an unfinished one."""
     check_physics(workshop)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "scan.zarr"
@@ -241,7 +241,7 @@ def _figures(
                 parcels = {"volume": folder / "volume.nii"}
                 volume.write(parcels["volume"], "twinct, 1/mm")
     found = {"figures": flat_figures(figures_of(scan, images)), "sections": sections}
-    if kept is None:  # for estimates: the next trials may share it
+    if kept is None:  # for estimates: later trials may share the scan
         found["scan_bytes"] = bytes_below([path])
     for used in [path for path in folder.iterdir() if path not in parcels.values()]:
         remove(used)
@@ -288,17 +288,17 @@ def _specimen(scenario: Scenario, shelf: Shelf, seconds: _Seconds) -> BuiltSpeci
 
 def _built(scenario: Scenario) -> BuiltSpecimen:
     specimen = Workshop(scenario).specimen
-    _ = specimen.hull  # kept with it: many trials ask for it
+    _ = specimen.hull  # cached with the specimen, as many trials need it
     return specimen
 
 
 def _plan(
     scenario: Scenario, specimen: BuiltSpecimen, shelf: Shelf, seconds: _Seconds
 ) -> MotionPlan | None:
-    """As ``Workshop`` makes it; none with a gantry."""
+    """Return the motion plan as ``Workshop`` makes it; None with a gantry."""
     if scenario.cell.kind != "arms":
         return None
-    # Of the plan's stage is only which ways there are; speeds and exposures time them.
+    # The digest "plan" covers the paths only; their timing depends on speeds and exposures, too.
     digest = stage_digests(scenario)["executed"]
     with seconds.stage("plan"):
         return _once(
@@ -309,7 +309,7 @@ def _plan(
 
 
 def _truth(scan: Scan, specimen: BuiltSpecimen, shelf: Shelf) -> Truth:
-    """As ``twinct.runs.truth_of`` makes it; what trials have in common is made once."""
+    """Compute the truth like ``twinct.runs.truth_of``, with the parts that trials share cached."""
     from twinct.xray.build import effective_energy_kev
 
     scenario = scan.scenario
@@ -342,13 +342,13 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, shelf: Shelf) -> Truth:
 
 
 _last: dict[str, tuple[str, Any]] = {}
-"""What this process had last, of each kind: the next trial often needs the same."""
+"""Last object of each kind in this process, which the next trial often needs again."""
 
 
 def _once(kind: str, digest: str, make: Callable[[], Any]) -> Any:
     if kind in _last and _last[kind][0] == digest:
         return _last[kind][1]
-    _last.pop(kind, None)  # two of a kind may not fit into memory
+    _last.pop(kind, None)  # the memory may not hold two of a kind
     found = make()
     _last[kind] = digest, found
     return found
