@@ -1,6 +1,6 @@
-"""Simulation of twin robotic CT: two arms, X-ray projections, ROS 2, reconstruction, judgement.
+"""Simulation of twin robotic CT: two arms, X-ray projections, ROS 2, reconstruction, evaluation.
 
-Everything public is imported from its module; what a notebook starts with is here too.
+Public names are imported from their modules; the first ones that a notebook needs are here, too.
 """
 
 from __future__ import annotations
@@ -44,5 +44,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """What is meant to be found here."""
+    """Return the public names."""
     return __all__

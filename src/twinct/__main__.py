@@ -1,4 +1,4 @@
-"""``python -m twinct``."""
+"""Entry point of ``python -m twinct``."""
 
 from twinct.cli import main
 

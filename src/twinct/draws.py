@@ -1,4 +1,4 @@
-"""Keyed random draws: each depends on its seed, purpose and view alone."""
+"""Keyed random draws: each depends only on its seed, purpose and view."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 
 def view_rng(seed: int, purpose: str, view: int) -> np.random.Generator:
-    """The generator of one purpose in one view, whatever was drawn before."""
+    """Return the generator for one purpose in one view, independent of earlier draws."""
     return np.random.default_rng([seed, zlib.crc32(purpose.encode()), view])
 
 
 def scan_rng(seed: int, purpose: str) -> np.random.Generator:
-    """The generator of one purpose of a whole scan."""
+    """Return the generator for one purpose in a whole scan."""
     return np.random.default_rng([seed, zlib.crc32(purpose.encode())])

@@ -1,7 +1,7 @@
-"""The errors twinct raises on purpose.
+"""Errors that twinct raises on purpose.
 
-Each names the value, what is allowed and where it came from. ``exit_code`` is what the command line
-ends with: 2 for input that a user can mend, 1 for anything else.
+Each names the value, the allowed values and the origin. ``exit_code`` is the exit status of the
+command line: 2 for input that a user can fix, 1 for anything else.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import Any
 
 
 class TwinctError(Exception):
-    """Base of all errors twinct raises on purpose."""
+    """Base of all errors that twinct raises on purpose."""
 
     exit_code = 1
 
 
 class InputError(TwinctError):
-    """Input that cannot be worked with.
+    """Input that cannot be used.
 
     Attributes:
         problems: one sentence per problem, each understandable alone.
@@ -26,7 +26,7 @@ class InputError(TwinctError):
     exit_code = 2
 
     def __init__(self, problems: str | Iterable[str]) -> None:
-        """Keep every problem, so that a user mends all of them at once."""
+        """Store every problem, so that a user can fix all of them at once."""
         self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
         super().__init__("\n".join(self.problems))
 
@@ -36,7 +36,7 @@ class ScenarioError(InputError):
 
 
 class SpecimenError(InputError):
-    """A specimen that cannot be imaged: an open mesh, no material, nothing in it."""
+    """A specimen that cannot be imaged: an open mesh, no material, or nothing inside."""
 
 
 class TrajectoryError(InputError):
@@ -44,11 +44,11 @@ class TrajectoryError(InputError):
 
 
 class NoWayError(TrajectoryError):
-    """No way from one view to the next was found, though both can be had."""
+    """No path was found from one view to the next, although the arms can reach both."""
 
 
 class CalibrationError(InputError):
-    """A view, or a scan, that does not tell where source and panel were."""
+    """A view or scan from which the poses of source and panel cannot be determined."""
 
 
 class ScanExistsError(InputError):
@@ -56,14 +56,14 @@ class ScanExistsError(InputError):
 
 
 class DamagedError(InputError):
-    """Files of a scan store are not what was written there.
+    """Files of a scan store differ from the files that were written.
 
     Attributes:
-        found: which, each a ``twinct.scan.manifest.Damage``.
+        found: the damages, each a ``twinct.scan.manifest.Damage``.
     """
 
     def __init__(self, problems: Iterable[str], found: Iterable[Any]) -> None:
-        """Tell all of them."""
+        """Store the problems and the damages."""
         super().__init__(problems)
         self.found = tuple(found)
 
@@ -73,10 +73,10 @@ class FolderInUseError(InputError):
 
 
 class MissingExtraError(InputError):
-    """A part of twinct was asked for whose optional dependency is not installed."""
+    """A requested part of twinct needs an optional dependency that is not installed."""
 
     def __init__(self, package: str, extra: str, advice: str = "") -> None:
-        """Name the package that is missing and the extra that brings it."""
+        """Name the missing package and the extra that installs it."""
         tail = f"; {advice}" if advice else ""
         super().__init__(
             f"{package} is not installed: it comes with twinct[{extra}], "
@@ -91,18 +91,18 @@ class StorageError(InputError):
 
 
 class MemoryShortageError(InputError):
-    """A job that does not fit into the memory that this process may use."""
+    """A job that does not fit into the memory available to this process."""
 
 
 class MotionError(TwinctError):
-    """The simulated arms did not do what was asked of them.
+    """The simulated arms did not perform a motion.
 
     Attributes:
         arms: ``source`` and ``detector``, as far as they are the cause.
     """
 
     def __init__(self, message: str, arms: Iterable[str] = ()) -> None:
-        """Say what happened, and to which arms."""
+        """Store the message and the arms that it concerns."""
         super().__init__(message)
         self.arms = tuple(arms)
 

@@ -1,4 +1,4 @@
-"""What other distributions add: found by their entry points, alike in every process."""
+"""Extensions by other distributions: loaded from their entry points, alike in every process."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ T = TypeVar("T")
 
 
 class Offers(dict[str, T]):
-    """What there is to choose from, by name, the built-in ones first.
+    """Choices by name, the built-in ones first.
 
     Attributes:
-        broken: names that cannot be chosen, each with its distribution and what is wrong.
+        broken: names that cannot be chosen, each with its distribution and the reason.
     """
 
     def __init__(self, built_in: Mapping[str, T]) -> None:
-        """Start with what this package has."""
+        """Start with the choices of this package."""
         super().__init__(built_in)
         self.broken: dict[str, str] = {}
 
 
 def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
-    """What this package and all other distributions offer.
+    """Return the choices that this package and all other distributions offer.
 
-    What cannot be loaded, is something else, or has a name that is taken is logged and left out:
-    it must not stop those who do not use it.
+    Entry points that cannot be loaded, lead to another type, or use a name that is taken are logged
+    and left out: they must not stop those who do not use them.
 
     Args:
-        group: of entry points; each one's name is the name of what it leads to.
-        kind: what they must lead to; its ``name`` is what a scenario calls it.
-        built_in: of this package, by name; nobody else may take these names.
+        group: group of the entry points; each has the name of its object.
+        kind: type of the objects; their ``name`` is the name in a scenario.
+        built_in: choices of this package, by name; no other distribution may take these names.
     """
     found, points = Offers(built_in), entry_points(group=group)
     for point in points:
@@ -50,7 +50,7 @@ def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
             if (own := getattr(loaded, "name", None)) != point.name:
                 raise ValueError(f"it calls itself {own!r}")
             found[point.name] = loaded
-        except Exception as error:  # a foreign module may fail in whatever way it likes
+        except Exception as error:  # an external module may fail in any way
             cannot = f"{point.name!r} of {_owner(point)} cannot be used"
             reason = f"{cannot}: {type(error).__name__}: {error}"
             log.warning("%s: %s", group, reason)

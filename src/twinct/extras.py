@@ -1,4 +1,4 @@
-"""What the extras bring, and whether it is there: asked in one place, before any work."""
+"""Packages of each extra, and one check, before any work, that they are installed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
         *("diagnostic_msgs.msg", "rosgraph_msgs.msg", "builtin_interfaces.msg"),
     ),
 }
-"""Modules that cost little to import, so that they are: what is there may be broken."""
+"""Modules that are cheap to import. They are imported, since an installed module may be broken."""
 
 _FOUND: dict[str, tuple[str, ...]] = {
     "xray": ("gvxrPython3",),
@@ -27,8 +27,11 @@ _FOUND: dict[str, tuple[str, ...]] = {
     "cluster": ("ray",),
     "view": ("viser", "mjviser", "imageio_ffmpeg", "fast_simplification"),
 }
-"""Modules that are only looked for: gVXR takes seconds and 2 GB, and belongs to one thread; Ray
-and Optuna take seconds, and Ray reads its environment then."""
+"""Modules that are only looked up, since their import is expensive.
+
+gVXR takes seconds and 2 GB, and belongs to one thread. Ray and Optuna take seconds, and Ray reads
+its environment when it is imported.
+"""
 
 _CALLED = {
     "gvxrPython3": "gvxr",
@@ -37,7 +40,7 @@ _CALLED = {
     "imageio_ffmpeg": "imageio-ffmpeg",
     "fast_simplification": "fast-simplification",
 }
-"""What pip calls a module, where the names differ."""
+"""Names of modules in pip, where they differ."""
 
 _WAY_OUT = {"ros": "or use --link local", "rtk": "or use reconstruction.algorithm: sart"}
 
@@ -49,8 +52,8 @@ def require(*extras: str) -> None:
         extras: names of extras in ``pyproject.toml``.
 
     Raises:
-        MissingExtraError: a package is not installed; it names the extra and what to do without.
-        InputError: several are not, or one is there and cannot be imported.
+        MissingExtraError: one package is missing; the message names the extra and an alternative.
+        InputError: several packages are missing, or one is installed and cannot be imported.
     """
     missing = [error for extra in extras if (error := _missing(extra)) is not None]
     if len(missing) == 1:
@@ -69,7 +72,7 @@ def _missing(extra: str) -> InputError | None:
                 importlib.import_module(module)
             elif importlib.util.find_spec(module) is None:
                 return MissingExtraError(name, extra, advice)
-        except Exception as error:  # an installed package may fail in whatever way it likes
+        except Exception as error:  # an installed package may fail in any way
             gone = (error.name or package) if isinstance(error, ModuleNotFoundError) else ""
             if gone.partition(".")[0] == package:
                 return MissingExtraError(name, extra, advice)

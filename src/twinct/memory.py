@@ -1,4 +1,4 @@
-"""What this process may still take of the machine's memory, and what sets the limit."""
+"""Memory that this process may still allocate, and the cause of the limit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CGROUPS = Path("/sys/fs/cgroup")
 
 
 def available_bytes() -> tuple[float, str]:
-    """Bytes that this process may still take, and what sets the limit; infinite if unknown."""
+    """Return the bytes that this process may still allocate, or infinity, and the limit's cause."""
     return min(_limits(), default=(math.inf, "unknown"))
 
 
@@ -43,7 +43,7 @@ def _kilobytes(path: Path, name: str) -> int | None:
 
 
 def _number(path: Path, name: str = "") -> int | None:
-    """The number that begins a line of a file, after a name if given."""
+    """Return the first number that begins a line of a file, after ``name`` if given."""
     try:
         text = path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):

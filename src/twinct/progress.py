@@ -1,4 +1,4 @@
-"""Where long work says how far it is; who shows it is another matter."""
+"""Interface by which long work reports its progress, whatever displays it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Hears how far long work is, and what a user should know meanwhile."""
+    """Receiver of progress, and of messages to the user."""
 
     def stage(
         self, name: str, total: int, done: int = 0
     ) -> AbstractContextManager[Callable[[], None]]:
-        """A stage of ``total`` steps; the context's value is called after each step."""
+        """Return the context of a stage of ``total`` steps; call its value after each step."""
         ...
 
     def say(self, text: str, *, warning: bool = False) -> None:
-        """Something worth knowing at once."""
+        """Show a message to the user at once."""
 
 
 class _Silent:

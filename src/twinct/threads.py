@@ -1,4 +1,4 @@
-"""How many threads this process and its children may use, in all libraries alike."""
+"""Number of threads that this process and its children may use, in all libraries."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _ENVIRONMENT = (
     *("BLOSC_NTHREADS", "ZARR_THREADING__MAX_WORKERS"),
     "LP_NUM_THREADS",
 )
-"""What BLAS, numba, Blosc and Zarr, and Mesa's software renderer read when they start."""
+"""Variables that BLAS, numba, Blosc, Zarr and Mesa's software renderer read when they start."""
 
 
 def available_threads() -> int:
-    """What the machine gives this process: its processors, and its share of them in a container."""
+    """Return the number of processors for this process, limited by the quota of its container."""
     processors = len(os.sched_getaffinity(0))
     try:
         quota, period = _CPU_MAX.read_text(encoding="ascii").split()
@@ -32,10 +32,10 @@ def available_threads() -> int:
 
 
 def threads() -> int:
-    """The bound in force: ``TWINCT_THREADS``, or what the machine gives.
+    """Return the limit in force: ``TWINCT_THREADS``, or the number of available threads.
 
     Raises:
-        InputError: the variable holds something else than a whole number from 1.
+        InputError: the variable is not a whole number of at least 1.
     """
     text = os.environ.get(SETTING, "").strip()
     if not text:
@@ -54,17 +54,18 @@ def load_numba() -> None:
 
 
 def limit_threads(number: int | None = None) -> int:
-    """Bound the threads of numba, BLAS, Blosc and the renderer, here and in children; return it.
+    """Limit the threads of all libraries, here and in children; return the limit.
 
-    Libraries read their variables when they are loaded: call this first. Those that are loaded
-    already are told, as far as they listen; gVXR's renderer takes what it found when it started.
+    This covers numba, BLAS, Blosc and the renderer. They read their variables when they are loaded:
+    call this first. Libraries that are already loaded get the limit through their own functions,
+    where they have one. gVXR's renderer keeps the value that it read when it started.
 
     Args:
-        number: threads; None for ``TWINCT_THREADS``, or what the machine gives. What the
-            environment says of single libraries stays unless a number was asked for.
+        number: threads; None for ``TWINCT_THREADS``, or the number of available threads. Without
+            either, variables of single libraries keep their values.
 
     Raises:
-        InputError: not a whole number from 1.
+        InputError: not a whole number of at least 1.
     """
     if number is not None:
         os.environ[SETTING] = str(number)
@@ -72,7 +73,7 @@ def limit_threads(number: int | None = None) -> int:
     bound = threads()
     loaded = "numba" in sys.modules
     for name in _ENVIRONMENT:
-        # numba looks again, and refuses another number once its threads are there.
+        # numba reads it again, and refuses another number once its threads run.
         if not (loaded and name == "NUMBA_NUM_THREADS"):
             os.environ[name] = str(bound) if asked else os.environ.get(name, str(bound))
     if not asked:

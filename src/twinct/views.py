@@ -1,7 +1,7 @@
-"""What passes between the simulations for one view, in the numbers they speak.
+"""Data that the simulations exchange for one view, in wire form.
 
-MuJoCo and ROS 2 speak metres and quaternions. Both links carry these very numbers and turn them
-into poses with the same function, so that they give bit-identical geometries, and so images.
+MuJoCo and ROS 2 use metres and quaternions. Both links carry these numbers and convert them to
+poses with the same function, so that geometries and images are bit-identical.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ SevenNumbers = tuple[float, float, float, float, float, float, float]
 
 
 def to_seven(pose: Pose) -> SevenNumbers:
-    """The wire form of a pose."""
+    """Return a pose in wire form."""
     position_m, quat = pose.to_metres()
     return (*position_m.tolist(), *quat.tolist())
 
 
 def from_seven(numbers: Sequence[float]) -> Pose:
-    """The pose of a wire form."""
+    """Return the pose of a wire form."""
     return Pose.from_metres(numbers[:3], numbers[3:])
 
 
 class _InMm:
-    """As a pose, mm, what a field of this name has in wire form."""
+    """Descriptor of a wire-form field as a pose, mm."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -40,13 +40,13 @@ class _InMm:
 
 @dataclass(frozen=True)
 class Target:
-    """Where the end-effectors shall go.
+    """Commanded poses of the end-effectors.
 
     Attributes:
         source_m: commanded ``world_from_source``.
         detector_m: commanded ``world_from_detector``.
-        source: the same, mm.
-        detector: the same, mm.
+        source: ``source_m`` as a pose, mm.
+        detector: ``detector_m`` as a pose, mm.
     """
 
     source_m: SevenNumbers
@@ -61,13 +61,13 @@ class Target:
 
 
 class Instant(NamedTuple):
-    """Where everything is at one instant, in the numbers that the links carry.
+    """Executed poses at one instant, in wire form.
 
     Attributes:
         source_m: executed ``world_from_source``.
-        object_m: executed ``world_from_object``: the specimen.
+        object_m: executed ``world_from_object`` of the specimen.
         detector_m: executed ``world_from_detector``.
-        source: the same, mm; so ``object`` and ``detector``.
+        source: ``source_m`` as a pose, mm; likewise ``object`` and ``detector``.
     """
 
     source_m: SevenNumbers
@@ -78,33 +78,33 @@ class Instant(NamedTuple):
     detector = _InMm("detector_m")
 
     def placed(self, panel: Panel) -> tuple[ScanGeometry, Pose]:
-        """Source and panel as one view, and ``world_from_object``.
+        """Return the geometry of this single view, and ``world_from_object``.
 
         Raises:
-            ValueError: these numbers are no poses.
+            ValueError: the numbers are not valid poses.
         """
         return ScanGeometry.from_poses([self.source], [self.detector], panel), self.object
 
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """What the robot simulation has at the step that triggers the image.
+    """State of the robot simulation at the step that triggers the image.
 
     Attributes:
-        executed: where everything was; in the middle of an exposure that takes its time, as the
-            joints are, whereas state and time are those at its end.
+        executed: executed poses. Poses and joints are at the middle of a finite exposure, ``state``
+            and ``time_s`` at its end.
         joint_names: prefixed ``source_`` and ``detector_``, source first.
         position: joint positions, (joints,), rad.
         velocity: joint speeds, (joints,), rad/s.
         effort: joint torques, (joints,), N m.
         state: the full simulator state (``mjSTATE_INTEGRATION``), (n,).
         time_s: simulated time.
-        clearance_mm: smallest gap between non-adjacent bodies at any step of the move; NaN where
-            none is looked at.
-        exposure: instants of equal duration over the exposure; none where it is a single one.
-        before: where the arms were when the move began, which is where the last view was taken;
-            only where the detector's lag asks for it.
-        since_middle_s: from the middle of the exposure to ``time_s``.
+        clearance_mm: smallest gap between non-adjacent bodies at any step of the move; NaN if
+            clearance is not monitored.
+        exposure: instants of equal duration over the exposure; empty for a single instant.
+        before: poses at the start of the move, where the previous view was taken; only for a
+            detector with lag.
+        since_middle_s: time from the middle of the exposure to ``time_s``.
     """
 
     executed: Instant
@@ -125,24 +125,24 @@ class Reached:
 
     @property
     def middle_s(self) -> float:
-        """Simulated time of ``executed`` and joints; no two views of a scan have the same."""
+        """Simulated time of ``executed`` and the joints, unique within a scan."""
         return self.time_s - self.since_middle_s
 
     @property
     def clearance_in_words(self) -> str:
-        """For what is logged."""
+        """Clearance as text for log messages."""
         unknown = math.isnan(self.clearance_mm)
         return "clearance unknown" if unknown else f"clearance {self.clearance_mm:.1f} mm"
 
     @property
     def path(self) -> tuple[Instant, ...]:
-        """The instants that make the image, at least one."""
+        """Instants that make up the image, at least one."""
         return self.exposure or (self.executed,)
 
 
 @dataclass(frozen=True, eq=False)
 class JointSample:
-    """Joints at one instant, while they move.
+    """Joint state at one instant of a move.
 
     Attributes:
         time_s: simulated time.
@@ -165,7 +165,7 @@ class JointSample:
 
 @dataclass(frozen=True, eq=False)
 class PosePairs:
-    """Source and detector poses of all views: one of commanded, executed, believed.
+    """Source and detector poses of all views: commanded, executed or believed.
 
     Attributes:
         source: ``world_from_source`` of each view.
@@ -176,22 +176,22 @@ class PosePairs:
     detector: tuple[Pose, ...]
 
     def __len__(self) -> int:
-        """Number of views."""
+        """Return the number of views."""
         return len(self.source)
 
     def __getitem__(self, view: int) -> tuple[Pose, Pose]:
-        """(``world_from_source``, ``world_from_detector``) of one view."""
+        """Return (``world_from_source``, ``world_from_detector``) of one view."""
         return self.source[view], self.detector[view]
 
     def targets(self) -> list[Target]:
-        """The same, in the numbers that the links carry."""
+        """Return a target in wire form for each view."""
         return [Target.from_poses(*self[view]) for view in range(len(self))]
 
     def geometry(self, panel: Panel) -> ScanGeometry:
-        """The scan geometry these poses make."""
+        """Return the scan geometry of these poses."""
         return ScanGeometry.from_poses(self.source, self.detector, panel)
 
     @classmethod
     def from_geometry(cls, geometry: ScanGeometry) -> PosePairs:
-        """The poses of a geometry."""
+        """Build from the poses of a geometry."""
         return cls(tuple(geometry.source_poses()), tuple(geometry.detector_poses()))

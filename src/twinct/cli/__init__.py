@@ -1,4 +1,4 @@
-"""The command line: ``twinct check | run | report | export | ...``; ``commands`` has them all."""
+"""Command line: ``twinct check | run | report | export | ...``; all of them are in ``commands``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
         return EXIT_DONE
     signal.signal(signal.SIGTERM, _as_interrupt)
     try:
-        limit_threads()  # before the libraries that it bounds are loaded
+        limit_threads()  # before the libraries that it limits are loaded
         from twinct.cli.commands import app
 
         app.cli(
@@ -39,7 +39,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
             "--version prints the version.",
             args=arguments,
         )
-    except SystemExit as stop:  # tyro: 0 after --help, 2 after arguments it cannot take
+    except SystemExit as stop:  # tyro: 0 after --help, 2 after invalid arguments
         return stop.code if isinstance(stop.code, int) else EXIT_OTHER
     except TwinctError as error:
         problems = error.problems if isinstance(error, InputError) else (str(error),)
@@ -65,7 +65,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
 
 
 _KEPT = {"run": "acquired view", "study": "finished trial"}
-"""What a command that was interrupted has done, where it can go on."""
+"""Results that an interrupted command keeps, if it can be resumed."""
 
 
 def _say(message: str) -> None:

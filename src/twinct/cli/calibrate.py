@@ -1,4 +1,4 @@
-"""The command that finds where source and detector really were."""
+"""The command that estimates the executed poses of source and detector."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from twinct.runs.kinematics import apply_kinematics, calibrate_kinematics
 def self_command(
     folder: Path, name: str | None, prior: PosePrior, what: What, start: Start, *, align: bool
 ) -> None:
-    """Calibrate by the scan itself, and say what was found."""
+    """Calibrate from the scan itself, and report the result."""
     _require(prior)
     with on_terminal() as audience:
         told = calibrate_self(
@@ -63,7 +63,7 @@ def _say_start(start: EpipolarConsistency, started: Aligned) -> None:
 def balls_command(
     folder: Path, name: str | None, radius_mm: float, prior: PosePrior, *, align: bool
 ) -> None:
-    """Calibrate by balls on the specimen, and say what was found."""
+    """Calibrate from balls on the specimen, and report the result."""
     _require(prior)
     if not radius_mm > 0:
         raise InputError(f"--ball-radius-mm {radius_mm:g}: more than 0 needed")
@@ -104,7 +104,7 @@ def _say_against_executed(believed: Aligned, found: Aligned) -> None:
 
 
 def beads_command(folder: Path, name: str | None, to: Sequence[Path]) -> None:
-    """Calibrate by a phantom of balls, and say how well."""
+    """Calibrate from a phantom of balls, and report the accuracy."""
     with on_terminal() as audience:
         found = calibrate_beads(folder, name=name or "beads", others=to, observers=audience)
     told = [view for view in found.views if view]
@@ -122,7 +122,7 @@ def beads_command(folder: Path, name: str | None, to: Sequence[Path]) -> None:
 def kinematics_command(
     folder: Path, name: str | None, to: Sequence[Path], arms: Path | None
 ) -> None:
-    """Calibrate both arms, or take those that were, and say how well they predict."""
+    """Calibrate both arms, or use calibrated arms, and report the accuracy."""
     name = name or "kinematics"
     if arms is not None:
         with on_terminal() as audience:

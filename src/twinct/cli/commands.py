@@ -1,4 +1,4 @@
-"""All commands, in the order of the help; what each takes stands in the files of this package."""
+"""All commands, in the order of the help; their arguments are in the files of this package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``twinct ctsimu``: scenarios of the CTSimU format, in and out, and the suite that judges us."""
+"""``twinct ctsimu``: import and export of CTSimU scenarios, and the qualification suite."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from twinct.cli.arguments import Flag
 ctsimu = tyro.extras.SubcommandApp()
 
 MOST_SAMPLES = 64
-"""Along a pixel's edge: 4096 rays a pixel."""
+"""Largest number of samples along a pixel's edge: 4096 rays per pixel."""
 
 MOST_SPOT_POINTS = 10_000
-"""Each is a render of the whole panel."""
+"""Largest number of points of a focal spot; each needs a render of the whole panel."""
 
 
 @ctsimu.command
@@ -38,13 +38,13 @@ def render(
 
     Args:
         scenario: CTSimU scenario, file format 1.0 to 1.2.
-        out: Folder for the images; what is there is never touched without --resume.
-        samples: Rays along each pixel edge, for a point source, 1 to 64; the time grows with its
+        out: Folder for the images; existing images are never changed without --resume.
+        samples: Rays along each pixel edge for a point source, 1 to 64; the time grows with the
             square.
-        spot_points: Points that a focal spot with extent is sampled by, 1 to 10000; the time grows
-            with it.
+        spot_points: Points that sample an extended focal spot, 1 to 10000; the time grows in
+            proportion.
         seed: Seed of the noise, 0 or more.
-        resume: Go on with a rendering that was interrupted.
+        resume: Resume an interrupted rendering.
     """
     from twinct.cli.progress import on_terminal
     from twinct.ctsimu import Options, load_ctsimu, render
@@ -79,11 +79,11 @@ def export(
     Writes NAME.json, NAME_openCT.json, a mesh for each part and the projections into DIR.
 
     Args:
-        scan: What ``twinct run --out`` wrote, or its scan.zarr.
+        scan: Folder of ``twinct run --out``, or its scan.zarr.
         out: Folder for the files.
-        ideal: Describe an ideal source and detector, whatever the scan's were.
-        geometry: What is known to the reconstruction: believed, executed, commanded, or one that
-            twinct geometry has made.
+        ideal: Describe an ideal source and detector, whatever the scan used.
+        geometry: Geometry for the reconstruction: believed, executed, commanded, or one made by
+            twinct geometry.
     """
     from twinct.ctsimu.export import export_scan
     from twinct.errors import InputError
@@ -110,13 +110,13 @@ def qualify(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     tests: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TEST")] = (),
 ) -> None:
-    """Run the CTSimU qualification suite and let BAM's toolbox judge our images.
+    """Run the CTSimU qualification suite and evaluate our images with BAM's toolbox.
 
-    Ends with 1 where a figure that must be reached is not. What is there is not rendered again.
+    Exits with 1 if a required figure is not reached. Existing images are not rendered again.
 
     Args:
         out: Folder for samples, images and results; figures go to qualification.json.
-        tests: Names such as 2D-FB-1; where none is given all that are taken, eight of ten.
+        tests: Names such as 2D-FB-1; all supported tests, eight of ten, unless given.
     """
     from rich.table import Table
 

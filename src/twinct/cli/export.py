@@ -1,4 +1,4 @@
-"""The job behind ``twinct export``: a scan, complete or under way, for another toolkit."""
+"""Implementation of ``twinct export``: a scan, complete or in progress, for another toolkit."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from twinct.scan import OWN, ScanStore, named_geometries
 
 
 def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: Path | None) -> None:
-    """Write what a toolkit needs to reconstruct a scan; the arguments are those of the command.
+    """Write the files from which a toolkit reconstructs a scan; arguments as in the command.
 
     Raises:
-        InputError: there is no scan, or the toolkit cannot take it; nothing has been written then.
+        InputError: there is no scan, or the toolkit does not support it; nothing was written.
     """
     path = _store_path(scan)
     out = path.parent / f"export-{toolkit}" if out is None else out
@@ -30,7 +30,7 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
         raise ScanExistsError(f"{out} exists already: choose another --out")
     try:
         store = ScanStore(path)
-        scenario, views = store.scenario, store.acquired  # here, so that a broken store is named
+        scenario, views = store.scenario, store.acquired  # a message names a broken store
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: not a readable scan: {error}") from None
     if not views:
@@ -38,7 +38,7 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
     say = partial(Console().print, highlight=False, soft_wrap=True)
     if views < store.views:
         say(f"{path} is under way: exporting the {views} of {store.views} views it holds")
-    # A scan under way may have gone on since the views were counted.
+    # A scan in progress may have grown since the views were counted.
     derived = {} if which in OWN else named_geometries(path.parent / "geometries")
     if which not in OWN and which not in derived:
         raise InputError(f"--geometry {which}: there are {', '.join((*OWN, *derived))}")

@@ -1,4 +1,4 @@
-"""Commands on what was scanned: judged, compared, reconstructed and calibrated again."""
+"""Commands on finished scans: report, comparison, reconstruction and calibration."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def import_(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
 ) -> None:
-    """Rebuild a scan from recordings of it: DIR/scan.zarr and DIR/scenario.yaml.
+    """Rebuild a scan from its recordings: DIR/scan.zarr and DIR/scenario.yaml.
 
-    Several files are those of a scan that was interrupted and resumed. Views that they miss are
-    named; run --resume takes them. Of another tool's recording of the same topics poses, cameras
-    and images are taken, as a gantry's scan of an unknown specimen.
+    Several files belong to one scan that was interrupted and resumed. Missing views are listed; run
+    --resume acquires them. From another tool's recording of the same topics, poses, cameras and
+    images are imported as a gantry's scan of an unknown specimen.
 
     Args:
         out: Folder to write, without a run in it.
@@ -55,17 +55,17 @@ def export(
     values: Literal["line-integrals", "transmission"] = "line-integrals",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> None:
-    """Write a scan so that another toolkit reconstructs it as it is.
+    """Write a scan in a form that another toolkit can reconstruct directly.
 
-    DIR gets the projections, the geometry, the voxel grid of the scenario, a script load.py that
-    loads them into the toolkit and reconstructs, and a README. A scan under way is written as far
-    as it is.
+    DIR gets the projections, the geometry, the scenario's voxel grid, a script load.py that loads
+    them into the toolkit and reconstructs, and a README. Of a scan in progress, the existing views
+    are written.
 
     Args:
         to: The toolkit, or openct for programs that read an OpenCT free trajectory.
-        geometry: believed (what the system reports), executed (where the arms really were),
-            commanded (what was asked of them), or one that twinct geometry has made.
-        values: Pixels as -ln(I/I0), or as I/I0.
+        geometry: believed (reported by the system), executed (true poses of the arms), commanded
+            (requested poses), or one made by twinct geometry.
+        values: Pixel values as -ln(I/I0), or as I/I0.
         out: Folder to write, which must not exist; export-TOOLKIT beside the scan unless given.
     """
     from twinct.cli.export import export_scan
@@ -78,12 +78,12 @@ def report(
     *,
     set_: Overrides = (),
 ) -> None:
-    """Judge a finished run again and rewrite its metrics.json and report.html.
+    """Evaluate a finished run again and rewrite its metrics.json and report.html.
 
-    ``--set evaluation.KEY=VALUE`` measures other things in its volumes; none is made anew.
+    ``--set evaluation.KEY=VALUE`` adds measurements in its volumes; none is reconstructed again.
 
     Args:
-        folder: What ``twinct run --out`` wrote.
+        folder: Folder of ``twinct run --out``.
     """
     from twinct.runs import report_again
     from twinct.scenario import named_places
@@ -100,11 +100,11 @@ def compare(
 ) -> None:
     """Compare finished runs on one page: slices, figures, pose errors, times, and their scenarios.
 
-    Slices are at the same places in the same windows; differences are against the first run.
+    Slices show the same places in the same windows; differences refer to the first run.
 
     Args:
-        folders: What ``twinct run --out`` wrote, or DIR/reconstructions/NAME for what ``twinct
-            reconstruct`` made beside it; two or more.
+        folders: Folders of ``twinct run --out``, or DIR/reconstructions/NAME for results of
+            ``twinct reconstruct``; two or more.
         out: File to write.
     """
     from twinct.files.writing import check_page, storage_errors
@@ -122,13 +122,13 @@ def compare(
 
 
 def verify(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]) -> None:
-    """Compare each file of a scan with the digest that was kept of it, and look at its results.
+    """Compare each file of a scan with its stored digest, and check its results.
 
-    Ends with 1 where anything is damaged, missing or not finished; what is damaged of a scan
-    'twinct run --resume' takes again.
+    Exits with 1 if anything is damaged, missing or unfinished; 'twinct run --resume' acquires
+    damaged parts of a scan again.
 
     Args:
-        folder: What ``twinct run --out`` wrote, or the scan.zarr in it.
+        folder: Folder of ``twinct run --out``, or its scan.zarr.
     """
     from twinct.runs import verify
 
@@ -151,12 +151,12 @@ def reconstruct(
     threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
-    """Reconstruct a finished run once more, beside what there is, and show both in its report.
+    """Reconstruct a finished run again, beside its volume, and show both in its report.
 
     Args:
-        folder: What ``twinct run --out`` wrote.
-        geometry: commanded, executed, believed, or one that twinct geometry has made.
-        as_: Name of the result, below DIR/reconstructions; after its algorithm where left out.
+        folder: Folder of ``twinct run --out``.
+        geometry: commanded, executed, believed, or one made by twinct geometry.
+        as_: Name of the result, below DIR/reconstructions; after its algorithm unless given.
     """
     from twinct.runs import reconstruct_again
     from twinct.scenario import named_places
@@ -178,11 +178,11 @@ def geometry(
     as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
     set_: Overrides = (),
 ) -> None:
-    """List the geometries of a scan, or derive one more: what its robots would report.
+    """List the geometries of a scan, or derive a new one: poses that its robots would report.
 
     Args:
-        folder: What ``twinct run --out`` wrote.
-        as_: Name of the new geometry; without it those that there are are listed.
+        folder: Folder of ``twinct run --out``.
+        as_: Name of the new geometry; without it, existing geometries are listed.
         set_: Keys of uncertainty, such as --set uncertainty.seed=3.
     """
     from twinct.errors import InputError
@@ -223,30 +223,31 @@ def calibrate(
     align: Flag = False,
     ball_radius_mm: float = 1.5,
 ) -> None:
-    """Find where source and detector really were, and add that to a scan as a geometry.
+    """Estimate the executed poses of source and detector, and add them to a scan as a geometry.
 
-    ``twinct reconstruct DIR --geometry NAME`` reconstructs from it.
+    ``twinct reconstruct DIR --geometry NAME`` reconstructs with it.
 
     Args:
-        folder: What ``twinct run --out`` wrote; for beads and kinematics of a specimen with a
+        folder: Folder of ``twinct run --out``; for beads and kinematics, of a specimen with a
             ball_helix.
-        with_: beads: the balls of a phantom, whose places are known; balls: a few balls at unknown
-            places on the specimen; kinematics: both arms, from all views of a phantom, kept in
+        with_: beads: the balls of a phantom, at known positions; balls: a few balls at unknown
+            positions on the specimen; kinematics: both arms, from all views of a phantom, stored in
             DIR/arms.json; self: the projections alone, each view moved until they agree.
-        as_: Name of the new geometry; that of the method unless given.
+        as_: Name of the new geometry; the method's name unless given.
         to: Folders of scans that get the geometry, too: of the same views (beads), or of the same
             arms along any trajectory (kinematics).
-        from_: An arms.json; the scan then need not be of balls (kinematics).
-        sigma_mm: What source and panel, or the patient, are off along each axis, as far as is
-            known (self, balls).
-        sigma_deg: The same of the rotation of panel or patient about each axis (self, balls).
-        correlation_views: Over how many views errors are alike; 0: each view's own (self, balls).
-        what: What may have moved: source and panel, or the patient between them (self).
-        start: What to go on from; epipolar: each view is first moved until it tells the same as
-            others of planes through both sources, without a volume (self).
-        align: Keep what was found moved as a whole to where the executed geometry lies, for figures
-            that compare volumes (self, balls).
-        ball_radius_mm: Of each ball (balls).
+        from_: An arms.json; the scan then needs no balls (kinematics).
+        sigma_mm: Expected error of source and panel, or of the patient, along each axis (self,
+            balls).
+        sigma_deg: Expected rotation error of panel or patient about each axis (self, balls).
+        correlation_views: Number of views over which errors are correlated; 0: independent errors
+            (self, balls).
+        what: Parts that may have moved: source and panel, or the patient between them (self).
+        start: Initial poses; epipolar: each view is first moved until it is consistent with other
+            views in planes through both sources, without a volume (self).
+        align: Move the result as a whole to the executed geometry, for figures that compare volumes
+            (self, balls).
+        ball_radius_mm: Radius of each ball (balls).
     """
     from twinct.calibration import PosePrior
     from twinct.cli.calibrate import (

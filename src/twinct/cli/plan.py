@@ -29,7 +29,7 @@ def plan_command(
     resume: bool,
     threads: int | None,
 ) -> None:
-    """Plan, and print what the views are worth."""
+    """Plan, and print the quality of the views."""
     from twinct.runs.view_plan import SCENARIO, plan_views
 
     if jobs is not None and jobs < 1:
@@ -78,7 +78,7 @@ def plan_command(
 
 @contextmanager
 def _pool(address: str | None, jobs: int | None, bound: int) -> Iterator[Pool | None]:
-    """Who else searches; nobody if this process may use one thread. Nothing of it is left."""
+    """Yield the pool of workers for a search, or None for a single thread; clean up afterwards."""
     workers = jobs or bound
     if address is None and workers == 1:
         yield None

@@ -1,4 +1,4 @@
-"""Commands that look for places, views and errors before anything is run."""
+"""Commands that search for positions, views and errors before a run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def reach(
     connected: Flag = False,
     set_: Overrides = (),
 ) -> None:
-    """Where source and panel can go: directions all over the sphere, at one radius or several.
+    """Show where source and panel can go: directions all over the sphere, at one radius or several.
 
     Source and panel may be turned about the beam.
 
@@ -28,8 +28,8 @@ def reach(
         out: Folder for reach.json, reach.csv, and pictures of the sphere and of the room.
         radii: Distances from the isocentre to the source (default: the scenario's).
         odd: Distance from the isocentre to the panel (default: the scenario's).
-        directions: How many.
-        connected: Also seek collision-free ways between them, which takes minutes.
+        directions: Number of directions.
+        connected: Also search for collision-free paths between directions, which takes minutes.
     """
     from twinct.cli.reach import reach_command
 
@@ -50,18 +50,18 @@ def place(
     seed: int = 0,
     set_: Overrides = (),
 ) -> None:
-    """Where the arms had better stand for a scenario's trajectory, or for most of the sphere.
+    """Find good positions of the arms for a scenario's trajectory, or for most of the sphere.
 
     Args:
-        sphere: Serve as many directions as can be, source and panel turned about the beam.
-        save: Write a scenario with the keys that were found.
+        sphere: Serve as many directions as possible, with source and panel turned about the beam.
+        save: Write a scenario with the resulting keys.
         x: Lowest and highest position of a base, mm.
         y: Lowest and highest position of a base, mm.
         z: Lowest and highest position of a base, mm.
-        standoff: From flange to focal spot and panel centre, mm.
+        standoff: Distance from flange to focal spot and panel centre, mm.
         tool_rotation: Turn of the tools about the flange axis, deg.
-        samples: Places of each arm alone that are looked at first.
-        seed: Of the search.
+        samples: Positions of each single arm that are tried first.
+        seed: Seed of the search.
     """
     from twinct.cli.reach import place_command
     from twinct.reach import Bounds
@@ -83,19 +83,19 @@ def plan(
     threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
-    """Choose views for the section task of a scenario, among those that the arms can have.
+    """Choose views for the section task of a scenario, among the views that the arms can reach.
 
     Writes views.csv, planned.yaml, which twinct run executes, plan.npz, plan.json and plan.png.
 
     Args:
         out: Folder for the results.
-        scout: Run of a few views, by which the specimen is put where it lies before planning.
+        scout: Run of a few views, used to locate the specimen before planning.
         try_views: Make images of the planned views and of the scenario's path, and compare the
             volumes: tried.png.
-        address: Where Ray answers; local starts one on this machine. Default: local processes.
-        jobs: Processes that look for what the arms reach and judge paths of a family (default: as
+        address: Address of Ray; local starts Ray on this machine. Default: local processes.
+        jobs: Processes that search for reachable views and evaluate paths of a family (default: as
             many as there are threads).
-        resume: Go on with a search that was interrupted.
+        resume: Resume an interrupted search.
     """
     from twinct.cli.plan import plan_command
 
@@ -110,12 +110,12 @@ def uncertainty(
     picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
     set_: Overrides = (),
 ) -> None:
-    """What the errors of a scenario do to its geometry: poses, images, causes; nothing is rendered.
+    """Compute the effects of a scenario's errors on poses and images, by cause, without rendering.
 
     Args:
-        draws: How many scans are drawn.
+        draws: Number of scans to draw.
         out: Folder for uncertainty.json, with all covariances, and uncertainty.png.
-        picture: File for the picture of a view that cannot be had.
+        picture: File for the picture of an infeasible view.
     """
     from twinct.cli.uncertainty import uncertainty_command
 

@@ -1,4 +1,4 @@
-"""Progress bars on stderr; plain lines where there is no terminal."""
+"""Progress bars on stderr; plain lines without a terminal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from twinct.observers import Audience, Event, Observer
 
 NOTICED = "twinct.recon"
-"""Logger whose warnings are shown, such as that kernels are compiled for a minute."""
+"""Logger whose warnings are shown, such as about kernels that are compiled for a minute."""
 
 _LINE_EVERY_S = 30.0
 _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False}
@@ -22,7 +22,7 @@ _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False
 
 @contextmanager
 def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
-    """An audience that shows how far work is; others may listen with it."""
+    """Yield an audience that shows the progress of work; others may listen as well."""
     from twinct.observers import Observer, Said, StageBegan, StageEnded, StageStep, audience_of
 
     kinds = (StageBegan, StageStep, StageEnded, Said)
@@ -37,7 +37,7 @@ def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
 
 
 class _Notices(logging.Handler):
-    """Says warnings that libraries of ours log."""
+    """Handler that shows the warnings of twinct's own libraries."""
 
     def __init__(self, audience: Audience) -> None:
         super().__init__(logging.WARNING)
@@ -55,10 +55,10 @@ def say(text: str, *, warning: bool = False) -> None:
 
 
 class TerminalProgress:
-    """One bar for each stage; in a log file, a line every half a minute."""
+    """One bar per stage; in a log file, one line every half minute."""
 
     def __init__(self) -> None:
-        """Look whether stderr is a terminal."""
+        """Check whether stderr is a terminal."""
         from rich.console import Console
 
         self._console = Console(stderr=True)
@@ -66,7 +66,7 @@ class TerminalProgress:
         self._shown = 0.0
 
     def __call__(self, event: Event) -> None:
-        """Show an event, if it is one of stages."""
+        """Show an event, if it belongs to a stage."""
         from rich.console import Console
 
         from twinct.observers import Said, StageBegan, StageEnded, StageStep

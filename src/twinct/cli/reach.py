@@ -1,4 +1,4 @@
-"""The commands about reach: where the arms can go, where to stand, why a view cannot be had."""
+"""Commands about reach: reachable directions, positions of the arms, and infeasible views."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from twinct.scenario import Cell, Scenario, load_scenario, named_places, write_s
 from twinct.trajectory import OrbitSettings
 
 SEARCHED_VIEWS = 60
-"""Views of a trajectory by which a search goes, evenly among all."""
+"""Number of views of a trajectory that a search uses, spread evenly."""
 
 SEARCHED_DIRECTIONS = 150
-"""Directions by which a search for the most of the sphere goes."""
+"""Number of directions that a search for most of the sphere uses."""
 
 JUDGED_DIRECTIONS = 1000
-"""Directions by which its end is judged."""
+"""Number of directions by which the result of a search is evaluated."""
 
 
 def arms_of(scenario: Scenario) -> Cell:
-    """The section with two arms.
+    """Return the section with two arms.
 
     Raises:
-        InputError: it is a gantry, which goes anywhere.
-        MissingExtraError: what arms need is not installed.
+        InputError: the cell is a gantry, which can go anywhere.
+        MissingExtraError: a package that arms need is not installed.
     """
     if not isinstance(scenario.cell, Cell):
         raise InputError(f"cell.kind: {scenario.cell.kind}: it goes anywhere; reach is of arms")
@@ -55,9 +55,9 @@ def arms_of(scenario: Scenario) -> Cell:
 
 
 def _orbit(workshop: Workshop) -> tuple[float, float, np.ndarray]:
-    """SOD, ODD and isocentre, mm; of views from a file their means about the specimen.
+    """Return SOD, ODD and isocentre, mm; for views from a file, their means about the specimen.
 
-    Distances that change along the path are those in its middle.
+    If distances change along the path, its middle counts.
     """
     section = workshop.scenario.trajectory
     if isinstance(section, OrbitSettings):
@@ -80,7 +80,7 @@ def reach_command(
     directions: int,
     connected: bool,
 ) -> None:
-    """Ask, print the shares, and write tables and pictures where a folder is named."""
+    """Compute the reach, print the shares, and write tables and pictures into a folder if given."""
     check_asked(directions, radii or (1.0,), 1.0 if odd is None else odd)
     loaded = load_scenario(scenario, set_)
     arms_of(loaded)
@@ -132,7 +132,7 @@ def place_command(
     samples: int,
     seed: int,
 ) -> None:
-    """Search, print what to write into the scenario, and write one with it where asked."""
+    """Search positions, print the keys for a scenario, and write such a scenario if requested."""
     loaded = load_scenario(scenario, set_)
     cell = arms_of(loaded)
     workshop = Workshop(loaded)
@@ -169,7 +169,7 @@ def place_command(
 
 
 def _views_to_serve(workshop: Workshop, sphere: bool) -> tuple[tuple[bool, bool], Poses, Poses]:
-    """Which rolls are free, the views by which the search goes, and those that judge its end."""
+    """Return the free rolls, the views for the search, and the views that evaluate its result."""
     if sphere:
         sod, odd, centre = _orbit(workshop)
         panel = workshop.scenario.detector.panel
@@ -189,19 +189,20 @@ def _asked(workshop: Workshop) -> Poses:
 
 @contextmanager
 def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
-    """Let views that cannot be had be told with the cure that was found, and a picture of one.
+    """Add a remedy, and a picture of one view, to an error about infeasible views.
 
-    What is wrong is told before a cure is sought, which may take minutes and be interrupted.
+    The problem is reported before the search for a remedy, which may take minutes and be
+    interrupted.
 
     Raises:
-        TrajectoryError: the same, with more sentences.
+        TrajectoryError: the same error, with more sentences.
     """
     try:
         yield
     except TrajectoryError as error:
         scenario = workshop.scenario
         if not isinstance(scenario.cell, Cell) or scenario.motion.plan is not None:
-            raise  # of a plan in a file no way was sought
+            raise  # no search was made for a plan from a file
         poses, free = _asked(workshop), workshop.roll_free
         first, *others = list[str](error.problems)
         more = f", and {len(others)} more" if others else ""
@@ -216,7 +217,7 @@ def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
 
 
 def draw_anyway(workshop: Workshop, path: Path, view: int, width: int, height: int) -> list[str]:
-    """Picture of a view, also of one that cannot be had; returns what is wrong with it then."""
+    """Draw a view, even if it is infeasible, and return its problems."""
     from twinct.cell import render_cell
 
     try:
@@ -231,7 +232,7 @@ def draw_anyway(workshop: Workshop, path: Path, view: int, width: int, height: i
 
 
 def _pictured(workshop: Workshop, picture: Path, view: int) -> list[str]:
-    """Draw a view; how to find the picture, or why there is none."""
+    """Draw a view, and return a sentence with the path of the picture."""
     from twinct.cell import render_cell
 
     check_picture(picture)

@@ -1,4 +1,4 @@
-"""The main figures of a run, in words."""
+"""Main figures of a run, in words."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def say_result(run: Run) -> None:
-    """The main figures in two lines."""
+    """Print the main figures in two lines."""
     image, pose = run.figures["image"], run.figures["pose_error"]
     material = run.figures.get("reference_material", "bone")  # older runs do not say
     say(
@@ -25,5 +25,5 @@ def say_result(run: Run) -> None:
 
 
 def percent(share: float | None) -> str:
-    """None stands for a figure without a voxel to stand on, such as near bone where is none."""
+    """Return a share in percent; None, such as near bone without bone, gives "no figure"."""
     return "no figure" if share is None else f"{100 * share:.1f} %"

@@ -1,4 +1,4 @@
-"""Commands that run simulations, or show them."""
+"""Commands that run or show simulations."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def run(
     Writes scan.zarr, volume.nii, metrics.json, report.html and twinct.log into DIR.
 
     Args:
-        out: Folder for the results; a scan that is there is never touched without --resume.
-        link: ros2 starts both simulations as processes; local runs them in this one.
-        resume: Go on with a scan that was interrupted.
+        out: Folder for the results; an existing scan is never changed without --resume.
+        link: ros2 starts both simulations as processes; local runs them in this process.
+        resume: Resume an interrupted scan.
         record: Write all messages of the scan to DIR/scan.mcap, which ROS tools read.
-        view: Show the run on a page while it goes on, see twinct view; the page stays when the run
-            is over, until Ctrl-C.
+        view: Show the run on a page while it runs, see twinct view; the page stays after the run,
+            until Ctrl-C.
     """
     from twinct.scenario import load_scenario, named_places
 
@@ -60,7 +60,7 @@ def run(
     with ExitStack() as page:
         live, workshop = [], None
         if view:
-            workshop = Workshop(loaded)  # what the run builds the page need not build again
+            workshop = Workshop(loaded)  # shared by page and run, so that it is built once
             told = live_page(out, workshop, host, port, allow_network)
             live = [page.enter_context(told).observer]
         with named_places(scenario, set_), on_terminal(live) as audience:
@@ -93,9 +93,9 @@ def view(
     movie: Annotated[Path | None, tyro.conf.arg(metavar="MP4")] = None,
     set_: Overrides = (),
 ) -> None:
-    """Look into a run with a browser: room, beam, images, volume, errors; also while it goes on.
+    """Show a run in a browser: room, beam, images, volume, errors; also while it runs.
 
-    Of a scenario that was not run: room, plan, reach of the path and field of view.
+    For a scenario that was not run: room, plan, reach of the path and field of view.
 
     Args:
         export: Write a page that needs no server instead: it plays all views, with a free camera.
@@ -114,10 +114,10 @@ def node(
     *,
     set_: Overrides = (),
 ) -> None:
-    """Start one simulation as a ROS 2 node of its own, until it is interrupted.
+    """Start one simulation as a separate ROS 2 node, until it is interrupted.
 
-    The robots node takes targets on /scan/target and answers on /scan/reached; the xray node takes
-    /scan/reached and answers on /xray/image.
+    The robots node receives targets on /scan/target and answers on /scan/reached; the xray node
+    receives /scan/reached and answers on /xray/image.
 
     Args:
         which: The robot simulation or the X-ray simulation.

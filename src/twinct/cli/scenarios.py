@@ -1,4 +1,4 @@
-"""What can be asked of a scenario file without running it."""
+"""Commands on a scenario file that do not run it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from twinct.scan import Workshop
 
 MIDDLE = -1
-"""Stands for the view in the middle of the scan."""
+"""Placeholder for the view in the middle of the scan."""
 
 
 def check(
@@ -30,12 +30,12 @@ def check(
 ) -> None:
     """Validate a scenario, build its specimen and plan its motion, without running it.
 
-    Names every view that an arm cannot reach or that would collide, a change that would cure that,
-    and draws the first of them.
+    Lists every view that an arm cannot reach or that would collide, suggests a remedy, and draws
+    the first of these views.
 
     Args:
-        save: File to write the plan to; with the key motion.plan a scenario follows it.
-        picture: File for the picture of a view that cannot be had.
+        save: File for the plan; a scenario follows it with the key motion.plan.
+        picture: File for the picture of an infeasible view.
     """
     from twinct.scenario import load_scenario, named_places
 
@@ -57,7 +57,7 @@ def check(
     with named_places(scenario, set_):
         require_memory(loaded)
         check_geometries(loaded)
-        if workshop.plan_chooses:  # else what the views see is known without a plan
+        if workshop.plan_chooses:  # otherwise, the views are known without a plan
             with explained(workshop, picture):
                 _ = workshop.plan
         check_physics(workshop)
@@ -95,14 +95,14 @@ def render(
     height: int = 1000,
     set_: Overrides = (),
 ) -> None:
-    """Picture of the operating room at one view.
+    """Draw the operating room at one view.
 
-    A view that cannot be had is drawn all the same: what collides in red, source or panel as a
-    ghost where it shall be, its arm in the nearest configuration.
+    An infeasible view is drawn, too: collisions in red, source or panel as a ghost at its target,
+    and its arm in the nearest configuration.
 
     Args:
         out: File to write.
-        view: Which view source and panel shall be at.
+        view: View at which source and panel are drawn.
         width: Width of the picture in pixels.
         height: Height of the picture in pixels.
     """
@@ -120,7 +120,7 @@ def render(
     require("robots")
     check_drawing()
     workshop = Workshop(loaded)
-    views = len(workshop.asked)  # commanded ones need a plan, which there may not be
+    views = len(workshop.asked)  # commanded views need a plan, which may not exist
     view = views // 2 if view == MIDDLE else view
     if not 0 <= view < views:
         raise InputError(f"--view {view}: the scenario has views 0 to {views - 1}")
@@ -174,7 +174,7 @@ def urdf(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     set_: Overrides = (),
 ) -> None:
-    """Robot description of the operating room, for ROS 2 and whatever reads URDF.
+    """Write a robot description of the operating room, for ROS 2 and other readers of URDF.
 
     Args:
         out: Folder for cell.urdf and its meshes.

@@ -38,17 +38,17 @@ def study(
     retry_failed: Flag = False,
     dry_run: Flag = False,
 ) -> None:
-    """Run a study: many trials of one scenario, each thing done once.
+    """Run a study: many trials of one scenario, with no step done twice.
 
     Writes journal.jsonl, results.parquet and study.html into DIR.
 
     Args:
-        out: Folder for the results; one of this study is gone on with, or extended, by --resume.
-        address: Where Ray answers; local starts one on this machine. Default: local processes.
-        jobs: Trials at a time on this machine (default: as many as there are threads for).
-        resume: Go on with a study that was interrupted, or extend one.
+        out: Folder for the results; --resume continues or extends the study in it.
+        address: Address of Ray; local starts Ray on this machine. Default: local processes.
+        jobs: Trials at a time on this machine (default: as many as its threads allow).
+        resume: Resume an interrupted study, or extend one.
         retry_failed: With --resume, try failed trials again, too.
-        dry_run: Only tell which trials there are, and what they would take.
+        dry_run: Only list the trials and their expected cost.
     """
     if retry_failed and not resume:
         raise InputError("--retry-failed goes with --resume")
@@ -124,7 +124,7 @@ def _told(value: object) -> str:
 
 
 class _Line:
-    """How far a study is, in one line; where there is no terminal, one every half a minute."""
+    """One line with the progress of a study; without a terminal, a new line every half minute."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True)
@@ -138,7 +138,7 @@ class _Line:
         self._live.stop()
 
     def tell(self, tally: Tally) -> None:
-        """Show it."""
+        """Show the tally."""
         text = f"{tally.done} done, {tally.running} running, {tally.failed} failed"
         text += f" of {tally.total}"
         if tally.left_s is not None and tally.left_s > 0:

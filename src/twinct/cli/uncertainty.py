@@ -1,4 +1,4 @@
-"""The command ``uncertainty``: what a scenario's errors do to its geometry."""
+"""The command ``uncertainty``: effects of a scenario's errors on its geometry."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from twinct.uncertainty.propagation import Propagation
 UNITS = {"mm": "mm", "deg": "deg", "px": "px"}
 
 TASK_DRAWS = 5
-"""Scans for which a task is judged, at most: each takes as long as a plan's measures."""
+"""Most scans for which a task is evaluated: each takes as long as the measures of a plan."""
 
 
 def uncertainty_command(
     scenario: Path, set_: Sequence[str], draws: int, out: Path | None, picture: Path
 ) -> None:
-    """Propagate, print two tables, and write numbers and picture where a folder is named."""
+    """Propagate errors, print two tables, and write numbers and a picture to ``out`` if given."""
     loaded = load_scenario(scenario, set_)
     if loaded.cell.kind == "arms":
         require("robots")
@@ -39,7 +39,7 @@ def uncertainty_command(
     workshop = Workshop(loaded)
     told: dict[str, Any] = {}
     drawn = None
-    # Other arms than those that were calibrated are not drawn.
+    # With calibrated arms, no other arms are drawn.
     if not (loaded.uncertainty.calibration and loaded.task):
         with named_places(scenario, set_), explained(workshop, picture):
             found = errors_of(workshop, draws)
@@ -64,7 +64,7 @@ def uncertainty_command(
 
 
 def _of_poses(found: Propagation, title: str) -> list[dict[str, Any]]:
-    """Print what the errors do to poses and images, and what causes it; the causes."""
+    """Print the effects of the errors on poses and images, and their causes; return the causes."""
     table = Table(title=f"{title} of {found.errors.shape[1]} views")
     for name in ("", "mean", "median", "95 %", "largest"):
         table.add_column(name)
@@ -85,7 +85,7 @@ def _of_poses(found: Propagation, title: str) -> list[dict[str, Any]]:
 
 
 def _of_the_task(workshop: Workshop, draws: int, progress: Progress) -> dict[str, Any]:
-    """Print what the errors leave of what the views are for."""
+    """Print, and return, the effects of the errors on the task of the views."""
     from twinct.runs.view_rejudged import rejudged
 
     judged, blur_mm = rejudged(workshop, draws, progress)

@@ -1,4 +1,4 @@
-"""The command ``twinct view``: the page of a run or of a scenario."""
+"""The command ``twinct view``: the page of a run or a scenario."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def view_command(
         show = RunFolder(folders[0]).look()
         _write(show, Workshop(show.scenario, show.plan), export, movie)
         return
-    # A browser loads the page while what reads the run is imported.
+    # A browser loads the page while the modules that read the run are imported.
     with suppress(KeyboardInterrupt), serving(host, port, allow_network) as server:
         from twinct.view.filling import fill
         from twinct.view.folder import RunFolder
@@ -114,7 +114,7 @@ def _view_scenario(
 
 @contextmanager
 def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserServer]:
-    """A server, and where it is found said."""
+    """Yield a server, and print its address."""
     from twinct.view.server import address, by_ssh, close, is_loopback, serve
 
     server = serve(host, port, allow_network=allow_network, label="twinct")
@@ -137,7 +137,7 @@ def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserSe
 def live_page(
     out: Path, workshop: Workshop, host: str, port: int, allow_network: bool
 ) -> Iterator[LivePage]:
-    """A page that observes a run; it stays afterwards until interrupted, unless the run fails."""
+    """Yield a page that observes a run; it stays until interrupted, unless the run fails."""
     require("view")
     from twinct.view.following import LivePage
     from twinct.view.page import Page

@@ -1,4 +1,4 @@
-"""Judgement: the region every view sees, the image in it, and how well the arms arrived."""
+"""Evaluation: the region that every view sees, the image in it, and the arms' accuracy."""
 
 from twinct.evaluate.contrast import Contrast, contrast
 from twinct.evaluate.depth import (

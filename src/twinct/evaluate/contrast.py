@@ -1,4 +1,4 @@
-"""Contrast between two regions, and how it stands out of the noise."""
+"""Contrast between two regions, and contrast relative to noise."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class Contrast:
     """Contrast of a region against a background.
 
     Attributes:
-        contrast_rel: mean of the region less that of the background, relative to mu(reference).
-        recovery: that contrast relative to the true one; 1 is right. NaN without a true one.
-        cnr: contrast to noise: the contrast over the standard deviation of the background, both of
-            the volume (Bushberg et al., The Essential Physics of Medical Imaging).
+        contrast_rel: mean of the region less mean of the background, relative to mu(reference).
+        recovery: contrast relative to the true contrast; 1 is ideal. NaN without a true contrast.
+        cnr: contrast-to-noise ratio: contrast of the volume over the standard deviation of its
+            background (Bushberg et al., The Essential Physics of Medical Imaging).
     """
 
     contrast_rel: float
@@ -25,7 +25,7 @@ class Contrast:
     cnr: float
 
     def as_dict(self) -> dict[str, float]:
-        """The figures by name."""
+        """Return the figures by name."""
         return asdict(self)
 
 
@@ -36,7 +36,7 @@ def contrast(
     true_background: ArrayLike,
     mu_reference: float,
 ) -> Contrast:
-    """Compare the voxels of two regions; where the truth of a background varies that is no noise.
+    """Compare the voxels of two regions. Variations of the true background do not count as noise.
 
     Args:
         region: values of the volume, (n,), 1/mm.

@@ -1,4 +1,4 @@
-"""How deep a voxel lies in the region that every view sees, and the error by depth."""
+"""Depth of voxels in the region that every view sees, and the error by depth."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from twinct.evaluate.region import half_spaces
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
 DEPTHS_MM = (5.0, 10.0, 20.0, 40.0)
-"""Where one bin of depth ends and the next begins."""
+"""Limits between the bins of depth."""
 
 _POINTS = 65
-"""Of the lattice on which depths are worked out: 2.5 mm apart on the paper's grid."""
+"""Points per axis of the lattice for depths: 2.5 mm apart on the paper's grid."""
 
 
 def depth_names(edges_mm: Sequence[float] = DEPTHS_MM) -> tuple[str, ...]:
-    """What the bins are called: "0_to_5_mm", ..., "beyond_40_mm"."""
+    """Return the names of the bins: "0_to_5_mm", ..., "beyond_40_mm"."""
     pairs = itertools.pairwise((0.0, *edges_mm))
     return (*(f"{a:g}_to_{b:g}_mm" for a, b in pairs), f"beyond_{edges_mm[-1]:g}_mm")
 
@@ -39,17 +39,17 @@ class RegionDepth:
     hats: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
     def planes(self, planes: slice) -> NDArray[np.float32]:
-        """Depth of all voxels of some planes along z, (planes, y, x), mm; negative outside."""
+        """Return the depth of all voxels of z planes, (planes, y, x), mm; negative outside."""
         z, y, x = self.hats
         return np.matmul(y, np.einsum("pk,kji->pji", z[planes], self.lattice) @ x.T)
 
 
 def region_depth(executed: ScanGeometry, grid: VolumeGrid, margin_px: float = 0.5) -> RegionDepth:
-    """Distance from each voxel to the border of ``region_of_interest``, mm.
+    """Compute the distance from each voxel to the border of ``region_of_interest``, mm.
 
-    The region is where all half-spaces g . p <= c of the views hold, |g| = 1, so that inside it
-    the distance to its border is the smallest c - g . p, a concave function with slope 1. The end
-    of the grid is no border: what lies beyond it is seen as well.
+    The region is where all half-spaces g . p <= c of the views hold, |g| = 1. Inside it, the
+    distance to its border is therefore the smallest c - g . p, a concave function with slope 1. The
+    end of the grid is no border, since the views see beyond it.
     """
     normals, offsets = half_spaces(executed, margin_px)
     axes, origin = grid.world_from_grid.rotation, grid.world_from_grid.position
@@ -72,18 +72,18 @@ def rmse_by_depth(
     mu_reference: float,
     edges_mm: Sequence[float] = DEPTHS_MM,
 ) -> dict[str, float]:
-    """Root mean square of (volume - truth) relative to a mu, by depth in the region.
+    """Return the root mean square of (volume - truth) relative to a mu, by depth in the region.
 
     Args:
         volume: attenuation, (z, y, x), 1/mm.
         truth: true attenuation, (z, y, x), 1/mm.
-        region: voxels that count, (z, y, x), bool.
-        depth: of the voxels.
+        region: voxels to include, (z, y, x), bool.
+        depth: depth of the voxels.
         mu_reference: 1/mm.
-        edges_mm: where one bin ends and the next begins, increasing.
+        edges_mm: limits between the bins, increasing.
 
     Returns:
-        The bins by their names; NaN where a bin has no voxels.
+        Value of each bin, by name; NaN if the bin has no voxels.
     """
     names = depth_names(edges_mm)
     square, count = np.zeros(len(names)), np.zeros(len(names))

@@ -1,4 +1,4 @@
-"""Width of the reference material's edges: how sharply a volume shows the true surface."""
+"""Width of the reference material's edges: sharpness of a volume at the true surface."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from twinct.geometry import Floats, VolumeGrid
 
 MOST_POINTS = 20_000
-"""Points of the surface at which profiles are taken."""
+"""Largest number of profiles."""
 
 LEAST_POINTS = 30
-"""With fewer there is no width: their median would be chance."""
+"""Smallest number of profiles for a width: the median of fewer is not significant."""
 
 REACH_MM, REACH_VOXELS = 3.0, 3.0
 """Half the length of a profile: the longer of the two."""
@@ -25,26 +25,26 @@ STEPS = 4
 """Samples of a profile per voxel."""
 
 _BLUR_VOXELS = 1.5
-"""As far from the surface the truth may be a mixture: a voxel's diagonal, and interpolation."""
+"""Reach of mixed voxels about the true surface: a voxel's diagonal, and interpolation."""
 
 _PURE = 0.01
-"""Largest departure, relative to mu, of the truth from a constant on one side of an edge."""
+"""Largest deviation, relative to mu, of the truth from a constant on one side of an edge."""
 
 _NORMAL_RADIUS, _NORMAL_SIGMA = 3, 1.5
-"""Voxels of the truth that a normal is worked out from, and their Gaussian weight."""
+"""Radius of the truth's voxels that determine a normal, and sigma of their Gaussian weights."""
 
 _BLOCK = 2000
-"""Profiles that are interpolated at a time."""
+"""Number of profiles that are interpolated at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Profiles across a true surface, at which any number of volumes are looked at.
+    """Profiles across a true surface, along which any number of volumes can be evaluated.
 
     Attributes:
-        points: on the surface, voxel indices along z, y, x with fractions, (profiles, 3).
-        ways: outwards, voxels per mm, (profiles, 3).
-        along: places on a profile, inside first, mm.
+        points: points on the surface, voxel indices along z, y, x with fractions, (profiles, 3).
+        ways: outward directions, voxels per mm, (profiles, 3).
+        along: positions on a profile, inside first, mm.
     """
 
     points: Floats
@@ -52,7 +52,7 @@ class Edges:
     along: Floats
 
     def width(self, volume: NDArray[np.floating]) -> float:
-        """Distance over which a volume rises from 10 to 90 %, median, mm; see ``edge_width``."""
+        """Return the median 10-90 % rise distance of a volume, mm; see ``edge_width``."""
         if len(self.points) < LEAST_POINTS:
             return math.nan
         volume = np.ascontiguousarray(volume)
@@ -74,26 +74,26 @@ def edge_width(
     grid: VolumeGrid,
     seed: int = 0,
 ) -> float:
-    """Distance over which a volume rises from 10 to 90 % across the true surface, median, mm.
+    """Return the median 10-90 % rise distance of a volume across the true surface, mm.
 
-    A Gaussian blur of sigma makes it 2 x 1.2816 sigma = 2.563 sigma. The surface is where the truth
-    crosses half of mu; profiles run along its normals, and count where the truth is constant on
-    both sides as far as they reach: pure reference material inside, anything lighter outside. The
-    outer third on either side of the volume's own profile are its 0 and 100 %, so that a wrong
-    attenuation is no blur; 10 and 90 % are those reached first from where it crosses 50 %. Where
-    they are not reached a width is infinite. Interpolation is cubic: R. G. Keys, IEEE Trans.
+    A Gaussian blur of sigma has a width of 2 x 1.2816 sigma = 2.563 sigma. The surface is where the
+    truth crosses half of mu. Profiles run along its normals; they count if the truth is constant
+    along both sides: pure reference material inside, anything lighter outside. The outer third on
+    each side of the volume's own profile defines 0 and 100 %, so that a wrong attenuation does not
+    count as blur. The points of 10 and 90 % are the first ones reached from the crossing of 50 %. A
+    width is infinite if they are not reached. Interpolation is cubic: R. G. Keys, IEEE Trans.
     Acoust. Speech Signal Process. 29 (1981) 1153.
 
     Args:
         volume: attenuation, (z, y, x), 1/mm.
         truth: true attenuation, (z, y, x), 1/mm.
-        region: voxels that count, (z, y, x), bool.
-        mu_reference: attenuation of the material whose edges are looked at, 1/mm.
+        region: voxels to include, (z, y, x), bool.
+        mu_reference: attenuation of the material whose edges are measured, 1/mm.
         grid: the lattice of all three.
-        seed: of the choice of points.
+        seed: seed for the choice of points.
 
     Returns:
-        NaN where fewer than ``LEAST_POINTS`` profiles count.
+        NaN if fewer than ``LEAST_POINTS`` profiles count.
     """
     return edges_of(truth, region, mu_reference, grid, seed).width(volume)
 
@@ -105,7 +105,7 @@ def edges_of(
     grid: VolumeGrid,
     seed: int = 0,
 ) -> Edges:
-    """The profiles at which ``edge_width`` looks, which takes the same arguments."""
+    """Return the profiles that ``edge_width``, which has the same arguments, evaluates."""
     edges = grid.voxel[::-1]
     reach = max(REACH_MM, REACH_VOXELS * float(edges.max()))
     samples = STEPS * math.ceil(reach / float(edges.min()))
@@ -127,14 +127,16 @@ def edges_of(
 
 
 def _on(points: Floats, ways: Floats, s: Floats) -> Floats:
-    """Places on profiles, (profiles, s, 3)."""
+    """Return positions on profiles, (profiles, s, 3)."""
     return points[:, None] + ways[:, None] * s[:, None]
 
 
 def _surface_points(
     truth: NDArray[np.floating], region: NDArray[np.bool_], level: float, most: int, seed: int
 ) -> Floats:
-    """Where lines between neighbouring voxels of the region cross the level, in random order.
+    """Return the points where lines between voxels cross the level, in random order.
+
+    The voxels are neighbours, and both lie in the region.
 
     Returns:
         (points, 3): voxel indices along z, y, x, with fractions.
@@ -167,7 +169,7 @@ def _surface_points(
 def _with_normals(
     points: Floats, truth: NDArray[np.floating], edges: Floats
 ) -> tuple[Floats, Floats]:
-    """Points that have a normal, and their normals outwards, in voxels per mm."""
+    """Return the points that have a normal, and their outward normals in voxels per mm."""
     radius = _NORMAL_RADIUS
     middle = np.rint(points).astype(np.intp)
     inner = ((middle >= radius) & (middle < np.array(truth.shape) - radius)).all(axis=1)
@@ -184,7 +186,7 @@ def _with_normals(
 
 
 def _cubic(volume: NDArray[np.floating], at: Floats) -> Floats:
-    """Keys' cubic convolution with a = -1/2 at voxel indices (..., 3)."""
+    """Interpolate by Keys' cubic convolution, a = -1/2, at voxel indices (..., 3)."""
     first = np.floor(at).astype(np.intp) - 1
     taps = []
     for axis in range(3):
@@ -208,7 +210,7 @@ def _cubic(volume: NDArray[np.floating], at: Floats) -> Floats:
 
 
 def _widths(profiles: Floats, along: Floats) -> Floats:
-    """Distance from 90 to 10 % of each profile, inside first, (profiles,), mm."""
+    """Return the distance from 90 to 10 % of each profile, inside first, (profiles,), mm."""
     third = len(along) // 6
     inside = profiles[:, :third].mean(axis=1)
     rise = inside - profiles[:, -third:].mean(axis=1)
@@ -223,7 +225,7 @@ def _widths(profiles: Floats, along: Floats) -> Floats:
 
 
 def _first(signed: Floats, start: NDArray[np.intp], along: Floats) -> Floats:
-    """Where rows first become negative after a start, linearly interpolated; else infinite."""
+    """Return the first zero crossing of each row after a start, interpolated, or infinity."""
     later = np.arange(signed.shape[1]) > start[:, None]
     hits = later & (signed <= 0)
     at = hits.argmax(axis=1)

@@ -1,4 +1,4 @@
-"""How well a reconstructed volume agrees with the truth, in the region that every view sees."""
+"""Agreement of a reconstructed volume with the truth in the region that every view sees."""
 
 from __future__ import annotations
 
@@ -17,36 +17,39 @@ from twinct.geometry import VolumeGrid
 from twinct.threads import threads
 
 BONE_SHARE = 0.5
-"""A voxel counts as bone where its true value is at least this share of mu(bone)."""
+"""A voxel counts as bone if its true value is at least this share of mu(bone)."""
 
 PURE_BONE_TOLERANCE = 1e-3
-"""Largest relative departure from mu(bone) of a voxel that lies entirely inside bone: far below the
-1/64 that one of 4^3 supersamples weighs, far above float32 rounding."""
+"""Largest relative deviation from mu(bone) of a voxel that lies entirely inside bone.
+
+It is far below the weight of one of 4^3 supersamples, 1/64, and far above float32 rounding.
+"""
 
 SLAB_PLANES = 24
-"""Planes along z judged at a time: bounds the memory to a few hundred MB at 512^3."""
+"""Planes along z evaluated at a time: this limits the memory to a few hundred MB at 512^3."""
 
 
 @dataclass(frozen=True)
 class ImageFigures:
     """Image quality in a region R of voxels; mu(bone) is the true attenuation of bone.
 
-    No voxel outside R has any influence, except that bone outside counts for the distance to bone.
-    NaN where a figure has no voxels to stand on: no bone near R, or no SSIM window that fits in R.
+    Voxels outside R have no influence, except that bone outside counts for the distance to bone. A
+    figure without voxels is NaN: without bone near R, or without an SSIM window that fits in R.
 
     Attributes:
         rmse_rel: root mean square of (volume - truth) over R, relative to mu(bone).
-        rmse_bone_rel: the same over the voxels of R whose centre is at most ``bone_distance_mm``
-            from that of a bone voxel (true value at least 0.5 mu(bone)), bone itself included.
+        rmse_bone_rel: ``rmse_rel`` over the voxels of R whose centres are at most
+            ``bone_distance_mm`` from the centre of a bone voxel (true value at least 0.5 mu(bone)),
+            bone itself included.
         psnr_db: 20 log10(mu(bone) / RMSE over R), dB; infinite for a perfect volume.
         ssim: mean 3-D structural similarity (Wang et al. 2004, K1 = 0.01, K2 = 0.03, sample
             covariance, data range mu(bone)) over all 7^3 windows that lie entirely in R.
         mean_bone_rel: mean of the volume over the voxels of R that lie entirely inside bone (true
-            value mu(bone)), relative to mu(bone); 1 is right.
+            value mu(bone)), relative to mu(bone); 1 is ideal.
         roi_fraction: share of the grid's voxels that are in R.
         roi_bone_fraction: share of R's voxels that are bone voxels.
-        ssim_bone: ``ssim`` over the windows whose centre is near bone, as in ``rmse_bone_rel``.
-        zero: what a volume of zeros gets, the baseline: ``rmse_rel``, ``rmse_bone_rel``,
+        ssim_bone: ``ssim`` over the windows whose centres are near bone, as in ``rmse_bone_rel``.
+        zero: figures of a volume of zeros, the baseline: ``rmse_rel``, ``rmse_bone_rel``,
             ``psnr_db``, ``ssim`` and ``ssim_bone``.
         further: figures of other kinds by name, nested as in ``metrics.json``.
     """
@@ -63,13 +66,13 @@ class ImageFigures:
     further: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def as_dict(self) -> dict[str, Any]:
-        """The figures by name."""
+        """Return the figures by name."""
         told = {name: value for name, value in vars(self).items() if name != "further"}
         return told | dict(self.further)
 
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> ImageFigures:
-        """What ``as_dict`` gave, of older versions, too."""
+        """Restore figures from the output of ``as_dict``, older versions included."""
         own = [one.name for one in fields(cls) if one.name != "further"]
         further = {name: value for name, value in told.items() if name not in own}
         return cls(**{name: told[name] for name in own if name in told}, further=further)
@@ -83,20 +86,20 @@ def image_figures(
     grid: VolumeGrid,
     bone_distance_mm: float = 3.0,
 ) -> ImageFigures:
-    """Judge a volume against the truth; ``ImageFigures`` defines each figure.
+    """Compare a volume with the truth; ``ImageFigures`` defines each figure.
 
     Args:
         volume: reconstructed attenuation, (z, y, x), 1/mm.
         truth: true attenuation (volume fraction times mu), (z, y, x), 1/mm.
-        roi: the region to judge, (z, y, x), bool; see ``region_of_interest``.
+        roi: region to evaluate, (z, y, x), bool; see ``region_of_interest``.
         mu_reference: mu(bone), 1/mm: unit of all relative figures and data range of PSNR and SSIM.
         grid: the lattice of all three.
-        bone_distance_mm: how far "near bone" reaches.
+        bone_distance_mm: largest distance of voxels "near bone".
 
     Raises:
-        InputError: the region is empty, so nothing can be judged.
-        TwinctError: the volume holds values in the region that are not finite.
-        ValueError: arrays that are not on the grid, or a reference that is not positive.
+        InputError: the region is empty.
+        TwinctError: the volume is not finite in the region.
+        ValueError: an array does not fit the grid, or the reference is not positive.
     """
     volume, truth, roi = np.asarray(volume), np.asarray(truth), np.asarray(roi, dtype=np.bool_)
     for name, array in (("volume", volume), ("truth", truth), ("roi", roi)):
@@ -137,8 +140,8 @@ def image_figures(
             **_ssim_sums(volume, truth, roi, box, planes, near_bone, mu_reference),
         )
 
-    # scipy's filters let go of the interpreter lock. The sums are added in the order of the slabs:
-    # the number of threads does not change the last bit.
+    # scipy's filters release the interpreter lock. The sums are added in the order of the slabs, so
+    # that the number of threads does not change the last bit.
     with ThreadPoolExecutor(min(4, threads())) as pool:
         sums = _Sums.total(pool.map(judge, _slabs(box[0])))
 
@@ -165,7 +168,7 @@ def image_figures(
 
 @dataclass
 class _Sums:
-    """What the figures are made of, summed over voxels (or SSIM windows)."""
+    """Sums over voxels (or SSIM windows) from which the figures are computed."""
 
     voxels: int = 0
     square: float = 0.0
@@ -185,7 +188,7 @@ class _Sums:
 
     @classmethod
     def total(cls, parts: Iterator[_Sums]) -> _Sums:
-        """Sum of all parts, in their order."""
+        """Return the sum of all parts, added in their order."""
         total = cls()
         for part in parts:
             for name, value in vars(part).items():
@@ -206,7 +209,7 @@ def _psnr(rmse_rel: float) -> float:
 
 
 def _bounding_box(mask: NDArray[np.bool_]) -> Box | None:
-    """Smallest box that holds all that is True, or None."""
+    """Return the smallest box that contains all True voxels, or None."""
     bounds: list[slice] = []
     for others in ((1, 2), (0, 2), (0, 1)):
         hits = np.flatnonzero(np.any(mask, axis=others))
@@ -224,14 +227,14 @@ def _slabs(planes: slice) -> Iterator[slice]:
 def _near_bone(
     truth: Image, box: Box, threshold: float, distance_mm: float, grid: VolumeGrid
 ) -> NDArray[np.bool_]:
-    """Voxels of a box at most a distance, centre to centre, from a voxel with truth >= threshold.
+    """Return the mask of a box's voxels within ``distance_mm`` of a voxel with truth >= threshold.
 
-    The squared Euclidean distance is built up axis by axis: d2(i) <- min over k of d2(i + k) +
-    (k h)^2, which is exact. As k ends at the distance asked for, a halo that wide makes it exact
-    for any box.
+    Distances are between centres. The squared distance is built up axis by axis: d2(i) <- min over
+    k of d2(i + k) + (k h)^2, which is exact. Since k ends at the requested distance, a halo of that
+    width makes it exact for any box.
     """
     edges = grid.voxel[::-1]
-    limit = distance_mm**2 * (1 + 1e-6)  # float32 rounding must not decide at the very distance
+    limit = distance_mm**2 * (1 + 1e-6)  # float32 rounding must not decide at the limit itself
     reach = [int(math.sqrt(limit) / edge) for edge in edges]
     halo = tuple(
         slice(max(s.start - r, 0), min(s.stop + r, n))
@@ -261,7 +264,7 @@ def _ssim_sums(
     near: NDArray[np.bool_],
     data_range: float,
 ) -> dict[str, Any]:
-    """Sums of SSIM over the windows in the region centred on the planes, and their numbers."""
+    """Return the sums of SSIM over the region's windows centred on the planes, and counts."""
     half = WINDOW // 2
     first, last = max(planes.start - half, box[0].start), min(planes.stop + half, box[0].stop)
     halo = (slice(first, last), *box[1:])
@@ -272,7 +275,7 @@ def _ssim_sums(
     count = int(np.count_nonzero(centres))
     if not count:
         return {}
-    # The filters run along whole lines: what is outside must not leak in by rounding, or as NaN.
+    # The filters run along whole lines: rounding must not leak in from outside, nor must NaN.
     ssim, zero = similarities(
         np.where(inside, truth[halo], 0).astype(np.float32, copy=False),
         np.where(inside, volume[halo], 0).astype(np.float32, copy=False),

@@ -1,4 +1,4 @@
-"""Modulation transfer at one place of a volume, from the edge of a sphere or a wire."""
+"""Modulation transfer at one place in a volume, from the edge of a sphere or a wire."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ BINS_PER_VOXEL = 5
 """Samples of an edge spread function per voxel."""
 
 REACH_VOXELS = 8.0
-"""As far on either side of the edge its spread is looked at, where the body has room for it."""
+"""Largest distance from the edge, on either side, at which its spread is measured."""
 
 _FREQUENCIES = 128
 
 
 @dataclass(frozen=True, eq=False)
 class Mtf:
-    """A modulation transfer function.
+    """Modulation transfer function.
 
     Attributes:
-        frequency_per_mm: from 0 on, (n,), 1/mm.
-        value: 1 at frequency 0, (n,).
+        frequency_per_mm: frequencies from 0 on, (n,), 1/mm.
+        value: modulation, 1 at frequency 0, (n,).
     """
 
     frequency_per_mm: Floats
@@ -38,12 +38,12 @@ class Mtf:
         lock(self, "frequency_per_mm", "value")
 
     def __call__(self, frequency_per_mm: ArrayLike) -> Floats:
-        """Its value at any frequencies, linearly interpolated; 0 beyond the last."""
+        """Return the value at any frequencies, linearly interpolated; 0 beyond the last one."""
         f = np.asarray(frequency_per_mm, dtype=np.float64)
         return np.interp(f, self.frequency_per_mm, self.value, right=0.0)
 
     def falls_to(self, level: float) -> float:
-        """Frequency at which it first falls to a level, 1/mm; NaN where it does not."""
+        """Return the frequency at which the value first falls to a level, 1/mm, or NaN."""
         below = np.flatnonzero(self.value <= level)
         if not below.size or not below[0]:
             return math.nan
@@ -60,25 +60,25 @@ def edge_mtf(
     voxel_mm: float,
     curved: int = 2,
 ) -> Mtf:
-    """MTF from voxels about the surface of a sphere or a cylinder.
+    """Compute the MTF from voxels around the surface of a sphere or a cylinder.
 
-    Their values over the distance from the surface are the edge spread function E(t); its
-    derivative, times ((R + t) / R)^(c / 2) as the surface is curved in c directions, is the line
-    spread function, whose Fourier transform is the MTF. With S = r E(r) of a blurred sphere, an odd
-    function that is the unblurred one's convolved with the line spread function p, one finds
-    dE/dt = -p R / (R + t) up to (blur / R)^2; the cylinder's follows from Bessel's I1 for large
-    arguments. What bins and differences of width b take is given back as 1 / sinc^2(b f):
-    Cunningham, Fenster, Med. Phys. 14 (1987) 533. A sphere in a CT volume: Thornton, Flynn, Proc.
-    SPIE 6142 (2006) 61421Z.
+    The values as a function of distance from the surface are the edge spread function E(t). Its
+    derivative, times ((R + t) / R)^(c / 2) for a surface curved in c directions, is the line spread
+    function, and the Fourier transform of this is the MTF. For a blurred sphere, S = r E(r) is an
+    odd function: the unblurred one convolved with the line spread function p. Hence dE/dt = -p R /
+    (R + t) up to (blur / R)^2. The cylinder's factor follows from Bessel's I1 for large arguments.
+    The loss from bins and differences of width b is corrected by 1 / sinc^2(b f): Cunningham,
+    Fenster, Med. Phys. 14 (1987) 533. A sphere in a CT volume: Thornton, Flynn, Proc. SPIE 6142
+    (2006) 61421Z.
 
     Args:
-        values: of voxels, (n,), in any unit.
+        values: values of voxels, (n,), in any unit.
         offset_mm: distance of their centres from the surface, outwards positive, (n,), mm.
-        radius_mm: of the body.
-        voxel_mm: the smallest edge of a voxel; the highest frequency is 1 / voxel_mm, twice
-            what a single line of voxels could tell.
-        curved: directions in which the surface is curved: 2 for a sphere, 1 for a cylinder, 0 for a
-            plane.
+        radius_mm: radius of the body.
+        voxel_mm: smallest edge of a voxel; the highest frequency is 1 / voxel_mm, twice the limit
+            of a single line of voxels.
+        curved: number of directions in which the surface is curved: 2 for a sphere, 1 for a
+            cylinder, 0 for a plane.
 
     Raises:
         InputError: the body has no contrast, or not enough voxels.
@@ -102,7 +102,7 @@ def edge_mtf(
     )
     at = step * np.arange(-half, half + 1)
     spread = -np.diff(np.interp(at, places, means)) / step
-    # Half a second to import: no other work waits for it.
+    # The import takes half a second, and only this work needs it.
     from scipy.signal.windows import tukey
 
     t = (at[1:] + at[:-1]) / 2
@@ -115,5 +115,5 @@ def edge_mtf(
 
 
 def edge_reach(radius_mm: float, voxel_mm: float) -> float:
-    """Distance from the surface up to which ``edge_mtf`` takes voxels, mm."""
+    """Return the distance from the surface up to which ``edge_mtf`` uses voxels, mm."""
     return min(REACH_VOXELS * voxel_mm, radius_mm)

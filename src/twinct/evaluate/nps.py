@@ -15,12 +15,12 @@ from twinct.geometry.arrays import lock
 
 @dataclass(frozen=True, eq=False)
 class Nps:
-    """A radial noise power spectrum in d dimensions.
+    """Radial noise power spectrum in d dimensions.
 
     Attributes:
         frequency_per_mm: mean of each bin, from 0 on, (n,), 1/mm.
         value: power, (n,), unit of the values squared times mm^d.
-        share: volume of frequency space that each bin stands for, (n,), 1/mm^d.
+        share: volume of frequency space in each bin, (n,), 1/mm^d.
     """
 
     frequency_per_mm: Floats
@@ -32,33 +32,33 @@ class Nps:
         lock(self, "frequency_per_mm", "value", "share")
 
     def __call__(self, frequency_per_mm: ArrayLike) -> Floats:
-        """Its value at any frequencies, linearly interpolated, beyond its ends that of the ends.
+        """Return the value at any frequencies: linearly interpolated, and constant beyond the ends.
 
-        The bin at frequency 0 is left out: removing the mean or a trend took its power away.
+        The bin at frequency 0 is excluded: removing the mean or a trend removed its power.
         """
         f = np.asarray(frequency_per_mm, dtype=np.float64)
         return np.interp(f, self.frequency_per_mm[1:], self.value[1:])
 
     @classmethod
     def averaged(cls, spectra: Sequence[Nps]) -> Nps:
-        """Mean of spectra of regions of one shape, which are known as much better."""
+        """Average the spectra of regions of one shape, which reduces their uncertainty."""
         value = np.mean([one.value for one in spectra], axis=0)
         return cls(spectra[0].frequency_per_mm, value, spectra[0].share)
 
     @property
     def variance(self) -> float:
-        """Its integral."""
+        """Integral of the spectrum."""
         return float(self.value @ self.share)
 
     @property
     def mean_frequency_per_mm(self) -> float:
-        """Mean frequency, weighted by the power: how fine the noise is, 1/mm; NaN without any."""
+        """Mean frequency, weighted by the power, 1/mm: fineness of the noise; NaN without power."""
         power = self.value * self.share
         return float(self.frequency_per_mm @ power / power.sum()) if power.any() else math.nan
 
 
 def frequencies(shape: Sequence[int], voxel_mm: Sequence[float]) -> Floats:
-    """Radial frequency of each term of an array's discrete Fourier transform, 1/mm."""
+    """Return the radial frequency of each term of an array's discrete Fourier transform, 1/mm."""
     axes = [np.fft.fftfreq(n, edge) for n, edge in zip(shape, voxel_mm, strict=True)]
     return np.sqrt(sum(f**2 for f in np.meshgrid(*axes, indexing="ij")))
 
@@ -66,17 +66,17 @@ def frequencies(shape: Sequence[int], voxel_mm: Sequence[float]) -> Floats:
 def noise_power_spectrum(
     noise: ArrayLike, voxel_mm: Sequence[float], mask: NDArray[np.bool_] | None = None
 ) -> Nps:
-    """Radial power spectrum of noise; its integral is the noise's mean square.
+    """Compute the radial power spectrum of noise; its integral is the noise's mean square.
 
-    With voxels of volume V, NPS(f) = V |sum_k w_k n_k exp(-2 pi i f . x_k)|^2 / sum_k w_k^2, w
-    being the mask: ICRU Report 87 (2012). Values of frequencies in one bin, as wide as the coarsest
-    resolution of the axes, are averaged.
+    With voxels of volume V, NPS(f) = V |sum_k w_k n_k exp(-2 pi i f . x_k)|^2 / sum_k w_k^2, with
+    the mask w: ICRU Report 87 (2012). Values are averaged in bins as wide as the coarsest frequency
+    resolution of the axes.
 
     Args:
         noise: values without their expectation, in any number d of dimensions: see ``detrended``,
             or half the difference of two volumes times the square root of 2.
         voxel_mm: edges of a voxel along the array's axes, mm.
-        mask: where the noise counts; everywhere unless given. Its own spectrum smears the noise's.
+        mask: voxels to include, all by default. Its spectrum smears the spectrum of the noise.
     """
     noise = np.asarray(noise, dtype=np.float64)
     counted = noise.size if mask is None else np.count_nonzero(mask)
@@ -92,10 +92,9 @@ def noise_power_spectrum(
 
 
 def detrended(values: ArrayLike, mask: NDArray[np.bool_] | None = None, order: int = 2) -> Floats:
-    """Values less the polynomial of an order along all axes that fits them best.
+    """Return values less their best-fitting polynomial of an order along all axes.
 
-    What is left of a homogeneous region is its noise. Outside of the mask, where there is one, it
-    is 0.
+    The rest of a homogeneous region is its noise. Outside the mask, if there is one, it is 0.
     """
     values = np.asarray(values, dtype=np.float64)
     inside = np.ones(values.shape, dtype=np.bool_) if mask is None else mask

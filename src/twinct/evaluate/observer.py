@@ -1,4 +1,4 @@
-"""How well a task can be done: the observer that compares with what it looks for."""
+"""Detectability of a task: the observer that compares an image with the known signal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twinct.evaluate.nps import frequencies
 from twinct.geometry import Floats
 
 Radial = Callable[[Floats], ArrayLike]
-"""A function of radial frequency, 1/mm, such as ``Mtf`` and ``Nps``."""
+"""Function of radial frequency, 1/mm, such as ``Mtf`` and ``Nps``."""
 
 
 def detectability(
@@ -21,7 +21,7 @@ def detectability(
     nps: Radial | ArrayLike,
     mtf: Radial | ArrayLike = 1.0,
 ) -> float:
-    """Index d' of a known signal in stationary noise, of the non-prewhitening observer.
+    """Return the index d' of a known signal in stationary noise, for the non-prewhitening observer.
 
         d'^2 = [int |W T|^2 df]^2 / int |W T|^2 NPS df,
 
@@ -30,8 +30,8 @@ def detectability(
     the root of the sum of the signal's squares over s.
 
     Args:
-        signal: what is to be told from nothing, in any number d of dimensions, with as much nothing
-            around it as the blur is wide, such as 1/mm.
+        signal: signal to detect, in any number d of dimensions, such as in 1/mm, with a margin of
+            zeros as wide as the blur.
         voxel_mm: edges of a voxel along the array's axes, mm.
         nps: power of the noise, unit of the signal squared times mm^d: a function of the radial
             frequency, or values on the frequencies of ``numpy.fft.fftn(signal)``.
@@ -40,7 +40,7 @@ def detectability(
     signal = np.asarray(signal, dtype=np.float64)
     radius = frequencies(signal.shape, voxel_mm)
     power, transfer = (np.asarray(f(radius) if callable(f) else f) for f in (nps, mtf))
-    seen = np.abs(np.fft.fftn(signal) * transfer) ** 2  # 1 / V^2 times the continuous one
+    seen = np.abs(np.fft.fftn(signal) * transfer) ** 2  # 1 / V^2 times the continuous integrand
     volume = math.prod(voxel_mm)
     noise = (seen * power).sum()
     return float(seen.sum() * math.sqrt(volume / seen.size / noise)) if noise > 0 else math.inf

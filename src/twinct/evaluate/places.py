@@ -14,7 +14,7 @@ from twinct.geometry import Floats, Pose, VolumeGrid
 Box = tuple[slice, slice, slice]
 
 _SHELL_VOXELS = 30_000_000
-"""Voxels whose distance to a body is worked out at a time."""
+"""Voxels whose distances to a body are computed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,30 +22,30 @@ class Voxels:
     """Some voxels of a grid.
 
     Attributes:
-        box: slices along z, y, x that hold them all.
-        mask: which of the box they are, (z, y, x), bool.
+        box: slices along z, y, x that contain all of the voxels.
+        mask: selection of the voxels in the box, (z, y, x), bool.
     """
 
     box: Box
     mask: NDArray[np.bool_]
 
     def __len__(self) -> int:
-        """How many they are."""
+        """Return the number of voxels."""
         return int(np.count_nonzero(self.mask))
 
     def of(self, array: NDArray[np.floating]) -> Floats:
-        """Their values of an array on the whole grid, (voxels,)."""
+        """Return the voxels' values in an array on the whole grid, (voxels,)."""
         return array[self.box][self.mask].astype(np.float64)
 
     def points(self, grid: VolumeGrid) -> Floats:
-        """Their centres in the world, (voxels, 3), mm."""
+        """Return the voxels' centres in the world, (voxels, 3), mm."""
         index = np.argwhere(self.mask) + [side.start for side in self.box]
         local = index[:, ::-1] * grid.voxel + grid.first_voxel_mm
         return grid.world_from_grid.apply(local)
 
 
 def ball(grid: VolumeGrid, world_from_ball: Pose, radius_mm: float) -> Voxels:
-    """Voxels whose centre lies in a ball."""
+    """Return the voxels whose centres lie in a ball."""
     return _inside(
         grid,
         world_from_ball,
@@ -57,7 +57,7 @@ def ball(grid: VolumeGrid, world_from_ball: Pose, radius_mm: float) -> Voxels:
 def cylinder(
     grid: VolumeGrid, world_from_cylinder: Pose, radius_mm: float, height_mm: float
 ) -> Voxels:
-    """Voxels whose centre lies in a cylinder along z."""
+    """Return the voxels whose centres lie in a cylinder along z."""
     return _inside(
         grid,
         world_from_cylinder,
@@ -67,7 +67,7 @@ def cylinder(
 
 
 def cuboid(grid: VolumeGrid, world_from_box: Pose, size_mm: ArrayLike) -> Voxels:
-    """Voxels whose centre lies in a box."""
+    """Return the voxels whose centres lie in a box."""
     hx, hy, hz = half = np.asarray(size_mm, dtype=np.float64) / 2
     return _inside(
         grid,
@@ -78,7 +78,7 @@ def cuboid(grid: VolumeGrid, world_from_box: Pose, size_mm: ArrayLike) -> Voxels
 
 
 def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxels:
-    """Voxels outside of a body whose centre is so far from that of its nearest voxel."""
+    """Return the voxels whose centres lie at given distances from a body's nearest voxel centre."""
     wider = around(body.box, grid, to_mm)
     filled = np.zeros([s.stop - s.start for s in wider], dtype=np.bool_)
     at = tuple(
@@ -86,7 +86,7 @@ def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxel
     )
     filled[at] = body.mask
     mask = np.zeros_like(filled)
-    # A transform takes some 50 bytes a voxel: it is done by slabs, with all that is near enough.
+    # The transform takes some 50 bytes per voxel: it runs by slabs, each with a halo of ``to_mm``.
     halo = int(to_mm / grid.voxel[2]) + 1
     planes = max(_SHELL_VOXELS // filled[0].size - 2 * halo, halo)
     for start in range(0, len(filled), planes):
@@ -100,7 +100,7 @@ def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxel
 
 
 def around(box: Box, grid: VolumeGrid, margin_mm: float) -> Box:
-    """A box that is wider on all sides, as far as the grid goes."""
+    """Return a box that is wider on all sides, within the grid."""
     more = (margin_mm / grid.voxel[::-1]).astype(int) + 1
     z, y, x = (
         slice(max(s.start - int(m), 0), min(s.stop + int(m), n))
@@ -110,7 +110,7 @@ def around(box: Box, grid: VolumeGrid, margin_mm: float) -> Box:
 
 
 def part_of(grid: VolumeGrid, box: Box) -> VolumeGrid:
-    """The voxels of a box as a grid of its own."""
+    """Return the voxels of a box as a separate grid."""
     low, high = (np.array([getattr(s, end) for s in box[::-1]]) for end in ("start", "stop"))
     middle = grid.first_voxel_mm + ((low + high - 1) / 2) * grid.voxel
     pose = grid.world_from_grid
@@ -119,7 +119,10 @@ def part_of(grid: VolumeGrid, box: Box) -> VolumeGrid:
 
 
 def centres(grid: VolumeGrid, box: Box, frame: Pose | None = None) -> Floats:
-    """Voxel centres of a box, (z, y, x, 3), mm, in the world, or in a frame given world_from_it."""
+    """Return the voxel centres of a box, (z, y, x, 3), mm, in the world or in ``frame``.
+
+    ``frame`` is the pose world_from_frame.
+    """
     x, y, z = (axis[part] for axis, part in zip(grid.axes(), box[::-1], strict=True))
     local = np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1)
     pose = frame.inverse() @ grid.world_from_grid if frame else grid.world_from_grid
@@ -140,7 +143,7 @@ def _inside(
     high = np.clip(np.ceil(index + reach / grid.voxel) + 1, low, size).astype(int)
     x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
     mask = np.empty([s.stop - s.start for s in (z, y, x)], dtype=np.bool_)
-    for k, plane in enumerate(mask, start=z.start):  # the places of all would be large
+    for k, plane in enumerate(mask, start=z.start):  # all positions together would be large
         points = centres(grid, (slice(k, k + 1), y, x), world_from_region)[0]
         plane[:] = inside(*np.moveaxis(points, -1, 0))
     return Voxels((z, y, x), mask)

@@ -1,4 +1,4 @@
-"""How far the end-effectors were from where they were sent."""
+"""Distance of the end-effectors from their commanded poses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ArmErrors:
     """Pose errors of one end-effector.
 
     Attributes:
-        position_mm: distance of the two origins, (views,), mm.
+        position_mm: distance between the two origins, (views,), mm.
         rotation_deg: angle of the relative rotation, (views,), degrees.
     """
 
@@ -26,7 +26,7 @@ class ArmErrors:
     rotation_deg: Floats
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """Mean, standard deviation (ddof 0) and maximum over the views, for each of the two."""
+        """Return mean, standard deviation (ddof 0) and maximum over the views of each error."""
         figures = {"mean": np.mean, "std": np.std, "max": np.max}
         return {
             name: {figure: float(of(values)) for figure, of in figures.items()}
@@ -36,13 +36,13 @@ class ArmErrors:
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """Pose errors of both end-effectors: of the focal spot's frame and of the panel's."""
+    """Pose errors of both end-effectors: the focal spot's frame and the panel's frame."""
 
     source: ArmErrors
     detector: ArmErrors
 
     def summary(self) -> dict[str, dict[str, dict[str, float]]]:
-        """``{source, detector} -> {position_mm, rotation_deg} -> {mean, std, max}``."""
+        """Return ``{source, detector} -> {position_mm, rotation_deg} -> {mean, std, max}``."""
         return {"source": self.source.summary(), "detector": self.detector.summary()}
 
 
@@ -50,7 +50,7 @@ def pose_errors(commanded: PosePairs, executed: PosePairs) -> PoseErrors:
     """Compare two sets of poses view by view, executed against commanded.
 
     Raises:
-        ValueError: no views, or not the same number of them.
+        ValueError: no views, or different numbers of views.
     """
     if not len(commanded) or len(commanded) != len(executed):
         raise ValueError(
@@ -62,25 +62,25 @@ def pose_errors(commanded: PosePairs, executed: PosePairs) -> PoseErrors:
 
 
 def reprojection_px(true: ScanGeometry, taken: ScanGeometry, points: ArrayLike) -> Floats:
-    """How far apart two geometries of the same views have the images of points.
+    """Return the distances between the images of points in two geometries of the same views.
 
     Args:
-        true: where source and panel were.
-        taken: where they are taken to have been.
+        true: executed geometry.
+        taken: assumed geometry.
         points: (points, 3), mm.
 
     Returns:
-        (views, points), pixels; NaN where one of them has no image.
+        (views, points), pixels; NaN if the point has no image in one geometry.
     """
     return np.linalg.norm(taken.project(points) - true.project(points), axis=-1)
 
 
 def tool_speeds(executed: PosePairs, simulated_s: Floats) -> dict[str, dict[str, float]]:
-    """Mean and largest speed of both tools from view to view, straight, mm/s.
+    """Return mean and largest speed of both tools from view to view, in straight lines, mm/s.
 
     Args:
         executed: poses of at least two views.
-        simulated_s: when each was taken, (views,).
+        simulated_s: time of each view, (views,).
     """
     seconds, found = np.diff(simulated_s), {}
     for side in ("source", "detector"):

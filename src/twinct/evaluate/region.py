@@ -1,4 +1,4 @@
-"""The region that every view sees: where a reconstruction can fairly be judged."""
+"""Region that every view sees, in which a reconstruction can be judged fairly."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
 BOUNDARY_SLACK_PX = 1e-9
-"""Rounding must not decide about voxel centres on the boundary: symmetric scans stay symmetric."""
+"""Tolerance for voxel centres on the boundary: rounding must not break the symmetry of a scan."""
 
 SOURCE_SLACK = 1e-9
 """Share of the source-panel distance by which a voxel must lie in front of the source."""
@@ -17,15 +17,15 @@ SOURCE_SLACK = 1e-9
 def region_of_interest(
     executed: ScanGeometry, grid: VolumeGrid, margin_px: float = 0.5
 ) -> NDArray[np.bool_]:
-    """Voxel centres whose projection lies inside the panel in every view.
+    """Return the voxels whose centres are projected onto the panel in every view.
 
-    Inside means at least ``margin_px`` from the edge of the active area, so that for 0.5 px the
-    projection lies among the pixel centres: column in [0, columns - 1] and row in [0, rows - 1].
+    The projection is at least ``margin_px`` from the edge of the active area. For 0.5 px, it lies
+    among the pixel centres: column in [0, columns - 1] and row in [0, rows - 1].
 
     Each view admits a pyramid with its tip in the source, the intersection of half-spaces
-    g . (p - S) <= 0, so the region is convex and each row of voxels along x enters and leaves it at
-    most once. On such a row p = p0(y, z) + x e, and a half-space bounds x by
-    g . (S - p0(y, z)) / (g . e), which is affine in y and z. That costs rows x half-spaces instead
+    g . (p - S) <= 0. The region is therefore convex, and each row of voxels along x enters and
+    leaves it at most once. On such a row p = p0(y, z) + x e, and a half-space bounds x by
+    g . (S - p0(y, z)) / (g . e), which is affine in y and z. This costs rows x half-spaces instead
     of voxels x views.
 
     Returns:
@@ -55,7 +55,7 @@ def region_of_interest(
 
 
 def half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Floats]:
-    """Half-spaces that bound what all views see.
+    """Return half-spaces that bound the volume seen by all views.
 
     With n = u x v, reach = (D - S) . n < 0 and the ray r = p - S, a point projects to
 
@@ -63,7 +63,7 @@ def half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Float
 
     and it lies in front of the source where r . n < 0. Hence column >= low is
     (reach u - a n) . r <= 0 with a = (D - S) . u + (low - (columns - 1) / 2) pitch_u, and likewise
-    for the other three edges. Returned are unit normals g (half-spaces, 3) and offsets
+    for the other three edges. The result is unit normals g (half-spaces, 3) and offsets
     (half-spaces,), mm: g . p <= offset.
     """
     panel, n = geometry.panel, geometry.normal

@@ -1,4 +1,4 @@
-"""What the views will see of the specimen: known before anything moves."""
+"""Visibility of the specimen in the planned views, known before anything moves."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from twinct.evaluate.region import region_of_interest
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
 COARSE_VOXELS = 48
-"""Voxels along each axis on which the region is looked at first: the whole grid costs seconds."""
+"""Voxels per axis of a coarse grid that is tried first: the whole grid takes seconds."""
 
 
 @dataclass(frozen=True)
 class Sight:
-    """What can be seen.
+    """Visibility of a specimen.
 
     Attributes:
-        blind: views that see nothing of the specimen.
-        from_behind: views in which it stands, or reaches, behind the panel that it shadows.
+        blind: views that do not show the specimen.
+        from_behind: views in which the specimen reaches behind the panel and shadows it.
         region_empty: no voxel of the grid is seen by every view.
-        in_region: whether the bounds of the specimen meet those of the voxels every view sees.
+        in_region: the bounds of the specimen meet the bounds of the voxels that every view sees.
     """
 
     views: int
@@ -33,10 +33,10 @@ class Sight:
 
 
 def sight(geometry: ScanGeometry, points: ArrayLike, grid: VolumeGrid) -> Sight:
-    """Look at a specimen through every commanded view.
+    """Determine the visibility of a specimen in every commanded view.
 
-    The points are the corners of its convex hull where it stands, (n, 3), mm; the grid is that of
-    the reconstruction.
+    The points are the corners of the convex hull of the specimen in the world, (n, 3), mm. ``grid``
+    is the lattice of the reconstruction.
     """
     corners = np.atleast_2d(np.asarray(points, dtype=np.float64))
     views = [geometry[view] for view in range(len(geometry))]
@@ -45,7 +45,7 @@ def sight(geometry: ScanGeometry, points: ArrayLike, grid: VolumeGrid) -> Sight:
     beyond = [_on_panel(view, corners[~front]) for view, front in zip(views, fronts, strict=True)]
     lattice = _coarse(grid)
     region = region_of_interest(geometry, lattice)
-    if not region.any():  # what is thinner than a coarse voxel needs the fine ones
+    if not region.any():  # a thin region needs the fine voxels
         lattice, region = grid, region_of_interest(geometry, grid)
     meet = _bounds_meet(corners, lattice, region)
     blind = tuple(view for view, seen in enumerate(before) if not seen)
@@ -54,7 +54,10 @@ def sight(geometry: ScanGeometry, points: ArrayLike, grid: VolumeGrid) -> Sight:
 
 
 def _on_panel(view: ScanGeometry, points: Floats) -> bool:
-    """Whether the bounds of a shadow meet the panel: a large body may leave no corner on it."""
+    """Return whether the bounds of a shadow meet the panel.
+
+    The corners of a large body may all lie off the panel.
+    """
     pixels = view.project(points)[0]
     shadow = pixels[np.isfinite(pixels).all(axis=-1)]  # NaN: behind the source
     if not len(shadow):
@@ -79,6 +82,6 @@ def _bounds_meet(points: Floats, grid: VolumeGrid, region: NDArray[np.bool_]) ->
 
 
 def _coarse(grid: VolumeGrid) -> VolumeGrid:
-    """The same box with fewer voxels."""
+    """Return the same box with fewer voxels."""
     shape = tuple(min(n, COARSE_VOXELS) for n in grid.shape)
     return VolumeGrid(shape, grid.size_mm / np.array(shape[::-1]), grid.world_from_grid)

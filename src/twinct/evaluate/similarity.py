@@ -13,7 +13,7 @@ WINDOW = 7
 
 
 def whole_windows(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Centres of the windows that lie entirely in a mask."""
+    """Return the centres of the windows that lie entirely in a mask."""
     if min(inside.shape) < WINDOW:
         return np.zeros(inside.shape, dtype=np.bool_)
     seen = inside.view(np.uint8)
@@ -27,7 +27,7 @@ def similarities(
     centres: NDArray[np.bool_],
     data_range: float,
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """SSIM of a volume, and of one that is all zero, with the truth, (windows,) each.
+    """Return the SSIM of a volume, and of a zero volume, with the truth, (windows,) each.
 
     Wang, Bovik, Sheikh, Simoncelli, IEEE Trans. Image Process. 13 (2004) 600, in 3-D with the
     sample covariance: with means m, (co)variances v, C1 = (0.01 L)^2 and C2 = (0.03 L)^2,
@@ -39,7 +39,7 @@ def similarities(
     Args:
         truth: attenuation, (z, y, x), 1/mm.
         volume: attenuation, (z, y, x), 1/mm.
-        centres: of the windows that count, (z, y, x); see ``whole_windows``.
+        centres: centres of the windows to include, (z, y, x); see ``whole_windows``.
         data_range: L.
     """
     mean = partial(scipy.ndimage.uniform_filter, size=WINDOW)

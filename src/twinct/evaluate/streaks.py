@@ -10,30 +10,31 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.geometry import Floats
 
 SECTORS = 24
-"""Directions about an implant's long axis that are told apart."""
+"""Number of sectors about an implant's long axis."""
 
 SLICE_MM = 2.0
-"""Thickness of the slices across it."""
+"""Thickness of the slices across the long axis."""
 
 
 def streak_index(error: ArrayLike, sector: ArrayLike, slices: ArrayLike) -> float:
-    """Spread of the mean error from sector to sector of a shell around an implant, less noise's.
+    """Return the spread of a shell's mean error between sectors, corrected for noise.
 
-    In each slice the variance of the sectors' means is what streaks make, plus what noise leaves in
-    a mean; the latter is the variance inside the sectors over their number of voxels, and is taken
-    off, as in the analysis of variance of one random effect. The truth's own structure is not in
-    the error. An artefact index that takes the variance of noise off that of a region with streaks
-    is customary (Lin et al., J. Comput. Assist. Tomogr. 35 (2011) 294); that the profile over the
-    angle is taken, and pooled over slices, is ours. An error a cos(2 phi) has a / sqrt(2). Noise
-    of neighbouring voxels that is correlated is taken off in part.
+    In each slice, the variance of the sectors' means comes from streaks, and from the noise that is
+    left in each mean. The noise term, the variance inside the sectors over their number of voxels,
+    is subtracted, as in the analysis of variance of one random effect. The truth's own structure is
+    not in the error. An artefact index that subtracts the variance of noise from the variance of a
+    region with streaks is customary (Lin et al., J. Comput. Assist. Tomogr. 35 (2011) 294); the use
+    of the profile over the angle, pooled over slices, is ours. An error
+    a cos(2 phi) has the index a / sqrt(2). Noise that is correlated between neighbouring voxels is
+    removed only in part.
 
     Args:
         error: volume less truth, (voxels,), such as relative to a mu.
-        sector: direction in which a voxel lies, (voxels,), whole numbers from 0.
-        slices: slice in which it lies, (voxels,), whole numbers from 0.
+        sector: sector of each voxel, (voxels,), whole numbers from 0.
+        slices: slice of each voxel, (voxels,), whole numbers from 0.
 
     Returns:
-        In the unit of the error; NaN where no slice has two sectors.
+        The index in the unit of the error; NaN if no slice has two sectors.
     """
     error = np.asarray(error, dtype=np.float64)
     sector, slices = np.asarray(sector, dtype=np.intp), np.asarray(slices, dtype=np.intp)
@@ -58,11 +59,11 @@ def streak_index(error: ArrayLike, sector: ArrayLike, slices: ArrayLike) -> floa
 
 
 def around_axis(points: Floats, body: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Sector about a body's longest axis, and slice across it, of points around the body.
+    """Return the sector about a body's longest axis, and the slice across it, of points.
 
     Args:
         points: (points, 3), mm.
-        body: points that fill it, (n, 3), mm, in the same frame.
+        body: points that fill the body, (n, 3), mm, in the same frame.
     """
     centre = body.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((body - centre).T))

@@ -1,1 +1,1 @@
-"""Files of every kind: read once, and written whole or not at all."""
+"""Files of every kind: read once, and written completely or not at all."""

@@ -1,6 +1,6 @@
-"""Descriptions of arms, MJCF and URDF: all that one includes, and the files that it names.
+"""Descriptions of arms, MJCF and URDF, with their includes and the files that they name.
 
-What is checked here is what is loaded: the includes are in place, and files have absolute names.
+The checked text is the text that MuJoCo loads: includes are expanded, and paths are absolute.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from twinct.errors import ScenarioError
 from twinct.files.reading import reason
 
 LARGEST_BYTES = 16 * 2**20
-"""Of one XML file; the largest arms of Menagerie have 0.03 MB."""
+"""Largest XML file; the largest arms of Menagerie have 0.03 MB."""
 
 MESHES = (".stl", ".obj", ".msh")
-"""What MuJoCo reads."""
+"""Mesh formats that MuJoCo reads."""
 
 _OF_A_SCENE = ("option", "size", "visual", "statistic", "keyframe", "sensor")
 _PACKAGE = "package://"
@@ -27,13 +27,13 @@ _PACKAGE = "package://"
 
 @dataclass(frozen=True, eq=False)
 class ArmXml:
-    """One arm as MuJoCo's parser takes it.
+    """One arm in the form that MuJoCo's parser takes.
 
     Attributes:
-        text: MJCF or URDF without includes, files by absolute names.
-        files: all that it was read from and that it names, itself first.
-        is_urdf: which of the two it is.
-        speed_limits: rad/s by joint, of those that state one above zero; MJCF has none.
+        text: MJCF or URDF without includes, with absolute paths.
+        files: all files that were read or are named, the arm's own first.
+        is_urdf: True for URDF, False for MJCF.
+        speed_limits: rad/s by joint, for joints with a limit above zero; MJCF has none.
     """
 
     text: str
@@ -43,15 +43,15 @@ class ArmXml:
 
 
 def read_arm_xml(path: Path, where: str) -> ArmXml:
-    """Read a description and find the files that it names.
+    """Read a description and locate the files that it names.
 
     Args:
         path: MJCF (``mujoco``, includes allowed) or URDF (``robot``).
-        where: what messages call it.
+        where: name of the description in messages.
 
     Raises:
-        ScenarioError: no such file, not XML, neither of the two, or a file that it names is not
-            there or lies outside its folder.
+        ScenarioError: the file is missing, not XML, or neither MJCF nor URDF, or a file that it
+            names is missing or lies outside its folder.
     """
     try:
         path = path.resolve()
@@ -70,13 +70,13 @@ def read_arm_xml(path: Path, where: str) -> ArmXml:
         text = ElementTree.tostring(root, encoding="unicode")
     except RecursionError:
         raise ScenarioError(f"{where} is nested too deep") from None
-    except (OSError, RuntimeError) as error:  # of names too long, or links that go round
+    except (OSError, RuntimeError) as error:  # names too long, or circular links
         raise ScenarioError(f"{where} cannot be read: {reason(error)}") from None
     return ArmXml(text, tuple(dict.fromkeys(files)), is_urdf, speeds)
 
 
 class _Plain(ElementTree.TreeBuilder):
-    """XML without a document type, whose entities may grow or name other files."""
+    """XML without a document type, since its entities may grow or name other files."""
 
     def doctype(self, *_: object) -> None:
         raise ValueError("it has a DOCTYPE, which an arm needs not: take it out")
@@ -95,7 +95,7 @@ def _parsed(path: Path, where: str) -> Any:
 
 
 def _inside(main: Path, name: str, where: str) -> Path:
-    """The file that ``name`` means, seen from the folder of the arm's own file."""
+    """Return the file that ``name`` refers to, relative to the folder of the arm's own file."""
     file = (main.parent / name).resolve()
     if not file.is_relative_to(main.parent):
         raise ScenarioError(
@@ -107,7 +107,7 @@ def _inside(main: Path, name: str, where: str) -> Path:
 
 
 def _include(root: Any, main: Path, where: str) -> list[Path]:
-    """Put what MJCF includes in its place; a name counts from the arm's own file first."""
+    """Replace the includes of MJCF by their content; names refer to the arm's own folder first."""
     files, pending = [], [root]
     while pending:
         parent, k = pending.pop(), 0
@@ -160,7 +160,7 @@ def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
         for visual in parent.findall("visual"):
             mesh = visual.find("geometry/mesh")
             if mesh is not None and Path(mesh.get("filename", "")).suffix.lower() not in MESHES:
-                parent.remove(visual)  # Collada, say: only a picture's loss
+                parent.remove(visual)  # such as Collada; only the picture loses it
         for texture in parent.findall("texture"):
             parent.remove(texture)
     extension = root.find("mujoco")
@@ -170,7 +170,7 @@ def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
     if compiler is None:
         compiler = ElementTree.SubElement(extension, "compiler")
     folder = compiler.attrib.pop("meshdir", "")
-    # Links that do not move carry the flange, and shapes that are only seen make the picture.
+    # The flange may be a link that does not move. Shapes that are only visible make the picture.
     compiler.attrib |= {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
     files = []
     for mesh in root.iter("mesh"):
@@ -206,5 +206,5 @@ def _speeds(root: Any, where: str) -> Iterator[tuple[str, float]]:
             raise ScenarioError(
                 f"{where}: joint {joint.get('name')}: velocity {text!r} is no speed in rad/s"
             )
-        if speed > 0:  # exporters write 0 where they know none
+        if speed > 0:  # exporters write 0 for an unknown limit
             yield joint.get("name", ""), speed

@@ -1,4 +1,4 @@
-"""NumPy arrays in files of others: the header bounds what is read."""
+"""NumPy arrays in external files; the header limits the reading."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _HEADERS: Any = {
 
 
 def read_npy(path: Path, where: str, kind: type[InputError] = InputError) -> NDArray[Any]:
-    """The array of numbers that ``numpy.save`` wrote.
+    """Return the array of numbers in a file of ``numpy.save``.
 
     Raises:
-        InputError: of this ``kind``; no such array, or too large for the memory.
+        InputError: of this ``kind``; there is no such array, or it is too large for the memory.
     """
     size = file_bytes(path, where, kind=kind)
     with library_errors(where, kind), path.open("rb") as stream:
@@ -33,10 +33,10 @@ def read_npy(path: Path, where: str, kind: type[InputError] = InputError) -> NDA
 def read_npz(
     path: Path, where: str, most: int, kind: type[InputError] = InputError
 ) -> dict[str, NDArray[Any]]:
-    """The arrays that ``numpy.savez`` wrote, by name, of at most so many bytes together.
+    """Return the arrays in a file of ``numpy.savez``, by name, of at most ``most`` bytes together.
 
     Raises:
-        InputError: of this ``kind``; no such file, arrays that are cut off, larger ones.
+        InputError: of this ``kind``; there is no such file, or its arrays are cut off or too large.
     """
     file_bytes(path, where, kind=kind)
     with library_errors(where, kind), zipfile.ZipFile(path) as archive:
@@ -55,7 +55,7 @@ def read_npz(
 def _read(stream: IO[bytes], size: int, where: str, kind: type[InputError]) -> NDArray[Any]:
     try:
         version = np.lib.format.read_magic(stream)
-        # 3.0 differs in names of fields alone.
+        # Version 3.0 differs only in the names of fields.
         shape, _, dtype = _HEADERS[min(version, (2, 0))](stream)
     except ValueError:
         raise kind(f"{where} holds no array of numbers as numpy.save writes it") from None

@@ -1,4 +1,4 @@
-"""Paths below a folder, by what they are."""
+"""Paths below a folder, by their roles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class _HasPath(Protocol):
 
 
 class Below:
-    """A path below the folder ``path`` of an object, by its name there."""
+    """A path below the folder ``path`` of an object, by its name in the folder."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -22,5 +22,5 @@ class Below:
 
 
 def names_below(owner: type[object]) -> list[str]:
-    """Of all that a class has below its folder."""
+    """Return the names of all paths that a class has below its folder."""
     return [part.name for part in vars(owner).values() if isinstance(part, Below)]

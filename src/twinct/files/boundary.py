@@ -1,7 +1,7 @@
-"""Where files of others come in: bounded, from regular files alone, each failure one sentence.
+"""Reading of external files: limited, from regular files only, with one sentence per failure.
 
-What a library throws while it reads is its own affair; here it becomes a message that names the
-file and says why. Who reads bounds bytes before it opens, and memory before it reads on.
+An exception of a library becomes a message that names the file and the reason. Callers check the
+size before they open a file, and the memory before they read on.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from twinct.files.reading import reason
 from twinct.memory import available_bytes
 
 LONGEST_REASON = 300
-"""Characters of what a library says."""
+"""Largest number of characters of a library's message."""
 
 
 def absolute(folder: Path, name: str) -> Path:
-    """The file that a name means, seen from a folder; ``~`` is the user's home.
+    """Return the file that a name refers to, relative to a folder; ``~`` is the user's home.
 
     Raises:
-        ValueError: no file can have this name; says why.
+        ValueError: no file can have this name; the message gives the reason.
     """
     try:
         return (folder / Path(name).expanduser()).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # nobody's home, links that go round, NUL
+    except (OSError, RuntimeError, ValueError) as error:  # no such user, circular links, NUL
         raise ValueError(f"{shortened(repr(name))} is no name of a file: {reason(error)}") from None
 
 
 def no_file(path: Path, *, folder: bool = False) -> str:
-    """Why a path is no regular file, and no folder where one is welcome; empty if it is one."""
+    """Return why a path is no regular file, nor a folder if allowed; empty if it is one."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -49,16 +49,16 @@ def no_file(path: Path, *, folder: bool = False) -> str:
 def file_bytes(
     path: Path, where: str, most: int | None = None, kind: type[InputError] = InputError
 ) -> int:
-    """Size of a regular file.
+    """Return the size of a regular file.
 
     Args:
-        path: of the file; nothing else is opened, so that no pipe is waited for.
-        where: how messages begin.
-        most: bytes that are read of such a file.
-        kind: of the error.
+        path: path of the file; nothing else is opened, so that no pipe blocks.
+        where: beginning of messages.
+        most: largest size in bytes.
+        kind: type of the error.
 
     Raises:
-        InputError: no regular file, or too large a one.
+        InputError: the file is not regular, or too large.
     """
     if why := no_file(path):
         raise kind(f"{where} {why}")
@@ -69,34 +69,34 @@ def file_bytes(
 
 
 def read_bytes(path: Path, where: str, most: int, kind: type[InputError] = InputError) -> bytes:
-    """All of a regular file that has at most so many bytes.
+    """Read a regular file of at most ``most`` bytes.
 
     ``where`` is subject and beginning of the message, such as "part 'skull': mesh file a.stl".
 
     Raises:
-        InputError: of this ``kind``; it cannot be read, or is larger.
+        InputError: of this ``kind``; the file cannot be read, or is larger.
     """
     size, data = file_bytes(path, where, most, kind), bytearray()
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(descriptor, "rb") as stream:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # exchanged meanwhile
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # replaced meanwhile
                 raise kind(f"{where} is no regular file")
-            step = max(size + 1, 2**16)  # read(n) makes room for n bytes before it reads any
+            step = max(size + 1, 2**16)  # read(n) allocates n bytes before it reads any
             while len(data) <= most and (part := stream.read(min(step, most + 1 - len(data)))):
                 data += part
     except OSError as error:
         raise kind(f"{where} cannot be read: {reason(error)}") from None
-    if len(data) > most:  # such as those of /proc, which say that they are empty
+    if len(data) > most:  # such as files of /proc, whose size is reported as 0
         raise kind(f"{where} has more than the {most} bytes that are read")
     return bytes(data)
 
 
 def read_text(path: Path, where: str, most: int, kind: type[InputError] = InputError) -> str:
-    """The same as text in UTF-8, with or without the mark that says so; lines end as they please.
+    """Read a regular file as UTF-8 text, with or without a byte order mark, with any line ends.
 
     Raises:
-        InputError: as ``read_bytes``, or it is no such text.
+        InputError: as ``read_bytes``, or the file is no such text.
     """
     data = read_bytes(path, where, most, kind)
     try:
@@ -107,10 +107,10 @@ def read_text(path: Path, where: str, most: int, kind: type[InputError] = InputE
 
 @contextlib.contextmanager
 def library_errors(where: str, kind: type[InputError] = InputError) -> Generator[None, None, None]:
-    """Turn whatever a library raises into one sentence that begins with ``where``.
+    """Turn any exception of a library into one sentence that begins with ``where``.
 
     Raises:
-        InputError: of this ``kind``; errors of twinct pass as they are.
+        InputError: of this ``kind``; errors of twinct pass unchanged.
     """
     try:
         yield
@@ -125,10 +125,10 @@ def library_errors(where: str, kind: type[InputError] = InputError) -> Generator
 
 
 def require_memory(where: str, needed: float, kind: type[InputError] = InputError) -> None:
-    """Refuse what this process cannot hold, by what a file's header says of it.
+    """Raise an error unless the memory of this process is enough for ``needed`` bytes.
 
     Raises:
-        InputError: of this ``kind``, with the bytes that are needed and there.
+        InputError: of this ``kind``, with the bytes that are needed and available.
     """
     available, limit = available_bytes()
     if needed > available:
@@ -139,6 +139,6 @@ def require_memory(where: str, needed: float, kind: type[InputError] = InputErro
 
 
 def shortened(text: str, most: int = LONGEST_REASON) -> str:
-    """A text of others on one line, cut off where it is long."""
+    """Return an external text on one line, shortened if it is long."""
     line = " ".join(text.split())
     return line if len(line) <= most else f"{line[: most - 3]}..."

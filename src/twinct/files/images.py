@@ -1,4 +1,4 @@
-"""Grey images: raw numbers, NumPy arrays and pictures in, TIFF out."""
+"""Grey images: reading of raw numbers, NumPy arrays and pictures, and writing of TIFF."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ PICTURES = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF")
 class RawImage:
     """Bare numbers in a file, row by row.
 
-    ``kind`` is numpy's name of the number type, byte order included; columns and rows are 0 where
-    they are not known; the header's bytes are skipped.
+    ``kind`` is numpy's name of the number type, with byte order. Columns and rows are 0 if unknown.
+    The header's bytes are skipped.
     """
 
     path: Path
@@ -36,12 +36,13 @@ class RawImage:
 def read_image(
     file: Path | RawImage, what: str, shape: tuple[int, int] | None = None
 ) -> NDArray[np.float64]:
-    """One grey image, (rows, columns): raw, .npy, or a picture.
+    """Read one grey image, (rows, columns): raw, .npy, or a picture.
 
-    ``what`` it shows is for messages; it must have the ``shape``, by which a raw one is read.
+    Messages call the content ``what``. The image must have the ``shape``, by which a raw one is
+    read.
 
     Raises:
-        InputError: it cannot be read, or has another shape; names the file.
+        InputError: the image cannot be read, or has another shape; the message names the file.
     """
     if isinstance(file, RawImage):
         path, image = file.path, _raw(file, shape or (file.rows, file.columns))
@@ -81,14 +82,14 @@ def _picture(path: Path, what: str) -> NDArray[np.float64]:
         return np.asarray(image, dtype=float)
     except InputError:
         raise
-    except Exception as error:  # readers of pictures raise what they like, and speak of themselves
+    except Exception as error:  # readers raise any exception, with texts about themselves
         kind = "array of numbers as numpy.save writes it" if path.suffix == ".npy" else "picture"
         cause = getattr(error, "strerror", None) or f"it holds no {kind}"
         raise InputError(f"{path}: cannot be read as the image of {what}: {cause}") from None
 
 
 def _pixels(path: Path) -> int:
-    """How many pixels the header of a picture tells of."""
+    """Return the number of pixels that the header of a picture states."""
     if path.suffix.lower() in (".tif", ".tiff"):
         import tifffile
 
@@ -101,7 +102,7 @@ def _pixels(path: Path) -> int:
 
 
 def write_tiff(path: Path, pixels: NDArray[np.generic]) -> None:
-    """Write an image as little-endian TIFF without compression; never leaves half a file."""
+    """Write an image as little-endian TIFF without compression, completely or not at all."""
     import tifffile
 
     with complete(path) as draft:

@@ -1,4 +1,4 @@
-"""One owner a folder: a lock that ends with its process, however that ends."""
+"""One owner per folder: a lock that ends with its process, even if the process is killed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from twinct.errors import FolderInUseError
 
 @contextlib.contextmanager
 def sole_owner(path: Path) -> Iterator[None]:
-    """Hold a lock file while the block runs; it is removed afterwards.
+    """Hold a lock file while the block runs, and remove it afterwards.
 
-    The lock is the kernel's (``flock``), so that a dead owner's is free at once; its text only
-    says who holds it. Its folder must exist.
+    The lock is the kernel's (``flock``), so that the lock of a dead owner is free at once. Its text
+    only names the owner. Its folder must exist.
 
     Raises:
-        FolderInUseError: another process holds it, with its number and host.
+        FolderInUseError: another process holds the lock; the message states its number and host.
     """
     descriptor = _locked(path)
     try:
@@ -30,12 +30,12 @@ def sole_owner(path: Path) -> Iterator[None]:
         os.write(descriptor, json.dumps(owner).encode())
         yield
     finally:
-        path.unlink(missing_ok=True)  # while it is held: who waits for it looks again
+        path.unlink(missing_ok=True)  # while locked: a waiting process checks the name again
         os.close(descriptor)
 
 
 def _locked(path: Path) -> int:
-    """Descriptor of the locked file that has this name now."""
+    """Return the descriptor of the locked file that has this name now."""
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
         try:
@@ -49,7 +49,7 @@ def _locked(path: Path) -> int:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), path.stat()):
                 return descriptor
-        os.close(descriptor)  # its owner has just removed it
+        os.close(descriptor)  # the owner has just removed the file
 
 
 def _owner(descriptor: int) -> str:

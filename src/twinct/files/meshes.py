@@ -19,17 +19,17 @@ _KNOWN = "STL, PLY, OBJ and OFF files are known"
 _KINDS = ("stl", "ply", "obj", "off")
 
 LARGEST_BYTES = 2**30
-"""Of one file: 20 million triangles of binary STL."""
+"""Largest file: 20 million triangles of binary STL."""
 
 MEMORY_FACTOR = 8
-"""Bytes in memory for each byte of a file while it is read; text has fewer."""
+"""Bytes in memory per byte of a file while it is read; text formats need fewer."""
 
 
 def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
-    """The triangles of an STL, PLY or OBJ file, in its own unit; messages call it ``where``.
+    """Read the triangles of an STL, PLY, OBJ or OFF file in its unit; messages call it ``where``.
 
     Raises:
-        SpecimenError: the file cannot be read, or holds no triangles of finite corners.
+        SpecimenError: the file cannot be read, or holds no triangles with finite corners.
     """
     import trimesh
 
@@ -43,11 +43,11 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
     if kind == "ply":
         _check_ply(data, where)
     try:
-        # From memory: what else a file names, textures say, is not looked for.
+        # From memory, so that other files that it names, such as textures, are not opened.
         mesh: Any = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh")
-    except ImportError:  # trimesh looks for a guesser of encodings where text is none it knows
+    except ImportError:  # trimesh asks for an encoding detector if text is in no encoding it knows
         raise SpecimenError(f"{where} is no mesh: {_KNOWN}") from None
-    except Exception as error:  # trimesh's readers raise whatever their format brings
+    except Exception as error:  # trimesh's readers raise any exception
         why = shortened(f"{type(error).__name__}: {error}")
         raise SpecimenError(f"{where} cannot be read ({why}); {_KNOWN}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
@@ -60,7 +60,7 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
 
 
 def _check_ply(data: bytes, where: str) -> None:
-    """Refuse a header of PLY that tells of more elements than there are bytes."""
+    """Refuse a PLY header that states more elements than the file has bytes."""
     header = data[: max(data.find(b"end_header"), 0)]
     for number in re.findall(rb"^element\s+\S+\s+(\S+)", header, re.MULTILINE):
         if not number.isdigit() or len(number) > 18 or int(number) > len(data):
@@ -69,9 +69,10 @@ def _check_ply(data: bytes, where: str) -> None:
 
 
 def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
-    """The closed surface that a file holds, in its own unit, mended where that is trivial.
+    """Read the closed surface in a file, in its own unit, with trivial repairs.
 
-    Equal vertices are merged, collapsed and repeated triangles dropped, normals turned outwards.
+    Equal vertices are merged, collapsed and repeated triangles dropped, and normals turned
+    outwards.
 
     Raises:
         SpecimenError: as ``read_triangles``, or the surface is open, or has no inside.
@@ -89,7 +90,7 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
 
 
 def open_edges(mesh: trimesh.Trimesh) -> int:
-    """Number of edges that do not join exactly two triangles."""
+    """Return the number of edges that do not join exactly two triangles."""
     _, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
     return int((counts != 2).sum())
 

@@ -1,4 +1,4 @@
-"""NIfTI files of others: the header first, which bounds what is read, then the numbers."""
+"""External NIfTI files: the header, which limits the reading, then the numbers."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from twinct.errors import InputError
 from twinct.files.boundary import file_bytes, library_errors, require_memory
 
 DENSEST = 1100
-"""Bytes that a byte of gzip can hold at most: 1032 (RFC 1951), and some for the last block."""
+"""Largest number of bytes per byte of gzip: 1032 (RFC 1951), and some for the last block."""
 
 
 def read_nifti(
     path: Path, where: str, kind: type[InputError] = InputError
 ) -> tuple[NDArray[np.float32], Any]:
-    """The voxels of a NIfTI file, in its order of axes, and the image with header and affine.
+    """Read the voxels of a NIfTI file, in its order of axes, and the image with header and affine.
 
     Raises:
-        InputError: of this ``kind``; no such file, a header that promises more than the file holds,
-            too large for the memory, damaged.
+        InputError: of this ``kind``; the file is missing, damaged, shorter than its header states,
+            or too large for the memory.
     """
     import nibabel
 

@@ -1,4 +1,4 @@
-"""JSON of files, whoever wrote them."""
+"""JSON in files of any origin."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from twinct.files.boundary import no_file
 
 
 def json_of(text: str | bytes) -> Any:
-    """The value that a text tells.
+    """Return the value of a JSON text.
 
     Raises:
-        ValueError: it is no JSON, or nested deeper than Python follows.
+        ValueError: the text is no JSON, or nested too deep for Python.
     """
     try:
         return json.loads(text)
@@ -22,11 +22,11 @@ def json_of(text: str | bytes) -> Any:
 
 
 def read_json(path: Path) -> Any:
-    """The value that a regular file tells; no pipe is waited for.
+    """Return the value of a regular JSON file; pipes are refused, since they may block.
 
     Raises:
-        ValueError: see ``json_of``, or it is no such file.
-        OSError: it cannot be read.
+        ValueError: see ``json_of``, or there is no such file.
+        OSError: the file cannot be read.
     """
     if why := no_file(path):
         raise ValueError(f"{path.name} {why}")

@@ -1,9 +1,9 @@
-"""A safe part of YAML: mappings, lists, texts, numbers, truth values and null, and nothing else.
+"""A safe subset of YAML: mappings, lists, texts, numbers, truth values and null, and nothing else.
 
-Plain words mean what the core schema of YAML 1.2 (section 10.3.2) says: ``no``, ``2020-01-01``,
-``1:30`` and ``1_000`` are texts, and 1e-3 is a number. Tags, anchors, merge keys, second documents
-and keys that stand twice are refused; size, depth and number of values are bounded while the file
-is read, before anything is made of it.
+Plain words have the meaning of the core schema of YAML 1.2 (section 10.3.2): ``no``,
+``2020-01-01``, ``1:30`` and ``1_000`` are texts, and 1e-3 is a number. Tags, anchors, merge keys,
+second documents and repeated keys are refused. Size, depth and number of values are limited while
+the file is read, before any of it is used.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from twinct.errors import ScenarioError
 from twinct.files.boundary import read_text
 
 LARGEST_BYTES = 2**20
-"""Of one file; a study with 10,000 values has a tenth of that."""
+"""Largest file; a study with 10,000 values has a tenth of this size."""
 
 DEEPEST = 20
-"""Levels that a file may be nested; a scenario's own sections need six."""
+"""Deepest nesting in a file; a scenario's own sections need six levels."""
 
 MOST_VALUES = 100_000
-"""Of one file, keys included."""
+"""Largest number of values in a file, keys included."""
 
 MOST_DIGITS = 400
-"""Of one number; the largest that a computer's floating point holds has 309."""
+"""Largest number of digits; the largest floating-point number has 309."""
 
 Key = tuple[str | int, ...]
 
@@ -43,19 +43,19 @@ _IN_BASE = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
 _ENDLESS = re.compile(r"[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)")
 _UNFIT = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
-"""Characters that no name and no description has."""
+"""Characters that neither a name nor a description may contain."""
 
-# The same parser in C: thirty times as fast, and its wheels have it.
+# The same parser in C is thirty times as fast, and the wheels contain it.
 _PARSER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 @dataclass(frozen=True)
 class PlainYaml:
-    """What a text says.
+    """Content of a YAML text.
 
     Attributes:
-        value: dicts with texts as keys, lists, str, int, float, bool and None; of its own.
-        lines: on which line each value begins, by its keys from the outermost; 1 is the first.
+        value: dicts with texts as keys, lists, str, int, float, bool and None, not shared.
+        lines: line on which each value begins, by its keys from the outermost; 1 is the first.
     """
 
     value: Any
@@ -63,17 +63,17 @@ class PlainYaml:
 
 
 def read_file(path: Path, what: str) -> PlainYaml:
-    """What a file says, which is ``what`` in messages.
+    """Read a YAML file, which messages call ``what``.
 
     Raises:
-        ScenarioError: it cannot be read, or says more than plain data; names file and line.
+        ScenarioError: the file cannot be read, or holds more than plain data; names file and line.
     """
     text = read_text(path, f"{path}: the {what}", LARGEST_BYTES, ScenarioError)
     return _Reader(text, path, what, lines=True).read()
 
 
 def read_value(text: str, where: str) -> Any:
-    """The value in a short text that somebody typed.
+    """Return the value of a short text that a user typed.
 
     Raises:
         ScenarioError: as ``read_file``; begins with ``where``.
@@ -82,7 +82,7 @@ def read_value(text: str, where: str) -> Any:
 
 
 class _Writer(yaml.SafeDumper):
-    """Quotes also the texts that are numbers in YAML 1.2 alone."""
+    """Dumper that also quotes texts that are numbers only in YAML 1.2."""
 
 
 _resolvers: Any = _Writer
@@ -92,12 +92,12 @@ for _pattern in (_FLOAT, _IN_BASE):
 
 
 def written(data: Any) -> str:
-    """The text that ``read_file`` reads back."""
+    """Return the text that ``read_file`` reads back."""
     return yaml.dump(data, Dumper=_Writer, sort_keys=False, allow_unicode=True)
 
 
 class _Reader:
-    """One pass over the events of a text, with nothing kept of it but the values."""
+    """One pass over the events of a text, in which only the values are stored."""
 
     def __init__(self, text: str, where: object, what: str, *, lines: bool) -> None:
         self._text, self._where, self._what, self._tell_lines = text, where, what, lines
@@ -106,12 +106,12 @@ class _Reader:
         self._events: Iterator[Any] = iter(())
 
     def read(self) -> PlainYaml:
-        """All that the text says; None if it is empty."""
+        """Return the content of the whole text; the value is None if it is empty."""
         for match in _UNFIT.finditer(self._text):
             line = self._text.count("\n", 0, match.start()) + 1
             self._refuse(line, (), f"the character {match[0]!r} belongs in no {self._what}")
         self._events = self._parsed()
-        next(self._events)  # of the stream
+        next(self._events)  # the stream's start
         value, event = None, next(self._events)
         if not isinstance(event, yaml.StreamEndEvent):
             value = self._value(next(self._events), ())
@@ -127,7 +127,7 @@ class _Reader:
         except yaml.YAMLError as error:
             mark = getattr(error, "problem_mark", None)
             problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "?"
-            last = max(len(self._text.splitlines()), 1)  # its end is not a line of its own
+            last = max(len(self._text.splitlines()), 1)  # the end is no separate line
             line = min(mark.line + 1, last) if mark else None
             self._refuse(line, (), f"not valid YAML: {problem}")
 
@@ -176,7 +176,7 @@ class _Reader:
         return text
 
     def _meant(self, text: str, line: int, key: Key) -> Any:
-        """What a word without quotes means."""
+        """Return the value of a word without quotes."""
         if text in _WORDS:
             return _WORDS[text]
         if text[0] not in "-+.0123456789":

@@ -1,10 +1,10 @@
-"""Why a file cannot be read."""
+"""Reason why a file cannot be read."""
 
 from __future__ import annotations
 
 
 def reason(error: Exception) -> str:
-    """The cause in words, without error numbers."""
+    """Return the cause in words, without error numbers."""
     if isinstance(error, IsADirectoryError):
         return "it is a folder"
     if isinstance(error, UnicodeDecodeError):

@@ -11,17 +11,17 @@ from twinct.errors import InputError
 from twinct.files.boundary import read_text, shortened
 
 LARGEST_BYTES = 16 * 2**20
-"""Of one file: half a million rows."""
+"""Largest file: half a million rows."""
 
 
 def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.float64]:
-    """Columns of finite numbers from a text file, (columns, rows); ``#`` starts a comment.
+    """Read columns of finite numbers from a text file, (columns, rows); ``#`` starts a comment.
 
-    Blanks, commas or semicolons stand between them. Another number of columns is refused, as nobody
-    can tell which are meant, unless ``more`` may follow, which are left out.
+    Columns are separated by blanks, commas or semicolons. Any other number of columns is refused as
+    ambiguous, unless ``more`` is set: further columns are then left out.
 
     Raises:
-        InputError: it cannot be read; names the file.
+        InputError: the file cannot be read; names the file.
     """
     wanted = f"not {columns} columns of numbers"
     text = read_text(path, f"{path}: {wanted}: it", LARGEST_BYTES)
@@ -47,7 +47,7 @@ def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.
 
 
 def read_curve(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The first two columns of a text file: a curve over its first.
+    """Read the first two columns of a text file: a curve over its first column.
 
     Raises:
         InputError: as ``read_columns``, or the first column does not rise; names the file.

@@ -1,4 +1,4 @@
-"""Safe writing: a file is there when it is complete, and a full disk is one message."""
+"""Safe writing: files appear only when they are complete, and a full disk gives one message."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pathlib import Path
 from twinct.errors import InputError, StorageError
 
 _SPARE_BYTES = 64 * 2**20
-"""Disk space to leave free beside what is written."""
+"""Disk space to leave free in addition to the output."""
 
 
 @contextlib.contextmanager
 def complete(path: Path) -> Iterator[Path]:
-    """A draft beside a file, which takes its place when the block ends well."""
+    """Yield a draft beside a file, which replaces the file if the block succeeds."""
     draft = draft_of(path)
     try:
         yield draft
@@ -28,24 +28,27 @@ def complete(path: Path) -> Iterator[Path]:
 
 
 def draft_of(path: Path) -> Path:
-    """What a file is called until it is complete; the ending stays, since libraries go by it."""
+    """Return the name of a file until it is complete; libraries need the same suffix."""
     return path.with_name(f".{path.name}.partial{path.suffix}")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file that appears under its name only when it is complete."""
+    """Write a text file that appears only when it is complete."""
     with complete(path) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, data: object) -> None:
-    """Write JSON for people too, complete or not at all."""
+    """Write JSON that people can read, completely or not at all."""
     write_text(path, json.dumps(data, indent=2) + "\n")
 
 
 @contextlib.contextmanager
 def storage_errors(path: Path, left: str = "what was written before is kept") -> Iterator[None]:
-    """Turn a full disk, and what is ``left`` then, or no permission into one clear message."""
+    """Turn a full disk or a missing permission into one clear message.
+
+    ``left`` states the condition of the output after the disk filled up.
+    """
     try:
         yield
     except OSError as error:
@@ -59,7 +62,7 @@ def storage_errors(path: Path, left: str = "what was written before is kept") ->
 
 
 def require_space(folder: Path, size: int, what: str) -> None:
-    """Refuse to start what the disk cannot hold: bytes in a folder that need not exist yet.
+    """Raise an error unless the disk has ``size`` bytes for a folder, which may not exist yet.
 
     ``what`` is subject and verb of the message, such as "the scan needs".
 
@@ -76,14 +79,14 @@ def require_space(folder: Path, size: int, what: str) -> None:
 
 
 def check_folder(path: Path, own: Collection[str] | None = None) -> None:
-    """Refuse what cannot become the folder of a command's results.
+    """Check that a path can become the folder of a command's results.
 
-    Content by other names than its ``own`` is somebody else's, and is refused; None: whatever is in
-    the folder may stay beside the results.
+    Files by other names than ``own`` are refused, since they are not the command's; with None, any
+    content of the folder may stay beside the results.
 
     Raises:
-        InputError: it is a file, or holds something else.
-        StorageError: it cannot be written.
+        InputError: the path is a file, or the folder has other content.
+        StorageError: the folder cannot be written.
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}: this is a file; a folder is needed")
@@ -100,22 +103,22 @@ def check_folder(path: Path, own: Collection[str] | None = None) -> None:
 
 
 def check_picture(path: Path) -> None:
-    """Refuse what cannot become a PNG file.
+    """Check that a path can become a PNG file.
 
     Raises:
-        InputError: it is a folder, or named like another kind of file.
-        StorageError: it cannot be written.
+        InputError: the path is a folder, or has another suffix.
+        StorageError: the file cannot be written.
     """
     _check_file(path, "a PNG file", "a picture", ".png")
 
 
 def check_page(path: Path, option: str = "--out") -> None:
-    """The same for an HTML file, which another ``option`` may name."""
+    """Check that a path can become an HTML file; ``option`` is its option in messages."""
     _check_file(path, "an HTML file", "a page", ".html", option)
 
 
 def check_film(path: Path, option: str = "--out") -> None:
-    """The same for an MP4 file."""
+    """Check that a path can become an MP4 file; ``option`` is its option in messages."""
     _check_file(path, "an MP4 file", "a film", ".mp4", option)
 
 

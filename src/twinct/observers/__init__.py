@@ -1,4 +1,4 @@
-"""Who listens to a run: events, and how they are told without holding it up."""
+"""Observers of a run: events, and their delivery without delaying the run."""
 
 from twinct.observers.audience import Audience, Observer, Observers, audience_of
 from twinct.observers.events import (

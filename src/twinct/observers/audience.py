@@ -1,4 +1,4 @@
-"""Tells observers of a run, each in a thread of its own, so that none holds up the others or it."""
+"""Delivery of events to observers, each in its own thread, so that none delays any other."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from twinct.views import JointSample
 log = logging.getLogger(__name__)
 
 LAST_WORDS_S = 5.0
-"""How long the end of a run waits for observers that have not heard everything yet."""
+"""Time that the end of a run waits for observers with undelivered events."""
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Who is told, and of what.
+    """An observer and the events that it receives.
 
     Attributes:
-        hear: called with each event, in a thread of this observer. When it raises, that is logged
-            and it is not called again; the run goes on.
-        wants: kinds of events; None: all. ``Missed`` comes in any case.
-        joints_hz: samples of the moving joints in a second of simulated time, 50 at most.
-        waiting: events that may wait; when it is slower than they come, the oldest are left out,
-            and it is told which. Of volumes only the newest waits.
-        lossless: nothing is left out: the run waits instead.
+        hear: called with each event, in this observer's thread. An exception is logged, and
+            ``hear`` is not called again; the run continues.
+        wants: kinds of events; None for all. ``Missed`` is always delivered.
+        joints_hz: samples of moving joints per second of simulated time, at most 50.
+        waiting: maximum number of queued events. For a slow observer, the oldest are dropped and
+            reported as missed. Only the newest volume is queued.
+        lossless: if set, no event is dropped; the run waits instead.
     """
 
     hear: Callable[[Any], object]
@@ -51,22 +51,22 @@ class Observer:
 
 
 class Audience:
-    """All observers of a run: a ``Progress`` that tells them of stages, and of any event.
+    """All observers of a run: a ``Progress`` that reports stages and events to them.
 
-    With no observers it does nothing.
+    Without observers, it does nothing.
     """
 
     def __init__(self, observers: Iterable[Observer | Callable[[Any], object]] = ()) -> None:
-        """``close`` waits until they have heard everything, though not long."""
+        """Prepare delivery to observers, with a thread for each on its first event."""
         known = (o if isinstance(o, Observer) else Observer(o) for o in observers)
         self._seats = [_Seat(observer) for observer in known]
 
     def wants(self, kind: type[Event]) -> bool:
-        """Whether anybody wants such events; making some takes time and memory."""
+        """Return True if any observer wants such events; some cost time and memory to create."""
         return any(seat.wants(kind) for seat in self._seats)
 
     def tell(self, event: Event) -> None:
-        """Tell all who want it; returns at once but for observers that are lossless."""
+        """Queue an event for all observers that want it; only lossless ones can delay this."""
         for seat in self._seats:
             if seat.wants(type(event)):
                 seat.put(event)
@@ -93,9 +93,9 @@ class Audience:
             self.tell(StageEnded(name, total, done, time.monotonic() - start, broken))
 
     def close(self) -> None:
-        """Let everybody hear what waits, for ``LAST_WORDS_S``; the rest is told as missed.
+        """Deliver queued events for up to ``LAST_WORDS_S``; report the rest as missed.
 
-        Lossless ones are waited for however long they take.
+        For lossless observers, wait without limit.
         """
         deadline = time.monotonic() + LAST_WORDS_S
         for seat in self._seats:
@@ -109,7 +109,7 @@ Observers = Audience | Iterable[Observer | Callable[[Any], object]]
 
 @contextmanager
 def audience_of(observers: Observers) -> Iterator[Audience]:
-    """Observers as an audience, closed afterwards; one that there is already stays open."""
+    """Yield observers as an audience, and close it afterwards unless it was given as one."""
     if isinstance(observers, Audience):
         yield observers
         return
@@ -125,7 +125,7 @@ def _same_stage(event: Event, step: StageStep) -> bool:
 
 
 class _Seat:
-    """An observer, what waits for it, and its thread."""
+    """An observer with its queue and its thread."""
 
     def __init__(self, observer: Observer) -> None:
         self._observer = observer
@@ -146,9 +146,9 @@ class _Seat:
         return not self._gone and (kinds is None or kind in kinds)
 
     def put(self, event: Event) -> None:
-        """Let an event wait."""
+        """Queue an event."""
         if isinstance(event, JointSample):
-            # Half a millisecond: the simulated time is a sum of steps.
+            # Half a millisecond of tolerance: simulated time is a sum of steps.
             beat = int((event.time_s + 5e-4) * self._observer.joints_hz)
             if beat == self._beat:
                 return
@@ -171,13 +171,13 @@ class _Seat:
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Nothing more will come."""
+        """Announce that no more events will come."""
         with self._changed:
             self._ending = True
             self._changed.notify_all()
 
     def leave(self, deadline: float) -> None:
-        """Wait until everything was heard; what was not by then is missed."""
+        """Wait until all events are delivered; after the deadline, the rest is missed."""
         if not self._thread.is_alive():
             return
         left_s = max(0.0, deadline - time.monotonic())
@@ -194,7 +194,7 @@ class _Seat:
             self._missed.append(event)
 
     def _next(self) -> Event | None:
-        """What is to be heard next; None at the end."""
+        """Return the next event to deliver; None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._queue or self._missed or self._ending)
             if self._missed:

@@ -1,4 +1,4 @@
-"""What observers of a run are told; nothing in an event can be changed."""
+"""Immutable events that observers of a run receive."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class PlanMade:
-    """What is going to be scanned, before anything moves.
+    """The scan to come, reported before anything moves.
 
     Attributes:
-        scenario: of the run.
+        scenario: scenario of the run.
         commanded: poses of all views.
-        plan: what the arms follow; None where they solve each target as it comes, or with a gantry.
+        plan: the arms' motion plan; None for a gantry, or if they solve each target as it comes.
     """
 
     scenario: Scenario
@@ -32,12 +32,12 @@ class PlanMade:
 
 @dataclass(frozen=True, eq=False)
 class ViewStored:
-    """A view that is on disk, or in memory where there is no store.
+    """A view that is on disk, or in memory if there is no store.
 
     Attributes:
-        index: of the view, from 0.
-        views: that the scan shall have.
-        view: its image, read-only, and what the robots had.
+        index: index of the view, from 0.
+        views: number of views of the scan.
+        view: its image, read-only, and the robots' state.
     """
 
     index: int
@@ -51,11 +51,11 @@ class IterationDone:
 
     Attributes:
         algorithm: its name.
-        geometry: name of the geometry that it works from.
-        iteration: from 1.
-        iterations: that there shall be.
-        residual: root mean square of p - A x, taken during it before each update.
-        volume: what it left, 1/mm; a copy, read-only.
+        geometry: name of the geometry used.
+        iteration: number, from 1.
+        iterations: total number.
+        residual: root mean square of p - A x, taken during the iteration before each update.
+        volume: resulting volume, 1/mm; a read-only copy.
     """
 
     algorithm: str
@@ -68,12 +68,12 @@ class IterationDone:
 
 @dataclass(frozen=True)
 class StageBegan:
-    """A stage of work.
+    """Start of a stage of work.
 
     Attributes:
-        name: for people.
-        total: steps that it has.
-        done: steps done before, where it goes on.
+        name: name for users.
+        total: number of steps.
+        done: steps done before a resumption.
     """
 
     name: str
@@ -83,7 +83,7 @@ class StageBegan:
 
 @dataclass(frozen=True)
 class StageStep:
-    """``done`` steps of a stage are done; of steps that wait to be told only the last is kept."""
+    """Completion of ``done`` steps of a stage; of several queued steps, only the last remains."""
 
     name: str
     total: int
@@ -92,7 +92,7 @@ class StageStep:
 
 @dataclass(frozen=True)
 class StageEnded:
-    """A stage is over after ``seconds``; ``broken`` by an exception or whole."""
+    """End of a stage after ``seconds``; ``broken`` if an exception ended it."""
 
     name: str
     total: int
@@ -103,7 +103,7 @@ class StageEnded:
 
 @dataclass(frozen=True)
 class Said:
-    """Something that a user should know at once."""
+    """A message that the user should see at once."""
 
     text: str
     warning: bool
@@ -111,11 +111,11 @@ class Said:
 
 @dataclass(frozen=True)
 class Missed:
-    """What an observer that was too slow has not been told since it was last told anything.
+    """Events that a slow observer has missed since its last delivery.
 
     Attributes:
-        events: how many of each kind, by the name of its class.
-        views: indices of the views among them; the store has them.
+        events: number of each kind, by class name.
+        views: indices of the missed views, which are in the store.
     """
 
     events: Mapping[str, int]

@@ -1,6 +1,6 @@
-"""Records a scan as ROS 2 messages in an MCAP file, and rebuilds the scan from such files.
+"""Recording of a scan as ROS 2 messages in an MCAP file, and recovery of the scan from such files.
 
-Importing this package needs no MCAP library; what is taken from it does.
+Importing this package needs no MCAP library; using its members does.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ _HOMES = {"Recorded": "rebuilt", "read_recordings": "rebuilt", "Recorder": "reco
 
 
 def recordings(folder: Path) -> list[Path]:
-    """All of a run, in the order in which they were made."""
+    """Return all recordings of a run, in the order in which they were made."""
     return sorted(folder.glob("scan*.mcap"), key=lambda path: (len(path.name), path.name))
 
 
 def recorder_of(link: Literal["ros2", "local"], folder: Path) -> Recorder:
-    """What records a scan of a link into a folder.
+    """Return a recorder of a link's scan, which writes to a folder.
 
     Raises:
         MissingExtraError: the extra ``record`` is not installed.
@@ -42,10 +42,10 @@ def recorder_of(link: Literal["ros2", "local"], folder: Path) -> Recorder:
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs the MCAP library only when it is asked for.
+    """Import members that need the MCAP library only on request.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: the MCAP library is not installed.
     """
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

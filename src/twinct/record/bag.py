@@ -1,4 +1,4 @@
-"""An MCAP file of ROS 2 messages that grows as they come, and can be read as far as it goes."""
+"""An MCAP file of ROS 2 messages, which stays readable while it grows."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ MEDIA_TYPES = {
 
 
 class _RawWriter(Writer):
-    """Takes messages that are serialised already, too."""
+    """Writer that also accepts serialised messages."""
 
     def add(self, topic: str, kind: str) -> int:
-        """The channel of a topic, made where there is none."""
+        """Return the channel of a topic; create it on first use."""
         if topic not in self._channel_ids:
             schema = self.register_msgdef(kind, definition(kind))
             self._channel_ids[topic] = self._writer.register_channel(topic, "cdr", schema.id)
         return self._channel_ids[topic]
 
     def write_raw(self, channel: int, data: bytes, received: int, sent: int, number: int) -> None:
-        """Write bytes as they are."""
+        """Write serialised bytes unchanged."""
         self._writer.add_message(channel, received, data, sent, number)
 
 
 class Bag:
-    """One file; whoever writes an image flushes it, so that a killed process loses little."""
+    """One MCAP file. Callers flush it after each image, so that a killed process loses little."""
 
     def __init__(self, path: Path, chunk_bytes: int) -> None:
-        """Begin a file.
+        """Create the file.
 
         Args:
-            path: of the file, which must not exist.
-            chunk_bytes: a chunk that is larger is complete: with the size of an image, each image
-                ends one.
+            path: path of the file, which must not exist.
+            chunk_bytes: size above which a chunk is complete; with an image's size, each image
+                completes one.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         self.path = path
         self._file = path.open("xb")
-        # Uncompressed: projections shrink little, and a scan must not wait for that.
+        # Uncompressed: projections shrink little, and compression would delay the scan.
         self._writer = _RawWriter(self._file, chunk_bytes, CompressionType.NONE)
         self._schemas: dict[str, Any] = {}
 
@@ -56,10 +56,10 @@ class Bag:
         """Encode a message given as plain data and write it.
 
         Args:
-            topic: of the message.
+            topic: topic of the message.
             kind: its type, such as ``geometry_msgs/msg/PoseArray``.
             message: its fields.
-            time_ns: when it was said, and heard.
+            time_ns: time of sending and receipt.
         """
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_msgdef(kind, definition(kind))
@@ -68,22 +68,22 @@ class Bag:
     def write_raw(
         self, topic: str, kind: str, data: bytes, received_ns: int, sent_ns: int, number: int
     ) -> None:
-        """Write a message that is serialised; its number is among those of its publisher."""
+        """Write a serialised message; ``number`` is its sequence number at its publisher."""
         channel = self._writer.add(topic, kind)
         self._writer.write_raw(channel, data, received_ns, sent_ns, number)
 
     def attach(self, name: str, data: bytes) -> None:
-        """Put a file into the bag."""
+        """Attach a file to the bag."""
         self._writer.add_attachment(0, 0, name, MEDIA_TYPES[Path(name).suffix], data)
         self.flush()
 
     def note(self, name: str, values: Mapping[str, str]) -> None:
-        """Put words into the bag."""
+        """Add text metadata to the bag."""
         self._writer.add_metadata(name, dict(values))
         self.flush()
 
     def flush(self) -> None:
-        """Hand all complete chunks to the system."""
+        """Pass all complete chunks to the operating system."""
         self._file.flush()
 
     def close(self) -> None:

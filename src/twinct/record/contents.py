@@ -1,4 +1,4 @@
-"""What recordings of a scan hold, put together by view."""
+"""Content of a scan's recordings, assembled by view."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from twinct.record.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, 
 from twinct.views import Reached
 
 SMALL = (TARGET, REACHED, JOINTS, STATE, VIEWS, CAMERA)
-"""What a view has besides its image."""
+"""Topics of a view's data, except its image."""
 
 
 @dataclass
 class Contents:
-    """All but the pixels.
+    """Content of recordings, except the pixels.
 
     Attributes:
-        recordings: files that it is from.
-        facts: what twinct says of the scan; none of a recording that it did not make.
-        files: that are in them, by name.
+        recordings: source files.
+        facts: twinct's metadata of the scan; empty for recordings of other software.
+        files: attached files, by name.
         said: messages by topic and stamp.
-        imaged: stamps of images, in their order.
-        topics: all that there are.
+        imaged: stamps of images, in order.
+        topics: all topics that occur.
     """
 
     recordings: Sequence[Recording]
@@ -49,7 +49,7 @@ class Contents:
         """Read recordings.
 
         Raises:
-            InputError: there is none, one is no recording, or of another scan than the first.
+            InputError: there are no recordings, or one is invalid or of a different scan.
         """
         if not paths:
             raise InputError("no recording is named: give the MCAP files of a scan")
@@ -85,37 +85,37 @@ class Contents:
 
     @property
     def names(self) -> str:
-        """The files, for people."""
+        """Paths of the files, as text for users."""
         return ", ".join(str(recording.path) for recording in self.recordings)
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong with the files, for people."""
+        """Damage to the files, as text for users."""
         cut = [f"{r.path} was cut off" for r in self.recordings if not r.whole]
         hurt = [f"{r.path}: {r.damaged} damaged parts" for r in self.recordings if r.damaged]
         return (*cut, *hurt)
 
     @property
     def view_of(self) -> dict[int, int]:
-        """The view of each stamp that ``/scan/views`` tells of."""
+        """View of each stamp that ``/scan/views`` lists."""
         told = ((stamp, said.message.source) for stamp, said in self.said[VIEWS].items())
         found = ((stamp, re.fullmatch(r"view (\d+)", source)) for stamp, source in told)
         return {stamp: int(match[1]) for stamp, match in found if match}
 
     def at(self, topic: str, stamp: int) -> Any:
-        """The message of a topic and stamp; None where there is none."""
+        """Return the message of a topic and stamp; None if there is none."""
         said = self.said[topic].get(stamp)
         return None if said is None else said.message
 
     def reached(self, stamp: int, samples: int) -> Reached | None:
-        """What was reached at a stamp; None where a part of it is missing.
+        """Return the state of the robots at a stamp; None if a part is missing.
 
         Args:
-            stamp: in ns.
+            stamp: stamp, ns.
             samples: the scenario's ``source.motion_samples``.
 
         Raises:
-            InputError: a message is not what its topic carries.
+            InputError: the content of a message does not fit its topic.
         """
         poses, joints, state = (self.at(topic, stamp) for topic in (REACHED, JOINTS, STATE))
         if poses is None or joints is None or state is None:
@@ -143,10 +143,10 @@ class Contents:
 
     @contextmanager
     def message_of(self, stamp: int) -> Generator[None]:
-        """While the messages of a stamp are read: turns what is wrong with them into one message.
+        """Turn any error in reading a stamp's messages into one message.
 
         Raises:
-            InputError: naming recordings and stamp.
+            InputError: a message is invalid; the text names recordings and stamp.
         """
         try:
             yield
@@ -156,10 +156,10 @@ class Contents:
             raise InputError(f"{self.names}: messages of {at}: {error}") from None
 
     def images(self, stamps: Container[int]) -> Iterator[tuple[int, NDArray[np.float32]]]:
-        """Images of these stamps, (rows, columns), each once.
+        """Yield the images of these stamps, (rows, columns), each once.
 
         Raises:
-            InputError: one is of another kind.
+            InputError: an image is invalid.
         """
         given: set[int] = set()
         for recording in self.recordings:
@@ -171,10 +171,10 @@ class Contents:
 
 
 def checked(reached: Reached) -> Reached:
-    """The same, if it is of poses and of finite numbers, and of as many of each joint.
+    """Check poses, finite numbers, and one number of each kind per joint; return the input.
 
     Raises:
-        ValueError: it is not.
+        ValueError: a check fails.
     """
     before = () if reached.before is None else (reached.before,)
     for instant in (reached.executed, *reached.exposure, *before):

@@ -1,7 +1,7 @@
-"""Definitions of the messages in a recording, as a ``.msg`` file has them.
+"""Definitions of the messages in a recording, as in ``.msg`` files.
 
-The wheels of ROS 2 bring none, and a recording over the local link needs no ROS. Field names and
-types are those of ROS 2 Jazzy's interface packages; constants and defaults are left out.
+The ROS 2 wheels contain no such files, and a recording of the local link needs no ROS. Field names
+and types match ROS 2 Jazzy's interface packages; constants and defaults are left out.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ _SEPARATOR = "=" * 80
 
 @cache
 def definition(kind: str) -> str:
-    """The text that MCAP calls ``ros2msg``: a message's fields, then those of each part it has.
+    """Return MCAP's ``ros2msg`` text of a message: its fields, then fields of nested types.
 
     Args:
-        kind: such as ``geometry_msgs/msg/Pose``.
+        kind: message type, such as ``geometry_msgs/msg/Pose``.
     """
     name = kind.replace("/msg/", "/")
     return f"\n{_SEPARATOR}\n".join(
@@ -68,7 +68,7 @@ def _text(name: str) -> str:
 
 
 def _with_parts(name: str) -> list[str]:
-    """A message and those inside it, each once."""
+    """Return a message type and all nested types, each once."""
     found = [name]
     for outer in found:
         for field in _FIELDS[outer].split(", "):

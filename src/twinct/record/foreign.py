@@ -1,4 +1,4 @@
-"""A scan of recordings that twinct did not make: what poses, cameras and images tell of it."""
+"""Recovery of a scan from other software's recordings of poses, cameras and images."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from twinct.views import Instant, PosePairs, Reached, Target
 
 
 class Foreign(NamedTuple):
-    """What could be made out.
+    """Parts of a scan that were recovered.
 
     Attributes:
-        scenario: a gantry that goes where source and panel were; the specimen is not known.
-        commanded: poses of the views that have an image, in the order of their stamps: the targets
-            where there are any, else where source and panel were.
-        reached: by stamp, of these views.
-        views: which view each of these stamps is.
-        missing: those that have none, counted among all.
+        scenario: a gantry that follows the recorded poses of source and panel; the specimen is
+            unknown.
+        commanded: poses of the views that have an image, ordered by stamp: targets if recorded,
+            else executed poses.
+        reached: state of the robots in these views, by stamp.
+        views: view of each of these stamps.
+        missing: indices, among all stamps, of those without an image.
     """
 
     scenario: Scenario
@@ -37,14 +38,14 @@ class Foreign(NamedTuple):
 
 
 def foreign_scan(contents: Contents, views_file: Path) -> Foreign:
-    """Make a scan of what there is.
+    """Build a scan from the available messages.
 
     Args:
-        contents: of the recordings.
-        views_file: that the scenario shall take its views from.
+        contents: content of the recordings.
+        views_file: path for the scenario's list of views.
 
     Raises:
-        InputError: there are no poses, no cameras or no images, or some that cannot be.
+        InputError: poses, cameras or images are missing or invalid.
     """
     needed = {topic: contents.said[topic] for topic in (REACHED, CAMERA)} | {IMAGE: contents.imaged}
     if lacking := [topic for topic, stamps in needed.items() if not stamps]:
@@ -101,7 +102,7 @@ def _reached(contents: Contents, stamp: int, instant: Instant) -> Reached:
 
 
 def _scenario(contents: Contents, instants: dict[int, Instant], views_file: Path) -> Scenario:
-    """The panel follows from the first camera: its focal lengths are in pixels."""
+    """Return the scenario, with the pixel pitch computed from the first camera's focal lengths."""
     stamp = next((s for s in contents.said[CAMERA] if s in instants), None)
     if stamp is None:
         raise InputError(f"{contents.names}: no message of {CAMERA} has a stamp of {REACHED}")

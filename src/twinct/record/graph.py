@@ -1,4 +1,4 @@
-"""Records the ROS 2 link: the bytes that came, as they came."""
+"""Recorder of the ROS 2 link, which writes the received bytes unchanged."""
 
 from __future__ import annotations
 
@@ -31,15 +31,17 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 PARTS = (VIEWS, REACHED, JOINTS, STATE, CAMERA, DISPLAY_CAMERA, DISPLAY)
-"""What a view has besides its image: written before it, so that a killed scan lacks none."""
+"""Topics of a view that are written before its image, so that no image lacks them."""
 
 PATIENCE_S = 300.0
-"""How long a scan waits for the recorder to have an image that it has itself. Milliseconds do, but
-where the machine is busy the recording shall not lack an image for it."""
+"""Longest wait of a scan for the recorder to receive an image.
+
+Milliseconds are enough, except on a busy machine.
+"""
 
 
 class GraphRecorder(Recorder):
-    """Hears what all processes of a scan say, in the thread of whoever listens to them."""
+    """Recorder of all messages of a scan's processes, called in the thread of the listener."""
 
     def __init__(self, folder: Path) -> None:
         """See ``Recorder``."""
@@ -60,7 +62,7 @@ class GraphRecorder(Recorder):
         self._broken = False
 
     def _hear(self, heard: Heard) -> None:
-        """Write a message; what goes wrong is a problem of the recording, not of the scan."""
+        """Write a message; errors end the recording, not the scan."""
         if self._broken:
             return
         try:
@@ -74,7 +76,7 @@ class GraphRecorder(Recorder):
                 self._changed.notify_all()
 
     def _count(self, heard: Heard) -> None:
-        """Note what was lost on the way: publishers number their messages."""
+        """Count messages that were lost in transit, from their publishers' sequence numbers."""
         publisher = heard.topic, heard.publisher
         lost = heard.number - self._numbers.get(publisher, 0) - 1
         self._numbers[publisher] = heard.number
@@ -82,10 +84,10 @@ class GraphRecorder(Recorder):
             self._lost[heard.topic] = self._lost.get(heard.topic, 0) + lost
 
     def _keep(self, heard: Heard) -> None:
-        """Write a message, but an image only after all else that its view has."""
+        """Write a message; hold an image back until its view's other messages are written."""
         stamp = Said(heard.topic, heard.kind, heard.raw.data).stamp_ns
         if heard.topic == IMAGE and stamp not in self._imaged:
-            self._images.setdefault(stamp, []).append(heard)  # several where one was asked again
+            self._images.setdefault(stamp, []).append(heard)  # several if a target was repeated
         else:
             self._write(heard)
             self._parts[heard.topic, stamp] = heard
@@ -115,7 +117,7 @@ class GraphRecorder(Recorder):
             self._bag.flush()
 
     def has_images(self, count: int) -> bool:
-        """Wait until so many images are in the file."""
+        """Wait until ``count`` images are in the file; return False on timeout."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: self._broken or len(self._imaged) >= count, PATIENCE_S
@@ -137,7 +139,7 @@ class GraphRecorder(Recorder):
 
 
 class _Waiting:
-    """A rig whose images are recorded before it gives them away."""
+    """A rig that returns each image only after it is recorded."""
 
     def __init__(self, rig: Rig, recorder: GraphRecorder) -> None:
         self._rig, self._recorder = rig, recorder

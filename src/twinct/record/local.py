@@ -1,6 +1,6 @@
-"""Records the local link: the messages that the ROS 2 link would have said, from the same numbers.
+"""Recorder of the local link, which writes the messages that the ROS 2 link would send.
 
-Times are simulated ones, so that the same scan gives the same file.
+All times are simulated, so that the same scan gives the same file.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from twinct.scan import LocalRig, Rig, Workshop
 from twinct.views import JointSample, Reached, Target
 
 TICK_S = 0.02
-"""Simulated time from one message of the clock to the next, at most."""
+"""Longest simulated time between two clock messages."""
 
 
 class LocalRecorder(Recorder):
-    """Writes down what a rig in this process does."""
+    """Recorder of a rig in this process."""
 
     def __init__(self, folder: Path) -> None:
         """See ``Recorder``."""
@@ -50,17 +50,17 @@ class LocalRecorder(Recorder):
         return _Told(rig, self)
 
     def asked(self, view: int, target: Target) -> None:
-        """A target was sent."""
+        """Record a target that was sent."""
         self._say(topics.TARGET, messages.targets(self._of(view), [target]))
 
     def moving(self, sample: JointSample) -> None:
-        """The joints are somewhere on their way."""
+        """Record the joints during a move."""
         self._advance(sample.time_s)
         stamp = messages.nanoseconds(sample.time_s)
         self._say(topics.JOINTS, messages.joints(stamp, sample))
 
     def reached(self, view: int, got: Reached) -> int:
-        """A view was reached; the stamp of the answers."""
+        """Record a reached view, and return the stamp of its answers."""
         stamp = messages.nanoseconds(got.middle_s)
         self._advance(got.time_s)
         self._say(topics.VIEWS, messages.view(stamp, self._of(view), view))
@@ -71,7 +71,7 @@ class LocalRecorder(Recorder):
         return stamp
 
     def exposed(self, stamp: int, got: Reached, image: NDArray[np.float32]) -> None:
-        """The image of what was reached last was taken."""
+        """Record the image of the view reached last."""
         geometry, _ = got.executed.placed(self._panel)
         self._say(topics.CAMERA, messages.camera(stamp, geometry))
         self._say(topics.DISPLAY_CAMERA, messages.camera(stamp, geometry, shown=True))
@@ -79,11 +79,11 @@ class LocalRecorder(Recorder):
         self._say(topics.IMAGE, messages.image(stamp, image))
 
     def _of(self, view: int) -> int:
-        """The stamp of a view's target."""
+        """Return the stamp of a view's target."""
         return self._epoch_ns + view * messages.NANO
 
     def _advance(self, time_s: float) -> None:
-        """Let the clock go on to a time, as ``twinct.ros.robots_node`` does."""
+        """Advance the clock to a time, as ``twinct.ros.robots_node`` does."""
         start_s = time_s - TICK_S if self._clock_s is None else self._clock_s
         ticks = max(0, math.ceil((time_s - start_s) / TICK_S - 1e-9))
         for tick_s in np.linspace(start_s, time_s, ticks + 1)[1:].tolist():
@@ -96,7 +96,7 @@ class LocalRecorder(Recorder):
 
 
 class _Told(LocalRig):
-    """A rig whose doings are written down before it tells them."""
+    """A rig that records each action before it reports the result."""
 
     def __init__(self, rig: LocalRig, recorder: LocalRecorder) -> None:
         self._rig, self._recorder = rig, recorder

@@ -1,4 +1,4 @@
-"""What the ROS 2 link says, as plain data: for the local link, which needs no ROS to record."""
+"""Messages of the ROS 2 link as plain data, for recordings of the local link without ROS."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ OPTICAL = "detector_optical"
 
 
 def nanoseconds(time_s: float) -> int:
-    """What a message can carry."""
+    """Convert a time to whole nanoseconds, as used in messages."""
     return round(time_s * NANO)
 
 
 def epoch_ns(scenario: Scenario) -> int:
-    """Stamp of the target of view 0; each further view has a second more."""
+    """Return the stamp of view 0's target, ns; each further view adds one second."""
     digest = stage_digests(scenario)["images"]
     sec, nanosec = (int(part, 16) % NANO for part in (digest[:15], digest[15:30]))
     return (NANO + sec) * NANO + nanosec
 
 
 def time_of(ns: int) -> Message:
-    """A ``builtin_interfaces/msg/Time``."""
+    """Return a ``builtin_interfaces/msg/Time``."""
     sec, nanosec = divmod(ns, NANO)
     return {"sec": sec, "nanosec": nanosec}
 
 
 def header(ns: int, frame: str = WORLD) -> Message:
-    """A ``std_msgs/msg/Header``."""
+    """Return a ``std_msgs/msg/Header``."""
     return {"stamp": time_of(ns), "frame_id": frame}
 
 
 def poses(ns: int, numbers: Iterable[SevenNumbers]) -> Message:
-    """A ``geometry_msgs/msg/PoseArray``: targets, and where everything is."""
+    """Return a ``geometry_msgs/msg/PoseArray``, for targets and executed poses."""
     both = [(dict(zip("xyz", n[:3], strict=True)), _quat(n)) for n in numbers]
     parts = [{"position": position, "orientation": quat} for position, quat in both]
     return {"header": header(ns), "poses": parts}
@@ -57,12 +57,12 @@ def _quat(numbers: Sequence[float]) -> Message:
 
 
 def targets(ns: int, asked: Sequence[Target]) -> Message:
-    """Source and detector of one view, or of all."""
+    """Return source and detector of one view, or all."""
     return poses(ns, (n for target in asked for n in (target.source_m, target.detector_m)))
 
 
 def reached(ns: int, got: Reached) -> Message:
-    """Source, object and detector at the view's instant, and at all others that make the image."""
+    """Return source, object and detector at the view's instant, and all others of the image."""
     before = () if got.before is None else (got.before,)
     return poses(ns, (n for instant in (got.executed, *got.exposure, *before) for n in instant))
 
@@ -70,7 +70,7 @@ def reached(ns: int, got: Reached) -> Message:
 def transforms(
     ns: int, instant: Instant, links: Mapping[str, Sequence[float]] | None = None
 ) -> Message:
-    """A ``tf2_msgs/msg/TFMessage``: frames of source, specimen and panel, the camera's, and links.
+    """Return a ``tf2_msgs/msg/TFMessage``: frames of source, specimen, panel, camera and links.
 
     The camera's axes are u, -v and, from source to panel, -(u x v): half a turn about u.
     """
@@ -98,18 +98,18 @@ def transforms(
 
 
 def view(ns: int, target_ns: int, number: int) -> Message:
-    """A ``sensor_msgs/msg/TimeReference``: which target the answers of a stamp are to."""
+    """Return a ``sensor_msgs/msg/TimeReference``, which links the stamp of answers to a target."""
     return {"header": header(ns, ""), "time_ref": time_of(target_ns), "source": f"view {number}"}
 
 
 def joints(ns: int, at: Reached | JointSample) -> Message:
-    """A ``sensor_msgs/msg/JointState``."""
+    """Return a ``sensor_msgs/msg/JointState``."""
     numbers = {name: getattr(at, name).tolist() for name in ("position", "velocity", "effort")}
     return {"header": header(ns), "name": list(at.joint_names), **numbers}
 
 
 def state(ns: int, got: Reached) -> Message:
-    """A ``std_msgs/msg/Float64MultiArray``; docs/ros.md says of which numbers."""
+    """Return a ``std_msgs/msg/Float64MultiArray``; docs/ros.md lists its numbers."""
     few = got.time_s, got.clearance_mm, got.since_middle_s
     label, size = "{}.{:09d}".format(*divmod(ns, NANO)), len(got.state)
     layout = {"dim": [{"label": label, "size": size, "stride": size}], "data_offset": len(few)}
@@ -117,12 +117,12 @@ def state(ns: int, got: Reached) -> Message:
 
 
 def image(ns: int, pixels: NDArray[np.float32]) -> Message:
-    """A ``sensor_msgs/msg/Image``, row 0 first as in the store."""
+    """Return a ``sensor_msgs/msg/Image``, row 0 first as in the store."""
     return _image(ns, "32FC1", np.ascontiguousarray(pixels, "<f4"))
 
 
 def display(ns: int, pixels: NDArray[np.float32]) -> Message:
-    """The same as a viewer shows it: row 0 on top, black 0, white 1 and above."""
+    """Return the image for viewers: row 0 on top (largest v), black 0, white 1 and above."""
     grey = np.rint(255 * np.clip(pixels[::-1], 0, 1)).astype(np.uint8)
     return _image(ns, "mono8", grey)
 
@@ -140,9 +140,9 @@ def _image(ns: int, encoding: str, pixels: NDArray[np.generic]) -> Message:
 
 
 def camera(ns: int, geometry: ScanGeometry, *, shown: bool = False) -> Message:
-    """A ``sensor_msgs/msg/CameraInfo`` of a geometry of one view; docs/ros.md has the frame.
+    """Return a ``sensor_msgs/msg/CameraInfo`` of a single view; docs/ros.md defines the frame.
 
-    With ``shown`` that of what a viewer shows, whose rows count downwards.
+    ``shown``: for the image that viewers show, whose rows count downwards.
     """
     panel, sdd = geometry.panel, float(geometry.sdd[0])
     fx, fy = sdd / panel.pitch_u, -sdd / panel.pitch_v
@@ -162,7 +162,7 @@ def camera(ns: int, geometry: ScanGeometry, *, shown: bool = False) -> Message:
 
 
 def trajectory(ns: int, plan: MotionPlan) -> Message:
-    """A ``trajectory_msgs/msg/JointTrajectory``: what the arms follow."""
+    """Return the motion plan as a ``trajectory_msgs/msg/JointTrajectory``."""
     points = [
         {
             "positions": position,
@@ -178,7 +178,7 @@ def trajectory(ns: int, plan: MotionPlan) -> Message:
 
 
 def plan_views(ns: int, plan: MotionPlan) -> Message:
-    """A ``diagnostic_msgs/msg/DiagnosticArray``: the plan's digest, and each view's point."""
+    """Return a ``diagnostic_msgs/msg/DiagnosticArray``: a plan's digest, and each view's point."""
     values = {"digest": plan.digest, "points": " ".join(map(str, plan.waypoints.tolist()))}
     pairs = [{"key": key, "value": value} for key, value in values.items()]
     text = "the point that exposes each view"

@@ -1,4 +1,4 @@
-"""Reads recordings, whoever made them, as far as they go."""
+"""Reader of recordings from any software, even if they were cut off."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ Decode = Callable[[bytes], Any]
 
 _BROKEN = (
     *(McapError, ValueError, LookupError, struct.error, MemoryError),
-    OverflowError,  # of a length beyond what an address can hold
-    *(ZstdError, RuntimeError),  # of what unpacks chunks; the second is lz4's
+    OverflowError,  # a length beyond any address
+    *(ZstdError, RuntimeError),  # errors of chunk decompression; RuntimeError comes from lz4
 )
-"""What reading raises: after a cut, or a wrong byte, comes anything."""
+"""Errors of reading; after a cut or a wrong byte, any of them may occur."""
 
 LARGEST_RECORD = 2**31
-"""Bytes; an image of 20,000 x 20,000 pixels has less."""
+"""Size limit, bytes; an image of 20,000 x 20,000 pixels is smaller."""
 
 
 class Said(NamedTuple):
-    """A message of a recording: its fields are read when they are asked for.
+    """A message of a recording, whose fields are read on request.
 
     Attributes:
-        topic: it was said on.
+        topic: its topic.
         kind: its type, such as ``sensor_msgs/msg/Image``.
-        data: it, serialised.
+        data: the serialised message.
     """
 
     topic: str
@@ -50,10 +50,10 @@ class Said(NamedTuple):
 
     @property
     def message(self) -> Any:
-        """Its fields, as attributes.
+        """Deserialised message, with its fields as attributes.
 
         Raises:
-            InputError: it is not what its type says.
+            InputError: the data do not fit the type.
         """
         try:
             return reader_of(self.kind)(self.data)
@@ -62,9 +62,9 @@ class Said(NamedTuple):
 
     @property
     def stamp_ns(self) -> int:
-        """``header.stamp``, or of ``/scan/state`` its label, without reading the rest; -1: none.
+        """``header.stamp``, or the label of ``/scan/state``, without reading the rest; -1 if none.
 
-        In CDR four bytes come before the message; texts begin with their length.
+        In CDR, four bytes precede the message, and texts begin with their length.
         """
         order = "<" if self.data[1:2] == b"\1" else ">"
         try:
@@ -80,7 +80,7 @@ class Said(NamedTuple):
 
 @cache
 def reader_of(kind: str) -> Decode:
-    """What makes a message of its bytes."""
+    """Return the function that deserialises a message."""
     text = definition(kind).encode()
     decode = DecoderFactory().decoder_for("cdr", Schema(1, text, "ros2msg", kind))
     assert decode is not None
@@ -91,16 +91,16 @@ class Recording:
     """A file, read from its beginning each time.
 
     Attributes:
-        path: of the file.
-        whole: whether it ended as a recording ends; known once all of it was read.
-        damaged: chunks that were left out, since their checksum is another.
+        path: path of the file.
+        whole: True if the file ends properly; known only after reading all records.
+        damaged: number of chunks skipped because of a wrong checksum.
     """
 
     def __init__(self, path: Path) -> None:
-        """Look whether it is one.
+        """Check that the file is a recording.
 
         Raises:
-            InputError: it is not, or cannot be read.
+            InputError: the file is no recording, or cannot be read.
         """
         self.path = path
         self.whole, self.damaged = False, 0
@@ -117,15 +117,15 @@ class Recording:
             raise InputError(f"{path}: no MCAP file") from None
 
     def _read_summary(self, file: BinaryIO) -> None:
-        """Channels are told again at the end: of use where the chunk that told them is damaged."""
+        """Read the channels repeated at the end, in case the chunk that defines them is damaged."""
         with suppress(*_BROKEN, OSError):
             if (summary := SeekingReader(file).get_summary()) is not None:
                 self._schemas, self._channels = summary.schemas, summary.channels
 
     def records(self) -> Iterator[Said | Attachment | Metadata]:
-        """Messages in ROS 2's encoding, files and notes, in the order in which they were written.
+        """Yield messages in ROS 2's encoding, attachments and metadata, in the order of writing.
 
-        A file that was cut off gives what it has.
+        A file that was cut off yields its remaining records.
         """
         schemas, channels = dict(self._schemas), dict(self._channels)
         self.whole, self.damaged = False, 0
@@ -164,11 +164,11 @@ class Recording:
 
 
 def seven_of(pose: Any) -> SevenNumbers:
-    """Position in metres and quaternion (x, y, z, w) of a ``geometry_msgs/msg/Pose``."""
+    """Return position, m, and quaternion (x, y, z, w) of a ``geometry_msgs/msg/Pose``."""
     p, q = pose.position, pose.orientation
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
 def instant_of(poses: Sequence[Any]) -> Instant:
-    """Source, object and detector."""
+    """Return the instant of source, object and detector."""
     return Instant(*map(seven_of, poses[:3]))

@@ -1,4 +1,4 @@
-"""Rebuilds a scan store from recordings of the scan, and from nothing else."""
+"""Recovery of a scan store from recordings of the scan alone."""
 
 from __future__ import annotations
 
@@ -25,22 +25,23 @@ if TYPE_CHECKING:
     from twinct.motion import MotionPlan
 
 VIEWS_FILE = "views.csv"
-"""Views of a scan that twinct did not record, beside its store."""
+"""List of views beside the store, for a scan that twinct did not record."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A scan as recordings have it.
+    """A scan from recordings.
 
     Attributes:
-        contents: what they hold.
-        scenario: of the scan.
+        contents: content of the recordings.
+        scenario: scenario of the scan.
         commanded: poses of all views.
-        reached: what was reached at the stamp of each view that is complete.
-        views: which view each of these stamps is.
-        missing: views that the recordings do not hold.
-        plan: that the arms followed, if any.
-        digests: of the scenario and its files as they were; None where twinct did not make it.
+        reached: state of the robots in each complete view, by stamp.
+        views: view of each of these stamps.
+        missing: views that the recordings do not contain.
+        plan: plan that the arms followed, if any.
+        digests: digests of the scenario and its files at scan time; None for recordings of other
+            software.
     """
 
     contents: Contents
@@ -54,24 +55,24 @@ class Recorded:
 
     @property
     def missing_in_words(self) -> str:
-        """Missing views, such as ``views 3, 5 to 9``."""
+        """Missing views as text, such as ``views 3, 5 to 9``."""
         found = groupby(enumerate(self.missing), lambda pair: pair[1] - pair[0])
         runs = [[view for _, view in run] for _, run in found]
         words = ", ".join(f"{r[0]} to {r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs)
         return f"view {words}" if len(self.missing) == 1 else f"views {words}"
 
     def rebuild(self, path: Path, whole: Callable[[int, View], View]) -> ScanStore:
-        """Make the scan store; it is there whole or not at all.
+        """Create the scan store, completely or not at all.
 
         Args:
-            path: of the store.
-            whole: adds to a view, given its index, what no recording has: the frames that the
-                scenario's ``detector.keep`` asks for.
+            path: path of the store.
+            whole: completes a view, given its index, with the frames that ``detector.keep``
+                requests, which no recording contains.
 
         Raises:
-            InputError: an image is none.
-            ScanExistsError: there is a store already.
-            StorageError: it cannot be written.
+            InputError: an image is invalid.
+            ScanExistsError: the store already exists.
+            StorageError: the store cannot be written.
         """
         if self.digests is None:
             with storage_errors(path):
@@ -80,7 +81,7 @@ class Recorded:
                 write_views(path.with_name(VIEWS_FILE), self.commanded.geometry(panel))
         any_ = next(iter(self.reached.values()))
         robots = any_.joint_names, len(any_.state), self.plan
-        # A recording of another tool's has no chain of ours, whose mAs would have to be known.
+        # Images of other software did not pass our imaging chain, so their mAs do not matter.
         mas = None if self.digests is None else Workshop(self.scenario, self.plan).mas
         more = {"digests": self.digests, "mas": mas}
         store = ScanStore.create(path, self.scenario, self.commanded, *robots, **more)
@@ -95,14 +96,14 @@ class Recorded:
 
 
 def read_recordings(paths: Sequence[Path], out: Path) -> Recorded:
-    """Read the recordings of one scan, twinct's own or another tool's of the same topics.
+    """Read the recordings of one scan, by twinct or by other software with the same topics.
 
     Args:
-        paths: of the files, in any order.
-        out: folder that the scan shall have; nothing is written.
+        paths: paths of the files, in any order.
+        out: future folder of the scan; nothing is written.
 
     Raises:
-        InputError: one is no recording, or there is no complete view in them.
+        InputError: a file is no recording, or no view is complete.
     """
     contents = Contents.of(paths)
     if contents.facts:

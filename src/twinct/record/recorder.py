@@ -1,4 +1,4 @@
-"""What both recorders share: the file, and what is in it beside the messages."""
+"""Base of both recorders: the file, its attachments and its metadata."""
 
 from __future__ import annotations
 
@@ -28,50 +28,50 @@ if TYPE_CHECKING:
 FORMAT = "twinct recording 1"
 
 SCENARIO, PLAN, COMMANDED, BELIEVED = "scenario.json", "plan.npz", "commanded.json", "believed.json"
-"""Files in a recording; no plan where the arms follow none."""
+"""Files in a recording; there is no plan if the arms follow none."""
 
 
 BYTES_A_PIXEL = 5.5
-"""Of an image and of what viewers show of it, and a tenth for all else."""
+"""Bytes per pixel of an image and its display version, plus a tenth for everything else."""
 
 
 class Recorder(ABC):
-    """Writes a file ``scan.mcap`` into a run's folder; a resumed scan writes one more.
+    """Writer of ``scan.mcap`` in a run's folder; a resumed scan writes another file.
 
     Attributes:
-        path: of the file.
-        problems: what the recording lacks, for people.
-        hear: called with all that is said over ROS 2; None where ROS is not needed.
+        path: path of the file.
+        problems: gaps in the recording, as text for users.
+        hear: called with every ROS 2 message; None if ROS is not needed.
     """
 
     hear: Callable[[Heard], None] | None = None
 
     def __init__(self, folder: Path) -> None:
-        """Nothing is written before ``begin``."""
+        """Prepare a recorder, which writes nothing before ``begin``."""
         self.path = folder / "scan.mcap"
         self.problems: list[str] = []
         self._bag: Bag | None = None
         self._links: LinkFrames | None = None
 
     def rigs(self, make_rig: RigFactory) -> RigFactory:
-        """What makes rigs that are recorded."""
+        """Return a factory of rigs that are recorded."""
 
         def make(workshop: Workshop, first: int, state: NDArray[np.float64] | None) -> Rig:
-            self.close()  # the file of views before those that are there already
+            self.close()  # completes the file of an earlier range of missing views
             self.begin(workshop, first)
             return self.around(make_rig(workshop, first, state))
 
         return make
 
     def begin(self, workshop: Workshop, first: int) -> None:
-        """Make the file, with scenario, plan and commanded poses in it.
+        """Create the file, and attach scenario, plan and commanded poses.
 
         Args:
-            workshop: of the scenario.
-            first: view that is taken first.
+            workshop: the scenario's parts.
+            first: first view to acquire.
 
         Raises:
-            StorageError: it cannot be written.
+            StorageError: the file cannot be written.
         """
         scenario = workshop.scenario
         pixels, folder = scenario.detector.rows * scenario.detector.columns, self.path.parent
@@ -105,7 +105,7 @@ class Recorder(ABC):
 
     @abstractmethod
     def around(self, rig: Rig) -> Rig:
-        """The rig to use instead, so that each view is in the file before it is stored."""
+        """Wrap a rig, so that each view is recorded before it is stored."""
 
     def write(self, topic: str, message: Mapping[str, Any], time_ns: int) -> None:
         """Encode and write a message."""
@@ -122,7 +122,7 @@ class Recorder(ABC):
         self.write(TF, transforms(stamp_ns, instant, links), time_ns)
 
     def finish(self, believed: NamedGeometry) -> None:
-        """Put what the robots report into the file, and complete it."""
+        """Attach the believed poses, and complete the file."""
         if self._bag is None:
             self.problems.append("no view was taken, so nothing was recorded")
         else:
@@ -131,6 +131,6 @@ class Recorder(ABC):
             self.close()
 
     def close(self) -> None:
-        """Complete the file, whatever happened; a second call does nothing."""
+        """Complete the file in any case; a second call does nothing."""
         if self._bag is not None:
             self._bag.close()

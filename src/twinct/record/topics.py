@@ -1,4 +1,4 @@
-"""What is said where in a scan, whichever link takes it."""
+"""Topics of a scan and their message types, for both links."""
 
 TARGET = "/scan/target"
 REACHED = "/scan/reached"
@@ -35,4 +35,4 @@ KINDS = {
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
     TF: "tf2_msgs/msg/TFMessage",
 }
-"""The type of each; the ROS 2 link itself says no ``/tf``."""
+"""Message type of each topic; the ROS 2 link itself does not publish ``/tf``."""

@@ -1,4 +1,4 @@
-"""What a run found out: ``metrics.json`` for scripts, ``report.html`` for people."""
+"""Results of a run: ``metrics.json`` for scripts, ``report.html`` for people."""
 
 from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections

@@ -1,4 +1,4 @@
-"""Runs beside each other on one page: the first is what the others are compared with."""
+"""Comparison of runs on one page; the first run is the reference."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ from twinct.scenario import Scenario
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One reconstruction that is compared.
+    """One reconstruction in a comparison.
 
     Attributes:
-        label: what it is called on the page.
-        path: of its folder.
-        scenario: what made it, the reconstruction as it was.
-        metrics: of the run that it belongs to, see ``build_metrics``.
-        image: its image figures, as ``ImageFigures.as_dict`` gives them.
-        in_words: algorithm, settings and what was found, in one line.
-        seconds: of each stage; of a reconstruction beside a run's own, its own alone.
-        slices: the same planes for all, by name; None where a plane passes its grid.
-        mu_reference: attenuation that its figures are relative to, 1/mm.
-        reference: name of the material whose attenuation that is.
-        truth: stands for the specimen that it is judged against; alike where that is.
+        label: name on the page.
+        path: path of its folder.
+        scenario: scenario that made it, with its own reconstruction section.
+        metrics: metrics of its run, see ``build_metrics``.
+        image: image figures, as ``ImageFigures.as_dict`` returns them.
+        in_words: algorithm, settings and results, in one line.
+        seconds: seconds of each stage; for a reconstruction beside a run's own, only of its own
+            stage.
+        slices: the same planes for all, by name; None if a plane misses the grid.
+        mu_reference: attenuation to which the figures are relative, 1/mm.
+        reference: name of the material with this attenuation.
+        truth: identifier of the true specimen; equal for equal specimens.
     """
 
     label: str
@@ -49,13 +50,13 @@ class Compared:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is compared, the reference first."""
+    """Reconstructions to compare, the reference first."""
 
     compared: tuple[Compared, ...]
 
     @property
     def keys(self) -> dict[str, tuple[Any, ...]]:
-        """The scenario keys that differ, with the value of each; None where there is none."""
+        """Scenario keys that differ, with each reconstruction's value, or None without the key."""
         told = [flat(one.scenario.model_dump(mode="json")) for one in self.compared]
         names = dict.fromkeys(name for values in told for name in values)
         rows = {name: tuple(values.get(name) for values in told) for name in names}
@@ -63,7 +64,7 @@ class Comparison:
 
     @property
     def notes(self) -> list[str]:
-        """What cannot be compared, and why."""
+        """Reasons why some figures cannot be compared."""
         first, *others = self.compared
         found: list[str] = []
         for one in others:
@@ -91,15 +92,15 @@ class Comparison:
         return found
 
     def write(self, path: Path) -> None:
-        """Write the page; the file is complete or not there.
+        """Write the page, completely or not at all.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the page cannot be written.
         """
         write_text(path, self.render())
 
     def render(self) -> str:
-        """The page as HTML text: images inline, no script, nothing loaded from elsewhere."""
+        """Return the page as HTML text: images inline, no script, no external resources."""
         first = self.compared[0]
         return rendered(
             "compare.html",
@@ -117,7 +118,7 @@ class Comparison:
 
 
 def flat(told: Mapping[str, Any], key: str = "") -> dict[str, Any]:
-    """Nested keys as dotted ones; lists of sections by their index, other lists as they are."""
+    """Flatten nested keys to dotted ones. Lists of sections get indices; other lists stay lists."""
     found: dict[str, Any] = {}
     for name, value in told.items():
         inner = f"{key}{name}"
@@ -128,7 +129,7 @@ def flat(told: Mapping[str, Any], key: str = "") -> dict[str, Any]:
 
 
 class _Row(NamedTuple):
-    """Values with what each differs by from the first's; both as text."""
+    """Values, and the differences from the first value, both as text."""
 
     title: str
     unit: str
@@ -144,7 +145,7 @@ def _row(
     meaning: str = "",
     alike: Sequence[bool] | None = None,
 ) -> _Row:
-    """A row; where it is not ``alike`` with the first a value has no difference."""
+    """Return a row; a value that is not ``alike`` with the first has no difference."""
     first, cells = values[0], [(text(values[0]), "")]
     for value, counts in zip(values[1:], (alike or [True] * len(values))[1:], strict=True):
         difference = ""
@@ -173,7 +174,7 @@ def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
 
 
 def _pose_rows(compared: Sequence[Compared]) -> list[_Row]:
-    """Executed against commanded, then what was reconstructed from against executed."""
+    """Return rows for executed against commanded poses, then for reconstructed against executed."""
     metrics = [one.metrics for one in compared]
     believed = [
         one.metrics.get("geometries", {}).get(one.scenario.reconstruction.geometries[0], {})
@@ -209,14 +210,14 @@ def _time_rows(compared: Sequence[Compared]) -> list[_Row]:
 
 
 def _found(told: Any, *keys: str) -> float | None:
-    """A nested value; None where it is not there, as in figures of older versions."""
+    """Return a nested value; None if it is missing, as in figures of older versions."""
     for key in keys:
         told = told.get(key) if isinstance(told, Mapping) else None
     return told
 
 
 def _pictures(compared: Sequence[Compared]) -> list[tuple[str, str]]:
-    """A title and an image's address for each plane."""
+    """Return a title and the address of an image for each plane."""
     from twinct.report.figures import side_by_side, windows
 
     first = compared[0]

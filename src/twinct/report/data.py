@@ -1,4 +1,4 @@
-"""What a report is made of: small enough to hand over, without any whole volume."""
+"""Contents of a report: small enough to pass on, without any whole volume."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class CrossSection(NamedTuple):
         roi: voxels that every view sees, (up, right), bool.
         extent_mm: outer edges (left, right, bottom, top), mm.
         axes: names of the axes (right, up).
-        position: where the plane lies, such as "z = 0.2 mm".
+        position: position of the plane, such as "z = 0.2 mm".
     """
 
     reconstruction: NDArray[np.floating]
@@ -36,13 +36,13 @@ class CrossSection(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Another:
-    """A further reconstruction of the same scan.
+    """Another reconstruction of the same scan.
 
     Attributes:
-        name: what it is called.
+        name: name of the reconstruction.
         in_words: algorithm, settings and geometry in one line.
-        figures: as ``ImageFigures.as_dict`` gives them.
-        residuals: of each iteration.
+        figures: image figures, as ``ImageFigures.as_dict`` returns them.
+        residuals: residual of each iteration.
         slices: cross-sections by name.
     """
 
@@ -59,19 +59,19 @@ class ReportData:
 
     Attributes:
         scenario_yaml: the scenario as text.
-        metrics: what ``build_metrics`` gave.
-        commanded: poses the trajectory asked for.
-        executed: poses at exposure, the same views.
+        metrics: result of ``build_metrics``.
+        commanded: poses of the trajectory.
+        executed: poses at exposure, of the same views.
         clearance_mm: smallest gap during the move to each view, (views,), mm.
         projections: a few views, (view, transmission (row, col)).
         slices: cross-sections by name, see ``cross_sections``.
-        mu_reference: attenuation that figures are relative to, 1/mm; the largest true value where
+        mu_reference: attenuation to which figures are relative, 1/mm; the largest true value if
             None.
-        reference: name of the material whose attenuation that is.
+        reference: name of the material with this attenuation.
         room_png: picture of the robot cell, or None.
         others: further reconstructions.
         mas: tube load of each view, (views,), mAs; None: the scenario's for all.
-        nearest: the two bodies that the plan brings nearest to each other; empty: not known.
+        nearest: the two bodies that come closest to each other in the plan; empty if unknown.
     """
 
     scenario: Scenario
@@ -92,16 +92,16 @@ class ReportData:
 
 
 PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}
-"""Array axis that each plane is orthogonal to."""
+"""Array axis orthogonal to each plane."""
 
 
 def cross_sections(
     volume: ArrayLike, truth: ArrayLike, roi: ArrayLike, grid: VolumeGrid
 ) -> dict[str, CrossSection]:
-    """The axial, coronal and sagittal planes through the middle of the grid.
+    """Return the axial, coronal and sagittal planes through the middle of the grid.
 
-    Where such a plane misses the specimen, the one through the middle of the specimen's bounds is
-    taken. Coordinates are the world's, or the grid's own where the grid is turned.
+    If such a plane misses the specimen, the plane through the middle of its bounds is used.
+    Coordinates are the world's, or the grid's own if the grid is rotated.
 
     Args:
         volume: reconstructed attenuation, (z, y, x), 1/mm.

@@ -1,4 +1,4 @@
-"""Picture of what a scenario's errors do to its geometry."""
+"""Picture of the effects of a scenario's errors on its geometry."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _PANELS = (
 def errors_picture(
     figures: Mapping[str, Floats], terms: Sequence[Mapping[str, Any]], title: str
 ) -> Picture:
-    """Errors over the views, 5 to 95 % of the draws and their median, and what causes them.
+    """Plot errors over the views, 5 to 95 % of the draws and their median, and their causes.
 
     Args:
-        figures: (draws, views) of each.
-        terms: of each cause its name and what it does alone.
-        title: above all.
+        figures: each figure, (draws, views).
+        terms: name and single effect of each cause.
+        title: title of the picture.
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")

@@ -1,4 +1,4 @@
-"""Figures by their dotted names, such as "image.rmse_rel", in words, and which are better."""
+"""Titles, units and better values of figures, by dotted names such as "image.rmse_rel"."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from twinct.report.measured import KINDS
 from twinct.report.page import image_figures, stage_title
 
 Best = Literal["lower", "higher", "one", ""]
-"""Which values are better: lower ones, higher ones, those nearest to 1; empty: not known."""
+"""Better values: lower ones, higher ones, or values nearest to 1; empty if unknown."""
 
 
 class FigureWords(NamedTuple):
-    """How a figure is shown: its value times a factor, in a unit, with so many digits."""
+    """Display of a figure: its value times a factor, in a unit, with a number of digits."""
 
     title: str
     unit: str
@@ -39,7 +39,7 @@ _STATISTICS = {"min": "smallest", "max": "largest", "mean": "mean", "std": "spre
 
 
 def figure_words(name: str, reference: str = "bone") -> FigureWords:
-    """A figure in words; one that is not known by the words of its name.
+    """Return a figure in words; an unknown figure gets the words of its name.
 
     Args:
         name: dotted, as in ``metrics.json``.

@@ -1,4 +1,4 @@
-"""The pictures of a report. Each function gives one image; none touches pyplot's global state."""
+"""Pictures of a report. Each function returns one image, and leaves pyplot's global state alone."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ from twinct.report.style import (
 )
 
 SPHERE_TOLERANCE = 0.01
-"""Largest relative spread of the sources' distances that still counts as a path on a sphere."""
+"""Largest relative spread of the source distances on a path that counts as spherical."""
 
 DARKEST_DRAWN = 1e-7
-"""Transmission shown for anything darker: its line integral is 16.1."""
+"""Smallest transmission that is shown; its line integral is 16.1."""
 
 
 def png(figure: Figure, dpi: int) -> Picture:
-    """Pixels."""
+    """Render a figure as pixels."""
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(dpi)
     canvas.draw()
@@ -53,16 +53,16 @@ def png(figure: Figure, dpi: int) -> Picture:
 
 
 def svg(figure: Figure) -> Picture:
-    """Lines and letters; the same figure gives the same bytes."""
+    """Render a figure as lines and letters; the same figure gives the same bytes."""
     stream = io.BytesIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     return Picture(stream.getvalue(), "image/svg+xml")
 
 
 def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Picture:
-    """The source's path on a grey sphere about the isocentre, as in the paper's figure 3, left.
+    """Draw the source path on a grey sphere about the isocentre, as in the paper's figure 3, left.
 
-    The sphere is left out where the path is not on one. The focal spots, asked for and at exposure,
+    The sphere is left out if the path is not on a sphere. The focal spots, commanded and executed,
     are (views, 3), mm.
     """
     distance = np.linalg.norm(commanded - isocentre, axis=1)
@@ -82,7 +82,7 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
         if on_sphere:
             _latitudes(axes, isocentre, radius, viewer)
         colours = mpl.colormaps["viridis"](np.linspace(0, 0.93, len(commanded)))
-        # What lies behind the sphere is drawn on it, faintly: an opaque sphere has no seams.
+        # The path behind the sphere is drawn on it, faintly: an opaque sphere has no seams.
         path = isocentre + _fine(commanded - isocentre) if on_sphere else commanded
         ahead, front = ((points - isocentre) @ viewer >= 0 for points in (path, commanded))
         dot = next(s for s, most in ((24, 30), (11, 150), (6, math.inf)) if len(commanded) <= most)
@@ -114,7 +114,7 @@ _FINEST_RAD = 0.02
 
 
 def _fine(path: Floats) -> Floats:
-    """The same path about the origin, with points on great circles between its own."""
+    """Return the same path about the origin, with additional points on great circles."""
     pieces = [path[:1]]
     for start, end in zip(path[:-1], path[1:], strict=True):
         lengths = float(np.linalg.norm(start)), float(np.linalg.norm(end))
@@ -129,8 +129,8 @@ def _fine(path: Floats) -> Floats:
 def _ball(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
     """Draw a light grey ball, brightest at the upper left; the axes' limits must be final.
 
-    The projection is parallel and of equal scale, so the ball is a disc: one image of it is drawn
-    faster than thousands of facets, and has no edges.
+    The projection is parallel and of equal scale, so the ball is a disc. One image is drawn faster
+    than thousands of facets, and has no edges.
     """
     right = np.cross([0.0, 0.0, 1.0], viewer)
     right /= np.linalg.norm(right)
@@ -155,11 +155,11 @@ def _ball(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
 
 
 _BALL_PX = 401
-"""Across the picture of a ball."""
+"""Pixels across the picture of a ball."""
 
 
 def _latitudes(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
-    """Draw the circles of latitude, where they are in front."""
+    """Draw the front halves of the circles of latitude."""
     turn = np.linspace(-180, 180, 361)
     for latitude in (-60, -30, 0, 30, 60):
         ring = _on_ball(turn, np.full_like(turn, latitude))
@@ -168,13 +168,13 @@ def _latitudes(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None
 
 
 def _on_ball(longitude_deg: Floats, latitude_deg: Floats) -> Floats:
-    """Points of the unit sphere, (3, ...)."""
+    """Return points of the unit sphere, (3, ...)."""
     a, e = np.radians(longitude_deg), np.radians(latitude_deg)
     return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
 def _equal_box(axes: Any, points: Floats, centre: Floats, on_sphere: bool) -> None:
-    """Same scale along all axes, the isocentre in the middle, ticks in mm."""
+    """Set equal scales on all axes, with the isocentre in the middle and ticks in mm."""
     half = np.abs(points - centre).max(axis=0)
     half = np.full(3, half.max()) if on_sphere else np.maximum(half, 0.15 * half.max())
     half = 1.02 * np.maximum(half, 1e-6)
@@ -194,9 +194,9 @@ def _equal_box(axes: Any, points: Floats, centre: Floats, on_sphere: bool) -> No
 def pose_errors_over_views(
     errors: PoseErrors, clearance_mm: Floats, tolerance_mm: float, clearance_limit_mm: float
 ) -> Picture:
-    """Position error, rotation error and clearance, one below the other, over the views.
+    """Plot position error, rotation error and clearance over the views, one below the other.
 
-    The tolerance is the distance at which a target counts as reached, the limit the smallest gap
+    The tolerance is the distance at which a target counts as reached. The limit is the smallest gap
     that a plan may have.
     """
     with mpl.rc_context(STYLE):
@@ -218,7 +218,7 @@ def pose_errors_over_views(
             axes.margins(x=0.01)
             axes.grid(axis="y", color="#e4e7eb", lw=0.7)
             axes.set_axisbelow(True)
-        # Above the data and the limit, wherever those are.
+        # The legend lies above the plots, clear of data and limit.
         named = position.get_legend_handles_labels()
         figure.legend(*named, loc="outside upper right", ncols=2, borderpad=0)
         clearance.set_xlabel("view")
@@ -228,7 +228,7 @@ def pose_errors_over_views(
 
 
 def convergence(residuals: Mapping[str, Sequence[float]]) -> Picture:
-    """Residual, root mean square of p - A x, over the iterations, one line for each geometry."""
+    """Plot the residual, root mean square of p - A x, over the iterations for each geometry."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 2.6), layout="constrained")
         axes: Any = figure.subplots()
@@ -257,11 +257,11 @@ def cross_section_grid(
     mu_reference: float,
     compared: Sequence[CrossSection] = (),
 ) -> Picture:
-    """Reconstruction, truth and their difference for each plane, with scales in mm.
+    """Draw reconstruction, truth and their difference for each plane, with scales in mm.
 
-    Reconstruction and truth share one grey window; the error has its own, symmetric about 0. The
-    outline is the boundary of the region that every view sees. Windows are those that fit what it
-    is compared with, too.
+    Reconstruction and truth share one grey window; the window of the error is symmetric about 0.
+    The outline is the boundary of the region that every view sees. The windows also fit
+    ``compared``.
     """
     (_, grey), (diverging, errors) = looks = windows([*sections.values(), *compared], mu_reference)
     bounds = (section.extent_mm for section in sections.values())
@@ -299,7 +299,7 @@ def cross_section_grid(
 
 
 _ABREAST = 4
-"""Columns of pictures side by side; more go below."""
+"""Number of pictures side by side; further ones go below."""
 
 
 def side_by_side(
@@ -308,15 +308,15 @@ def side_by_side(
     looks: Sequence[Look],
     dpi: int = 150,
 ) -> Picture:
-    """The same plane of several volumes: each reconstruction, below it its error.
+    """Draw the same plane of several volumes: each reconstruction, and its error below.
 
-    All have the same extent and the same windows. First comes the truth of the first.
+    All have the same extent and the same windows. The truth of the first volume comes first.
 
     Args:
-        columns: what each shows, by its name; None: the plane passes its grid.
-        truth: what the column of the truth is called.
-        looks: as ``windows`` gives them, for all that is compared.
-        dpi: pixels an inch; a page shows about 100.
+        columns: section of each volume, by name; None if the plane misses its grid.
+        truth: title of the truth's column.
+        looks: looks from ``windows`` for all compared sections.
+        dpi: pixels per inch; a page shows about 100.
     """
     sections = [section for section in columns.values() if section is not None]
     first, extents = sections[0], np.array([section.extent_mm for section in sections])
@@ -371,7 +371,7 @@ def side_by_side(
 
 
 _OUTSIDE = "#eceff2"
-"""Where a grid holds no voxels."""
+"""Colour outside a grid."""
 
 
 def _bar_below(figure: Figure, columns: Any, look: Look, label: str, **style: float) -> None:
@@ -388,15 +388,17 @@ Look = tuple[Any, Normalize]
 
 
 def windows(sections: Sequence[CrossSection], mu_reference: float) -> tuple[Look, Look]:
-    """How attenuations and how errors are shown so that one window fits all sections."""
+    """Return the looks of attenuations and of errors, each with one window for all sections."""
     worst = _nice(max(_typical_worst(section) for section in sections) or 0.1 * mu_reference)
     diverging = mpl.colormaps["RdBu_r"].resampled(63)  # odd, so that 0 is white; noise packs better
     return ("gray", _grey_window(sections, mu_reference)), (diverging, Normalize(-worst, worst))
 
 
 BRIGHTEST = 2.0
-"""Where the grey window ends at most, in attenuations of the reference: metal beyond it is white
-and does not leave bone or aluminium black."""
+"""Largest upper limit of the grey window, in attenuations of the reference.
+
+Denser metal is white, so that bone or aluminium does not turn black.
+"""
 
 
 def _grey_window(sections: Sequence[CrossSection], mu_reference: float) -> Normalize:
@@ -411,10 +413,10 @@ def _pad(figure: Figure, **pads: float) -> None:
 
 
 def _typical_worst(section: CrossSection) -> float:
-    """Error that 99.5 % of the voxels in the region stay below."""
+    """Return the error that is exceeded by 0.5 % of the voxels in the region."""
     error = np.abs(section.reconstruction.astype(np.float64) - section.truth)
     seen = error[section.roi] if section.roi.any() else error
-    return float(np.nanpercentile(seen, 99.5))  # NaN is outside a grid that is turned
+    return float(np.nanpercentile(seen, 99.5))  # NaN is outside a rotated grid
 
 
 def _nice(value: float) -> float:
@@ -424,8 +426,8 @@ def _nice(value: float) -> float:
 
 
 def _outline(axes: Any, section: CrossSection, colour: str) -> None:
-    """The boundary of the region, along the voxel edges' middle line."""
-    roi = np.pad(section.roi, 1)  # so that a region that reaches the edge is closed there
+    """Draw the boundary of the region, along the middle line of the voxel edges."""
+    roi = np.pad(section.roi, 1)  # closes a region that reaches the edge
     if not roi.any() or section.roi.all():
         return
     left, right, bottom, top = section.extent_mm
@@ -441,9 +443,9 @@ def _outline(axes: Any, section: CrossSection, colour: str) -> None:
 def projection_strip(
     projections: Sequence[tuple[int, NDArray[np.floating]]], panel: Panel
 ) -> Picture:
-    """A few projections as line integrals -ln(I/I0), in one grey window, seen from the source.
+    """Draw a few projections as line integrals -ln(I/I0), in one grey window, seen from the source.
 
-    They are (view, transmission (row, col)); row 0 is drawn at the bottom, v points up.
+    They are (view, transmission (row, col)). Row 0 is at the bottom; v points up.
     """
     transmissions = [image.astype(np.float64) for _, image in projections]
     integrals = [-np.log(np.clip(image, DARKEST_DRAWN, None)) for image in transmissions]

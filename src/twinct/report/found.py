@@ -1,4 +1,4 @@
-"""What an algorithm found out beside the voxels."""
+"""Results of an algorithm beside the voxels."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 FOUND = ("implants", "passes", "metal_voxels", "prior")
-"""What a volume may have among its extras that ``metrics.json`` and the report tell."""
+"""Extras of a volume that ``metrics.json`` and the report list."""
 
 
 def found_of(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Of extras, or of figures: what was found, as far as it was looked for."""
+    """Return the results among extras or figures, as far as there are any."""
     return {key: told[key] for key in FOUND if key in told}
 
 
 def with_found(in_words: str, told: Mapping[str, Any]) -> str:
-    """How a volume was made, and what was found, in one line; implants have a table."""
+    """Add results to the description of a volume, in one line; implants have a table instead."""
     words: list[str] = []
     if "passes" in told:
         words.append(f"{told['passes']} were best")

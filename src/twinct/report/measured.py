@@ -1,4 +1,4 @@
-"""Figures by their place among nested ones: of regions, tasks and implants, and their curves."""
+"""Figures of regions, tasks and implants, nested as in ``metrics.json``, and their curves."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 _COLOURS = (SOURCE_COLOUR, DETECTOR_COLOUR, "#3d7a4d", "#8a5a9e", "#b08900", LIMIT_COLOUR)
 
 Columns = Mapping[str, Mapping[str, Any]]
-"""Figures of each volume, nested as in ``metrics.json``, by what the volume is called."""
+"""Figures of each volume, nested as in ``metrics.json``, by the name of the volume."""
 
 
 class Measured(NamedTuple):
-    """How a figure of a kind is shown; {0} stands for the material that figures are relative to."""
+    """Display of one kind of figure; {0} stands for the material that figures are relative to."""
 
     key: str
     title: str
@@ -55,11 +55,11 @@ KINDS: Mapping[str, tuple[Measured, ...]] = {
         Measured("streak_rel", "streaks", 100, 2, "%", "of μ({0}), error from sector to sector"),
     ),
 }
-"""What is shown of what a scenario's section ``evaluation`` asks for."""
+"""Figures that are shown, by the keys of a scenario's section ``evaluation``."""
 
 
 def nested(told: Mapping[str, Any], dotted: str) -> Any:
-    """What is at a dotted name; None where nothing is, as in figures of older versions."""
+    """Return the value at a dotted name; None if there is none, as in figures of older versions."""
     found: Any = told
     for name in dotted.split("."):
         found = found.get(name) if isinstance(found, Mapping) else None
@@ -67,7 +67,7 @@ def nested(told: Mapping[str, Any], dotted: str) -> Any:
 
 
 def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Measured, list[Any]]]:
-    """What was measured where, how it is shown, and a value for each volume or None."""
+    """Return place and display of each measurement, with a value or None for each volume."""
     rows: list[tuple[str, Measured, list[Any]]] = []
     for kind, shown in KINDS.items():
         names = dict.fromkeys(name for told in columns.values() for name in told.get(kind) or ())
@@ -80,7 +80,7 @@ def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Measured,
 
 
 def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None:
-    """RMSE over the depth in the region that every view sees; None where it is not known."""
+    """Plot the RMSE over the depth in the region that every view sees; None if it is unknown."""
     import matplotlib as mpl
 
     from twinct.report.figures import svg
@@ -107,7 +107,7 @@ def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None
 
 
 def curves_picture(columns: Columns, kind: str, key: str, label: str) -> Picture | None:
-    """Curves over frequency of all volumes and places; None where there are none."""
+    """Plot curves over frequency for all volumes and places; None if there are none."""
     import matplotlib as mpl
 
     from twinct.report.figures import svg

@@ -1,4 +1,4 @@
-"""The figures of a run as plain data: the contract of ``metrics.json``."""
+"""Figures of a run as plain data: the contract of ``metrics.json``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twinct.evaluate import ImageFigures, PoseErrors
 from twinct.version import __version__
 
 STAGES = ("plan", "motion", "xray", "reconstruction", "total")
-"""Stages whose seconds every ``metrics.json`` holds."""
+"""Stages whose seconds are in every ``metrics.json``."""
 
 
 def build_metrics(
@@ -30,22 +30,22 @@ def build_metrics(
     real_time_factor: float | None = None,
     **extra: Any,
 ) -> dict[str, Any]:
-    """Gather the figures of a run.
+    """Collect the figures of a run.
 
-    Everything in the result is plain and goes into strict JSON: a figure that is not finite, such
-    as the PSNR of a perfect volume, becomes None.
+    The result holds only plain values, for strict JSON: a figure that is not finite, such as the
+    PSNR of a perfect volume, becomes None.
 
     Args:
-        views: views that the trajectory asked for.
-        reached: views that were taken.
+        views: number of views in the trajectory.
+        reached: number of acquired views.
         pose_errors: executed against commanded.
         clearance_mm: smallest gap during the move to each view, (views,), mm.
-        image: image figures, or those of each geometry reconstructed from; the first one's volume
-            is kept, and ``image_by_geometry`` is there when there are several;
-            ``believed_minus_executed``, what the poses' errors cost, when both are.
+        image: image figures, or the figures for each reconstructed geometry; the volume of the
+            first geometry is stored. ``image_by_geometry`` is added for several geometries, and
+            ``believed_minus_executed``, the cost of the poses' errors, if both are present.
         seconds: wall-clock seconds of each stage, ``STAGES`` at least.
         simulated_seconds: simulated time of the scan.
-        scenario_digest: ties the figures to the scenario.
+        scenario_digest: digest that ties the figures to the scenario.
         real_time_factor: simulated over wall-clock seconds of the motion; by default
             ``simulated_seconds`` over the seconds of ``motion``.
         **extra: further top-level keys.
@@ -84,7 +84,10 @@ def build_metrics(
 
 
 def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
-    """What nested numbers differ by; those that only one has, and curves, left out."""
+    """Return the differences between two nested dictionaries of numbers.
+
+    Skip curves, and keys that only one of them has.
+    """
     found: dict[str, Any] = {}
     for name in one.keys() & other.keys():
         a, b = one[name], other[name]
@@ -96,7 +99,7 @@ def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, A
 
 
 def plain(value: Any) -> Any:
-    """The same in Python's own types, with None for what is not finite."""
+    """Return a value in Python's own types, with None for numbers that are not finite."""
     if isinstance(value, Mapping):
         return {str(key): plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing beside it."""
+"""The report as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ PAPER_TABLE_1 = {
         "rotation_deg": {"mean": 0.20, "std": 0.05, "max": 0.41},
     },
 }
-"""Table 1 of the paper: executed against commanded pose, 399 views, trigger at 1 mm."""
+"""Table 1 of the paper: executed against commanded poses, 399 views, trigger at 1 mm."""
 
 
 class _Figure(NamedTuple):
-    """How one image figure is shown; {0} stands for the material that figures are relative to.
+    """Display of one image figure; {0} stands for the material that figures are relative to.
 
-    Its key is dotted where figures are nested.
+    The key is dotted if figures are nested.
     """
 
     key: str
@@ -71,7 +71,7 @@ _IMAGE_FIGURES = (
 
 
 def image_figures(reference: str) -> list[_Figure]:
-    """The image figures as they are shown, relative to a material."""
+    """Return the image figures in the report, relative to a material."""
     return [
         f._replace(title=f.title.format(reference), meaning=f.meaning.format(reference))
         for f in _IMAGE_FIGURES
@@ -97,12 +97,12 @@ _STAGES = {
 
 
 def write_report(path: Path, report: ReportData, pictures: Pictures | None = None) -> None:
-    """Write a report, its pictures drawn here where None; the file is complete or not there."""
+    """Write a report, completely or not at all. Its pictures are drawn here if None."""
     write_text(path, render_report(report, pictures))
 
 
 def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
-    """The report as HTML text: images inline, no script, nothing loaded from elsewhere."""
+    """Return the report as HTML text: images inline, no script, no external resources."""
     scenario, metrics = report.scenario, report.metrics
     speeds = metrics.get("tool_speed_mm_s", {}).values()
     fastest_mm_s = max((speed["max"] for speed in speeds), default=0.0)
@@ -143,18 +143,18 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
 
 
 def _implants(metrics: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Known implants that were found, each with the reconstruction that found it."""
+    """Return the known implants that were located, each with the name of its reconstruction."""
     of_all = {"the run's own": metrics} | dict(metrics.get("reconstructions", {}))
     return [(name, one) for name, told in of_all.items() for one in told.get("implants", ())]
 
 
 def stage_title(name: str) -> str:
-    """What a stage is called in a table of seconds."""
+    """Return the title of a stage in a table of seconds."""
     return _STAGES.get(name, name.replace("_", " "))
 
 
 def _columns(report: ReportData) -> dict[str, Any]:
-    """Image figures by what they are of: geometries of the run's own settings, then the others."""
+    """Return image figures by title: the geometries of the run, then the other reconstructions."""
     first = report.scenario.reconstruction.geometries[0]
     own = report.metrics.get("image_by_geometry") or {first: report.metrics["image"]}
     named = {f"{name} geometry": figures for name, figures in own.items()}
@@ -162,7 +162,7 @@ def _columns(report: ReportData) -> dict[str, Any]:
 
 
 def _beside(report: ReportData) -> dict[str, Any]:
-    """Columns beside the volumes': what the poses' errors cost, and what a volume of zeros gets."""
+    """Return further columns: the cost of the poses' errors, and the figures of a zero volume."""
     found = {
         "believed − executed": report.metrics.get("believed_minus_executed"),
         "all zero": report.metrics["image"].get("zero"),
@@ -171,7 +171,7 @@ def _beside(report: ReportData) -> dict[str, Any]:
 
 
 def draw_pictures(report: ReportData) -> Pictures:
-    """The pictures of a report, which take longest; its metrics are not needed for them."""
+    """Draw the pictures of a report, which takes longest; they do not depend on its metrics."""
     from twinct.report import figures
 
     scenario = report.scenario
@@ -179,7 +179,7 @@ def draw_pictures(report: ReportData) -> Pictures:
         np.array([pose.position for pose in poses.source])
         for poses in (report.commanded, report.executed)
     )
-    # A file of views turns about the world's origin.
+    # A trajectory from a file has no isocentre: the world's origin stands in.
     isocentre = np.array(getattr(scenario.trajectory, "isocentre_mm", (0.0, 0.0, 0.0)))
     mu = report.mu_reference
     if mu is None and report.slices:
@@ -216,14 +216,14 @@ def draw_pictures(report: ReportData) -> Pictures:
 
 
 def _machine(cell: AnyCell) -> dict[str, str]:
-    """What carries source and panel."""
+    """Return the machine that carries source and panel."""
     if isinstance(cell, GantryCell):
         return {"Gantry": "source and panel exactly where they are told"}
     return {"Arms": f"{cell.source_arm.label} (source), {cell.detector_arm.label} (detector)"}
 
 
 def _setting(report: ReportData) -> dict[str, str]:
-    """The experiment in a few lines."""
+    """Return the experiment in a few lines."""
     scenario = report.scenario
     grid = scenario.reconstruction.volume_grid
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
@@ -241,7 +241,7 @@ def _setting(report: ReportData) -> dict[str, str]:
 
 
 def _stages(seconds: dict[str, float]) -> list[dict[str, Any]]:
-    """Name, seconds and share of the whole run, in the order of the run."""
+    """Return name, seconds and share of the whole run, in the order of the run."""
     total = seconds.get("total") or 0.0
     order = [name for name in seconds if name != "total"] + ["total"] * ("total" in seconds)
     return [

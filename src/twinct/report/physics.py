@@ -1,4 +1,4 @@
-"""Source and detector in words: only what a scenario sets."""
+"""Source and detector in words: only the settings of a scenario."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from twinct.xray.build import build_spectrum, effective_energy_kev
 def physics_in_words(
     scenario: Scenario, source: Pose, panel: Pose, mas: Floats | None = None
 ) -> dict[str, str]:
-    """One line each for source and detector, for the report and the log.
+    """Describe source and detector in one line each, for the report and the log.
 
-    The photons are counted at the panel's middle, in the view of these two poses, the first;
-    ``mas`` is of all views, ``source.mas`` where None.
+    Photons are counted at the middle of the panel, in the view of these two poses, the first.
+    ``mas`` is the tube load of all views, or None for ``source.mas``.
 
     Raises:
-        InputError: a file that cannot be used any more.
+        InputError: a file is no longer usable.
         MissingExtraError: SpekPy is needed and not installed.
     """
     loads = np.atleast_1d(scenario.source.mas if mas is None else mas)
@@ -41,7 +41,7 @@ def physics_in_words(
 
 
 def _photons(scenario: Scenario, source: Pose, panel: Pose, mas: float) -> float | None:
-    """Photons that meet an image pixel in the free beam; None where their number is not known."""
+    """Return the number of photons per image pixel in the free beam; None if it is unknown."""
     spectrum = build_spectrum(scenario.source)
     if not spectrum.absolute:
         return None
@@ -83,7 +83,7 @@ def _exposure(source: Source, mas: Floats) -> list[str]:
 
 
 def _signal(detector: Detector) -> list[str]:
-    """What happens before the readout."""
+    """Describe the signal up to the readout."""
     words = []
     response, spread, noise = detector.response, detector.point_spread, detector.noise
     if isinstance(response, sections.ScintillatorResponse):
@@ -110,7 +110,7 @@ def _signal(detector: Detector) -> list[str]:
 
 
 def _raw(detector: Detector) -> list[str]:
-    """Grey values, and how they are corrected."""
+    """Describe the grey values and their correction."""
     words = []
     readout, bad, correction = detector.readout, detector.bad_pixels, detector.correction
     if readout is not None:

@@ -1,4 +1,4 @@
-"""Trials that repeat one combination of values: their means with confidence, over each axis."""
+"""Trials that repeat a combination of values: means with confidence intervals, over each axis."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ import scipy
 
 CONFIDENCE = 0.95
 MOST_LINES = 6
-"""Combinations of the other axes that a picture tells apart."""
+"""Largest number of combinations of the other axes that a picture distinguishes."""
 MOST_VALUES = 60
-"""On an axis; where there are more, only a cloud of combinations is drawn."""
+"""Largest number of values on an axis; with more, only a cloud of combinations is drawn."""
 MOST_DOTS = 1000
-"""Of a cloud."""
+"""Largest number of dots in a cloud."""
 
 
 @dataclass(frozen=True, eq=False)
 class StudyTrial:
-    """One trial of a study, as its page shows it.
+    """One trial of a study, as on the study's page.
 
     Attributes:
-        trial: its number.
-        axes: value on each axis, by the axis's label; None where an axis does not apply.
-        seed: of the repetition.
-        done: whether it has figures; else it failed.
-        figures: by dotted name; None where one is not finite.
-        seconds: of each stage.
-        message: why it failed.
+        trial: number of the trial.
+        axes: value on each axis, by the axis's label; None if an axis does not apply.
+        seed: seed of the repetition.
+        done: True if the trial has figures; otherwise it failed.
+        figures: figures by dotted name; None if one is not finite.
+        seconds: seconds of each stage.
+        message: reason for the failure.
         kind: class of the error.
-        report: path of its report, relative to the page; empty: none.
+        report: path of its report, relative to the page; empty if there is none.
     """
 
     trial: int
@@ -48,7 +48,7 @@ class StudyTrial:
 
 
 class Mean(NamedTuple):
-    """A mean over n repetitions, and half the width of its interval; None where there is none."""
+    """Mean over n repetitions, and half the width of its interval; None if undefined."""
 
     mean: float | None
     half: float | None
@@ -56,10 +56,10 @@ class Mean(NamedTuple):
 
 
 def mean_of(values: Iterable[float | None]) -> Mean:
-    """Mean and Student's interval, mean +- t s / sqrt(n) with n - 1 degrees of freedom.
+    """Compute mean and Student's interval, mean +- t s / sqrt(n) with n - 1 degrees of freedom.
 
-    Source: Student, The probable error of a mean, Biometrika 6 (1908). Values that are None do not
-    count; one alone has no interval.
+    Source: Student, The probable error of a mean, Biometrika 6 (1908). None values are ignored;
+    a single value has no interval.
     """
     x = np.array([value for value in values if value is not None], dtype=np.float64)
     if not x.size:
@@ -73,10 +73,10 @@ def mean_of(values: Iterable[float | None]) -> Mean:
 
 @dataclass(frozen=True, eq=False)
 class Combination:
-    """The trials that have the same values on all axes, in the axes' order; failed ones too.
+    """Trials with the same values on all axes, in the axes' order, including failed trials.
 
     Attributes:
-        keys: texts that are the same for the same values.
+        keys: texts that identify the values.
     """
 
     values: tuple[Any, ...]
@@ -84,7 +84,7 @@ class Combination:
     trials: tuple[StudyTrial, ...]
 
     def found(self, figure: str) -> dict[int, tuple[StudyTrial, float]]:
-        """Trials that have a figure, with its value, by seed or, without one, by their place."""
+        """Return the trials that have a figure, and its values, by seed, or else by place."""
         told = [(one, one.figures.get(figure)) for one in self.trials if one.done]
         return {
             place if one.seed is None else one.seed: (one, value)
@@ -93,12 +93,12 @@ class Combination:
         }
 
     def mean(self, figure: str) -> Mean:
-        """Of a figure over the repetitions."""
+        """Return the mean of a figure over the repetitions."""
         return mean_of(value for _, value in self.found(figure).values())
 
 
 def combinations(trials: Iterable[StudyTrial], labels: Sequence[str]) -> list[Combination]:
-    """Trials by their values on the axes, in the order of their first ones."""
+    """Group trials by their values on the axes, in the order of the first trials."""
     found: dict[tuple[str, ...], list[StudyTrial]] = {}
     for one in sorted(trials, key=lambda one: one.trial):
         keys = tuple(json.dumps(one.axes.get(label), sort_keys=True) for label in labels)
@@ -111,20 +111,21 @@ def combinations(trials: Iterable[StudyTrial], labels: Sequence[str]) -> list[Co
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """A figure over an axis.
+    """Figure over an axis.
 
     Attributes:
-        values: on the axis: numbers by size, others as they come.
+        values: values on the axis: numbers by size, others in order of appearance.
         lines: points (value, mean) for each combination of the other axes' values; one line without
-            such values where there are no others, or where they are averaged.
-        cloud: (value, mean) of each combination by itself, or of ``MOST_DOTS`` of them evenly.
-        averaged: whether there were too many combinations of the others, so that points of the
-            line are their averages.
-        others: places of the other axes that vary at one value of this.
-        along: places of those that vary with this one alone, so that points show their effects too.
-        joined: whether neighbours are values in order, not one draw of many axes each.
-        left_out: combinations to which the axis does not apply.
-        had: combinations to which it does.
+            such values if there are no other axes, or if they are averaged.
+        cloud: (value, mean) of each single combination, or of ``MOST_DOTS`` of them evenly.
+        averaged: True if there were too many combinations of the other axes, so that the line's
+            points are averages.
+        others: places of the other axes that vary at one value of this axis.
+        along: places of the axes that vary only with this axis, so that points show their effects,
+            too.
+        joined: True if neighbours are ordered values, rather than separate draws of many axes.
+        left_out: number of combinations to which the axis does not apply.
+        had: number of combinations to which the axis applies.
     """
 
     values: Sequence[Any]
@@ -139,17 +140,17 @@ class Trend:
 
     @property
     def has_intervals(self) -> bool:
-        """Whether any point has one."""
+        """True if any point has an interval."""
         return any(mean.half is not None for _, line in self.lines for _, mean in line)
 
 
 def numeric(values: Iterable[Any]) -> bool:
-    """Whether all are numbers."""
+    """Return whether all values are numbers."""
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
 def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
-    """A figure over one axis, by the place of the axis among all."""
+    """Return a figure over one axis, given by its place among all axes."""
     having = [one for one in found if one.found(figure)]
     on_axis = [one for one in having if one.values[axis] is not None]
     by_value: dict[str, list[Combination]] = {}
@@ -202,9 +203,9 @@ def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
 
 
 def _average(found: Sequence[Combination], figure: str) -> Mean:
-    """Average over combinations, then over the seeds that all of them have.
+    """Average over combinations, then over their common seeds.
 
-    What the combinations differ by is no uncertainty: only the seeds' averages tell that.
+    Differences between combinations are no uncertainty; only the averages of the seeds show it.
     """
     told = [one.found(figure) for one in found]
     seeds = set(told[0]).intersection(*told[1:])

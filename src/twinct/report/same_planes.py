@@ -1,4 +1,4 @@
-"""Planes of the world that several volumes are cut by, each in its own sampling."""
+"""Planes of the world through several volumes, each in its own sampling."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.report.data import PLANES, CrossSection
 
 TURNED = 1e-9
-"""Largest difference of two rotation matrices that still counts as the same axes."""
+"""Largest difference of two rotation matrices that counts as the same axes."""
 
 
 class Plane(NamedTuple):
-    """A plane that is orthogonal to an axis of some frame.
+    """Plane that is orthogonal to an axis of some frame.
 
     Attributes:
-        normal: array axis (z, y, x) that it is orthogonal to.
-        place_mm: where it cuts that axis, mm.
-        world_from_frame: the frame, the world's own or that of a turned grid.
-        frame: how its axes are called, empty for the world's.
+        normal: array axis (z, y, x) orthogonal to the plane.
+        place_mm: position of the plane on that axis, mm.
+        world_from_frame: frame of the world, or of a rotated grid.
+        frame: prefix of its axes' names, empty for the world.
     """
 
     normal: int
@@ -35,13 +35,13 @@ class Plane(NamedTuple):
 def planes_through(
     grid: VolumeGrid, bounds: Floats, world_from_specimen: Pose, hit: Callable[[VolumeGrid], bool]
 ) -> dict[str, Plane]:
-    """The planes that a report of a grid shows: through its middle, or through the specimen's.
+    """Return the planes in the report of a grid: through its middle, or through the specimen's.
 
     Args:
-        grid: of the volume that the others are compared with.
+        grid: grid of the reference volume.
         bounds: lowest and highest corner of the specimen in its frame, (2, 3), mm.
-        world_from_specimen: where it is.
-        hit: whether there is anything of the specimen in the voxels of a grid.
+        world_from_specimen: pose of the specimen.
+        hit: function that returns whether the voxels of a grid contain any of the specimen.
     """
     turned = not np.allclose(grid.world_from_grid.rotation, np.eye(3), atol=TURNED)
     frame = grid.world_from_grid if turned else Pose.identity()
@@ -55,7 +55,7 @@ def planes_through(
     found: dict[str, Plane] = {}
     for name, normal in PLANES.items():
         axis = 2 - normal
-        # The middle voxel, and of two the upper one.
+        # The middle voxel, or the upper one of two.
         middle = centre[axis] + (grid.voxel[axis] / 2 if grid.shape[normal] % 2 == 0 else 0.0)
         plane = Plane(normal, float(middle), frame, "grid " if turned else "")
         layer = layer_of(plane, grid)
@@ -66,10 +66,10 @@ def planes_through(
 
 
 def layer_of(plane: Plane, grid: VolumeGrid) -> VolumeGrid | None:
-    """The voxels of a grid that a plane cuts, as a grid of one layer along the plane's frame.
+    """Return the voxels of a grid that a plane cuts, as one layer along the plane's frame.
 
-    A grid that is turned against the frame gets voxels of its smallest edge all over its bounds.
-    None where the plane passes it.
+    The layer of a rotated grid has voxels of the grid's smallest edge, all over its bounds. None if
+    the plane misses the grid.
     """
     own = plane.world_from_frame.inverse() @ grid.world_from_grid
     axis, turn = 2 - plane.normal, own.rotation
@@ -98,13 +98,13 @@ def section_at(
     truth: ArrayLike,
     roi: ArrayLike,
 ) -> CrossSection:
-    """What a plane shows of a volume: its own voxels, or the nearest where its grid is turned.
+    """Return the section of a volume in a plane: its own voxels, or the nearest in a rotated grid.
 
     Args:
-        plane: where to cut.
+        plane: plane of the section.
         volume: attenuation, (z, y, x), 1/mm.
         grid: the lattice of the volume.
-        layer: what ``layer_of`` gave for this plane and grid.
+        layer: result of ``layer_of`` for this plane and grid.
         truth: true attenuation on the layer, 1/mm.
         roi: region that every view sees, on the layer, bool.
 

@@ -1,4 +1,4 @@
-"""A study on one page: figures over what was varied, the best trials, what failed and why."""
+"""A study on one page: figures over the varied parameters, best trials, failures and reasons."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from twinct.report.trend import in_words, trend_picture
 from twinct.version import __version__
 
 MOST_ROWS = 200
-"""Lines of a table; the rest is in the results."""
+"""Largest number of lines in a table; the results hold the rest."""
 MOST_BEST = 6
 _MOST_TOLD = 12
-"""Values, trials or links that are told one by one."""
+"""Largest number of values, trials or links in a list."""
 
 
 @dataclass(frozen=True)
 class StudyAxis:
-    """What was varied: its label, as trials name it, its unit, whether it is logarithmic."""
+    """Varied parameter: its label in trials, its unit, and True if it is logarithmic."""
 
     label: str
     unit: str = ""
@@ -51,23 +51,23 @@ class StudyAxis:
 
 @dataclass(frozen=True, eq=False)
 class StudyData:
-    """Everything the page of a study shows.
+    """Contents of a study's page.
 
     Attributes:
-        title: of the study.
-        axes: what was varied.
-        figures: dotted names of the chosen figures; trials are ranked by the first.
-        trials: all that ended, done or failed.
+        title: title of the study.
+        axes: varied parameters.
+        figures: dotted names of the chosen figures; the first one ranks the trials.
+        trials: all trials that ended, done or failed.
         yaml: the study as text.
         description: a sentence or two.
-        best: which values of the first figure are better; empty: what is known of that figure.
-        planned: trials of the study, where some have not ended; None: all have.
-        wall_seconds: from start to end; None: not known.
+        best: direction of better values of the first figure; the figure's default if empty.
+        planned: number of trials in the study, if some have not ended; None if all have.
+        wall_seconds: seconds from start to end; None if unknown.
         sections: cross-sections of some trials, by trial, then plane; see ``best_trials``.
-        mu_reference: attenuation that figures are relative to, 1/mm; the largest true value where
+        mu_reference: attenuation to which figures are relative, 1/mm; the largest true value if
             None.
-        reference: name of the material whose attenuation that is.
-        results: name of the file that has all rows.
+        reference: name of the material with this attenuation.
+        results: name of the file with all rows.
     """
 
     title: str
@@ -91,24 +91,24 @@ class StudyData:
 
 
 def best_trials(study: StudyData, most: int = MOST_BEST) -> list[int]:
-    """Of each of the best combinations, by the mean of the first figure, its best repetition.
+    """Return the best repetition of each of the best combinations, by mean of the first figure.
 
-    Their cross-sections are worth showing. None where it is not known which values are better.
+    Their cross-sections are worth showing. Empty if the direction of better values is unknown.
     """
     return [one.trial for one, _ in _best(study, study.combinations)[:most]]
 
 
 def write_study(path: Path, study: StudyData) -> None:
-    """Write the page of a study; the file is complete or not there.
+    """Write the page of a study, completely or not at all.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the page cannot be written.
     """
     write_text(path, render_study(study))
 
 
 def render_study(study: StudyData) -> str:
-    """The page as HTML text: images inline, no script, nothing loaded from elsewhere."""
+    """Return the page as HTML text: images inline, no script, no external resources."""
     found = study.combinations
     words = {name: figure_words(name, study.reference) for name in study.figures}
     done = [one for one in study.trials if one.done]
@@ -146,7 +146,7 @@ def render_study(study: StudyData) -> str:
 
 
 def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTrial, Combination]]:
-    """The best repetition of each combination, the best combination first."""
+    """Return the best repetition of each combination, the best combination first."""
     if not study.figures:
         return []
     first = study.figures[0]
@@ -170,7 +170,7 @@ def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTri
 
 
 def _varied(axis: StudyAxis, trials: Sequence[StudyTrial]) -> tuple[str, int, str]:
-    """An axis, how many values it has, and which."""
+    """Return an axis, the number of its values, and the values as text."""
     told = {in_words(v): v for one in trials if (v := one.axes.get(axis.label)) is not None}
     values = list(told.values())
     if numeric(values):
@@ -193,7 +193,7 @@ class _Trend(NamedTuple):
 def _pictures(
     study: StudyData, found: Sequence[Combination], name: str, words: FigureWords
 ) -> list[_Trend]:
-    """A figure over each axis that has two values or more."""
+    """Draw a figure over each axis that has at least two values."""
     pictures: list[_Trend] = []
     for index, axis in enumerate(study.axes):
         shown = trend(found, index, name)
@@ -223,7 +223,7 @@ def _pictures(
 def _digits(
     found: Sequence[Combination], words: Mapping[str, FigureWords]
 ) -> list[tuple[str, FigureWords, int]]:
-    """Figures with the digits that show two places of a typical interval."""
+    """Return the figures with the digits that show two places of a typical interval."""
     columns: list[tuple[str, FigureWords, int]] = []
     for name, shown in words.items():
         halves = [half for one in found if (half := one.mean(name).half)]
@@ -255,7 +255,7 @@ def _row(study: StudyData, one: Combination) -> _Row:
 
 
 class _Shown(NamedTuple):
-    """Planes as (title, address), what each trial is, and what cannot be compared."""
+    """Planes as (title, address), trials with descriptions, and notes about differing truths."""
 
     pictures: list[tuple[str, str]]
     trials: list[tuple[StudyTrial, str, str]]
@@ -263,7 +263,7 @@ class _Shown(NamedTuple):
 
 
 def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) -> _Shown:
-    """The best trials' pictures, or those of all that have some where none is better."""
+    """Return the pictures of the best trials; without a ranking, of the first trials with any."""
     from twinct.report.figures import side_by_side, windows
 
     order = [one for one, _ in ranking] or list(study.trials)
@@ -298,7 +298,7 @@ def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) 
 
 
 def _failures(trials: Iterable[StudyTrial]) -> list[tuple[int, str, str, str]]:
-    """Count, message, class of the error and trials, the most frequent first."""
+    """Return count, message, class of the error and trials, the most frequent error first."""
     groups: dict[tuple[str, str], list[int]] = {}
     for one in trials:
         if not one.done:
@@ -310,7 +310,7 @@ def _failures(trials: Iterable[StudyTrial]) -> list[tuple[int, str, str, str]]:
 
 
 def _ranges(numbers: Iterable[int]) -> str:
-    """Such as "0 to 4, 7"."""
+    """Format numbers as ranges, such as "0 to 4, 7"."""
     told: list[str] = []
     runs = itertools.groupby(enumerate(sorted(numbers)), key=lambda pair: pair[1] - pair[0])
     for _, run in runs:
@@ -321,7 +321,7 @@ def _ranges(numbers: Iterable[int]) -> str:
 
 
 def _stages(done: Sequence[StudyTrial]) -> list[tuple[str, str, str, int]]:
-    """Name, seconds of all trials, of each that has it, and how many those are."""
+    """Return name, seconds of all trials, seconds per trial, and number of trials of each stage."""
     names = dict.fromkeys(name for one in done for name in one.seconds)
     rows: list[tuple[str, str, str, int]] = []
     for name in sorted(names, key="total".__eq__):

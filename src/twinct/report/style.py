@@ -1,4 +1,4 @@
-"""How all pictures of a report look, and what one is."""
+"""Colours, fonts and sizes that all pictures of a report share, and the type of a picture."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "twinct",  # the same data gives the same bytes
 }
 WIDTH = 10.4
-"""Inches; the page shows about 100 px for each."""
+"""Width in inches; the page shows about 100 px per inch."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """An image with its type, such as "image/png"."""
+    """Image with its media type, such as "image/png"."""
 
     content: bytes
     media_type: str
 
     @property
     def data_uri(self) -> str:
-        """The image itself as an address, so that a page needs no other file."""
+        """Image as a data address, so that a page needs no other file."""
         return f"data:{self.media_type};base64,{base64.b64encode(self.content).decode('ascii')}"

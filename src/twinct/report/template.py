@@ -1,4 +1,4 @@
-"""What all pages share: their style, and how numbers and durations are written."""
+"""Parts of all pages: rendering, and the format of numbers and durations."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def rendered(template: str, **values: Any) -> str:
-    """A page as HTML text: images inline, no script, nothing loaded from elsewhere."""
+    """Return a page as HTML text: images inline, no script, no external resources."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -21,12 +21,12 @@ def rendered(template: str, **values: Any) -> str:
 
 
 def fixed(value: float | None, digits: int = 2, factor: float = 1.0) -> str:
-    """A number with a fixed count of digits, or a dash where there is none."""
+    """Format a number with a fixed count of digits; a dash stands for None."""
     return "–" if value is None else f"{factor * value:z.{digits}f}"
 
 
 def duration(seconds: float | None) -> str:
-    """Seconds, minutes or hours, whichever reads best."""
+    """Format a duration in seconds, minutes or hours, whichever reads best."""
     if seconds is None:
         return "–"
     if seconds < 100:

@@ -1,4 +1,4 @@
-"""The picture of a figure over an axis of a study."""
+"""Picture of a figure over an axis of a study."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from twinct.report.style import LIMIT_COLOUR, STYLE, Picture
 _COLOURS = ("#1f6091", "#c4501b", "#3d7a4d", "#7a4d8f", "#b8860b", LIMIT_COLOUR)
 _MARKERS = "osD^vP"
 _MOST_SHAPES = 300
-"""Dots of a cloud that are drawn as shapes; more are one image, so that a page stays small."""
+"""Largest number of dots drawn as shapes; more are one image, so that a page stays small."""
 _MOST_NAMES = 24
-"""Names that fit below a picture."""
+"""Largest number of names that fit below a picture."""
 _NARROWEST_PX = 32
-"""Between numbers that are written below a picture, of 510 in all."""
+"""Smallest distance between numbers below a picture, which is 510 px wide."""
 
 
 def in_words(value: Any) -> str:
-    """A value on an axis as text."""
+    """Return a value on an axis as text."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -40,16 +40,16 @@ def in_words(value: Any) -> str:
 def trend_picture(
     shown: Trend, axis: str, figure: str, others: Sequence[str], factor: float, log: bool
 ) -> Picture:
-    """Means with their intervals: joined where the axis is one of numbers, else points.
+    """Draw means with their intervals: joined on an axis of numbers, otherwise as points.
 
     Args:
-        shown: what is drawn.
+        shown: the trend to draw.
         axis: label of the axis, with its unit.
         figure: label of the figure, with its unit.
-        others: labels of the axes that tell its lines apart.
-        factor: that the figure is shown with.
-        log: whether the axis is logarithmic; linear below its smallest positive value if it has
-            others, too.
+        others: labels of the axes that distinguish the lines.
+        factor: factor of the figure's display.
+        log: True for a logarithmic axis; it is linear below its smallest positive value if it has
+            other values, too.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -82,7 +82,7 @@ def trend_picture(
             style |= {"capsize": 2.5, "elinewidth": 1}
             style["label"] = textwrap.shorten(", ".join(map(in_words, told)), 44, placeholder=" …")
             bars = axes.errorbar(placed(line), y, half, **style)
-            # Those at the same value stand beside each other, whatever the axis's scale.
+            # Bars at the same value stand side by side, whatever the scale of the axis.
             shift = (index - (many - 1) / 2) * (3 if numbers else 8) / 72
             beside = ScaledTranslation(shift, 0, figure_.dpi_scale_trans)
             for artist in bars.get_children():
@@ -95,7 +95,7 @@ def trend_picture(
                 axes.set_xscale("symlog", linthresh=min(positive))
         if numbers:
             names = [f"{value:.4g}" for value in values]
-            axes.get_xlim()  # sets the scale that the next line asks for
+            axes.get_xlim()  # sets the scale that the next line needs
             across = axes.transData.transform([(value, 0) for value in values])[:, 0]
             if np.diff(across).min() > _NARROWEST_PX and max(map(len, names)) <= 6:
                 axes.set_xticks(values, names)

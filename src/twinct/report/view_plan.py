@@ -1,4 +1,4 @@
-"""A picture of planned views: on the sphere, the search for them, and what they are worth."""
+"""Picture of planned views: positions on the sphere, the search, and figures of merit."""
 
 from __future__ import annotations
 
@@ -28,11 +28,12 @@ def draw_view_plan(
     """Write the picture (PNG).
 
     Args:
-        path: file.
+        path: file to write.
         title: name of the scenario.
-        sources: of views by what they are, a key of ``LOOKS``, from the isocentre, (views, 3), mm.
-        worth: after each step of the search.
-        figures: of each goal: planned, spread_evenly and own_path, None where it has none.
+        sources: source positions of views, by a key of ``LOOKS``, from the isocentre, (views, 3),
+            mm.
+        worth: figure of merit after each step of the search.
+        figures: figures of each goal: planned, spread_evenly and own_path; None if it has none.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

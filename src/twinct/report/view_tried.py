@@ -1,4 +1,4 @@
-"""A picture of volumes of planned views beside those of others: slices through the region."""
+"""Picture of volumes from planned views beside others: slices through the region."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twinct.geometry import Floats
 
 MARGIN = 3.0
-"""Half of what is shown, in radii of the region; at least ``LEAST_MM``."""
+"""Half the width of a slice, in radii of the region; at least ``LEAST_MM``."""
 
 LEAST_MM = 25.0
 
@@ -28,12 +28,12 @@ def draw_tried(
     """Write the picture (PNG): two slices of each volume, all in the grey window of the first.
 
     Args:
-        path: file.
-        title: of all.
-        volumes: (z, y, x), 1/mm, by what they are; the first is the truth.
-        axes: middles of the voxels along x, y and z, mm.
-        place: middle of the region, x, y, z, mm.
-        radius_mm: of the region.
+        path: file to write.
+        title: title of the picture.
+        volumes: volumes by name, (z, y, x), 1/mm; the first is the truth.
+        axes: centres of the voxels along x, y and z, mm.
+        place: centre of the region, x, y, z, mm.
+        radius_mm: radius of the region.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

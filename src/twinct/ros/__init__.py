@@ -1,6 +1,6 @@
 """The ROS 2 link: both simulations as nodes, and the rig that starts, watches and uses them.
 
-Importing this package needs no ROS; what is taken from it does.
+Importing this package needs no ROS; using its members does.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs ROS only when it is asked for.
+    """Import members that need ROS only on request.
 
     Raises:
         MissingExtraError: rclpy is not installed.

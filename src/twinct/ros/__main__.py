@@ -1,4 +1,4 @@
-"""``python -m twinct.ros {robots,xray} SCENARIO``: how the rig starts its two nodes."""
+"""``python -m twinct.ros {robots,xray} SCENARIO``: the command with which the rig starts a node."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def main(
     build_robots: Callable[[Scenario], Robots] | None = None,
     build_imager: Callable[[Scenario], XRay] | None = None,
 ) -> int:
-    """Run one node of a scan, around the real simulation or another, until its rig is done."""
+    """Run one node of a scan, with the real or a given simulation, until its rig is done."""
     parser = argparse.ArgumentParser(prog="python -m twinct.ros", description=__doc__)
     parser.add_argument("node", choices=["robots", "xray"])
     parser.add_argument("scenario", type=Path)

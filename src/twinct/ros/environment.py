@@ -1,4 +1,4 @@
-"""What ROS 2 finds around it: its packages, its settings, a domain of its own, shared memory."""
+"""Environment of ROS 2: packages, settings, a separate domain, and shared memory."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from twinct.extras import require
 
 MIDDLEWARE = "rmw_fastrtps_cpp"
 DOMAINS = range(1, 101)
-"""Domains to choose from: their UDP ports stay below the range the kernel hands out."""
+"""Candidate domains: their UDP ports stay below the kernel's ephemeral range."""
 LARGEST_DOMAIN = 232
 _YOUNG_S = 1.0
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT, _LAST_PROBED = 7400, 250, 10, 50
 
 
 def require_ros() -> None:
-    """Make sure that the ROS 2 link can be used at all.
+    """Check that the ROS 2 link is usable.
 
-    Where ROS comes from wheels, a system's ROS that the shell has sourced is left aside: it is
-    built for another Python.
+    If ROS comes from wheels, ignore a system ROS that the shell has sourced, because it is built
+    for another Python.
 
     Raises:
-        InputError: rclpy, or a package of messages, is not installed or cannot be imported.
+        InputError: rclpy or a message package is not installed, or cannot be imported.
     """
     outside = _system_ros(os.environ)
     sys.path[:] = [path for path in sys.path if not path.startswith(outside)]
@@ -40,7 +40,7 @@ def require_ros() -> None:
 
 
 def without_system_ros(environment: Mapping[str, str]) -> dict[str, str]:
-    """An environment for processes that take ROS from the same wheels as this one."""
+    """Return an environment for processes that use ROS from the same wheels as this one."""
     outside = _system_ros(environment)
     cleaned = dict(environment)
     for key in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
@@ -51,7 +51,7 @@ def without_system_ros(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def _system_ros(environment: Mapping[str, str]) -> tuple[str, ...]:
-    """Prefixes of ROS outside this Python; none where this Python has no ROS of its own."""
+    """Return prefixes of ROS outside this Python; empty if this Python contains no ROS."""
     if not Path(sysconfig.get_paths()["platlib"], "rclpy").is_dir():
         return ()
     prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
@@ -59,7 +59,7 @@ def _system_ros(environment: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def settle(environment: MutableMapping[str, str]) -> None:
-    """Set what ROS 2 reads from the environment; a discovery range that was asked for is kept."""
+    """Set the environment variables of ROS 2; keep a discovery range that is already set."""
     environment["RMW_IMPLEMENTATION"] = MIDDLEWARE
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
@@ -83,10 +83,11 @@ _USUAL_SEGMENT, _LARGEST_SEGMENT = 512 * 2**10, 256 * 2**20
 
 @contextmanager
 def roomy_shared_memory(size: int) -> Iterator[None]:
-    """Let the participants made meanwhile send through a shared memory of so many bytes.
+    """Give participants created in this context up to ``size`` bytes of shared memory each.
 
-    Fast DDS usually takes 0.5 MB. What does not fit is lost and sent again after a pause, which
-    makes an image of 1.2 MB three times as slow. Profiles that the environment names stay in force.
+    Fast DDS uses 0.5 MB by default. Data that do not fit are lost and sent again after a pause,
+    which makes an image of 1.2 MB three times as slow. Profiles set in the environment take
+    precedence.
     """
     size = min(size, _LARGEST_SEGMENT)
     with suppress(OSError):
@@ -109,19 +110,19 @@ def roomy_shared_memory(size: int) -> Iterator[None]:
 class Domain:
     """A ROS domain that no other scan on this machine uses, held until ``close``.
 
-    The hold is the name of a socket, inherited by the nodes: it ends with the last process that has
-    it, however that process ends. All who share a network share such names, containers and other
-    users too, whatever folders they see.
+    The hold is the name of a socket that the nodes inherit. It ends with the last process that has
+    the socket, however that process ends. All processes in a network namespace share such names,
+    including containers and other users, whatever folders they see.
 
     Attributes:
         id: the number for ``ROS_DOMAIN_ID``.
     """
 
     def __init__(self, wanted: int | None = None) -> None:
-        """Take the domain asked for here or in ``ROS_DOMAIN_ID``, else a free one.
+        """Take the domain requested by ``wanted`` or ``ROS_DOMAIN_ID``, else a free one.
 
         Raises:
-            InputError: the domain asked for is none, or another scan uses it.
+            InputError: the requested domain is invalid, or another scan uses it.
             LinkError: no domain is free.
         """
         origin = "domain_id"
@@ -139,7 +140,7 @@ class Domain:
                 raise InputError(f"{taken}; choose another, or none for a free one")
             self.id, self._hold = wanted, hold
             return
-        # By chance: two containers that start alike have equal process ids too.
+        # Random, because containers that start alike also have equal process ids.
         for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
             hold = _hold(number)
             if hold is None:
@@ -153,16 +154,16 @@ class Domain:
 
     @property
     def hold(self) -> int:
-        """Descriptor of the hold, for child processes to inherit."""
+        """Descriptor of the held socket, for child processes to inherit."""
         return self._hold.fileno()
 
     def close(self) -> None:
-        """Give the domain back; a second call does nothing."""
+        """Release the domain; a second call does nothing."""
         self._hold.close()
 
 
 def _hold(domain: int) -> socket.socket | None:
-    """The socket whose name is the domain's, or None when somebody else has it."""
+    """Return the socket named after the domain; None if another process has it."""
     held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         held.bind(f"\0twinct-ros-domain-{domain}")  # a name without a file
@@ -173,9 +174,9 @@ def _hold(domain: int) -> socket.socket | None:
 
 
 def _silent(domain: int) -> bool:
-    """Whether no ROS participant of this machine listens on the domain's ports."""
+    """Return True if no ROS participant of this machine listens on the domain's ports."""
     base = _PORT_BASE + _PORTS_PER_DOMAIN * domain
-    # Two ports a participant: whoever came first may be gone while others stay.
+    # Two ports per participant: the first may have left while others remain.
     for port in (base, *range(base + _FIRST_PARTICIPANT, base + _LAST_PROBED)):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
@@ -186,10 +187,10 @@ def _silent(domain: int) -> bool:
 
 
 def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
-    """Remove shared memory of DDS participants that were killed.
+    """Remove shared memory of killed DDS participants.
 
-    A living participant holds a lock on the ``_el`` file beside each of its segments, and every
-    port that somebody listens on has such a file.
+    A live participant locks the ``_el`` file beside each of its segments, and every port with a
+    listener has such a file.
     """
     for guard in folder.glob("fastrtps_*_el"):
         try:
@@ -200,7 +201,7 @@ def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
             if not _young(guard):
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 _remove_segment(folder, guard.name.removesuffix("_el"))
-        except OSError:  # somebody lives there
+        except OSError:  # the participant is alive
             pass
         finally:
             os.close(descriptor)
@@ -212,7 +213,7 @@ def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
 
 
 def _young(file: Path) -> bool:
-    """Whether its participant may still be about to lock it."""
+    """Return True if the participant may still be about to lock its file."""
     return time.time() - file.stat().st_mtime < _YOUNG_S
 
 

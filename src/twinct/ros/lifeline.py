@@ -1,4 +1,4 @@
-"""When a node has to end: on a signal, or when the process that started it is gone or stopped."""
+"""End of a node on a signal, or when the process that started it has ended or hangs."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from twinct.ros import pulse
 from twinct.ros.pulse import LOOK_S, Pulse, cut
 
 GRACE_S = 1.5
-"""A node told to end does so by itself in this time, or is ended: an engine may be at work."""
+"""Time for a node to end by itself before it is killed, since an engine may be busy."""
 
 
 class Lifeline:
-    """Watches for the end from a thread of its own, so that a busy engine does not hide it.
+    """Watcher for reasons to end, in a separate thread, even while an engine is busy.
 
-    SIGINT and SIGTERM ask for the end. So does, with ``parent``, the end of the process that holds
-    the other end of stdin, a socket, even when it is killed, or its silence.
+    The reasons are SIGINT and SIGTERM and, with ``parent``, the end or silence of the process that
+    holds the other end of stdin, a socket. Even a killed process is noticed.
 
     Attributes:
-        ended: whether to end.
+        ended: True once the node has to end.
     """
 
     def __init__(self, *, parent: bool, on_end: Callable[[str], None]) -> None:
-        """Start watching; only the main thread may.
+        """Start watching; call this from the main thread only.
 
         Args:
-            parent: watch who started this process too.
-            on_end: called with the reason from another thread, once.
+            parent: also watch the process that started this one.
+            on_end: called once with the reason, from another thread.
         """
         self.ended = False
         self._parent = os.getppid()
@@ -56,7 +56,7 @@ class Lifeline:
         watched = select.poll()
         watched.register(self._read, select.POLLIN)
         if self._pulse is not None:
-            watched.register(self._pulse, select.POLLRDHUP)  # not what comes in: a look is a time
+            watched.register(self._pulse, select.POLLRDHUP)  # not POLLIN, as looks count the time
         why = ""
         while not why:
             ready = dict(watched.poll(1000 * LOOK_S))
@@ -76,10 +76,10 @@ class Lifeline:
         if not self._closed.wait(GRACE_S):
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(0)  # nothing is lost: a node keeps nothing on disk
+            os._exit(0)  # nothing is lost: a node has no data on disk
 
     def close(self) -> None:
-        """Stop watching and give the signals back."""
+        """Stop watching, and restore the signal handlers."""
         self._closed.set()
         signal.set_wakeup_fd(self._old_wakeup)
         for number, handler in self._old_handlers.items():

@@ -1,11 +1,11 @@
-"""Between what the simulations speak and standard ROS 2 messages, number by number.
+"""Conversion between data of the simulations and standard ROS 2 messages, number by number.
 
-No number is computed anew on the way, so that both links give bit-identical geometries and images.
-``header.stamp`` of a target names its view; that of an answer is the simulated time in the middle
-of the exposure, and ``/scan/views`` leads from one to the other. ``Float64MultiArray`` has no
-header: ``layout.dim[0].label`` holds its stamp as ``SECONDS.NANOSECONDS``, the nanoseconds with
-nine digits. What reads or checks a message raises ``MalformedError`` where that is not what its
-topic carries.
+No number is recomputed, so that both links give bit-identical geometries and images. A target's
+``header.stamp`` identifies its view. An answer's stamp is the simulated time in the middle of the
+exposure; ``/scan/views`` links the two. ``Float64MultiArray`` has no header:
+``layout.dim[0].label`` holds its stamp as ``SECONDS.NANOSECONDS``, with nine digits of nanoseconds.
+Functions that read or check a message raise ``MalformedError`` if its content does not fit its
+topic.
 """
 
 from __future__ import annotations
@@ -30,34 +30,34 @@ from twinct.views import Instant, JointSample, Reached, SevenNumbers, Target, fr
 
 WORLD_FRAME = "world"
 IMAGE_FRAME = "detector_optical"
-"""At the source; x along u, z from the source towards the panel and normal to it."""
+"""Frame at the source; x along u, z from the source towards the panel and normal to it."""
 IMAGE_ENCODING, DISPLAY_ENCODING = "32FC1", "mono8"
 _NANO = 1_000_000_000
 
 
 class MalformedError(ValueError):
-    """A message that is not what its topic carries."""
+    """A message whose content does not fit its topic."""
 
 
 class Stamp(NamedTuple):
-    """``header.stamp``: of a target, which view it is; of an answer, when its image was taken."""
+    """``header.stamp``: the view of a target, or the time of an answer's image."""
 
     sec: int
     nanosec: int
 
     @classmethod
     def of(cls, time: Time) -> Stamp:
-        """The stamp of a message."""
+        """Build from a message's time."""
         return cls(time.sec, time.nanosec)
 
     @classmethod
     def at(cls, time_s: float) -> Stamp:
-        """The stamp of a simulated time."""
+        """Build from a simulated time."""
         return cls(*divmod(round(time_s * _NANO), _NANO))
 
     @classmethod
     def parse(cls, text: str) -> Stamp:
-        """Undo ``str``; a ``ValueError`` where the text is not ``SECONDS.NANOSECONDS``."""
+        """Invert ``str``; raise ``ValueError`` unless the text is ``SECONDS.NANOSECONDS``."""
         sec, point, nanosec = text.partition(".")
         if not (point and sec.isdigit() and nanosec.isdigit() and len(nanosec) == 9):
             raise ValueError(f"{text!r} is not SECONDS.NANOSECONDS with nine digits")
@@ -68,46 +68,46 @@ class Stamp(NamedTuple):
 
     @property
     def time_s(self) -> float:
-        """Seconds."""
+        """Time in s."""
         return (self.sec * _NANO + self.nanosec) / _NANO
 
     @property
     def time(self) -> Time:
-        """As a message."""
+        """Time as a message."""
         return Time(sec=self.sec, nanosec=self.nanosec)
 
 
 @dataclass(frozen=True)
 class Epoch:
-    """What a scan's targets count from: view i has its stamp i seconds after the epoch.
+    """Origin of a scan's target stamps: the stamp of view i is i seconds after the epoch.
 
-    It follows from the scenario alone, so that it is the same when a scan is resumed.
+    It depends on the scenario alone, so that it stays the same when a scan is resumed.
     """
 
     stamp: Stamp
-    """That of view 0."""
+    """Stamp of view 0."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Epoch:
-        """The epoch of a scenario's scan."""
+        """Return the epoch of a scenario's scan."""
         digest = stage_digests(scenario)["images"]
         sec, nanosec = (int(part, 16) % _NANO for part in (digest[:15], digest[15:30]))
         return cls(Stamp(_NANO + sec, nanosec))
 
     @classmethod
     def parse(cls, text: str) -> Epoch:
-        """Undo ``str``."""
+        """Invert ``str``."""
         return cls(Stamp.parse(text))
 
     def __str__(self) -> str:
         return str(self.stamp)
 
     def at(self, view: int) -> Stamp:
-        """The stamp of a view."""
+        """Return the stamp of a view."""
         return Stamp(self.stamp.sec + view, self.stamp.nanosec)
 
     def view(self, stamp: Stamp) -> int | None:
-        """The view of a stamp, None for one that does not count from this epoch."""
+        """Return the view of a stamp; None for a stamp of another epoch."""
         view = stamp.sec - self.stamp.sec
         return view if stamp.nanosec == self.stamp.nanosec and view >= 0 else None
 
@@ -122,7 +122,7 @@ def _pose(numbers: SevenNumbers) -> Pose:
 
 
 def numbers_of(pose: Pose) -> SevenNumbers:
-    """Position and quaternion (x, y, z, w)."""
+    """Return position and quaternion (x, y, z, w)."""
     p, q = pose.position, pose.orientation
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
@@ -152,42 +152,42 @@ def _check_numbers(values: Sequence[float], what: str, count: int) -> None:
 
 
 def target_message(stamp: Stamp, target: Target) -> PoseArray:
-    """For ``/scan/target``."""
+    """Return a ``/scan/target`` message."""
     poses = [_pose(target.source_m), _pose(target.detector_m)]
     return PoseArray(header=_header(stamp, WORLD_FRAME), poses=poses)
 
 
 def target_of(message: PoseArray) -> Target:
-    """From ``/scan/target``: two poses in the world frame."""
+    """Return the target from ``/scan/target``: two poses in the world frame."""
     return Target(*_poses(message, ("source", "detector")))
 
 
 def targets_message(stamp: Stamp, targets: Sequence[Target]) -> PoseArray:
-    """For ``/scan/commanded``: source and detector of each view."""
+    """Return a ``/scan/commanded`` message: source and detector of each view."""
     poses = [_pose(numbers) for t in targets for numbers in (t.source_m, t.detector_m)]
     return PoseArray(header=_header(stamp, WORLD_FRAME), poses=poses)
 
 
 def targets_of(message: PoseArray) -> tuple[Target, ...]:
-    """From ``/scan/commanded``."""
+    """Return the targets from ``/scan/commanded``."""
     poses = _poses(message, ("source", "detector"), repeated=True)
     return tuple(Target(*pair) for pair in zip(poses[::2], poses[1::2], strict=True))
 
 
 class Executed(NamedTuple):
-    """What ``/scan/reached`` carries: all that an image depends on.
+    """Content of ``/scan/reached``: all poses that an image depends on.
 
     Attributes:
-        view: the executed poses, in the middle of the exposure.
-        more: the instants of the exposure, where it takes its time, and last, with a lag, where the
-            view before was taken.
+        view: executed poses in the middle of the exposure.
+        more: instants of a finite exposure, followed, with detector lag, by the previous view's
+            poses.
     """
 
     view: Instant
     more: tuple[Instant, ...] = ()
 
     def exposure(self, samples: int) -> tuple[tuple[Instant, ...], Instant | None]:
-        """The instants of the exposure, none where it takes no time, and where the last view was.
+        """Return the instants of a finite exposure, and the previous view's poses, if any.
 
         Args:
             samples: the scenario's ``source.motion_samples``.
@@ -203,38 +203,38 @@ class Executed(NamedTuple):
 
 
 def executed(reached: Reached) -> Executed:
-    """The poses of a view that was reached."""
+    """Return the poses of a reached view."""
     before = () if reached.before is None else (reached.before,)
     return Executed(reached.executed, (*reached.exposure, *before))
 
 
 def reached_message(stamp: Stamp, poses: Executed) -> PoseArray:
-    """For ``/scan/reached``."""
+    """Return a ``/scan/reached`` message."""
     numbers = [pose for instant in (poses.view, *poses.more) for pose in instant]
     return PoseArray(header=_header(stamp, WORLD_FRAME), poses=[_pose(pose) for pose in numbers])
 
 
 def executed_of(message: PoseArray) -> Executed:
-    """From ``/scan/reached``: three poses in the world frame, or a multiple of three."""
+    """Return the poses from ``/scan/reached``: a multiple of three, in the world frame."""
     poses = _poses(message, Instant._fields, repeated=True)
     view, *more = (Instant(*poses[i : i + 3]) for i in range(0, len(poses), 3))
     return Executed(view, tuple(more))
 
 
 def view_message(stamp: Stamp, target: Stamp, view: int | None) -> TimeReference:
-    """For ``/scan/views``.
+    """Return a ``/scan/views`` message, which links answers to a target.
 
     Args:
-        stamp: of the answers.
-        target: stamp of the target that they answer.
-        view: which view of a scan it is, if it is one.
+        stamp: the answers' stamp.
+        target: the target's stamp.
+        view: index of the view in a scan, if any.
     """
     source = "target" if view is None else f"view {view}"
     return TimeReference(header=_header(stamp, ""), time_ref=target.time, source=source)
 
 
 def joints_message(stamp: Stamp, joints: Reached | JointSample) -> JointState:
-    """For ``/joint_states``."""
+    """Return a ``/joint_states`` message."""
     return JointState(
         header=_header(stamp, WORLD_FRAME),
         name=list(joints.joint_names),
@@ -245,13 +245,13 @@ def joints_message(stamp: Stamp, joints: Reached | JointSample) -> JointState:
 
 
 def joints_of(message: JointState) -> JointSample:
-    """From ``/joint_states``, once it is checked."""
+    """Return the joint state from a checked ``/joint_states`` message."""
     numbers = (np.array(n) for n in (message.position, message.velocity, message.effort))
     return JointSample(Stamp.of(message.header.stamp).time_s, tuple(message.name), *numbers)
 
 
 def checked_joints(message: JointState, *, arms: bool = True) -> JointState:
-    """The message, if each of its joints has a finite position, speed and torque.
+    """Check that each joint has a finite position, speed and torque; return the message.
 
     A gantry, which is not ``arms``, has no joints.
     """
@@ -263,10 +263,10 @@ def checked_joints(message: JointState, *, arms: bool = True) -> JointState:
 
 
 def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
-    """For ``/scan/state``: what is no pose and no joint, then the simulator's state.
+    """Return the ``/scan/state`` message: three scalars, then the simulator's state.
 
-    First the simulated time in s, the clearance in mm, and the seconds since the middle of the
-    exposure.
+    The scalars are the simulated time in s, the clearance in mm, and the seconds since the middle
+    of the exposure.
     """
     few = reached.time_s, reached.clearance_mm, reached.since_middle_s
     numbers = np.concatenate([few, reached.state])
@@ -278,7 +278,7 @@ def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
 
 
 def state_stamp(message: Float64MultiArray) -> Stamp | None:
-    """The stamp of a ``/scan/state``, None for a message that has none."""
+    """Return the stamp of a ``/scan/state``; None if it has none."""
     try:
         return Stamp.parse(list(message.layout.dim)[0].label)
     except (IndexError, ValueError):
@@ -286,9 +286,9 @@ def state_stamp(message: Float64MultiArray) -> Stamp | None:
 
 
 def checked_state(message: Float64MultiArray, *, arms: bool = True) -> Float64MultiArray:
-    """The message, if it holds as many finite numbers as its layout says.
+    """Check that the message has as many finite numbers as its layout states; return it.
 
-    Without ``arms`` its clearance may be NaN.
+    Without ``arms``, the clearance may be NaN.
     """
     size = sum(dim.size for dim in list(message.layout.dim)[:1])
     if not size:
@@ -303,12 +303,12 @@ def checked_state(message: Float64MultiArray, *, arms: bool = True) -> Float64Mu
 def reached_of(
     poses: Executed, joints: JointState, state: Float64MultiArray, samples: int = 1
 ) -> Reached:
-    """What was reached, from the three messages that carry it, once they are checked.
+    """Return the state of the robots from its three messages, which were checked.
 
     Args:
-        poses: from ``/scan/reached``.
-        joints: from ``/joint_states``.
-        state: from ``/scan/state``.
+        poses: poses from ``/scan/reached``.
+        joints: message of ``/joint_states``.
+        state: message of ``/scan/state``.
         samples: the scenario's ``source.motion_samples``.
     """
     exposure, before = poses.exposure(samples)
@@ -329,29 +329,29 @@ def reached_of(
 
 
 def doubles(values: NDArray[np.float64]) -> array.array[float]:
-    """Numbers as messages take them without looking at each."""
+    """Return an array that messages accept without checking each number."""
     return array.array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())
 
 
 def clock_message(time_s: float) -> Clock:
-    """For ``/clock``: simulated time."""
+    """Return a ``/clock`` message of simulated time."""
     return Clock(clock=Stamp.at(time_s).time)
 
 
 def image_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
-    """For ``/xray/image``, row 0 first as in the store."""
+    """Return the ``/xray/image`` message, row 0 first as in the store."""
     rows, columns = transmission.shape
     message = Image(header=_header(stamp, IMAGE_FRAME), encoding=IMAGE_ENCODING)
     message.height, message.width, message.step = rows, columns, 4 * columns
-    # An array of bytes is taken as it is; any other sequence is checked byte by byte.
+    # Messages accept an array of bytes as is, but check any other sequence byte by byte.
     message.data = array.array("B", np.ascontiguousarray(transmission, dtype="<f4").tobytes())
     return message
 
 
 def display_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
-    """For ``/xray/display``: as a viewer shows it, row 0 on top, which is where v is largest.
+    """Return the ``/xray/display`` message for viewers: row 0 on top, where v is largest.
 
-    Black is a transmission of 0, white of 1 and above.
+    Black is a transmission of 0, white a transmission of 1 and above.
     """
     grey = np.rint(255 * np.clip(transmission[::-1], 0, 1)).astype(np.uint8)
     rows, columns = grey.shape
@@ -362,7 +362,7 @@ def display_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
 
 
 def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
-    """From ``/xray/image``: finite single floats, (rows, columns); of this shape if given."""
+    """Return finite single floats from ``/xray/image``, (rows, columns), of ``shape`` if given."""
     rows, columns = message.height, message.width
     if shape is not None and (rows, columns) != shape:
         raise MalformedError(f"{columns} x {rows} px, expected {shape[1]} x {shape[0]}")
@@ -380,11 +380,11 @@ def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np
 
 
 def camera_message(stamp: Stamp, geometry: ScanGeometry, *, display: bool = False) -> CameraInfo:
-    """For ``/xray/camera_info``: the pinhole camera that a source and a panel are.
+    """Return the ``/xray/camera_info`` message: source and panel of one view as a pinhole camera.
 
     A point (x, y, z) of the frame ``detector_optical`` falls on column fx x/z + cx and row
-    fy y/z + cy; pixel centres are whole numbers. Rows count along v, which is -y: fy is negative.
-    For the ``display`` they count downwards: fy is positive. The geometry is that of this one view.
+    fy y/z + cy; pixel centres are whole numbers. Rows count along v, which is -y, so fy is
+    negative. With ``display``, they count downwards, so fy is positive.
     """
     panel = geometry.panel
     sdd = float(geometry.sdd[0])
@@ -407,12 +407,12 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 def diagnostic_message(
     stamp: Stamp, name: str, level: bytes, text: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
-    """For ``/diagnostics``."""
+    """Return a ``/diagnostics`` message."""
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     status = DiagnosticStatus(level=level, name=name, message=text, values=pairs)
     return DiagnosticArray(header=_header(stamp, WORLD_FRAME), status=[status])
 
 
 def diagnostic_values(pairs: Iterable[KeyValue]) -> dict[str, str]:
-    """The key/value pairs of a status."""
+    """Return the key/value pairs of a status."""
     return {pair.key: pair.value for pair in pairs}

@@ -1,4 +1,4 @@
-"""What both nodes share: they run until told to end, and answer each stamp once."""
+"""Common parts of both nodes, which run until a signal and answer each stamp once."""
 
 from __future__ import annotations
 
@@ -21,39 +21,39 @@ Answer = TypeVar("Answer")
 
 FOREVER_S = 1e9
 LISTENERS = 2
-"""Subscriptions that a node has on what it answers: ``Station.listen_to_all``."""
+"""Number of subscriptions of a node on its input topic; see ``Station.listen_to_all``."""
 NO_STAMP = Stamp(0, 0)
 
 
 def say(text: str) -> None:
-    """Tell who started this node, in its terminal or its log file."""
+    """Print a line to the terminal or log file of the process that started this node."""
     sys.stdout.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
     sys.stdout.flush()
 
 
 class RefusedError(Exception):
-    """A message that a node does not act on."""
+    """A message that a node rejects."""
 
     def __init__(self, reason: str, arms: tuple[str, ...] = ()) -> None:
-        """Give the reason, and the arms that it is about."""
+        """Build from the reason, and the arms that it concerns."""
         super().__init__(reason)
         self.arms = arms
 
 
 class Ledger(Generic[Key, Question, Answer]):
-    """Answers by stamp, or what holds one: each question is worked on once, however often asked."""
+    """Answers by a key such as a stamp, so that a repeated question is processed only once."""
 
     def __init__(self, keep: int | None = None) -> None:
-        """Remember all questions, but only the last ``keep`` answers."""
+        """Store all questions, but only the last ``keep`` answers."""
         self._keep = keep
         self._questions: dict[Key, Question] = {}
         self._answers: OrderedDict[Key, Answer] = OrderedDict()
 
     def find(self, stamp: Key, question: Question) -> Answer | None:
-        """The answer given before, None for a question that is new.
+        """Return the stored answer; None for a new question.
 
         Raises:
-            RefusedError: the stamp was used for another question, or its answer is forgotten.
+            RefusedError: the stamp belongs to another question, or the answer is no longer stored.
         """
         if stamp not in self._questions:
             return None
@@ -66,7 +66,7 @@ class Ledger(Generic[Key, Question, Answer]):
         return self._answers[stamp]
 
     def enter(self, stamp: Key, question: Question, answer: Answer) -> None:
-        """Remember an answer."""
+        """Store an answer."""
         self._questions[stamp] = question
         self._answers[stamp] = answer
         while self._keep is not None and len(self._answers) > self._keep:
@@ -74,15 +74,15 @@ class Ledger(Generic[Key, Question, Answer]):
 
 
 class Diagnostics:
-    """Says on ``/diagnostics`` how a node is, what it refuses, and who does not belong there.
+    """Reporter of a node's status, refusals and foreign senders on ``/diagnostics``.
 
     Attributes:
-        tell: says a line to whom the node was started by.
-        strangers: what was said of each, by topic and participant.
+        tell: prints a line for the process that started the node.
+        strangers: report on each foreign sender, by topic and participant.
     """
 
     def __init__(self, station: Station, tell: Callable[[str], None] = say) -> None:
-        """Speak for a station's node, and tell the same to whom it was started by."""
+        """Report for a station's node, and repeat each report to the process that started it."""
         self._station = station
         self.tell = tell
         self.strangers: dict[tuple[str, str], str] = {}
@@ -90,20 +90,20 @@ class Diagnostics:
         station.on_garbled(self.garbled)
 
     def ready(self) -> None:
-        """Say that the node is at work."""
+        """Report that the node is at work."""
         self._say(NO_STAMP, OK, "at work", {})
 
     def refuse(self, stamp: Stamp, text: str, values: dict[str, object]) -> None:
-        """Say what was refused, and why."""
+        """Report a refusal and its reason."""
         self._say(stamp, ERROR, text, {"stamp": stamp, **values})
         self.tell(text)
 
     def stranger(self, topic: Topic, sender: Sender) -> None:
-        """Say, once, that what somebody sends on a topic is not of this scan and not used."""
+        """Report once that a sender on a topic does not belong to this scan and is ignored."""
         self._unused(topic.name, sender, ", not of this scan, speaks on")
 
     def garbled(self, topic: str, sender: Sender) -> None:
-        """Say, once, that what somebody sends on a topic is no message of its type."""
+        """Report once that a sender's data on a topic do not fit its message type."""
         self._unused(topic, sender, " says what is no message of the type of")
 
     def _unused(self, topic: str, sender: Sender, does: str) -> None:
@@ -120,10 +120,10 @@ class Diagnostics:
 
 
 class Simulation(Protocol):
-    """What a node answers with."""
+    """Protocol of a node's simulation."""
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release all resources."""
 
 
 SomeSimulation = TypeVar("SomeSimulation", bound=Simulation)
@@ -138,18 +138,17 @@ def run_node(
     members: Members | None,
     largest_message: int = 0,
 ) -> int:
-    """Build a simulation, open its node, and handle messages until told to end.
+    """Build a simulation, open its node, and handle messages until the node has to end.
 
-    The node joins its domain once the simulation can answer, so that whoever sees it can use it.
+    The node joins its domain only when the simulation can answer, so that a visible node is ready.
 
     Args:
-        name: of the node.
-        build: makes the simulation.
-        open_node: makes the endpoints; what it returns says whether those who belong to the node
-            are there.
-        lifeline: end when stdin does.
-        members: of the scan it belongs to.
-        largest_message: that the node sends, bytes.
+        name: the node's name.
+        build: builds the simulation.
+        open_node: creates the endpoints; returns a test that all peers are connected.
+        lifeline: end when stdin ends.
+        members: the scan's members.
+        largest_message: largest message that the node sends, bytes.
 
     Returns:
         0, the exit code of a clean end.

@@ -1,7 +1,7 @@
-"""The plan over ROS 2: a joint trajectory, what its points expose, and the poses it was made for.
+"""The plan over ROS 2: a joint trajectory, the point that exposes each view, and commanded poses.
 
-Three latched messages of one stamp, the scan's own. What a node makes of them is the plan itself,
-number by number, which its digest proves.
+Three latched messages share the scan's stamp. A node rebuilds the plan from them, number by number,
+and its digest proves that.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PARTS = (PLAN, PLAN_VIEWS, COMMANDED)
 
 
 def plan_messages(stamp: Stamp, plan: MotionPlan) -> dict[Topic, Any]:
-    """By topic: the points, the digest and the point of each view, the poses of each view."""
+    """Return by topic: the points; the digest and each view's point; the poses of each view."""
     points = []
     for time_s, (position, velocity, acceleration) in zip(plan.time_s, plan.state, strict=True):
         sec, nanosec = divmod(round(time_s * _NANO), _NANO)
@@ -54,10 +54,10 @@ def plan_messages(stamp: Stamp, plan: MotionPlan) -> dict[Topic, Any]:
 
 
 def plan_of(got: dict[Topic, Any]) -> MotionPlan:
-    """The plan that three messages carry; how clear it is they do not say.
+    """Return the plan of three messages, which do not contain its clearances.
 
     Raises:
-        MalformedError: they do not belong together, or something was changed on the way.
+        MalformedError: the messages do not belong together, or were altered in transit.
     """
     points = got[PLAN].points
     try:
@@ -85,7 +85,7 @@ def plan_of(got: dict[Topic, Any]) -> MotionPlan:
 
 
 def publish_plan(station: Station, stamp: Stamp, plan: MotionPlan) -> list[Publisher]:
-    """Say the plan to all who are there or will come."""
+    """Publish the plan to current and future subscribers."""
     publishers = []
     for topic, message in plan_messages(stamp, plan).items():
         publishers.append(station.publisher(topic))
@@ -94,7 +94,7 @@ def publish_plan(station: Station, stamp: Stamp, plan: MotionPlan) -> list[Publi
 
 
 class PlanListener:
-    """Waits for the plan of a scan, and for no other's."""
+    """Listener for the plan of one scan, which ignores others."""
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class PlanListener:
         members: Members,
         take: Callable[[MotionPlan], None],
     ) -> None:
-        """Listen; ``take`` is called once, with the plan."""
+        """Start listening; ``take`` is called once, with the plan."""
         self._diagnostics = diagnostics
         self._members = members
         self._take = take

@@ -1,4 +1,4 @@
-"""The node processes of a scan: started, watched, stopped; none is left behind."""
+"""Node processes of a scan: start, supervision and end, with none left behind."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from twinct.ros import pulse
 from twinct.ros.pulse import LOOK_S, Pulse
 
 TERM_S, KILL_S = 3.0, 10.0
-"""A node ends by itself in 1.5 s; one that a long call holds, such as gVXR's import, by force."""
+"""A node ends by itself in 1.5 s; if a long call blocks it, such as gVXR's import, by force."""
 TAIL_BYTES, TAIL_LINES = 8192, 15
 
 
 class NodeProcess:
-    """A child in a session of its own, which ends when its stdin does.
+    """A child process in a separate session, which ends when its stdin ends.
 
-    Ctrl-C in the terminal reaches the parent only, which then stops its nodes. The parent holds the
-    other end of their stdin, a socket: however it dies, they notice, and each notices when the
-    other hangs.
+    Ctrl-C in the terminal reaches only the parent, which then stops its nodes. The parent holds the
+    other end of their stdin, a socket. So nodes notice any death of the parent, and each side
+    notices when the other hangs.
     """
 
     def __init__(
@@ -38,16 +38,16 @@ class NodeProcess:
         beats: bool = False,
         on_end: Callable[[NodeProcess], None],
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
-            name: for messages.
+            name: name for messages.
             command: program and arguments.
             log: file to append its output to.
-            environment: of the process.
-            inherit: descriptors it shall hold.
-            beats: it shows that it lives, and is ended when it does not: see ``Pulse``.
-            on_end: called with it from a thread when it has ended, for whatever reason.
+            environment: its environment.
+            inherit: file descriptors that it inherits.
+            beats: expect beats, and kill the process when they stop; see ``Pulse``.
+            on_end: called with this object, from a thread, after any end of the process.
         """
         self.name, self.log = name, log
         own, its = socket.socketpair()
@@ -92,11 +92,11 @@ class NodeProcess:
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; minus the signal's number if one ended it."""
+        """None while the process runs; minus the signal's number if one ended it."""
         return self._process.returncode if self._ended.is_set() else None
 
     def describe_end(self) -> str:
-        """How it ended, with the last lines it printed."""
+        """Return text on the end of the process, with the last lines that it printed."""
         code = self.exit_code
         how = f"ended with exit code {code}"
         if self._silent:
@@ -115,14 +115,14 @@ class NodeProcess:
         return f"the {self.name} node {how}{tail}"
 
     def request_stop(self) -> None:
-        """Ask it to end."""
+        """Ask the process to end."""
         self._pulse.close()
         if not self._ended.is_set():
             with suppress(ProcessLookupError):
                 self._process.send_signal(signal.SIGTERM)
 
     def stop(self) -> None:
-        """End it, by force if it does not listen, and wait for that."""
+        """End the process, by force if necessary, and wait for its end."""
         self.request_stop()
         if not self._ended.wait(TERM_S):
             self._kill()

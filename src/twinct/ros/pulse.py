@@ -1,8 +1,8 @@
-"""Two processes tell each other that they live, over a socket, so that neither waits for the dead.
+"""Heartbeats between two processes over a socket, so that neither waits for a dead one.
 
-Not over a topic: a beat must come from a process whose participant is not there yet, whose thread
-of the middleware has much to hand out, and to one that is about to leave. The socket is besides cut
-by the kernel when either process ends, however it does.
+A topic would not do: beats must also come from a process without participant yet or with a busy
+middleware thread, and reach one that is about to leave. Besides, the kernel cuts the socket when
+either process ends, for any reason.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ from pathlib import Path
 
 LOOK_S = 0.5
 SILENCE_S = 6.0
-"""So long may nothing be heard of a process that does not work either."""
+"""Longest permitted silence of a process that is also idle."""
 _WORKS, _STOPPED = frozenset("RD"), frozenset("Tt")
-"""States of threads, see proc(5): one that runs, or would if the processor were free, or waits for
-a disk; one that somebody has stopped."""
+"""Thread states, see proc(5): running, runnable or waiting for a disk; and stopped."""
 
 
 class Pulse:
-    """One end of the socket; a thread of its own calls ``look`` every ``LOOK_S``.
+    """One end of the socket; a dedicated thread calls ``look`` every ``LOOK_S``.
 
-    A process may be silent because a library holds the interpreter, as gVXR does, or because others
-    take the processor: then one of its threads runs, or would. Where none does, it hangs, or was
-    stopped; while it starts and has said nothing yet, only that counts. Silence is counted in
-    looks: where all processes were stopped together, by a laptop that sleeps, they go on together.
+    A process may be silent because a library, such as gVXR, holds the interpreter, or because
+    others occupy the processor. At least one of its threads is then running or runnable. If none
+    is, the process hangs or was stopped; before its first beat, only being stopped counts. Silence
+    is counted in looks, so that processes that were stopped together, as on a sleeping laptop,
+    resume together.
     """
 
     def __init__(self, end: socket.socket, pid: int) -> None:
-        """Take an end of a pair of stream sockets; ``pid`` has the other."""
+        """Take one end of a pair of stream sockets; process ``pid`` has the other."""
         self._end, self._pid = end, pid
         self._quiet, self._known = 0, False
 
     def fileno(self) -> int:
-        """For ``poll``: it hangs up when the other process ends."""
+        """Return the descriptor for ``poll``, which reports when the other process ends."""
         return self._end.fileno()
 
     def look(self) -> bool:
-        """Let the other know that this one lives; whether the other does, as far as can be told."""
-        with suppress(OSError):  # it is gone, or does not read
+        """Send a beat; return False if the other process has been silent and idle for too long."""
+        with suppress(OSError):  # the other process is gone, or does not read
             self._end.send(b".", socket.MSG_DONTWAIT)
         if self._heard():
             self._quiet, self._known = 0, True
@@ -66,15 +66,15 @@ class Pulse:
 
 
 def cut(events: int) -> bool:
-    """Whether what ``poll`` says of a socket means that nobody has its other end."""
+    """Return True if the ``poll`` events of a socket mean that its other end is closed."""
     return bool(events & (select.POLLHUP | select.POLLRDHUP | select.POLLERR | select.POLLNVAL))
 
 
 def _states(pid: int) -> set[str]:
-    """What the threads of a process do; nothing of one that is gone, or hidden from us."""
+    """Return the states of a process's threads; empty if the process is gone or not visible."""
     states: set[str] = set()
     for file in Path(f"/proc/{pid}/task").glob("*/stat"):
-        with suppress(OSError):  # it has just ended
+        with suppress(OSError):  # the thread has just ended
             told = file.read_text(encoding="utf-8", errors="replace")
             states.add(told.rpartition(")")[2].split()[0])
     return states

@@ -1,4 +1,4 @@
-"""The rig over ROS 2: two node processes, and this one that asks them view by view."""
+"""The rig over ROS 2: two node processes, from which this process requests view by view."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ log = logging.getLogger(__name__)
 
 NODE_COMMAND = (sys.executable, "-m", "twinct.ros")
 START_S = 900.0
-"""Time for both nodes to build their simulations."""
+"""Time limit for both nodes to build their simulations."""
 ANSWER_S = 600.0
-"""Time for one answer. A node that dies or hangs is noticed; this is for one at work for ever."""
+"""Time limit for one answer, against endless work; dead or hung nodes are noticed sooner."""
 FIRST_REPEAT_S, LONGEST_REPEAT_S = 2.0, 60.0
-"""A target is sent again after this silence, then after twice as long, and so on."""
+"""First and longest silence before a target is sent again; the silence doubles each time."""
 
 
 def ros_rigs(
@@ -68,12 +68,12 @@ def ros_rigs(
     domain: Domain | None = None,
     hear: Callable[[Heard], object] | None = None,
 ) -> Callable[[Workshop, int, NDArray[np.float64] | None], RosRig]:
-    """What makes rigs over ROS 2, called as ``twinct.scan.local_rig`` is.
+    """Return a factory of rigs over ROS 2, with the signature of ``twinct.scan.local_rig``.
 
     Args:
-        log_dir: folder for what the nodes print; None for a temporary one.
-        domain: held for the scan; None takes one when the rig is made.
-        hear: called with all that the processes of the scan say, in a thread of its own.
+        log_dir: folder for the nodes' output; None for a temporary one.
+        domain: domain held for the scan; None takes one when the rig is made.
+        hear: called with all messages of the scan's processes, in a separate thread.
     """
     common: dict[str, Any] = {"log_dir": log_dir, "domain": domain, "hear": hear}
     return lambda workshop, first_view, start_state: RosRig(
@@ -86,11 +86,11 @@ def ros_rigs(
 
 
 class RosRig:
-    """A ``Rig`` whose two simulations are ROS 2 nodes in processes of their own.
+    """A ``Rig`` whose two simulations are ROS 2 nodes in separate processes.
 
     Attributes:
-        domain_id: the ROS domain of this scan, and of no other on this machine.
-        epoch: what its stamps count from.
+        domain_id: ROS domain of this scan, and of no other on this machine.
+        epoch: origin of its stamps.
         log_dir: folder with ``robots.log`` and ``xray.log``.
     """
 
@@ -110,20 +110,20 @@ class RosRig:
         """Start both nodes and wait until they are at work.
 
         Args:
-            scenario: what to simulate.
-            plan: what the arms shall follow; with None the robots node makes it.
-            first_view: first view that will be asked for.
+            scenario: scenario to simulate.
+            plan: plan for the arms; with None, the robots node makes one.
+            first_view: first view that will be requested.
             start_state: simulator state to start from; None for the planned home.
-            log_dir: folder for what the nodes print; None for a temporary one.
-            domain: held for this scan, and closed with the rig; None takes ``ROS_DOMAIN_ID``, and
-                where that is not set a free domain.
+            log_dir: folder for the nodes' output; None for a temporary one.
+            domain: domain held for this scan, and closed with the rig; None takes
+                ``ROS_DOMAIN_ID`` or, if that is not set, a free domain.
             node_command: starts a node when ``robots`` or ``xray`` and the options are appended.
-            answer_s: how long one answer may take.
-            hear: called with all that this and the nodes say, in a thread of its own.
+            answer_s: time limit for one answer.
+            hear: called with all messages of this process and the nodes, in a separate thread.
 
         Raises:
             MissingExtraError: rclpy is not installed.
-            InputError: the domain asked for is in use, or is none.
+            InputError: the requested domain is in use, or invalid.
             LinkError: a node did not start.
         """
         environment.require_ros()
@@ -132,7 +132,7 @@ class RosRig:
         self._answer_s = answer_s
         self._samples = scenario.source.motion_samples
         self._shape = scenario.detector.panel.shape
-        # When each target was reached, and what has come in for that time.
+        # Time at which each target was reached, and the messages for each such time.
         self._taken: dict[Stamp, Stamp] = {}
         self._got: dict[Stamp, dict[Topic, Any]] = {}
         self._joints_until = Stamp(0, 0)
@@ -168,14 +168,14 @@ class RosRig:
             stack.callback(station.close)
             self._me = station.participant
             self._members.enter(SCAN, self._me)
-            self._members.knows(SCAN)  # while the folder is there
+            self._members.knows(SCAN)  # while the folder exists
             if hear is not None:
                 stack.callback(Tap(self.domain_id, self._members, hear).close)
             self._diagnostics = Diagnostics(station, log.warning)
             if plan:
                 self._plan = publish_plan(station, self.epoch.at(0), plan)
             self._open(station, arms=scenario.cell.kind == "arms")
-            shutil.rmtree(exchange)  # read by all; must not outlive a killed parent
+            shutil.rmtree(exchange)  # everyone has read it; it must not outlive a killed parent
             self._teardown = stack.pop_all()
 
     def _start_nodes(
@@ -204,7 +204,7 @@ class RosRig:
             self._nodes.append(process)
 
     def _on_node_end(self, ended: NodeProcess) -> None:
-        """Without one node the other has no purpose; this process hears of it in its next wait."""
+        """Stop the other node, and wake this process, which notices the end in its next wait."""
         self._ended.append(ended)
         for node in self._nodes:
             if node is not ended:
@@ -237,7 +237,7 @@ class RosRig:
         self._check()
 
     def _hear(self, station: Station, topic: Topic, read: Callable[[Any], Any]) -> Subscription:
-        """Keep what the owner of a topic answers, and nobody else."""
+        """Subscribe to a topic, and store only messages from its owner."""
 
         def keep(message: Any, sender: Sender) -> None:
             if not self._members.sent(topic.owner, sender):
@@ -261,12 +261,12 @@ class RosRig:
             self._got.setdefault(stamp, {})[topic] = what
 
     def _answer(self) -> dict[Topic, Any]:
-        """What has come in for the target last asked, by topic."""
+        """Return the data received for the last target, by topic."""
         taken = self._taken.get(self._asked[1]) if self._asked else None
         return self._got.get(taken, {}) if taken else {}
 
     def _moving(self, message: JointState) -> JointState:
-        """Hand on what the joints do, each instant once."""
+        """Forward the joint state, each instant once."""
         stamp = Stamp.of(message.header.stamp)
         if self._tell_joints is not None and message.name and stamp > self._joints_until:
             self._tell_joints(messages.joints_of(message))
@@ -299,13 +299,13 @@ class RosRig:
         return self._conflict is not None or bool(self._ended)
 
     def _check(self) -> None:
-        if self._ended:  # the first took the other with it
+        if self._ended:  # the first node to end stops the other
             raise LinkError(self._ended[0].describe_end())
         if self._conflict is not None:
             raise LinkError(self._conflict)
 
     def _wait(self, what: str, done: Callable[[], bool]) -> None:
-        """Wait for an answer to the target last asked, and ask again when none comes."""
+        """Wait for an answer to the last target; repeat the target while none comes."""
         if self._station is None or self._closing or self._asked is None:
             raise LinkError("the rig is closed")
         view, _, message = self._asked
@@ -349,7 +349,7 @@ class RosRig:
         return self._answer()[IMAGE]
 
     def listen(self, tell: Callable[[JointSample], None]) -> None:
-        """See ``Rig.listen``; here of the joints at each exposure too, where they come in time."""
+        """See ``Rig.listen``; also reports the joints at each exposure, if they arrive in time."""
         self._tell_joints = tell
 
     def _stop_nodes(self) -> None:
@@ -364,9 +364,9 @@ class RosRig:
         self._teardown.close()
 
     def __enter__(self) -> Self:
-        """Use as a context."""
+        """Enter a context that closes the rig."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close, whatever happened."""
+        """Close the rig in any case."""
         self.close()

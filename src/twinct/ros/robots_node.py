@@ -1,6 +1,6 @@
 """The robot simulation as a ROS 2 node: ``/scan/target`` in, ``/scan/reached`` out.
 
-The service ``/scan/home`` brings the arms back to where they started.
+The service ``/scan/home`` returns the arms to their start.
 """
 
 from __future__ import annotations
@@ -48,33 +48,33 @@ from twinct.trajectory import commanded_views
 from twinct.views import JointSample, PosePairs, Reached, Target
 
 KEPT = 100
-"""Answers to a running scan's targets that are told again when one is repeated."""
+"""Number of answers stored for repeated targets of a running scan."""
 
 TICK_S = 0.02
-"""Simulated time from one message of the clock to the next, at most."""
+"""Longest simulated time between two clock messages."""
 
 
 class Robots(Protocol):
-    """What the node needs of a ``RobotSimulation`` or a ``Gantry``."""
+    """Protocol of a ``RobotSimulation`` or ``Gantry``, as far as the node needs it."""
 
     on_joints: Callable[[JointSample], None] | None
 
     def follow(self, plan: MotionPlan) -> None:
-        """Stand in a plan's home, to follow it."""
+        """Take a plan to follow, and start in its home."""
 
     def move(self, view: int | None, target: Target) -> Reached:
-        """Bring both end-effectors to a target; the view of a plan, if it is one."""
+        """Bring both end-effectors to a target; ``view`` is its view in a plan, if any."""
         ...
 
     def home(self) -> Reached:
-        """Bring both end-effectors to rest where they started."""
+        """Return both end-effectors to rest at their start."""
         ...
 
     def restore(self, state: NDArray[np.float64]) -> None:
-        """Go on from a state."""
+        """Continue from a state."""
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release all resources."""
 
 
 def spin_robots(
@@ -91,15 +91,15 @@ def spin_robots(
     """Run the robot simulation as a node until SIGINT or SIGTERM.
 
     Args:
-        scenario: what to simulate.
-        epoch: of the scan this node belongs to: only this scan's own targets are accepted, each in
-            its turn. None accepts any target.
-        first_view: of that scan.
-        planned: the scan says on ``/scan/plan`` what the arms follow; else it is planned here.
+        scenario: scenario to simulate.
+        epoch: epoch of the node's scan, whose targets alone are accepted, in order. None accepts
+            any target.
+        first_view: first view of that scan.
+        planned: take the plan from ``/scan/plan``; else make it here.
         restore: ``.npy`` file with the simulator state to start from.
-        members: of that scan: only the scan itself may ask for its next view.
-        lifeline: end also when stdin does.
-        build: makes the simulation, in place of the real one.
+        members: members of that scan, which alone may request its next view.
+        lifeline: also end when stdin ends.
+        build: builds a simulation in place of the real one.
 
     Returns:
         Exit code: 0.
@@ -118,7 +118,7 @@ def spin_robots(
         if build is not None:
             robots = build(scenario)
         else:
-            from twinct.scan import Workshop  # only here: it brings all that a simulation needs
+            from twinct.scan import Workshop  # only here: it imports the whole simulation
 
             workshop = Workshop(scenario)
             robots = workshop.robots(planned=planned)
@@ -146,22 +146,22 @@ def spin_robots(
 
 
 class Turns:
-    """The targets of one scan, each in its turn."""
+    """Targets of one scan, accepted in order."""
 
     def __init__(self, epoch: Epoch, targets: Sequence[Target], first: int) -> None:
-        """Expect the views of a scan from a first one on."""
+        """Expect the views of a scan, starting with ``first``."""
         self._epoch, self._targets, self._next = epoch, targets, first
 
     def view(self, stamp: Stamp) -> int | None:
-        """The view of a stamp, None for one of another scan."""
+        """Return the view of a stamp; None for a stamp of another scan."""
         view = self._epoch.view(stamp)
         return view if view is not None and view < len(self._targets) else None
 
     def check(self, stamp: Stamp, target: Target) -> None:
-        """Let pass the target that is to come.
+        """Check that a target is the next one of the scan.
 
         Raises:
-            RefusedError: it is another.
+            RefusedError: the target is not the next one.
         """
         view = self.view(stamp)
         running = "a scan is running"
@@ -175,11 +175,11 @@ class Turns:
             raise RefusedError(f"{running}: view {self._next} comes next, not view {view}")
 
     def expect(self, targets: Sequence[Target]) -> None:
-        """Take the targets of a plan, which may have chosen their order and how they are turned."""
+        """Replace the targets by a plan's, which may differ in order and roll."""
         self._targets = targets
 
     def __len__(self) -> int:
-        """Number of views of the scan."""
+        """Return the number of views of the scan."""
         return len(self._targets)
 
     def done(self) -> None:
@@ -188,7 +188,7 @@ class Turns:
 
 
 class RobotsNode:
-    """Answers each target once, and brings the arms home when asked to."""
+    """Node that executes each target once, and returns the arms home on request."""
 
     def __init__(
         self,
@@ -199,9 +199,9 @@ class RobotsNode:
         members: Members | None = None,
         description: str | None = None,
     ) -> None:
-        """Make the endpoints; from now on targets are executed."""
+        """Create the endpoints; from now on, targets are executed."""
         self._robots, self._turns, self._members = robots, turns, members
-        # A refusal of the robots is an answer too: it is not tried again.
+        # A refusal by the robots is stored as an answer, too, so that it is not retried.
         self._ledger: Ledger[Stamp, Target, Reached | RefusedError] = Ledger(
             keep=None if turns is None else KEPT
         )
@@ -220,7 +220,7 @@ class RobotsNode:
         station.serve(HOME, Trigger, self._on_home)
 
     def connected(self) -> bool:
-        """Whether the rig and the X-ray node of the scan are there; a node on its own has none."""
+        """Return True if the scan's rig and X-ray node are connected, or there is no scan."""
         if self._members is not None and not self._members.knows(SCAN):
             return False
         return self._turns is None or (
@@ -240,8 +240,8 @@ class RobotsNode:
                 self._admit(stamp, target, sender)
                 answer = self._execute(stamp, target)
             elif isinstance(answer, Reached) and (self._turns is None or self._of_scan(sender)):
-                # It may have been lost among others'. Of a scan all views are kept for who comes
-                # late, which strangers who repeat targets must not displace.
+                # The message may have been dropped from a full queue. A scan's queue holds all
+                # views for late joiners; strangers who repeat targets must not displace them.
                 self._tell_view(stamp, answer)
             if isinstance(answer, RefusedError):
                 raise answer
@@ -272,7 +272,7 @@ class RobotsNode:
             view = self._view(stamp)
             if self._turns is not None:
                 self._turns.done()
-            # Before all that has the stamp.
+            # Before all messages with this stamp.
             self._advance(answer.time_s)
             self._tell_view(stamp, answer)
             self._diagnostics.tell(
@@ -305,7 +305,7 @@ class RobotsNode:
         self._joints.publish(messages.joints_message(Stamp.at(joints.time_s), joints))
 
     def _advance(self, time_s: float) -> None:
-        """Let the clock go on to a time, where it is not there yet."""
+        """Advance the clock to a time, unless it is already there."""
         start_s = time_s - TICK_S if self._clock_s is None else self._clock_s
         ticks = max(0, math.ceil((time_s - start_s) / TICK_S - 1e-9))
         for tick_s in np.linspace(start_s, time_s, ticks + 1)[1:].tolist():
@@ -347,5 +347,5 @@ class RobotsNode:
 
 
 def describe(message: PoseArray) -> str:
-    """The poses of a message, to tell one target from another."""
+    """Return the poses of a message as text, to distinguish targets."""
     return "; ".join(" ".join(map(repr, messages.numbers_of(pose))) for pose in message.poses)

@@ -1,7 +1,7 @@
-"""Who sent a message: the participant whose publisher it came from, as the middleware knows it.
+"""Sender of a message: the participant that owns its publisher, according to the middleware.
 
-rclpy hands out a message without the identifier (GID) of its publisher, though the library below it
-has both. So messages are taken there; the functions and structures are those of ROS 2 Jazzy.
+rclpy returns a message without the identifier (GID) of its publisher, but the library below it has
+both. So messages are taken from that library, with the functions and structures of ROS 2 Jazzy.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rclpy.serialization import deserialize_message
 from twinct.errors import LinkError
 
 _PARTICIPANT_BYTES = 12
-"""Of a GID; the other four tell the publishers of one participant apart."""
+"""Bytes of a GID that identify the participant; the other four identify its publisher."""
 _NOTHING_TO_TAKE = 401
 
 
@@ -59,7 +59,7 @@ class _Bytes(ctypes.Structure):
 
 
 def _function(name: str, *arguments: Any, result: Any = ctypes.c_int) -> Any:
-    """A function of the libraries that rclpy itself has loaded."""
+    """Return a function of the libraries that rclpy itself has loaded."""
     function = ctypes.CDLL(rclpy_implementation.__file__)[name]
     function.argtypes, function.restype = arguments, result
     return function
@@ -75,11 +75,11 @@ _gid_of = _function("rmw_get_gid_for_publisher", _void, _pointer(_Gid))
 
 
 class Sender(NamedTuple):
-    """Where a message comes from; no two messages have the same.
+    """Origin of a message, unique to it.
 
     Attributes:
-        publisher: its GID, in hexadecimal.
-        number: of the message among those of its publisher.
+        publisher: GID of the publisher, in hexadecimal.
+        number: sequence number of the message at its publisher.
     """
 
     publisher: str
@@ -87,20 +87,20 @@ class Sender(NamedTuple):
 
     @property
     def participant(self) -> str:
-        """Whom the publisher belongs to."""
+        """Participant that owns the publisher."""
         return participant(bytes.fromhex(self.publisher))
 
 
 def participant(gid: Iterable[int]) -> str:
-    """The participant of a publisher's GID, in hexadecimal."""
+    """Return the participant in a publisher's GID, in hexadecimal."""
     return bytes(gid)[:_PARTICIPANT_BYTES].hex()
 
 
 def participant_of(publisher: Publisher) -> str:
-    """The participant that a publisher of this process belongs to.
+    """Return the participant that owns a publisher of this process.
 
     Raises:
-        LinkError: the middleware does not say.
+        LinkError: the middleware reports no GID.
     """
     gid = _Gid()
     with publisher.handle:
@@ -111,7 +111,7 @@ def participant_of(publisher: Publisher) -> str:
 
 
 class Raw(NamedTuple):
-    """A message as it came, serialised, and when it was sent and received, in ns since 1970."""
+    """A serialised message as received, with times of sending and receipt, ns since 1970."""
 
     data: bytes
     sent_ns: int
@@ -119,11 +119,11 @@ class Raw(NamedTuple):
 
 
 class SenderExecutor(SingleThreadedExecutor):
-    """Calls subscriptions with the message, a ``Raw`` one if they are so, and its ``Sender``.
+    """Executor that calls subscriptions with a message (``Raw`` for raw ones) and its ``Sender``.
 
     Attributes:
-        on_garbled: called with the name of a topic and the sender of bytes that are no message of
-            its type, which nobody else hears of: whoever is on the domain can send such.
+        on_garbled: called with topic name and sender of data that do not fit the topic's type.
+            Any participant of the domain can send such data; subscriptions do not receive them.
     """
 
     on_garbled: Callable[[str, Sender], None] | None = None
@@ -150,7 +150,7 @@ class SenderExecutor(SingleThreadedExecutor):
             except rclpy_implementation.RMWError:
                 garbled = True
             except TypeError as error:
-                if isinstance(error.__cause__, KeyboardInterrupt):  # pressed while this went on
+                if isinstance(error.__cause__, KeyboardInterrupt):  # pressed during deserialisation
                     raise error.__cause__ from None
                 raise
 
@@ -164,30 +164,30 @@ class SenderExecutor(SingleThreadedExecutor):
 
 
 class Members:
-    """The processes of one scan, each with its participant, in a folder that only they can write.
+    """Processes of one scan and their participants, in a folder that only they can write.
 
-    A node says who it is before it publishes anything, so what comes from anybody else is a
-    stranger's, whatever name it has.
+    A node registers before it publishes anything, so messages of any other participant are foreign,
+    whatever its name.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Look into a folder."""
+        """Use the members in a folder."""
         self._folder = folder
         self._known: dict[str, str] = {}
 
     def enter(self, name: str, participant: str) -> None:
-        """Say who a process of the scan is."""
+        """Register the participant of a process of the scan."""
         draft = self._folder / f"{name}.new"
         draft.write_text(participant, encoding="ascii")
         draft.replace(self._folder / f"{name}.id")
 
     def knows(self, name: str) -> bool:
-        """Whether a process has said who it is; read once, and remembered."""
+        """Return True if a process has registered; its entry is read once, and cached."""
         file = self._folder / f"{name}.id"
         if name not in self._known and file.exists():
             self._known[name] = file.read_text(encoding="ascii")
         return name in self._known
 
     def sent(self, name: str, sender: Sender) -> bool:
-        """Whether a message comes from this process of the scan."""
+        """Return True if a message comes from this process of the scan."""
         return self.knows(name) and self._known[name] == sender.participant

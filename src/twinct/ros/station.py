@@ -1,4 +1,4 @@
-"""One ROS 2 participant of a scan: its endpoints, its waiting, its end."""
+"""One ROS 2 participant of a scan, with its endpoints and its event loop."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from twinct.ros.senders import Sender, SenderExecutor, participant, participant_
 from twinct.ros.topics import Topic
 
 _LONGEST_SLEEP_S = 0.2
-"""A waiting thread lets Python look for signals that often."""
+"""Longest sleep of a waiting thread; Python handles signals after each."""
 
 
 def _qos(depth: int, *, latched: bool) -> QoSProfile:
@@ -37,21 +37,21 @@ def _qos(depth: int, *, latched: bool) -> QoSProfile:
 
 
 class Station:
-    """A node in a context of its own; all callbacks run inside ``wait``.
+    """A node in a separate context; all callbacks run inside ``wait``.
 
     Attributes:
-        name: of the node.
-        domain_id: that it joined.
-        participant: what others know it by.
+        name: name of the node.
+        domain_id: domain that it joined.
+        participant: its identifier for others.
     """
 
     def __init__(self, name: str, domain_id: int | None = None, largest_message: int = 0) -> None:
         """Join a domain.
 
         Args:
-            name: of the node.
+            name: the node's name.
             domain_id: None for ``ROS_DOMAIN_ID``.
-            largest_message: bytes; the shared memory for what is sent holds a few of them.
+            largest_message: bytes; shared memory for sending holds a few such messages.
         """
         settle(os.environ)
         self.name = name
@@ -77,7 +77,7 @@ class Station:
         self._closed, self._closing = False, Lock()
 
     def publisher(self, topic: Topic, *, depth: int | None = None) -> Publisher:
-        """Publish reliably; late joiners get the last ``depth`` messages, else the topic's."""
+        """Return a reliable publisher; late joiners get ``depth`` messages (default: topic's)."""
         events = PublisherEventCallbacks(matched=lambda _: None)  # wakes ``wait`` up
         qos = _qos(topic.depth if depth is None else depth, latched=True)
         return self._node.create_publisher(topic.kind, topic.name, qos, event_callbacks=events)
@@ -92,10 +92,11 @@ class Station:
         raw: bool = False,
         mismatch_told: bool = True,
     ) -> Subscription:
-        """Hear those who publish reliably and, where latched, what they said before.
+        """Subscribe to reliable publishers and, if latched, to their earlier messages.
 
-        The callback gets a message and its ``Sender``; a ``Raw`` message if asked for. Publishers
-        that it cannot hear are told on the console, unless another subscription hears them.
+        The callback receives a message, or a ``Raw`` one with ``raw``, and its ``Sender``.
+        ``mismatch_told`` reports incompatible publishers on the console; turn it off if another
+        subscription covers them.
         """
         hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(
@@ -111,11 +112,10 @@ class Station:
     def listen_to_all(
         self, topic: Topic, callback: Callable[[Any, Sender], None], *, depth: int = 100
     ) -> list[Subscription]:
-        """Hear everybody who publishes reliably, each message once.
+        """Subscribe to all reliable publishers, and pass on each message once.
 
         A transient-local subscription does not match the volatile publisher that a foreign node
-        makes by default, and a volatile one does not hear what was said before it came. So there
-        are both.
+        has by default, and a volatile subscription misses earlier messages. So there are both.
         """
         seen: deque[Sender] = deque(maxlen=4 * depth)
 
@@ -131,7 +131,7 @@ class Station:
         ]
 
     def on_garbled(self, tell: Callable[[str, Sender], None]) -> None:
-        """Call this with topic and sender of what comes in and is no message of its type."""
+        """Set the callback for data that do not fit a topic's type; it gets topic and sender."""
         self._executor.on_garbled = tell
 
     def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
@@ -139,15 +139,15 @@ class Station:
         self._node.create_service(kind, service, callback)
 
     def name_of(self, topic: str, sender: Sender) -> str:
-        """What a node that publishes on a topic calls itself, as far as it is discovered."""
+        """Return the name of a sender's node, as text, if the node is already discovered."""
         for info in self._node.get_publishers_info_by_topic(topic):
-            known = info.node_name != "_NODE_NAME_UNKNOWN_"  # seen before its node was
+            known = info.node_name != "_NODE_NAME_UNKNOWN_"  # discovered before its node
             if known and participant(info.endpoint_gid) == sender.participant:
                 return f"a node {info.node_name!r}"
         return "an unknown node"
 
     def wait(self, until: Callable[[], bool], timeout_s: float) -> bool:
-        """Handle what comes in until a condition holds; False when the time ran out before."""
+        """Handle callbacks until a condition holds; return False on timeout."""
         deadline = time.monotonic() + timeout_s
         while not until():
             left = deadline - time.monotonic()
@@ -160,22 +160,22 @@ class Station:
         return True
 
     def drain(self, quiet_s: float) -> None:
-        """Handle what is there and what still comes in, until a silence of so many seconds."""
+        """Handle pending and new callbacks, until none has come for ``quiet_s`` seconds."""
         found = True
-        while found:  # a silence counts only where a look at its end finds nothing
+        while found:  # silence counts only if a final look finds nothing
             found = False
             try:
                 while True:
                     handler, *_ = self._executor.wait_for_ready_callbacks(timeout_sec=quiet_s)
                     found = True
                     handler()
-                    handler.result()  # raises what the callback has raised
+                    handler.result()  # raises the callback's exception
             except (TimeoutException, ShutdownException):
                 pass
 
     def wake(self) -> None:
-        """Let ``wait`` look at its condition; from any thread."""
-        with self._closing:  # who wakes what another thread closes meanwhile gets an error
+        """Make ``wait`` check its condition; callable from any thread."""
+        with self._closing:  # waking an executor while another thread closes it is an error
             if not self._closed:
                 self._executor.wake()
 

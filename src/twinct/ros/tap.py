@@ -1,4 +1,4 @@
-"""Hears all that the processes of a scan say, as the bytes that came, beside the scan itself."""
+"""Tap on all messages of a scan's processes, as received bytes, in parallel to the scan."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from twinct.ros.station import Station
 from twinct.ros.topics import ROBOTS, SCAN, TOPICS, XRAY
 
 DEPTH = 2000
-"""Messages of a topic that may wait: more than a long move has."""
+"""Queue length per topic, which exceeds the messages of a long move."""
 
 QUIET_S = 0.1
-"""After a silence of this length nothing more is on its way."""
+"""After a silence of this length, no more messages are in transit."""
 
 
 class Heard(NamedTuple):
     """A message of a scan.
 
     Attributes:
-        topic: it was said on.
+        topic: topic of the message.
         kind: its type, such as ``sensor_msgs/msg/Image``.
-        raw: it, serialised.
-        number: of the message among those of its publisher, from 1.
-        publisher: who said it.
+        raw: the serialised message.
+        number: sequence number at its publisher, from 1.
+        publisher: GID of the publisher.
     """
 
     topic: str
@@ -37,15 +37,15 @@ class Heard(NamedTuple):
 
 
 class Tap:
-    """Listens in a thread of its own; what strangers say is left out."""
+    """Listener in a separate thread, which ignores foreign messages."""
 
     def __init__(self, domain_id: int, members: Members, hear: Callable[[Heard], object]) -> None:
         """Join a domain and listen.
 
         Args:
-            domain_id: of the scan.
-            members: of the scan.
-            hear: called with each message, in this thread.
+            domain_id: the scan's domain.
+            members: the scan's members.
+            hear: called with each message, in the tap's thread.
         """
         self._members, self._hear = members, hear
         self._station = Station(f"{SCAN}_tap", domain_id)
@@ -68,6 +68,6 @@ class Tap:
         self._station.close()
 
     def close(self) -> None:
-        """Hear what is on its way, and leave the domain; a second call does nothing."""
+        """Receive messages in transit, then leave the domain; a second call does nothing."""
         self._ending.set()
         self._thread.join()

@@ -1,6 +1,6 @@
-"""The topics of a scan's graph: what each carries, who publishes it, how many messages it keeps.
+"""Topics of a scan's graph: message type, publisher and queue depth.
 
-All are reliable and transient local: who joins late gets the last ``depth`` messages.
+All are reliable and transient local: late joiners get the last ``depth`` messages.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ class Topic(NamedTuple):
     """One topic.
 
     Attributes:
-        name: that it has in the graph.
+        name: name in the graph.
         kind: class of its messages.
-        owner: node that publishes it; "" for all of them.
-        depth: messages that it keeps, at least.
+        owner: node that publishes it; "" if all nodes do.
+        depth: minimum number of messages that it stores.
     """
 
     name: str
@@ -39,16 +39,16 @@ PLAN = Topic("/scan/plan", JointTrajectory, SCAN, 1)
 PLAN_VIEWS = Topic("/scan/plan_views", DiagnosticArray, SCAN, 1)
 COMMANDED = Topic("/scan/commanded", PoseArray, SCAN, 1)
 CLOCK = Topic("/clock", Clock, ROBOTS, 1000)
-"""Keeps the ticks of a move: a recorder that is slow, or met late, has them all."""
+"""The queue holds all ticks of a move, for recorders that are slow or join late."""
 VIEWS = Topic("/scan/views", TimeReference, ROBOTS, 1000)
-"""Keeps four messages for each view of the scan, if those are more: some are told again."""
+"""The queue holds four messages per view of the scan, if those are more; some are repeated."""
 REACHED = Topic("/scan/reached", PoseArray, ROBOTS, 10)
 JOINTS = Topic("/joint_states", JointState, ROBOTS, 1000)
 DESCRIPTION = Topic("/robot_description", String, ROBOTS, 1)
 STATE = Topic("/scan/state", Float64MultiArray, ROBOTS, 10)
 CAMERA = Topic("/xray/camera_info", CameraInfo, XRAY, 10)
 IMAGE = Topic("/xray/image", Image, XRAY, 10)
-"""Keeps fewer images, and what comes with them, where ten would take much memory."""
+"""The queue holds fewer images and accompanying messages if ten would take much memory."""
 DISPLAY = Topic("/xray/display", Image, XRAY, 10)
 DISPLAY_CAMERA = Topic("/xray/display/camera_info", CameraInfo, XRAY, 10)
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "", 10)
@@ -60,4 +60,4 @@ TOPICS = (
 )
 
 HOME = "/scan/home"
-"""A service, ``std_srvs/Trigger``."""
+"""Name of a service, ``std_srvs/Trigger``."""

@@ -36,17 +36,17 @@ if TYPE_CHECKING:
     from twinct.scan import Workshop
 
 ANSWER = (CAMERA, IMAGE, DISPLAY_CAMERA, DISPLAY)
-"""What is told of each view."""
+"""Topics of a view's messages."""
 
 MEMORY_BYTES = 256 * 2**20
-"""Images kept for those who ask again; never fewer than two, never more than 32."""
+"""Memory for images stored for repeated requests; at least two images, at most 32."""
 
 QUEUE_BYTES = 64 * 2**20
-"""Images on their way to those who are slow or late; never fewer than one."""
+"""Memory for images queued for slow or late subscribers; at least one image."""
 
 
 class XRay(Protocol):
-    """What the node needs of an ``Imager``."""
+    """Protocol of an ``Imager``, as far as the node needs it."""
 
     def expose(
         self,
@@ -54,11 +54,11 @@ class XRay(Protocol):
         view: int = 0,
         before: tuple[ScanGeometry, Pose] | None = None,
     ) -> NDArray[np.float32]:
-        """Transmission of one view."""
+        """Return the transmission of one view."""
         ...
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release all resources."""
 
 
 def spin_xray(
@@ -72,11 +72,11 @@ def spin_xray(
     """Run the X-ray simulation as a node until SIGINT or SIGTERM.
 
     Args:
-        scenario: what to simulate.
-        epoch: of the scan this node belongs to: only its views are imaged. None images any.
-        members: of that scan: only what its robots reach is imaged.
-        lifeline: end also when stdin does.
-        build: makes the simulation, in place of the real one.
+        scenario: scenario to simulate.
+        epoch: epoch of the node's scan, whose views alone are imaged. None images any view.
+        members: members of that scan; only poses from its robots node are imaged.
+        lifeline: also end when stdin ends.
+        build: builds a simulation in place of the real one.
 
     Returns:
         Exit code: 0.
@@ -108,13 +108,13 @@ def spin_xray(
 
 
 def _workshop(scenario: Scenario, plan: MotionPlan | None = None) -> Workshop:
-    from twinct.scan import Workshop  # only here: it brings all that a simulation needs
+    from twinct.scan import Workshop  # only here: it imports the whole simulation
 
     return Workshop(scenario, plan)
 
 
 class _AsPlanned:
-    """The imager of a scan whose views are known only when its plan has come."""
+    """Imager of a scan whose views are known only from its plan."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -140,17 +140,17 @@ class _AsPlanned:
 
 
 def image_bytes(panel: Panel) -> int:
-    """Size of an image."""
+    """Return the size of an image, bytes."""
     return 4 * panel.rows * panel.columns
 
 
 def answer_bytes(panel: Panel) -> int:
-    """Size of an image and of what a viewer shows of it."""
+    """Return the size of an image and its display version, bytes."""
     return image_bytes(panel) + panel.rows * panel.columns
 
 
 class _Taken(NamedTuple):
-    """What an image is known by: times are those of one clock."""
+    """Key of an image: its stamp, and the clock that the stamp belongs to."""
 
     stamp: Stamp
     clock: str
@@ -160,7 +160,7 @@ class _Taken(NamedTuple):
 
 
 class XRayNode:
-    """Images each view that was reached once."""
+    """Node that images each reached view once."""
 
     def __init__(
         self,
@@ -172,13 +172,13 @@ class XRayNode:
         members: Members | None = None,
         samples: int = 1,
     ) -> None:
-        """Make the endpoints; from now on views are imaged."""
+        """Create the endpoints; from now on, views are imaged."""
         self._imager, self._panel, self._samples = imager, panel, samples
         self._epoch, self._members, self._diagnostics = epoch, members, diagnostics
         self._ledger: Ledger[_Taken, Executed, list[Any]] = Ledger(
             keep=min(max(MEMORY_BYTES // answer_bytes(panel), 2), 32)
         )
-        # Of a scan: targets by when they were reached, and poses whose target is not known yet.
+        # For a scan: targets by time of arrival, and poses whose target is still unknown.
         self._targets: dict[Stamp, Stamp] = {}
         self._early: dict[Stamp, tuple[PoseArray, Sender]] = {}
         depth = min(max(QUEUE_BYTES // image_bytes(panel), 1), IMAGE.depth)
@@ -189,7 +189,7 @@ class XRayNode:
         ]
 
     def connected(self) -> bool:
-        """Whether the rig and the robots node of the scan are there; a node on its own has none."""
+        """Return True if the scan's rig and robots node are connected, or there is no scan."""
         if self._members is not None and not self._members.knows(ROBOTS):
             return False
         return self._epoch is None or (
@@ -243,7 +243,7 @@ class XRayNode:
             last = before.placed(self._panel) if before else None
         except ValueError as error:
             raise MalformedError(str(error)) from None
-        # What keys the noise: the view, or the time itself where there is no scan.
+        # Key of the noise: the view or, without a scan, the time itself.
         index = stamp.sec * 1_000_000_000 + stamp.nanosec if view is None else view
         if index < 0:
             raise MalformedError(f"header.stamp {stamp} is negative")

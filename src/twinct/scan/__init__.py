@@ -1,4 +1,4 @@
-"""Acquisition: the rig contract, the rig in one process, the scan and its store."""
+"""Acquisition: the rig protocol, the rig in one process, the scan and its store."""
 
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.data import Scan, View, reported

@@ -1,4 +1,4 @@
-"""Acquires the views of a scan through a rig, one after the other."""
+"""Acquisition of a scan through a rig, view by view."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twinct.views import Target
 
 @dataclass
 class Stopwatch:
-    """Wall-clock seconds of moves, exposures and storing, and simulated seconds of those moves.
+    """Wall-clock time of moves, exposures and storage, and simulated time of the moves, s.
 
     Never stored with the scan.
     """
@@ -32,14 +32,14 @@ def acquire(
     first: int = 0,
     watch: Stopwatch | None = None,
 ) -> None:
-    """Move, expose and keep each view; the next is requested only once ``keep`` returned.
+    """Move to each view, expose it, and wait for ``keep`` before requesting the next view.
 
     Args:
-        rig: what moves and takes images.
-        targets: of all views.
+        rig: moves the robots and takes images.
+        targets: targets of all views.
         keep: called with the index and the view.
         first: index of the first view to take.
-        watch: counts the seconds spent in moving and in exposing.
+        watch: sums the time of moves, exposures and storage.
     """
     watch = watch or Stopwatch()
     before_s: float | None = 0.0 if first == 0 else None
@@ -52,7 +52,7 @@ def acquire(
         keep(index, View(image, reached))
         watch.xray_s += exposed - moved
         watch.storing_s += time.perf_counter() - exposed
-        if before_s is not None:  # a resumed scan cannot tell how long its first move took
+        if before_s is not None:  # the start time of a resumed scan's first move is unknown
             watch.simulated_s += reached.time_s - before_s
             watch.motion_s += moved - start
         before_s = reached.time_s

@@ -26,14 +26,14 @@ from twinct.scan.manifest import (
 
 
 class CheckedStore(LocalStore):
-    """The files of a scan store; each chunk of a view is compared when it is read.
+    """Files of a scan store, which checks each chunk of a view when it is read.
 
-    A missing chunk, which Zarr takes for one of fill values, is damage in a store without manifest
-    too.
+    A missing chunk, which Zarr would read as fill values, counts as damage even in a store without
+    a manifest.
     """
 
     def __init__(self, root: Path, *, read_only: bool = False) -> None:
-        """Open the files of a store, whose frame the caller has looked at."""
+        """Open the files of a store whose frame the caller has checked."""
         super().__init__(root, read_only=read_only)
         self._has_manifest = (root / FOLDER).is_dir()
         self._rows: dict[int, dict[str, str]] = {}
@@ -56,7 +56,7 @@ class CheckedStore(LocalStore):
             DamagedError: the file is damaged.
         """
         data = None
-        if (self.root / key).is_file():  # no pipe, which would wait for somebody to write
+        if (self.root / key).is_file():  # a pipe would block until somebody writes
             data = super().get_sync(key, prototype=prototype, byte_range=byte_range)
         if (view := view_of(key)) is not None and not key.startswith(FOLDER):
             self._check(key, view, None if data is None else data.to_bytes())
@@ -74,7 +74,7 @@ class CheckedStore(LocalStore):
         )
 
     async def set(self, key: str, value: Buffer) -> None:
-        """See ``LocalStore``; the digest is noted for the manifest."""
+        """See ``LocalStore``; also note the digest for the manifest."""
         self.note(key, value.to_bytes())
         await super().set(key, value)
 
@@ -94,11 +94,11 @@ class CheckedStore(LocalStore):
         return self._rows[view]
 
     def note(self, file: str, data: bytes) -> None:
-        """Remember what was written of a view."""
+        """Note the digest of a view's file for the manifest."""
         self._noted[file] = digest_of(data)
 
     def seal(self, view: int) -> None:
-        """Write the digests of all that was noted: the view is whole."""
+        """Complete a view: write all noted digests to its row of the manifest."""
         row, self._noted = self._noted, {}
         if self._has_manifest:
             (self.root / row_file(view)).write_bytes(sealed(self._root | row, self._width))

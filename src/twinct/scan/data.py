@@ -1,4 +1,4 @@
-"""A scan: the images of all views, and the three geometries kept apart."""
+"""A scan: the images of all views, and the three geometries as separate data."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class View:
 
     Attributes:
         transmission: I/I0, (rows, columns).
-        reached: what the robots had.
-        frames: the images that it came from, where ``detector.keep`` asks for some.
+        reached: state of the robots.
+        frames: images behind the transmission, if ``detector.keep`` requests them.
     """
 
     transmission: NDArray[np.float32]
@@ -37,7 +37,7 @@ class View:
     frames: ViewImages | None = None
 
     def frozen(self) -> View:
-        """The same, with an image that cannot be written to."""
+        """Return a copy whose image is read-only."""
         image = self.transmission.view()
         image.flags.writeable = False
         return replace(self, transmission=image)
@@ -47,21 +47,21 @@ class View:
 class Scan:
     """All views of a scan.
 
-    Images were made with ``executed``; ``commanded`` is what the trajectory asked for. What is
-    believed is derived from a scan, in one way or several, and never part of it.
+    The images were rendered from ``executed``; the trajectory requested ``commanded``. Believed
+    poses are derived from a scan, by one or several methods, and are never part of the scan.
 
     Attributes:
-        scenario: what was scanned; its uncertainty says what is ``believed``.
+        scenario: the scanned scenario; its uncertainty section determines ``believed``.
         transmission: I/I0, (views, rows, columns), float32.
         executed_object: ``world_from_object`` of each view.
         joint_names: source arm first.
         joints: joint positions, (views, joints), rad.
         simulated_s: simulated time at exposure, (views,).
         clearance_mm: smallest gap on the way to each view, (views,).
-        exposure: instants of each view's exposure; empty where an image takes no time.
+        exposure: instants of each view's exposure; empty for instantaneous exposures.
         derived: other geometries of these views, by name.
-        bad_pixels: whose values are their neighbours' mean, (rows, columns); None: there are none.
-        mas: tube load of each view, (views,), mAs; None: ``source.mas`` of the scenario for all.
+        bad_pixels: pixels replaced by their neighbours' mean, (rows, columns); None if none are.
+        mas: tube load of each view, (views,), mAs; None if all have the scenario's ``source.mas``.
     """
 
     scenario: Scenario
@@ -79,10 +79,10 @@ class Scan:
     mas: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        """Take no geometry that was derived from another scan.
+        """Check that all derived geometries belong to this scan.
 
         Raises:
-            InputError: naming it.
+            InputError: a geometry does not; it is named.
         """
         own = {"views": len(self), "executed": poses_digest(self.executed)} if self.derived else {}
         for name, found in self.derived.items():
@@ -96,19 +96,19 @@ class Scan:
 
     @cached_property
     def believed(self) -> PosePairs:
-        """The poses that the robots report, as the scenario's uncertainty says."""
+        """Poses that the robots report, given the scenario's uncertainty."""
         return self.reported.poses
 
     @cached_property
     def reported(self) -> NamedGeometry:
-        """The same, with what made it."""
+        """Believed poses, with their model and settings."""
         return reported(self.scenario, self.joint_names, self.joints, self.executed, self.commanded)
 
     @cached_property
     def told(self) -> PosePairs:
-        """Where the controllers take source and panel to be, by encoders and nominal model.
+        """Source and panel poses that the controllers compute from encoders and nominal model.
 
-        ``executed``, where nothing is wrong with what they know.
+        Equal to ``executed`` if the controllers' model has no errors.
         """
         found = evidence_of(
             self.scenario, self.commanded, self.executed, self.joint_names, self.joints
@@ -117,21 +117,21 @@ class Scan:
 
     @property
     def stands(self) -> Pose:
-        """``world_from_object`` where the truth is: a specimen that moves starts there."""
+        """``world_from_object`` of the ground truth, where a moving specimen starts."""
         if any(self.scenario.uncertainty.patient.sizes):
             return self.scenario.specimen.world_from_specimen
-        return self.executed_object[len(self) // 2]  # any view's would do, but for rounding
+        return self.executed_object[len(self) // 2]  # all views agree, except for rounding
 
     @cached_property
     def relative(self) -> PosePairs:
-        """Executed poses as the specimen sees them: the same where it keeps its place."""
+        """Executed poses relative to the specimen; equal to ``executed`` if it does not move."""
         if not any(self.scenario.uncertainty.patient.sizes):
             return self.executed
         return seen_from(self.stands, self.executed_object, self.executed)
 
     @property
     def exposures_rel(self) -> NDArray[np.float64] | None:
-        """Tube load of each view in units of ``source.mas``, (views,); None: 1 for all."""
+        """Tube load of each view, relative to ``source.mas``, (views,); None if all are 1."""
         return None if self.mas is None else self.mas / self.scenario.source.mas
 
     @classmethod
@@ -142,7 +142,7 @@ class Scan:
         views: list[View],
         mas: NDArray[np.float64] | None = None,
     ) -> Scan:
-        """Put views taken one by one together."""
+        """Build from views that were acquired one by one."""
         reached = [view.reached for view in views]
         executed = [(r.executed.source, r.executed.detector) for r in reached]
         return cls(
@@ -161,21 +161,21 @@ class Scan:
         )
 
     def __len__(self) -> int:
-        """Number of views."""
+        """Return the number of views."""
         return len(self.transmission)
 
     def __repr__(self) -> str:
-        """One line: the arrays and poses are for programs."""
+        """Return a one-line summary without arrays and poses."""
         rows, columns = self.transmission.shape[1:]
         return f"Scan({self.scenario.name!r}, {len(self)} views, {columns} x {rows} px)"
 
     def poses(self, which: str) -> PosePairs:
-        """Poses of a geometry: ``commanded``, ``executed``, ``believed``, or a derived one's name.
+        """Return the poses of ``commanded``, ``executed``, ``believed`` or a derived geometry.
 
-        Also ``relative``: executed, as the specimen sees it.
+        Also of ``relative``: executed poses relative to the specimen.
 
         Raises:
-            InputError: there is none of this name.
+            InputError: no geometry has this name.
         """
         if which in (*OWN, RELATIVE):
             return cast(PosePairs, getattr(self, which))
@@ -185,10 +185,10 @@ class Scan:
 
 
 def bad_pixels_of(scenario: Scenario) -> NDArray[np.bool_] | None:
-    """The map of a scenario's bad pixels, (rows, columns); None where it has none.
+    """Return a scenario's map of bad pixels, (rows, columns); None if it has none.
 
     Raises:
-        InputError: the file that holds it cannot be used.
+        InputError: the file with the map is unusable.
     """
     if scenario.detector.bad_pixels is None:
         return None
@@ -205,7 +205,7 @@ def reported(
     commanded: PosePairs,
     name: str = "believed",
 ) -> NamedGeometry:
-    """What the robots report of some views, as the scenario's uncertainty says."""
+    """Return the poses that the robots report, given the scenario's uncertainty."""
     evidence = evidence_of(scenario, commanded, executed, joint_names, joints)
     uncertainty, seed = scenario.uncertainty, scenario.believed_seed
     model = "nominal kinematics" if uncertainty.moves else "repeatability"
@@ -216,7 +216,7 @@ def reported(
 
 
 def _told_of(uncertainty: Uncertainty) -> dict[str, Any]:
-    """What the reported poses come of, but keys at their default that have not always been."""
+    """Return the settings behind the reported poses, without newer keys at their default."""
     told = uncertainty.model_dump(mode="json", exclude_defaults=True)
     for side in ("source", "detector"):
         always = getattr(uncertainty, side).model_dump(include={"sigma_mm", "cutoff_mm"})

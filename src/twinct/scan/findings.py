@@ -1,4 +1,4 @@
-"""What is wrong with the files of a scan store, found without taking any of them for data."""
+"""Search for damaged files in a scan store, without interpreting them as data."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from twinct.scan.manifest import (
 )
 
 MOST_DIMENSIONS = 8
-"""Of a view's values; no array has more than half as many, and a file's name counts them."""
+"""Limit on the dimensions of a view's values, twice the real maximum; file names list them."""
 
 
 def frame_damage(path: Path) -> list[Damage]:
-    """Of the files that are not of a view; none can be found where there is no manifest."""
+    """Return the damage to files that belong to no view; empty without a manifest."""
     try:
         return compared(path, read_frame_manifest(path) or {})
     except DamagedError as error:
@@ -39,9 +39,9 @@ def frame_damage(path: Path) -> list[Damage]:
 
 
 def view_damage(path: Path) -> list[Damage]:
-    """Of the views that were taken, and those before them.
+    """Return the damage to all views up to the last acquired one.
 
-    Without a manifest only what is missing or cut off is found.
+    Without a manifest, only missing and truncated files are detected.
     """
     taken, sizes = views_taken(path), None if (path / FOLDER).is_dir() else _sizes(path)
     found: list[Damage] = []
@@ -57,7 +57,7 @@ def view_damage(path: Path) -> list[Damage]:
 
 
 def views_taken(path: Path) -> set[int]:
-    """Views that have a status."""
+    """Return the views that have a status."""
     views = (
         view_of(file.name)
         for file in (path / "status").glob("c.*")
@@ -67,7 +67,7 @@ def views_taken(path: Path) -> set[int]:
 
 
 def unknown_files(path: Path) -> list[str]:
-    """Files that are none of the store's; none can be told without a manifest that is whole."""
+    """Return files that do not belong to the store; empty without an intact manifest."""
     try:
         frame = read_frame_manifest(path)
     except DamagedError:
@@ -82,11 +82,11 @@ def unknown_files(path: Path) -> list[str]:
         try:
             known |= {_status(view), row_file(view), *read_row(path, view)}
             whole.add(view)
-        except DamagedError:  # there may be what there should not
+        except DamagedError:  # the files of this view are unknown
             continue
 
     def expected(file: str) -> bool:
-        """Whether it may be of a view that was not taken, or is damaged."""
+        """Return True for a possible file of a view that is damaged or was not acquired."""
         view, array = view_of(file), file.rpartition("/")[0]
         return view is not None and view < views and view not in whole and array in arrays
 
@@ -96,11 +96,11 @@ def unknown_files(path: Path) -> list[str]:
 
 
 def make_way(path: Path, found: Iterable[Damage]) -> None:
-    """Remove what is no file, such as a link, from where files will be written again.
+    """Remove links and other irregular files from paths that will be rewritten.
 
     Raises:
-        DamagedError: a folder is in the way, or a file where a folder has to be: whoever put it
-            there may need it. Nothing has been changed.
+        DamagedError: a folder occupies a file's place, or a file a folder's. Nothing is changed,
+            because somebody may need it.
     """
     places = [path / damage.file for damage in found]
     obstacles = {place: "a folder" for place in places if place.is_dir()}
@@ -137,7 +137,7 @@ def _by_row(path: Path, view: int) -> list[Damage]:
 
 
 def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
-    """Of the arrays with a chunk a view: dimensions of one, and bytes unless compressed."""
+    """Return dimensions and bytes (None if compressed) of a view's chunk, by array."""
     found: dict[str, tuple[int, int | None]] = {}
     for file in path.rglob("zarr.json"):
         try:
@@ -151,7 +151,7 @@ def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
                 name = str(file.parent.relative_to(path))
                 found[name] = len(shape), size if plain else None
         except (OSError, ValueError, TypeError, LookupError, AttributeError):
-            continue  # opening the store tells of it
+            continue  # opening the store reports the error
     found.pop("status", None)
     return found
 
@@ -168,7 +168,7 @@ def _by_size(path: Path, view: int, sizes: dict[str, tuple[int, int | None]]) ->
 
 
 def root_digest(path: Path) -> str:
-    """What the store's metadata had, by a view's row; as they are now where none is whole."""
+    """Return the metadata's digest in the first intact row, else the current metadata's digest."""
     for view in sorted(views_taken(path)):
         try:
             return read_row(path, view)[ROOT]

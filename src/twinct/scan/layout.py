@@ -1,4 +1,4 @@
-"""How a store lies on disk: its arrays and their chunks, and all of it but its views."""
+"""Layout of a store on disk: arrays, chunks, and everything except the views."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ READABLE = (1, 2, 3, FORMAT)
 
 
 def kept_digests(scenario: Scenario) -> dict[str, str]:
-    """What a store knows the stages by that its images depend on."""
+    """Return the digests of the stages that a store's images depend on."""
     return {"images": stage_digests(scenario)["images"]}
 
 
 def pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
-    """What is stored of one view's commanded or executed poses."""
+    """Return the stored values of one view's commanded or executed poses."""
     axes = detector.rotation
     return {
         f"{which}/source": source.position,
@@ -41,7 +41,7 @@ def pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
 
 
 def columns_of(view: View) -> dict[str, Any]:
-    """What is stored of a view beside its images."""
+    """Return the stored values of a view, except its images."""
     reached, executed = view.reached, view.reached.executed
     columns = pose_columns("executed", executed.source, executed.detector)
     if reached.exposure:
@@ -59,7 +59,7 @@ def columns_of(view: View) -> dict[str, Any]:
 
 
 def _write_plan(root: Any, plan: MotionPlan) -> None:
-    """Numbers as arrays, words as attributes of their group."""
+    """Write a plan: numbers as arrays, texts as attributes of the group."""
     from zarr.codecs import BloscCodec
 
     from twinct.motion import plan_arrays
@@ -83,7 +83,7 @@ def write_frame(
     digests: dict[str, str] | None = None,
     mas: NDArray[np.float64] | None = None,
 ) -> None:
-    """Write all of a store but its views; the digests are of files as they are, unless given."""
+    """Write a store without views; ``digests`` default to digests of the current files."""
     import zarr as _zarr
     from zarr.codecs import BloscCodec
 

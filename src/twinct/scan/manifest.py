@@ -1,9 +1,9 @@
-"""The manifest of a scan store: a digest of each of its files, compared whenever one is read.
+"""Manifest of a scan store: a digest of each file, compared whenever a file is read.
 
-``manifest/frame`` names the files that are there before any view is; a row of ``manifest/views``
-those of one view, and the metadata that say which scan it is of. Both are arrays of bytes to Zarr,
-and text that ``sha256sum --check`` reads: a line a file, and last, as a comment, the digest of the
-lines before.
+``manifest/frame`` lists the files that exist before any view. Each row of ``manifest/views`` lists
+the files of one view, and the metadata that identify the scan. Zarr reads both as byte arrays, and
+``sha256sum --check`` reads both as text: one line per file, and last, as a comment, the digest of
+the preceding lines.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from twinct.errors import DamagedError
 FOLDER = "manifest"
 FRAME, VIEWS = f"{FOLDER}/frame", f"{FOLDER}/views"
 ROOT = "zarr.json"
-"""Metadata of the store: of which scenario it is."""
+"""Metadata of the store, which identify the scenario."""
 FRAME_FILE = f"{FRAME}/c/0"
 BY_VIEW = {"name": "default", "separator": "."}
-"""Encoding of chunk names, of arrays with a chunk a view; others have the default."""
+"""Encoding of chunk names for arrays with one chunk per view; others use the default."""
 
 ACQUIRED = b"\1"
-"""Status of a view that is on disk."""
+"""Status of a view on disk."""
 
 ADVICE = "'twinct verify' names all damage, 'twinct run --resume' mends it"
 
 
 @dataclass(frozen=True)
 class Damage:
-    """A file of a store that is not what was written.
+    """A changed or missing file of a store.
 
     Attributes:
         file: its path in the store.
-        what: happened to it.
-        view: the one it is of; None where it is of all.
+        what: kind of damage.
+        view: the file's view; None if it belongs to all.
     """
 
     file: str
@@ -45,35 +45,35 @@ class Damage:
     view: int | None = None
 
     def __str__(self) -> str:
-        """View and array, or the file, and what happened."""
+        """Return view and array, or the file, and the kind of damage."""
         array = self.file.rpartition("/")[0]
         place = self.file if self.view is None else f"view {self.view}, {array}"
         return f"{place}: {self.what} since it was written"
 
 
 def damaged(path: Path, *found: Damage) -> DamagedError:
-    """The error that tells of damage in a store."""
+    """Return the error that reports damage in a store."""
     told = [f"{path}: {damage}" for damage in found]
     return DamagedError([*told[:-1], f"{told[-1]}; {ADVICE}"], found)
 
 
 def digest_of(data: Any) -> str:
-    """SHA-256 of bytes, in hexadecimal."""
+    """Return the SHA-256 of bytes, in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
 def sealed(digests: Mapping[str, str], width: int = 0) -> bytes:
-    """The text of digests by file, filled up to a width in its last line."""
+    """Return digests by file as sealed text, padded to ``width`` bytes in its last line."""
     lines = "".join(f"{digest}  {file}\n" for file, digest in digests.items())
     seal = f"# {digest_of(lines.encode())}"
     return (lines + seal).ljust(width - 1).encode() + b"\n"
 
 
 def unsealed(text: bytes) -> dict[str, str]:
-    """Digests by file, of what ``sealed`` gave.
+    """Return the digests by file from the text that ``sealed`` returned.
 
     Raises:
-        ValueError: it is no such text, or changed.
+        ValueError: the text is invalid or changed.
     """
     lines = [line.partition("  ") for line in text.decode().splitlines()[:-1]]
     digests = {file: digest for digest, _, file in lines}
@@ -83,30 +83,30 @@ def unsealed(text: bytes) -> dict[str, str]:
 
 
 def chunk_name(view: int, dimensions: int) -> str:
-    """Name of a view's chunk. Without a folder of its own it takes a quarter of the time."""
+    """Return the name of a view's chunk. Flat names take a quarter of the time of nested ones."""
     return ".".join(["c", str(view), *["0"] * dimensions])
 
 
 def view_of(file: str) -> int | None:
-    """The view of which a file is a chunk; None of any other file."""
+    """Return the view that a chunk file belongs to; None for any other file."""
     mark, _, rest = file.rpartition("/")[2].partition(".")
     number = rest.partition(".")[0]
     return int(number) if mark == "c" and number.isdecimal() else None
 
 
 def row_file(view: int) -> str:
-    """Where the digests of a view's files are."""
+    """Return the path of the manifest row with the digests of a view's files."""
     return f"{VIEWS}/{chunk_name(view, 1)}"
 
 
 def write_frame_manifest(group: Any, path: Path, last_row: Iterable[str], views: int) -> None:
-    """Begin the manifest of a store that is complete but for its views; ``group`` is its root.
+    """Create the manifest of a store that is complete except for its views.
 
     Args:
         group: root of the store.
         path: folder of the store.
         last_row: files that the last view will have.
-        views: number of all.
+        views: number of all views.
     """
 
     def add(name: str, shape: tuple[int, ...], **more: Any) -> None:
@@ -125,15 +125,15 @@ def write_frame_manifest(group: Any, path: Path, last_row: Iterable[str], views:
 
 
 def _size_of(files: Iterable[str]) -> int:
-    """Bytes of the text about these files."""
+    """Return the size of these files' sealed text, bytes."""
     return len(sealed(dict.fromkeys(files, digest_of(b""))))
 
 
 def read_frame_manifest(path: Path) -> dict[str, str] | None:
-    """Digests of the files that are not of a view; None of a store that has no manifest.
+    """Return the digests of the files that belong to no view; None without a manifest.
 
     Raises:
-        DamagedError: the manifest is.
+        DamagedError: the manifest is damaged.
     """
     if not (path / FOLDER).is_dir():
         return None
@@ -141,10 +141,10 @@ def read_frame_manifest(path: Path) -> dict[str, str] | None:
 
 
 def read_row(path: Path, view: int) -> dict[str, str]:
-    """Digests of a view's files.
+    """Return the digests of a view's files.
 
     Raises:
-        DamagedError: they are damaged themselves, or another view's.
+        DamagedError: the row is damaged, or belongs to another view.
     """
     row = _read_sealed(path, row_file(view), view)
     if any(view_of(file) != view for file in row if file != ROOT):
@@ -162,7 +162,7 @@ def _read_sealed(path: Path, file: str, view: int | None) -> dict[str, str]:
 
 
 def compared(path: Path, digests: Mapping[str, str], view: int | None = None) -> list[Damage]:
-    """Which of these files are not what was written."""
+    """Compare files with their digests, and return the damage."""
     found: list[Damage] = []
     for file, digest in digests.items():
         if not (path / file).is_file():

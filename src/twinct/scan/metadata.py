@@ -1,7 +1,7 @@
-"""What a scan store says of itself, looked at before anything is made of it.
+"""Checks of a scan store's metadata before use.
 
-The manifest tells whether files are what was written. This tells whether what was written can be a
-scan at all, also where there is no manifest, or one that somebody has made anew.
+The manifest shows whether files have changed since they were written. These checks show whether
+the content can be a scan at all, even if the manifest is missing or was made anew.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from twinct.errors import InputError
 from twinct.files.plain_json import json_of
 
 EXPOSURE = "executed/exposure"
-"""Present where an exposure has several instants."""
+"""Present if an exposure has several instants."""
 BAD_PIXELS = "bad_pixels"
-"""Present where the detector has some."""
+"""Present if the detector has bad pixels."""
 MAS = "mas"
-"""Present where the trajectory gives each view its own."""
+"""Present if the trajectory sets the tube load of each view."""
 FRAMES = ("raw", "flat", "dark")
-"""Images that a scan may keep beside the transmission."""
+"""Images that a scan may store in addition to the transmission."""
 
 _POSES = {"source": 3, "detector": 3, "u": 3, "v": 3, "source_quat": 4, "detector_quat": 4}
 _OBJECT = {"executed/object": 3, "executed/object_quat": 4}
@@ -37,15 +37,15 @@ _ARRAYS = (
 )
 
 NO_FILE_OF_IT = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG)
-"""What stands where an array should be is none; its name is too long in thousands of dimensions."""
+"""Errors for a path that holds no array; with thousands of dimensions its name is too long."""
 
 
 @contextmanager
 def readable(path: Path, what: str) -> Generator[None]:
-    """Turn whatever Zarr and its codecs throw at a store's content into one message.
+    """Turn any error of Zarr and its codecs about a store's content into one message.
 
     Raises:
-        InputError: with the store and ``what`` was read.
+        InputError: the content is unreadable; the message names the store and ``what``.
     """
     try:
         yield
@@ -53,7 +53,7 @@ def readable(path: Path, what: str) -> Generator[None]:
         raise
     except (
         *(ValueError, TypeError, LookupError, RuntimeError, ArithmeticError),
-        MemoryError,  # of sizes that only the metadata have
+        MemoryError,  # from false sizes in the metadata
     ) as error:
         told = str(error).partition("\n")[0] or type(error).__name__
         raise InputError(f"{path}: {what} cannot be read: {told}") from error
@@ -64,10 +64,10 @@ def readable(path: Path, what: str) -> Generator[None]:
 
 
 def check_attributes(path: Path, told: Any) -> None:
-    """Look at the attributes of a store whose format is known.
+    """Check the attributes of a store whose format is known.
 
     Raises:
-        InputError: one sentence for each that is missing, or of another kind.
+        InputError: attributes are missing or have the wrong type; one sentence for each.
     """
     wanted: dict[str, Any] = {"scenario": str, "joint_names": list}
     wanted |= {"digest": str} if told["format"] == 1 else {"digests": dict}
@@ -97,10 +97,10 @@ def _kind(value: Any) -> str:
 
 
 def check_arrays(path: Path, group: Any) -> None:
-    """Look at the arrays of a store whose attributes are good: are they there, and of what shape.
+    """Check presence, shape and type of the arrays in a store whose attributes are valid.
 
     Raises:
-        InputError: one sentence for each that does not fit.
+        InputError: arrays do not fit; one sentence for each.
     """
     import zarr
 
@@ -136,7 +136,7 @@ def check_arrays(path: Path, group: Any) -> None:
 def _expected(
     format_: int, image: Any, found: dict[str, Any]
 ) -> dict[str, tuple[tuple[int, ...], DTypeLike, bool]]:
-    """Shape of a view, type, and whether there is a chunk a view, by the name of an array."""
+    """Return by array: shape of a view, type, and True for arrays with one chunk per view."""
 
     def like(name: str) -> tuple[int, ...]:
         return found[name].shape[1:] if name in found and len(found[name].shape) == 2 else (0,)

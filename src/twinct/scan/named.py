@@ -1,4 +1,4 @@
-"""Geometries that were derived from a scan: each with a name, what made it, and a digest."""
+"""Geometries derived from a scan, each with a name, its provenance and a digest."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from twinct.geometry import Pose
 from twinct.views import PosePairs
 
 OWN = ("commanded", "executed", "believed")
-"""Names that every scan has."""
+"""Names of the geometries that every scan has."""
 
 RELATIVE = "relative"
-"""Executed poses as the specimen sees them; another name for them where it keeps its place."""
+"""Executed poses relative to the specimen; equal to ``executed`` if it does not move."""
 
 FORMAT = "twinct geometry 1"
 
@@ -32,13 +32,13 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 @dataclass(frozen=True, eq=False)
 class NamedGeometry:
-    """Where source and panel of all views are taken to be.
+    """Source and panel poses of all views, under a name.
 
     Attributes:
-        name: letters, digits, dots, hyphens.
-        poses: of each view.
-        made_by: what made it: a model or a method with its settings, as plain data. ``executed``
-            in it is the digest of the executed poses that it was made for.
+        name: letters, digits, dots, hyphens and underscores.
+        poses: poses of each view.
+        made_by: the model or method behind the poses, with its settings, as plain data. Its
+            ``executed`` is the digest of the executed poses that the geometry was made for.
     """
 
     name: str
@@ -47,7 +47,7 @@ class NamedGeometry:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the poses and of what made them, in hexadecimal."""
+        """SHA-256 of the poses and ``made_by``, in hexadecimal."""
         told = {"made_by": self.made_by, **self._numbers()}
         return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
 
@@ -58,7 +58,7 @@ class NamedGeometry:
         """Write ``NAME.json`` into a folder; positions in mm, quaternions (x, y, z, w).
 
         Raises:
-            StorageError: it cannot be written.
+            StorageError: the file cannot be written.
         """
         told = {"format": FORMAT, "made_by": self.made_by, "digest": self.digest}
         with storage_errors(folder):
@@ -69,10 +69,10 @@ class NamedGeometry:
 
     @classmethod
     def read(cls, path: Path) -> NamedGeometry:
-        """Read what ``write`` wrote.
+        """Read a file that ``write`` wrote.
 
         Raises:
-            InputError: it is no such file, or damaged.
+            InputError: the file has another format, or is damaged.
         """
         try:
             told = read_json(path)
@@ -90,21 +90,21 @@ class NamedGeometry:
 
 
 def named_geometries(folder: Path) -> dict[str, NamedGeometry]:
-    """All geometries in a folder, by name; none where there is no folder.
+    """Return all geometries in a folder, by name; empty without a folder.
 
     Raises:
-        InputError: one is damaged.
+        InputError: a file is damaged.
     """
-    # What a killed write left begins with a dot.
+    # Remains of a killed write begin with a dot.
     paths = sorted(p for p in folder.glob("*.json") if not p.name.startswith("."))
     return {path.stem: NamedGeometry.read(path) for path in paths}
 
 
 def checked_name(name: str) -> str:
-    """A name that may be a file's.
+    """Check that a name can name a file, and return it.
 
     Raises:
-        InputError: it may not.
+        InputError: the name is not valid.
     """
     if not _NAME.fullmatch(name):
         raise InputError(
@@ -114,7 +114,7 @@ def checked_name(name: str) -> str:
 
 
 def poses_digest(poses: PosePairs) -> str:
-    """SHA-256 of source and detector poses, in hexadecimal: which scan's they are."""
+    """Return the SHA-256 of source and detector poses, in hexadecimal, to identify their scan."""
     digest = hashlib.sha256()
     for pose in (*poses.source, *poses.detector):
         digest.update(pose.position.tobytes() + pose.quat.tobytes())

@@ -1,4 +1,4 @@
-"""The rig: what moves to a view and takes its image, whatever links the two simulations."""
+"""The rig, which moves to a view and takes its image, whatever links the two simulations."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 class Rig(Protocol):
-    """Takes one view after the other.
+    """Protocol of a rig, which takes one view after the other.
 
-    ``move`` and ``expose`` alternate, views in rising order. A rig gives the same images as every
-    other rig of the same scenario, to the last bit.
+    ``move`` and ``expose`` alternate, with views in ascending order. All rigs of a scenario give
+    bit-identical images.
     """
 
     def move(self, view: int, target: Target) -> Reached:
@@ -35,7 +35,7 @@ class Rig(Protocol):
         ...
 
     def expose(self, view: int) -> NDArray[np.float32]:
-        """Transmission I/I0 of the view just reached, (rows, columns).
+        """Return the transmission I/I0 of the view just reached, (rows, columns).
 
         Raises:
             LinkError: a simulation is gone.
@@ -43,26 +43,26 @@ class Rig(Protocol):
         ...
 
     def listen(self, tell: Callable[[JointSample], None]) -> None:
-        """Tell of the joints while they move, at least 50 times in a second of simulated time.
+        """Report the joints while they move, at least 50 times per second of simulated time.
 
-        A gantry has none.
+        A gantry has no joints to report.
         """
         ...
 
     def close(self) -> None:
-        """Give everything back; a second call does nothing."""
+        """Release all resources; a second call does nothing."""
         ...
 
 
 RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
-"""Of a scenario's parts, the first view to take, and the simulator's state before it, if any."""
+"""Factory of rigs from a scenario's parts, first view, and the simulator's state before it."""
 
 
 class LocalRig:
     """Both simulations in this process.
 
     Attributes:
-        imager: the X-ray simulation; a process has one at most.
+        imager: the X-ray simulation; a process has at most one.
     """
 
     def __init__(self, robots: RobotSimulation | Gantry, imager: Imager, panel: Panel) -> None:
@@ -103,12 +103,12 @@ class LocalRig:
 def local_rig(
     workshop: Workshop, first_view: int, start_state: NDArray[np.float64] | None
 ) -> LocalRig:
-    """Both simulations in this process.
+    """Return a rig with both simulations in this process.
 
     Args:
         workshop: the scenario's parts.
-        first_view: that will be asked for; nothing here depends on it.
-        start_state: what the robot simulation was in before it; None for the planned home.
+        first_view: not used here.
+        start_state: state of the robot simulation at the start; None for the planned home.
     """
     del first_view
     robots = workshop.robots()

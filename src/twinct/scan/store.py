@@ -1,7 +1,7 @@
-"""The scan store: a Zarr group with one chunk a view, so that no acquired view is ever lost.
+"""The scan store: a Zarr group with one chunk per view, so that no acquired view is ever lost.
 
-A view's status is written last; what lies about of a view without status comes from a killed write
-and is removed on resume. The store holds no clock times: the same scenario gives the same bytes.
+A view's status is written last. Files of a view without status come from a killed write, and are
+removed on resume. The store holds no clock times: the same scenario gives the same bytes.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ log = logging.getLogger(__name__)
 
 
 def check_space(folder: Path, scenario: Scenario, views: int) -> None:
-    """Refuse to start what the disk cannot hold.
+    """Check that the disk can hold the scan and its volume.
 
     Raises:
-        StorageError: with the bytes needed and the bytes free.
+        StorageError: space is short; the message states the bytes needed and free.
     """
     grid = scenario.reconstruction.volume_grid
     kept = 1 + len(scenario.detector.keep)
@@ -67,14 +67,14 @@ def check_space(folder: Path, scenario: Scenario, views: int) -> None:
 
 
 class Readings(NamedTuple):
-    """What the robots had in some views of a scan, one after the other.
+    """State of the robots in consecutive views of a scan.
 
     Attributes:
         executed: poses of source and panel.
         objects: ``world_from_object``.
         joints: rad, (views, joints).
         simulated_s: simulated time at exposure, (views,).
-        clearance_mm: smallest gap on the way there, (views,).
+        clearance_mm: smallest gap on the way to each view, (views,).
     """
 
     executed: PosePairs
@@ -88,12 +88,12 @@ class ScanStore:
     """One scan on disk."""
 
     def __init__(self, path: Path) -> None:
-        """Open an existing store; ``create`` and ``resume`` make one that can be written.
+        """Open an existing store; to write views, use ``create`` or ``resume``.
 
         Raises:
-            FileNotFoundError: there is none.
-            DamagedError: what is not of a single view is damaged.
-            InputError: its format is not known, or what it says of itself makes no scan.
+            FileNotFoundError: the store does not exist.
+            DamagedError: a file that belongs to no single view is damaged.
+            InputError: the format is unknown, or the metadata describe no valid scan.
         """
         import zarr as _zarr
 
@@ -132,14 +132,14 @@ class ScanStore:
         digests: dict[str, str] | None = None,
         mas: NDArray[np.float64] | None = None,
     ) -> ScanStore:
-        """Make a store without views; it appears under its name only when it is complete.
+        """Create a store without views, which appears under its name only when it is complete.
 
-        A plan is kept where the arms follow one. The digests are of this scenario and its files as
-        they are now, unless others are given. ``mas``: of each view, where they differ.
+        ``plan``: for arms that follow one. ``digests``: by default computed from this scenario and
+        its current files. ``mas``: tube load of each view, if it varies.
 
         Raises:
-            ScanExistsError: there is one already.
-            StorageError: it cannot be written.
+            ScanExistsError: the path already exists.
+            StorageError: the store cannot be written.
         """
         if path.exists():
             raise ScanExistsError(f"{path} already holds a scan: choose another --out or --resume")
@@ -153,12 +153,12 @@ class ScanStore:
 
     @classmethod
     def resume(cls, path: Path, scenario: Scenario) -> ScanStore:
-        """Open a store to go on where it ended, without what a killed write left or is damaged.
+        """Open a store to continue its scan; discard damaged views and remains of a killed write.
 
         Raises:
-            ScanExistsError: it holds the scan of another scenario.
-            DamagedError: something else stands where a file has to be, or no view of a store
-                without digests fits its metadata; nothing has been changed.
+            ScanExistsError: the store holds the scan of another scenario.
+            DamagedError: a file's place is occupied, or no view of a store without digests fits its
+                metadata; nothing has been changed.
         """
         store = cls(path)
         store.refuse_other(scenario)
@@ -177,10 +177,10 @@ class ScanStore:
         return store
 
     def refuse_other(self, scenario: Scenario) -> None:
-        """Make sure that this is the scan of a scenario.
+        """Check that the store holds the scan of a scenario.
 
         Raises:
-            ScanExistsError: it is another one's.
+            ScanExistsError: the store holds the scan of another scenario.
         """
         own, other = self.digests, kept_digests(scenario)
         differ = [
@@ -196,10 +196,10 @@ class ScanStore:
 
     @property
     def acquired(self) -> int:
-        """Number of views on disk; they are taken in order.
+        """Number of views on disk; views are acquired in order.
 
         Raises:
-            DamagedError: one is missing before others.
+            DamagedError: a view before the last acquired one is missing.
         """
         missing = self.missing
         if lost := [view for views in missing if views.stop < self.views for view in views]:
@@ -209,27 +209,27 @@ class ScanStore:
 
     @property
     def missing(self) -> list[range]:
-        """Views that are not on disk, those next to each other together.
+        """Views that are not on disk, as ranges of consecutive views.
 
         Raises:
-            DamagedError: a status is.
+            DamagedError: a status is damaged.
         """
         taken = np.array([True, *map(self._taken, range(self.views)), True])
         steps = np.flatnonzero(np.diff(taken)).reshape(-1, 2)
         return [range(int(first), int(last)) for first, last in steps]
 
     def _taken(self, view: int) -> bool:
-        """Whether a view has its status; Zarr takes thirty times as long."""
+        """Return True if a view has its status. Zarr would take thirty times as long."""
         file = f"status/{chunk_name(view, 0)}"
         try:
-            # Without waiting, should a pipe stand there.
+            # Non-blocking, in case the path is a pipe.
             descriptor = os.open(f"{self.path}/{file}", os.O_RDONLY | os.O_NONBLOCK)
         except FileNotFoundError:
             return False
         except OSError:
             raise damaged(self.path, Damage(file, "changed", view)) from None
         try:
-            with suppress(OSError):  # such as of a folder
+            with suppress(OSError):  # the path is a folder, for example
                 if os.read(descriptor, len(ACQUIRED) + 1) == ACQUIRED:
                     return True
         finally:
@@ -238,25 +238,25 @@ class ScanStore:
 
     @property
     def damage(self) -> list[Damage]:
-        """Files of its views that are not what was written; each is read for it."""
+        """Damaged files of the views. This reads every file."""
         return view_damage(self.path)
 
     @property
     def vouched(self) -> bool:
-        """Whether it has a manifest, as all have from format 4 on."""
+        """True if the store has a manifest, as all stores from format 4 on do."""
         return (self.path / FOLDER).is_dir()
 
     @property
     def views(self) -> int:
-        """Number of views the scan shall have."""
+        """Number of views of the complete scan."""
         return self._array("status").shape[0]
 
     def _read(self, name: str, which: Any = ...) -> NDArray[Any]:
-        """Values of an array: of a view, of some, or of all; finite, but for a clearance."""
+        """Return the values of an array for one, some or all views; finite, except clearances."""
         with readable(self.path, name):
             values = np.asarray(self._array(name)[which])
         one = isinstance(which, int)
-        for row, of_view in enumerate([values] if one else values):  # no mask of all at once
+        for row, of_view in enumerate([values] if one else values):  # one small mask at a time
             wrong = np.isinf(of_view) if name == "clearance_mm" else ~np.isfinite(of_view)
             if wrong.any():
                 view = which if one else row + (getattr(which, "start", None) or 0)
@@ -265,10 +265,10 @@ class ScanStore:
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario the scan was taken with."""
+        """Scenario of the scan."""
         told = json_of(str(self._group.attrs["scenario"]))
         if isinstance(told.get("motion"), dict) and not self._has("plan"):
-            # Before there were plans, there was no other scheme.
+            # Stores without plans predate all other schemes.
             told["motion"].setdefault("scheme", "reactive")
         scenario = parse_scenario(told)
         panel, image = scenario.detector.panel.shape, self._array("transmission").shape[1:]
@@ -280,11 +280,11 @@ class ScanStore:
 
     @property
     def digests(self) -> dict[str, str]:
-        """Digest of the images: of their scenario, and its files as they were.
+        """Digest of the images, computed from their scenario and its files at scan time.
 
-        Format 1 had another: it is made from the scenario that the store holds, and of its files
-        as they are now, so that a file changed since the scan is not noticed. Format 2 had one of
-        the believed poses besides, which were part of the store.
+        Format 1 stored another digest, so this one is computed from the stored scenario and its
+        current files; files changed since the scan go unnoticed. Format 2 also stored believed
+        poses and their digest.
         """
         if self._format == 1:
             return kept_digests(self.scenario)
@@ -292,7 +292,7 @@ class ScanStore:
 
     @property
     def digest_0_1(self) -> str | None:
-        """What version 0.1 knew the scan by; None of a later one."""
+        """Digest that version 0.1 gave the scan; None for later versions."""
         return str(self._group.attrs["digest"]) if self._format == 1 else None
 
     @property
@@ -302,10 +302,10 @@ class ScanStore:
 
     @property
     def plan(self) -> MotionPlan | None:
-        """The plan that the arms follow; None where each target is solved as it comes.
+        """Motion plan of the arms; None if they solve each target as it comes.
 
         Raises:
-            InputError: it is damaged.
+            InputError: the plan is damaged.
         """
         if not self._has("plan"):
             return None
@@ -328,11 +328,11 @@ class ScanStore:
 
     @property
     def bad_pixels(self) -> NDArray[np.bool_] | None:
-        """The map of bad pixels, (rows, columns); None where there are none.
+        """Map of bad pixels, (rows, columns); None if there are none.
 
         Raises:
-            InputError: a store of an older format, which kept none, and whose scenario has it in a
-                file that cannot be used any more.
+            InputError: the store's format is too old to hold the map, and the scenario's file with
+                the map is no longer usable.
         """
         if self._has(BAD_PIXELS):
             return self._read(BAD_PIXELS)
@@ -340,10 +340,10 @@ class ScanStore:
 
     @property
     def mas(self) -> NDArray[np.float64] | None:
-        """Tube load of each view, (views,), mAs; None: ``source.mas`` for all.
+        """Tube load of each view, (views,), mAs; None if all have ``source.mas``.
 
         Raises:
-            InputError: one that no exposure has.
+            InputError: a tube load is not positive.
         """
         if not self._has(MAS):
             return None
@@ -353,23 +353,23 @@ class ScanStore:
         return mas
 
     def state(self, view: int) -> NDArray[np.float64]:
-        """The full simulator state of a view."""
+        """Return the full simulator state of a view."""
         return self._read("state", view)
 
     def transmission(self, view: int) -> NDArray[np.float32]:
-        """I/I0 of a view, (rows, columns)."""
+        """Return the transmission I/I0 of a view, (rows, columns)."""
         return self._read("transmission", view)
 
     @cached_property
     def kept(self) -> tuple[str, ...]:
-        """What ``frame`` knows: of ``raw``, ``flat`` and ``dark`` those that were asked for."""
+        """Names that ``frame`` accepts: the stored ones of ``raw``, ``flat`` and ``dark``."""
         return tuple(name for name in FRAMES if self._has(name))
 
     def frame(self, name: str, view: int) -> NDArray[np.float32]:
-        """``raw``, ``flat`` or ``dark`` image of a view, grey values, (rows, columns).
+        """Return the ``raw``, ``flat`` or ``dark`` image of a view, grey values, (rows, columns).
 
         Raises:
-            InputError: the scan keeps none.
+            InputError: the scan does not store such images.
         """
         if name not in self.kept:
             there = ", ".join(self.kept) or "transmission only"
@@ -379,15 +379,15 @@ class ScanStore:
         return self._read(name, view)
 
     def write(self, index: int, view: View) -> None:
-        """Put one view on disk; it counts once its status is written.
+        """Write one view to disk; it counts once its status is written.
 
         Raises:
-            StorageError: the disk is full. What was written before stays good.
-            InputError: something of the view has another shape than the store's arrays, whose
-                metadata are damaged then; nothing is written.
+            StorageError: the disk is full. Views written before stay intact.
+            InputError: data of the view do not fit the shape of the store's arrays, whose metadata
+                must be damaged; nothing is written.
         """
         columns = columns_of(view)
-        if self._format < 3:  # begun by an older twinct, which did not keep them
+        if self._format < 3:  # begun by an older twinct, which did not store them
             del columns["joint_velocity"], columns["joint_torque"]
         kept = {name: getattr(view.frames, name) for name in self.kept}
         images = {"transmission": view.transmission, **kept}
@@ -406,10 +406,10 @@ class ScanStore:
             self._finish(index)
 
     def read(self) -> Scan:
-        """The scan, images included.
+        """Return the scan, with all images.
 
         Raises:
-            ScanExistsError: not all views were acquired yet.
+            ScanExistsError: some views are not acquired yet.
         """
         if self.acquired < self.views:
             raise ScanExistsError(
@@ -437,7 +437,7 @@ class ScanStore:
         )
 
     def readings(self, first: int, stop: int) -> Readings:
-        """What the robots had in the views from ``first`` to before ``stop``, which are on disk."""
+        """Return the state of the robots in views ``first`` to ``stop - 1``, which are on disk."""
 
         def poses(name: str) -> tuple[Pose, ...]:
             return self._poses(f"executed/{name}", slice(first, stop))
@@ -450,9 +450,9 @@ class ScanStore:
         return Readings(executed, poses("object"), joints, simulated_s, clearance)
 
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
-        """Write one uncompressed chunk: its bytes are the values, as the Zarr 3 format says.
+        """Write one uncompressed chunk: just the bytes of the values, as Zarr 3 specifies.
 
-        Through Zarr itself each of the twenty small chunks of a view takes 1 to 2 ms.
+        Zarr itself takes 1 to 2 ms for each of a view's twenty small chunks.
         """
         file, data = f"{name}/{chunk_name(index, values.ndim)}", values.tobytes()
         self._files.note(file, data)
@@ -460,7 +460,7 @@ class ScanStore:
             chunk.write(data)
 
     def _finish(self, index: int) -> None:
-        """Write the status of a view, whole or not at all."""
+        """Write the status of a view atomically."""
         chunk = self.path / "status" / chunk_name(index, 0)
         draft = chunk.with_name(chunk.name + ".partial")
         draft.write_bytes(ACQUIRED)
@@ -468,14 +468,14 @@ class ScanStore:
 
     @property
     def commanded(self) -> PosePairs:
-        """The commanded poses of all views, those to come included."""
+        """Commanded poses of all views, including those not yet acquired."""
         pairs = (
             self._poses(f"commanded/{body}", slice(self.views)) for body in ("source", "detector")
         )
         return PosePairs(*pairs)
 
     def poses(self, which: str) -> PosePairs:
-        """``commanded``, ``executed`` or ``believed`` poses of the views on disk."""
+        """Return the ``commanded``, ``executed`` or ``believed`` poses of the views on disk."""
         views = self.acquired
         if which == "believed":
             return self.reported.poses
@@ -484,7 +484,7 @@ class ScanStore:
 
     @property
     def reported(self) -> NamedGeometry:
-        """The ``believed`` poses of the views on disk, with what made them."""
+        """Believed poses of the views on disk, with the model and settings behind them."""
         joints = self._read("joints", slice(self.acquired))
         executed, commanded = self.poses("executed"), self.poses("commanded")
         return reported(self.scenario, self.joint_names, joints, executed, commanded)
@@ -494,7 +494,7 @@ class ScanStore:
             return tuple(map(Pose, *(self._read(f"{name}{end}", views) for end in ("", "_quat"))))
 
     def _has(self, name: str) -> bool:
-        """Whether there is an array or a group; Zarr reads its metadata for that."""
+        """Return True if an array or group exists. Zarr reads its metadata for this."""
         with readable(self.path, name):
             return name in self._group
 
@@ -504,7 +504,7 @@ class ScanStore:
         return self._arrays[name]
 
     def _remove_unfinished(self) -> None:
-        """Delete chunks of views that have no status, and temporary files."""
+        """Delete temporary files, and chunks of views without status."""
         unfinished = {view for views in self.missing for view in views}
         for file in self.path.rglob("*"):
             if view_of(file.name) in unfinished or file.suffix == ".partial":

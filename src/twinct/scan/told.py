@@ -1,4 +1,4 @@
-"""Where the controllers take source and panel to be, and how the specimen sees them."""
+"""Source and panel poses according to the controllers, and relative to the specimen."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def evidence_of(
     joint_names: tuple[str, ...],
     joints: NDArray[np.float64],
 ) -> Evidence:
-    """What the controllers know of some views: encoders, and the nominal model's poses of them.
+    """Return the encoder readings of the views, and the nominal model's poses for them.
 
-    With ``uncertainty.calibration``, the calibrated arms' poses.
+    With ``uncertainty.calibration``, return the poses of the calibrated arms instead.
 
     Raises:
-        InputError: calibrated arms that are no such file, or of another cell.
-        MissingExtraError: MuJoCo is not installed, and there are arms that are not as known.
-        ScenarioError: an arm that cannot be built any more.
+        InputError: the file of calibrated arms is invalid, or belongs to another cell.
+        MissingExtraError: MuJoCo is not installed, and the arms differ from the nominal model.
+        ScenarioError: an arm can no longer be built.
     """
     section = scenario.uncertainty
     if not section.moves and not section.encoder_step_deg and not section.calibration:
@@ -54,18 +54,18 @@ def evidence_of(
 
 
 def encoders_of(scenario: Scenario, joints: Floats) -> Floats:
-    """What the encoders tell of where the joints stand, rad, in the same shape."""
+    """Return the encoder readings of joint positions, rad, in the shape of the input."""
     step = math.radians(scenario.uncertainty.encoder_step_deg)
     return step * np.round(joints / step) if step else joints
 
 
 def seen_from(stands: Pose, objects: tuple[Pose, ...], executed: PosePairs) -> PosePairs:
-    """Source and panel as a specimen sees them that has moved, had it kept its place.
+    """Return source and panel poses relative to a moving specimen, as if it had stayed in place.
 
     Args:
-        stands: ``world_from_object`` of the place.
+        stands: ``world_from_object`` of the fixed place.
         objects: ``world_from_object`` of each view.
-        executed: of each view.
+        executed: executed poses of each view.
     """
     back = [stands @ moved.inverse() for moved in objects]
     sides = (

@@ -1,6 +1,6 @@
-"""Builds the two simulations of a scenario; every link and every command builds them here.
+"""Construction of a scenario's two simulations, for every link and every command.
 
-The engines are imported only where they are used, so that a process loads no more than it needs.
+Engines are imported only where they are used, so that a process loads no more than it needs.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Workshop:
-    """What a scenario describes, each part built once, when it is first asked for.
+    """Parts of a scenario, each built once, on first use.
 
     Attributes:
-        scenario: what it is.
-        kept_plan: the plan that a scan of it follows already; None: it is made, or read.
-        kept_specimen: its specimen, if it is built already.
+        scenario: the scenario.
+        kept_plan: plan that a scan of the scenario already follows; None to compute or read one.
+        kept_specimen: the specimen, if it is already built.
     """
 
     scenario: Scenario
@@ -45,28 +45,28 @@ class Workshop:
 
     @cached_property
     def specimen(self) -> BuiltSpecimen:
-        """Meshes, materials and truth of what is imaged."""
+        """Meshes, materials and ground truth of the specimen."""
         return self.kept_specimen or build_specimen(self.scenario.specimen)
 
     @cached_property
     def asked(self) -> ScanGeometry:
-        """The views that the trajectory asks for, in its order."""
+        """Views that the trajectory requests, in its order."""
         return commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
 
     @cached_property
     def commanded(self) -> ScanGeometry:
-        """The geometry that is commanded; where the plan may choose, what it chose."""
+        """Commanded geometry, with the plan's choices if it has any."""
         if not self.plan_chooses:
             return self.asked
         return self.commanded_poses.geometry(self.scenario.detector.panel)
 
     @cached_property
     def mas(self) -> Floats | None:
-        """Tube load of each view that is commanded, (views,), mAs; None: ``source.mas`` for all."""
+        """Tube load of each commanded view, (views,), mAs; None if all have ``source.mas``."""
         mas = commanded_mas(self.scenario.trajectory)
         if mas is None or not self.plan_chooses:
             return mas
-        # Where the plan chose the order, a view is known by its place.
+        # If the plan chose the order, positions identify the views.
         places = _places(PosePairs.from_geometry(self.asked).targets())
         order: list[int] = []
         for place in _places(self.targets):
@@ -77,7 +77,7 @@ class Workshop:
 
     @cached_property
     def plan_chooses(self) -> bool:
-        """Whether the order of views, or how source and panel are turned, is up to the plan."""
+        """True if the plan chooses the order of views, or the roll of source or panel."""
         motion = self.scenario.motion
         if self.scenario.cell.kind == "gantry" or motion.scheme == "reactive":
             return False
@@ -91,13 +91,13 @@ class Workshop:
 
     @property
     def roll_free(self) -> tuple[bool, bool]:
-        """Whether source and panel may be turned about the beam, as far as the scheme can."""
+        """True for source and for panel if the scheme may roll them about the beam."""
         reactive = self.scenario.motion.scheme == "reactive"
         return (False, False) if reactive else self._roll_free
 
     @cached_property
     def commanded_poses(self) -> PosePairs:
-        """The same, as poses of the two end-effectors."""
+        """Commanded poses of the two end-effectors."""
         plan = self.plan if self.plan_chooses else None
         if plan is None:
             return PosePairs.from_geometry(self.asked)
@@ -106,13 +106,13 @@ class Workshop:
 
     @cached_property
     def targets(self) -> list[Target]:
-        """The same, in the numbers that the links carry."""
+        """Commanded poses of each view, in wire form."""
         plan = self.plan if self.plan_chooses else None
         return self.commanded_poses.targets() if plan is None else list(plan.targets)
 
     @cached_property
     def cell(self) -> CellModel:
-        """The operating room, the specimen as its convex hull: what the simulation needs."""
+        """Operating room with the specimen as its convex hull, for simulation."""
         return self._cell_with(self.hull)
 
     @cached_property
@@ -122,17 +122,17 @@ class Workshop:
 
     @cached_property
     def room(self) -> CellModel:
-        """The same room with the specimen as it looks, for pictures."""
+        """Operating room with the true surface of the specimen, for pictures."""
         return self._cell_with(self.specimen.surface())
 
     def urdf(self, meshes: Path | None = None) -> str:
-        """The robot description of the room, its camera where the first view has the source.
+        """Return the room's robot description, with the camera at the first view's source.
 
         Args:
-            meshes: folder for the meshes it names; None: it has boxes in their place.
+            meshes: folder for the meshes that it names; None for boxes instead of meshes.
 
         Raises:
-            InputError: there are no arms.
+            InputError: the cell has no arms.
             StorageError: the meshes cannot be written.
         """
         from twinct.cell import cell_urdf
@@ -143,7 +143,7 @@ class Workshop:
         return cell_urdf(self.cell if meshes is None else self.room, optical, meshes)
 
     def cell_of(self, section: Cell) -> CellModel:
-        """The operating room as another section has it."""
+        """Return the operating room that another ``cell`` section describes."""
         from twinct.cell import build_cell
 
         pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
@@ -159,11 +159,11 @@ class Workshop:
 
     @cached_property
     def plan(self) -> MotionPlan | None:
-        """Joint configurations of all views; none with a gantry, which goes anywhere.
+        """Joint configurations of all views; None for a gantry, which reaches any pose.
 
         Raises:
-            InputError: the plan's file is none.
-            TrajectoryError: views that cannot be reached, or would collide.
+            InputError: the plan's file is invalid.
+            TrajectoryError: views are out of reach, or would collide.
         """
         if self.kept_plan or isinstance(self.scenario.cell, GantryCell):
             return self.kept_plan
@@ -181,16 +181,16 @@ class Workshop:
 
     @property
     def followed(self) -> MotionPlan | None:
-        """The plan that the arms follow; None where they solve each target as it comes."""
+        """Motion plan that the arms follow; None if they solve each target as it comes."""
         return None if self.scenario.motion.scheme == "reactive" else self.plan
 
     def draw(self, path: Path, view: int, width: int = 1600, height: int = 1000) -> None:
-        """Write a picture (PNG) of the room at one view, so many pixels wide and high.
+        """Write a picture (PNG) of the room at one view; width and height in pixels.
 
         Raises:
             MissingExtraError: MuJoCo is not installed.
             StorageError: the file cannot be written.
-            TrajectoryError: views that cannot be reached, or would collide.
+            TrajectoryError: views are out of reach, or would collide.
         """
         from twinct.cell import build_gantry, render_cell
 
@@ -206,7 +206,7 @@ class Workshop:
 
     @cached_property
     def true_cell(self) -> TrueCell | None:
-        """Where everything really is; None where the controllers know that."""
+        """Cell with its true deviations; None if the controllers' model has no errors."""
         scenario, chains = self.scenario, None
         if not scenario.uncertainty.moves:
             return None
@@ -217,9 +217,9 @@ class Workshop:
         return TrueCell(scenario.uncertainty, scenario.seed, scenario.arms_seed, chains)
 
     def robots(self, *, planned: bool = False) -> RobotSimulation | Gantry:
-        """A robot simulation at rest in the plan's home, or a gantry.
+        """Return a robot simulation at rest in the plan's home, or a gantry.
 
-        ``planned``: a plan will be given it.
+        ``planned``: the simulation will receive its plan later.
         """
         scenario, source, lags = self.scenario, self.scenario.source, self.scenario.detector.lag > 0
         if isinstance(scenario.cell, GantryCell):
@@ -234,7 +234,7 @@ class Workshop:
         )
 
     def imager(self) -> Imager:
-        """An X-ray simulation of the specimen."""
+        """Return an X-ray simulation of the specimen."""
         from twinct.xray import Imager
 
         source, detector, seed = self.scenario.source, self.scenario.detector, self.scenario.seed
@@ -243,5 +243,5 @@ class Workshop:
 
 
 def _places(targets: list[Target]) -> Floats:
-    """Where source and panel are, (views, 6), m."""
+    """Return the positions of source and panel, (views, 6), m."""
     return np.array([(*target.source_m[:3], *target.detector_m[:3]) for target in targets])

@@ -11,7 +11,7 @@ from twinct.settings import Conflict, ConflictError, Section, setting
 
 
 class OneMaterialHardening(Section):
-    """Beam hardening of one material, undone by a table of the known spectrum."""
+    """Beam hardening of one material, corrected with a table computed from the known spectrum."""
 
     kind: Literal["one_material"]
     material: str | Composition | None = setting(

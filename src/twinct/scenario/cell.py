@@ -26,11 +26,11 @@ from twinct.settings import (
 )
 
 ARMS = ("ur10e", "lbr_iiwa14")
-"""Arms that are built in."""
+"""Built-in arms."""
 
 
 class Arm(Section):
-    """One arm and what it carries."""
+    """One arm and its tool."""
 
     model: str | None = Field(
         default="ur10e",
@@ -107,7 +107,7 @@ class Arm(Section):
     @model_validator(mode="after")
     def _one_arm(self) -> Arm:
         if self.file is not None and "model" not in self.model_fields_set:
-            object.__setattr__(self, "model", None)  # its default gives way
+            object.__setattr__(self, "model", None)  # the file replaces the default model
         if (self.model is None) == (self.file is None):
             both = "exclude each other: with file, model is left out or null"
             what = f"model and file {both if self.file else 'are both null: give one'}"
@@ -119,7 +119,7 @@ class Arm(Section):
 
     @property
     def label(self) -> str:
-        """What a report calls it."""
+        """Name of the arm in reports."""
         return self.model or Path(self.file or "").name
 
 
@@ -162,7 +162,7 @@ class Capsule(Section):
 
 
 class Zone(Section):
-    """A part of the room that the arms keep clear of, such as a patient's shoulders or staff."""
+    """Part of the room that the arms must not enter, such as a patient's shoulders or staff."""
 
     name: str = Field(min_length=1, description="What messages call it.")
     shape: Annotated[Box | Sphere | Cylinder | Capsule, Field(discriminator="kind")] = Field(
@@ -173,7 +173,7 @@ class Zone(Section):
 
     @property
     def world_from_zone(self) -> Pose:
-        """Where it is."""
+        """Pose of the zone in the world."""
         return Pose.from_euler(self.position_mm, self.rotation_deg)
 
 
@@ -203,7 +203,10 @@ class Cell(Section):
 
 
 class GantryCell(Section):
-    """No arms: source and panel are exactly where they are told, whatever stands in the way."""
+    """No arms: source and panel take their commanded poses, regardless of obstacles.
+
+    Only ``uncertainty.views`` makes executed poses differ from commanded ones.
+    """
 
     kind: Literal["gantry"]
     view_s: float = setting(
@@ -218,7 +221,7 @@ class GantryCell(Section):
 
 
 def _kind(value: Any) -> str:
-    """The kind that a section or its plain data names."""
+    """Return the kind that a section, or its plain data, names."""
     if isinstance(value, dict):
         return str(cast("dict[str, Any]", value).get("kind", DEFAULT_KIND))
     return str(getattr(value, "kind", DEFAULT_KIND))

@@ -1,4 +1,4 @@
-"""A material by its elements, or a known one at another density."""
+"""Material defined by its elements, or a known material at another density."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from twinct.settings import Positive, Section, setting
 
 
 class Composition(Section):
-    """A material by its elements, or a known one at another density."""
+    """Material defined by its elements, or a known material at another density."""
 
     of: str | None = setting(
         None, "A material by its name, such as brain: its elements, at the density given here."

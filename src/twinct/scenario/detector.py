@@ -1,4 +1,4 @@
-"""The flat panel and its signal. Each default is the ideal."""
+"""Flat panel and its signal. Every default is ideal."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class CountingResponse(Section):
 
 
 class IntegratingResponse(Section):
-    """Ideal energy integration: every photon gives all of its energy."""
+    """Ideal energy integration: every photon deposits all of its energy."""
 
     kind: Literal["integrating"] = "integrating"
 
 
 class ScintillatorResponse(Section):
-    """A scintillator: what it attenuates it absorbs, with all of the photon's energy."""
+    """Scintillator: every attenuated photon is absorbed, and deposits all of its energy."""
 
     kind: Literal["scintillator"]
     material: Literal["CsI", "Gd2O2S"] | Composition = setting(
@@ -108,7 +108,7 @@ Noise = Annotated[QuantumNoise | SnrNoise, Field(discriminator="kind")]
 
 
 class Readout(Section):
-    """Amplifier and converter. Without this section a pixel keeps fractions."""
+    """Amplifier and converter. Without this section, pixel values keep their fractions."""
 
     free_beam: Positive = setting(
         50000.0,
@@ -130,7 +130,7 @@ class Readout(Section):
 
     @property
     def largest(self) -> float:
-        """The largest grey value there is."""
+        """Largest possible grey value."""
         ends = (None if self.bits is None else 2.0**self.bits - 1, self.saturation)
         return min((end for end in ends if end is not None), default=math.inf)
 
@@ -153,7 +153,7 @@ class Readout(Section):
 
 
 class RandomBadPixels(Section):
-    """Dead pixels at places drawn from the scenario's seed."""
+    """Dead pixels at random positions, drawn from the scenario's seed."""
 
     kind: Literal["random"]
     share: float = Field(gt=0, lt=0.5, description="Of all pixels.")
@@ -170,7 +170,7 @@ BadPixels = Annotated[RandomBadPixels | FileBadPixels, Field(discriminator="kind
 
 
 class Correction(Section):
-    """Flat and dark images, taken without specimen before the scan."""
+    """Flat and dark images, acquired without specimen before the scan."""
 
     flat_frames: int = setting(0, "Flat frames averaged; 0 for a flat image without noise.", ge=0)
     dark_frames: int = setting(0, "Dark frames averaged; 0 for a dark image without noise.", ge=0)
@@ -184,7 +184,7 @@ class Correction(Section):
 
 
 class Scatter(Section):
-    """Scattered radiation, a forward-scatter estimate; ``twinct.xray.scatter`` says how valid."""
+    """Scattered radiation, a forward-scatter estimate; its validity: ``twinct.xray.scatter``."""
 
     kind: Literal["kernel"]
     scale: NonNegative = setting(
@@ -195,7 +195,7 @@ class Scatter(Section):
 
 
 class Detector(Section):
-    """The flat panel: by default a lattice of ideal pixels."""
+    """Flat panel; a lattice of ideal pixels by default."""
 
     columns: int = setting(640, "Pixels along u.", ge=1, le=8192, unit="px", source="the paper")
     rows: int = setting(480, "Pixels along v.", ge=1, le=8192, unit="px", source="the paper")
@@ -240,16 +240,16 @@ class Detector(Section):
 
     @property
     def panel(self) -> Panel:
-        """The pixel lattice."""
+        """Pixel lattice."""
         pitch = self.pixel_pitch_mm
         pitch_u, pitch_v = pitch if isinstance(pitch, tuple) else (pitch, pitch)
         return Panel(self.rows, self.columns, pitch_u, pitch_v)
 
     @property
     def ideal(self) -> bool:
-        """Whether a pixel gives the transmission of the ray through its centre.
+        """True if each pixel measures the transmission of the ray through its centre.
 
-        What a photon is worth does not matter to the transmission of one energy.
+        The response is ignored: it cancels out of the transmission at a single energy.
         """
         kept = ("columns", "rows", "pixel_pitch_mm", "response", "keep")
         return self == Detector(**{name: getattr(self, name) for name in kept})

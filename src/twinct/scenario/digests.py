@@ -1,8 +1,8 @@
-"""One digest a stage: whether a result is that of a scenario, or has to be made anew.
+"""One digest per stage: it shows whether a result fits a scenario or must be computed again.
 
-It covers the keys that the stage reads and that are not at their default, the content of files,
-the stages it stands on, and a version. Raise the version of a stage when a default that it reads or
-what it computes changes. A new key at its default changes no digest.
+It covers the keys that the stage reads and that are not at their defaults, the content of files,
+the stages it depends on, and a version. Raise the version of a stage when its computation, or a
+default that it reads, changes. A new key at its default changes no digest.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ StageName = Literal["surface", "plan", "executed", "images", "believed", "volume
 
 @dataclass(frozen=True)
 class _Stage:
-    """What a stage reads, keys of sections or patterns of them, and on which stages it stands."""
+    """Keys, or patterns of keys, that a stage reads, and the stages it depends on."""
 
     version: int
     reads: tuple[str, ...]
@@ -87,10 +87,10 @@ STAGES: dict[StageName, _Stage] = {
         ),
         on=("executed",),
     ),
-    # Of the detector what it leaves out: volumes from before it did were others.
+    # The reconstruction leaves bad pixels out. Before it did so, volumes were different.
     "volume": _Stage(
         1,
-        # The reference counts for the figures, which come with the volume.
+        # The reference affects the figures, which are stored with the volume.
         ("reconstruction", "seed", "detector.bad_pixels", "specimen.reference"),
         on=("images", "believed"),
     ),
@@ -100,10 +100,10 @@ COUNT_FOR_NONE = (
     *("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset"),
     "task",
 )
-"""Keys, and sections, that change neither scan nor truth nor volume."""
+"""Keys and sections that affect neither scan nor truth nor volume."""
 
 _OF_ARMS = ("motion", "cell.floor_z_mm")
-"""Keys that only arms read."""
+"""Keys that only cells with arms read."""
 
 _BEFORE: dict[str, object] = {
     "motion.scheme": "reactive",
@@ -112,17 +112,17 @@ _BEFORE: dict[str, object] = {
     "cell.detector_arm.base_position_mm": (-850.0, 0.0, 0.0),
     "cell.detector_arm.standoff_mm": 150.0,
 }
-"""Defaults that were others when a stage had its version: results made with those stay valid."""
+"""Former defaults, in force when the stages got their versions: such results stay valid."""
 
 _SEEDS = ("seed", "uncertainty.seed", "uncertainty.arms.seed")
-"""Read only by a stage that draws."""
+"""Seeds; only stages that draw random numbers read them."""
 
 
 def stage_digests(scenario: Scenario) -> dict[StageName, str]:
-    """SHA-256 of what each stage's result depends on; a file counts by its content, not its place.
+    """Return the SHA-256 of each stage's inputs. A file counts by its content, not by its path.
 
     Raises:
-        OSError: a file that cannot be read. One that is gone counts as such.
+        OSError: a file cannot be read. A missing file is no error: it counts as missing.
     """
     content = cache(content_digest)  # a large file is read once for all stages
     found: dict[StageName, str] = {}
@@ -135,7 +135,7 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
 
 
 def specimen_digest(scenario: Scenario) -> str:
-    """SHA-256 of what the truth of a scenario depends on, but for the photon energy."""
+    """Return the SHA-256 of the inputs of a scenario's truth, except for the photon energy."""
     section = scenario.specimen
     materials = [part.model_dump(mode="json", include={"material"}) for part in section.parts]
     stands = section.position_mm, section.rotation_deg
@@ -145,7 +145,7 @@ def specimen_digest(scenario: Scenario) -> str:
 
 
 def readers(key: str) -> tuple[StageName, ...]:
-    """The stages that read a key themselves: a dotted one, without the indices of lists."""
+    """Return the stages that read a key directly. The key is dotted, without list indices."""
     return tuple(name for name, stage in STAGES.items() if _matches(key, stage.reads))
 
 
@@ -155,11 +155,11 @@ def _matches(key: str, patterns: tuple[str, ...]) -> bool:
 
 
 def _reads(scenario: Scenario, stage: StageName, key: str) -> bool:
-    arms = scenario.cell.kind == DEFAULT_KIND  # which is no news: it has not always been a key
+    arms = scenario.cell.kind == DEFAULT_KIND  # older scenarios have no cell.kind
     if _matches(key, ("cell.kind",) if arms else _OF_ARMS):
         return False
     if key == "source.exposure_ms" and stage == "executed":
-        return scenario.source.motion_samples > 1  # else an image takes no time
+        return scenario.source.motion_samples > 1  # otherwise, an exposure takes no time
     return key not in _SEEDS and _matches(key, STAGES[stage].reads)
 
 
@@ -168,7 +168,7 @@ def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
 
 
 def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
-    """What a stage draws with; None where it draws nothing."""
+    """Return the seed that a stage draws from; None if it draws nothing."""
     detector, noise, section = scenario.detector, scenario.uncertainty, scenario.reconstruction
     if stage == "images":
         electronic = detector.readout is not None and detector.readout.electronic_noise > 0
@@ -182,7 +182,7 @@ def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
         )
         draws = any(map(any, sizes))
         return scenario.believed_seed if draws else None
-    if stage == "volume":  # an algorithm from elsewhere may draw what it likes
+    if stage == "volume":  # an external algorithm may draw, too
         random = getattr(section, "order", None) == "random"
         return scenario.seed if random or section.algorithm not in BUILT_IN else None
     return None
@@ -191,7 +191,10 @@ def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
 def _told(
     section: Section, key: str, reads: Callable[[str], bool], content: Callable[[Path, str], str]
 ) -> dict[str, Any]:
-    """What a stage reads of a section and is not at its default; always which kind it is."""
+    """Return the keys of a section that a stage reads and that are not at their defaults.
+
+    The kind of a section is always included.
+    """
     told: dict[str, Any] = {}
     for name, info in type(section).model_fields.items():
         value = getattr(section, name)
@@ -215,7 +218,7 @@ def _told(
 
 
 def content_digest(path: Path, key: str) -> str:
-    """SHA-256 of a file or folder that a key names, with all that belongs to it."""
+    """Return the SHA-256 of a file or folder that a key names, with all files that belong to it."""
     if not path.exists():
         return "gone"
     digest = hashlib.sha256()
@@ -231,8 +234,8 @@ def content_digest(path: Path, key: str) -> str:
 
 
 def _of_arm(path: Path) -> tuple[Path, ...]:
-    """The file of an arm with all that it includes and names; alone where it is broken."""
+    """Return an arm's file and all files that it includes or names; only itself if invalid."""
     try:
         return read_arm_xml(path, str(path)).files
-    except ScenarioError:  # told when the arm is built
+    except ScenarioError:  # reported when the arm is built
         return (path,) if path.is_file() else ()

@@ -1,4 +1,4 @@
-"""What is measured in the volume beside the figures that every run has, and where."""
+"""Measurements in the volume beyond the figures that every run has, and their regions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 
 
 class Shell(Section):
-    """What lies around a part of the specimen."""
+    """Shell around a part of the specimen."""
 
     kind: Literal["shell"]
     part: str = Field(description="Name of the part.")
@@ -40,7 +40,7 @@ class Shell(Section):
 
 
 class Region(Section):
-    """A named region; voxels count whose centre lies in it."""
+    """Named region of all voxels whose centres lie in it."""
 
     name: Name = Field(description="What figures call it.")
     shape: Annotated[Sphere | Cylinder | Box | Shell, Field(discriminator="kind")] = Field(
@@ -56,19 +56,19 @@ class Region(Section):
 
 
 class RegionContrast(Section):
-    """Contrast of a region against another, and contrast to noise."""
+    """Contrast and contrast-to-noise ratio of one region against another."""
 
     region: str = Field(description="Name of the region.")
     against: str = Field(description="Name of the region that is its background.")
 
     @property
     def label(self) -> str:
-        """Its figures' name."""
+        """Name of its figures."""
         return f"{self.region}_against_{self.against}"
 
 
 class Transfer(Section):
-    """Local modulation transfer, from the edge of a sphere, or of a cylinder along its side."""
+    """Local modulation transfer, measured at the edge of a sphere or at the side of a cylinder."""
 
     at: str = Field(
         description="Name of a part or a region that is a sphere or a cylinder; a region must have "
@@ -77,23 +77,23 @@ class Transfer(Section):
 
     @property
     def label(self) -> str:
-        """Its figures' name."""
+        """Name of its figures."""
         return figure_part(self.at)
 
 
 class NoisePower(Section):
-    """Noise power spectrum of a homogeneous region, its trend taken off."""
+    """Noise power spectrum of a homogeneous region, with its trend removed."""
 
     region: str = Field(description="Name of the region.")
 
     @property
     def label(self) -> str:
-        """Its figures' name."""
+        """Name of its figures."""
         return self.region
 
 
 class SphereSignal(Section):
-    """A ball of one contrast."""
+    """Ball of uniform contrast."""
 
     kind: Literal["sphere"]
     radius_mm: Length = Field(description="Radius.")
@@ -101,7 +101,7 @@ class SphereSignal(Section):
 
 
 class GaussianSignal(Section):
-    """A contrast that falls off as a Gaussian."""
+    """Contrast with a Gaussian profile."""
 
     kind: Literal["gaussian"]
     sigma_mm: Length = Field(description="Sigma.")
@@ -111,7 +111,7 @@ class GaussianSignal(Section):
 
 
 class Task(Section):
-    """Telling a signal from nothing in the noise of a region: index of detectability."""
+    """Detection of a signal in the noise of a region, rated by the index of detectability."""
 
     name: Name = Field(description="What its figure is called.")
     signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
@@ -124,12 +124,12 @@ class Task(Section):
 
     @property
     def label(self) -> str:
-        """Its figure's name."""
+        """Name of its figure."""
         return self.name
 
 
 class Streaks(Section):
-    """How much the error around a part depends on the direction."""
+    """Dependence of the error around a part on the direction."""
 
     part: str = Field(description="Name of the part, such as an implant.")
     from_mm: NonNegative = setting(2.0, "Distance from the part at which the shell begins.")
@@ -143,14 +143,14 @@ class Streaks(Section):
 
     @property
     def label(self) -> str:
-        """Its figure's name."""
+        """Name of its figure."""
         return figure_part(self.part)
 
 
 class Evaluation(Section):
-    """What is measured in the volume beside the figures that every run has.
+    """Measurements in the volume beyond the figures that every run has.
 
-    It makes no volume anew: `twinct report DIR --set evaluation...` measures in one that is there.
+    They need no new volume: `twinct report DIR --set evaluation...` measures in an existing one.
     """
 
     regions: tuple[Region, ...] = setting((), "Regions by name; each has a mean and an RMSE.")
@@ -161,11 +161,11 @@ class Evaluation(Section):
     streaks: tuple[Streaks, ...] = setting((), "Around which parts streaks are looked for.")
 
     def region(self, name: str) -> Region:
-        """The region of a name."""
+        """Return the region with a given name."""
         return next(region for region in self.regions if region.name == name)
 
     def conflicts(self, specimen: Specimen) -> list[Conflict]:
-        """Names that are not there, that come twice, or that name what has no edge."""
+        """Return conflicts of names that are unknown, repeated, or name a body without an edge."""
         regions = {region.name: region.shape for region in self.regions}
         parts = {part.label: part.shape for part in specimen.parts}
         bodies: Mapping[str, object] = parts | regions
@@ -207,16 +207,16 @@ class Evaluation(Section):
 
 
 KINDS = ("contrasts", "mtf", "nps", "tasks", "streaks")
-"""What may be asked of regions and parts."""
+"""Measurements that refer to regions and parts."""
 
 
 def figure_part(name: str) -> str:
-    """A name as part of a dotted one."""
+    """Return a name without dots, to be used as part of a dotted name."""
     return name.replace(".", "_")
 
 
 def _at(section: Section, key: str) -> str | None:
-    """What a section has at a dotted key; None where it has no such key."""
+    """Return the value of a section at a dotted key; None if it has no such key."""
     found: Any = section
     for step in key.split("."):
         found = getattr(found, step, None)

@@ -1,4 +1,4 @@
-"""The doors through which a scenario comes in, and its JSON Schema."""
+"""Loading of scenarios, and their JSON Schema."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def load_scenario(
     """Read, extend, override and validate a scenario.
 
     Args:
-        source: YAML file; its key ``extends`` names the file it builds on, relative to itself. Or
-            plain data, from which a ``path`` is relative to the working folder.
+        source: YAML file, whose key ``extends`` names the file it builds on, relative to itself; or
+            plain data, in which a ``path`` is relative to the working folder.
         overrides: ``KEY=VALUE`` with a dotted key and a YAML value, as ``--set`` takes them.
 
     Raises:
@@ -46,7 +46,7 @@ def load_scenario(
 
 @dataclass(frozen=True)
 class Template:
-    """A scenario that is read once, from which others are made by changing keys."""
+    """Scenario that is read once, and from which others are made by changing keys."""
 
     draft: Draft
 
@@ -54,19 +54,19 @@ class Template:
     def read(
         cls, source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
     ) -> Template:
-        """Read it as ``load_scenario`` does; it need not be complete."""
+        """Read a scenario as ``load_scenario`` does; it may be incomplete."""
         return cls(drafted(source, overrides))
 
     def changed(self, changes: Mapping[str, Any], places: Mapping[str, str]) -> Template:
-        """The same with some keys changed for good.
+        """Return a template with some keys changed for good.
 
         Raises:
-            ScenarioError: a key that leads nowhere.
+            ScenarioError: a key leads through a plain value or to a missing list index.
         """
         return Template(varied(self.draft, changes, places))
 
     def varied(self, changes: Mapping[str, Any], places: Mapping[str, str]) -> Scenario:
-        """The scenario with some keys changed; messages say by ``places`` who set each.
+        """Return the scenario with some keys changed; messages cite ``places`` as origins.
 
         Raises:
             ScenarioError: as ``load_scenario`` does.
@@ -75,7 +75,7 @@ class Template:
 
     @property
     def data(self) -> Mapping[str, Any]:
-        """What it sets, as plain data."""
+        """Keys and values that the template sets, as plain data."""
         return self.draft.data
 
 
@@ -97,9 +97,9 @@ _MISSING = "does not exist"
 def write_scenario(
     path: Path, source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
 ) -> None:
-    """Write what a scenario sets, with all that it extends and overrides, as one file.
+    """Write a scenario, together with the files it extends and its overrides, as one file.
 
-    The other arguments are those of ``load_scenario``; files that it names become absolute.
+    The other arguments are those of ``load_scenario``. Paths in the scenario become absolute.
     """
     write_text(path, written(drafted(source, overrides).data))
 
@@ -108,10 +108,10 @@ def write_scenario(
 def named_places(
     source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
 ) -> Generator[None, None, None]:
-    """Let problems that begin with a key say which file and line, or override, set it.
+    """Add the origin of a key, file and line or override, to problems that begin with the key.
 
-    What is found out only when a scenario is worked with, such as a material that nobody knows,
-    knows the key alone. The arguments are those of ``load_scenario``.
+    Problems that appear only when a scenario is used, such as an unknown material, state the key
+    alone. The arguments are those of ``load_scenario``.
     """
     try:
         yield
@@ -132,7 +132,7 @@ def _with_place(draft: Draft, problem: str) -> str:
 
 
 def parse_scenario(data: Mapping[str, Any]) -> Scenario:
-    """Validate a scenario given as plain data, such as a scan store's; its files may be gone.
+    """Validate a scenario given as plain data, such as a scan store's; its files may be missing.
 
     Raises:
         ScenarioError: with one sentence for each problem.
@@ -141,7 +141,7 @@ def parse_scenario(data: Mapping[str, Any]) -> Scenario:
 
 
 def scenario_schema() -> dict[str, Any]:
-    """JSON Schema of the scenario file, for editors."""
+    """Return the JSON Schema of the scenario file, for editors."""
     schema = Scenario.model_json_schema()
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     schema["title"] = "twinct scenario"
@@ -153,7 +153,7 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def _with_keys_left_out(part: dict[str, Any]) -> dict[str, Any]:
-    """A file that extends another may leave out any key, also those that tell choices apart."""
+    """Drop required keys and discriminators: a file that extends another may leave out any key."""
     return {
         "anyOf" if key == "oneOf" else key: value
         for key, value in part.items()
@@ -164,10 +164,10 @@ def _with_keys_left_out(part: dict[str, Any]) -> dict[str, Any]:
 def _validate(draft: Draft) -> Scenario:
     try:
         text = json.dumps(draft.data, default=str)
-    except (TypeError, ValueError, RecursionError) as error:  # of data that came in no file
+    except (TypeError, ValueError, RecursionError) as error:  # plain data that came from no file
         raise ScenarioError(f"a scenario is plain data: {error}") from None
     try:
-        # JSON mode is the strict one that still takes lists for tuples and text for paths.
+        # In JSON mode, strict validation still takes lists for tuples and text for paths.
         return Scenario.model_validate_json(text, strict=True)
     except ValidationError as error:
         raise ScenarioError(problems(draft, error)) from None

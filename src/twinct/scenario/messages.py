@@ -1,4 +1,4 @@
-"""What is wrong with a scenario: one clear sentence for each problem."""
+"""Messages about an invalid scenario: one clear sentence for each problem."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _BROKEN: dict[Key, dict[str, str]] = {
 }
 
 MOST_PROBLEMS = 50
-"""That are told; who has more of them has another kind of file."""
+"""Largest number of reported problems; a file with more is probably no scenario."""
 
 
 def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scenario) -> list[str]:
-    """One sentence a problem: of a union's branches only those that the value could have meant.
+    """Return one sentence per problem of the validated model ``root``.
 
-    ``root`` is the model that was validated.
+    In a union, only the branches that the value could have meant are reported.
     """
     found: dict[Key, list[tuple[bool, str]]] = {}
     conflicts: list[str] = []
@@ -61,13 +61,13 @@ def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scena
 
 
 def _blamed(draft: Draft, section: Key, conflict: Conflict) -> str:
-    """A conflict at the place of the last of its keys that was set."""
+    """Return the message of a conflict, placed at the last of its keys that was set."""
     origin = draft.last_origin((*section, *key_of(key)) for key in conflict.keys)
     return _prefix(origin, section) + conflict.message
 
 
 def place(draft: Draft, key: Key) -> str:
-    """How a message about a key begins: who set it, and its name."""
+    """Return the beginning of a message about a key: its origin and its name."""
     return _prefix(draft.origin(key), key)
 
 
@@ -76,7 +76,7 @@ def _prefix(origin: str, key: Key) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value in a message, cut off where it is long."""
+    """Return a value as text for a message, shortened if it is long."""
     text = repr(value) if isinstance(value, (str, int, float)) else reprlib.repr(value)
     return shortened(text, 80)
 
@@ -95,11 +95,11 @@ _PLAIN = {
     "model_type": "must be a section of keys and values",
     "model_attributes_type": "must be a section of keys and values",
 }
-"""What pydantic's kinds of error mean to a user."""
+"""Texts for users, by pydantic's type of error."""
 
 
 class _Place(NamedTuple):
-    """Where in the models a problem is: the section there, and what it could have been instead."""
+    """Place of a problem in the models: the section there, and the sections that could be there."""
 
     key: Key
     model: type[BaseModel] | None
@@ -148,7 +148,7 @@ def _sentence(
 
 
 def _plain_key(location: tuple[str | int, ...], data: Any, root: type[BaseModel]) -> _Place:
-    """Drop from a pydantic location what is no key: tags and names of union branches."""
+    """Return the place of a pydantic location, without tags and names of union branches."""
     key: list[str | int] = []
     annotation: Any = root
     model: type[BaseModel] | None = root
@@ -189,7 +189,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
 
 
 def _tag(model: type[BaseModel]) -> str | None:
-    """What ``kind``, ``method`` or ``algorithm`` says of a section that is one of several."""
+    """Return the ``kind``, ``method`` or ``algorithm`` that identifies a section, or None."""
     tags = (*KIND_KEYS, "algorithm")
     infos = (model.model_fields[tag] for tag in tags if tag in model.model_fields)
     return next((str(typing.get_args(info.annotation)[0]) for info in infos), None)

@@ -34,7 +34,7 @@ class Nmar(Section):
 
 
 class Implant(Section):
-    """A body of known shape and material; where it is believed to be is where its search starts."""
+    """Implant of known shape and material. The search for its pose starts at the believed pose."""
 
     part: str = setting(
         "", "The specimen's part that it is, by name: what is not given here is taken from there."
@@ -55,14 +55,14 @@ class Implant(Section):
         return self
 
     def described_by(self, part: Part | None) -> Part:
-        """Shape, material and believed place in one, what is not given from a part."""
+        """Return shape, material and believed pose as one part; ``part`` fills the gaps."""
         told = {name: value for name, value in dict(self).items() if name != "part"}
         told = {name: value for name, value in told.items() if value is not None}
         return part.model_copy(update=told) if part else Part(name=self.part, **told)
 
 
 class KnownImplants(Section):
-    """Implants of known shape are found in the projections and taken out of them."""
+    """Implants of known shape, located in the projections and removed from them."""
 
     method: Literal["known"] = Field(
         description="Poses of known implants and the anatomy are worked out in turns (Stayman et "

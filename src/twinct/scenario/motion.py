@@ -1,4 +1,4 @@
-"""How the arms move, and when an image is taken."""
+"""Motion of the arms, and the trigger of each image."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from twinct.settings import Length, NonNegative, Positive, Section, setting
 
 
 class InverseKinematics(Section):
-    """When a joint configuration counts as solved."""
+    """Criteria by which a joint configuration counts as solved."""
 
     position_tolerance_mm: Length = setting(
         0.1,
@@ -23,7 +23,7 @@ class InverseKinematics(Section):
 
 
 class Motion(Section):
-    """How the arms get from view to view, and when the image is taken."""
+    """Motion of the arms from view to view, and the trigger of each image."""
 
     ik: InverseKinematics = setting(InverseKinematics(), "The inverse kinematics.")
     trigger: Literal["on_entry", "settled"] = setting(

@@ -1,4 +1,4 @@
-"""From YAML files and overrides to merged plain data that knows who set which key."""
+"""Reading of YAML files and overrides into merged plain data with the origin of each key."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from twinct.scenario.version_0_1 import upgraded
 from twinct.settings import FILE_KEYS
 
 LONGEST_CHAIN = 16
-"""Files that extend one another."""
+"""Largest number of files that extend one another."""
 
 KIND_KEYS = ("kind", "method")
-"""Keys that say which of several sections one is."""
+"""Keys that select one of several kinds of a section."""
 DEFAULT_KINDS: dict[Key, str] = {("cell",): DEFAULT_KIND}
-"""Of sections that may leave out their ``kind``."""
+"""Kinds of the sections that may leave out their ``kind``."""
 
 
 @dataclass
 class Draft:
-    """Merged raw data, and for each key the place that set it, in the order of setting.
+    """Merged raw data, and the origin of each key, in the order in which the keys were set.
 
-    A section counts as set by the last file or override that set one of its keys: what is wrong
-    with a section as a whole became so there. Each key that went with the algorithm it belonged to
-    is a sentence in ``left_out``. Keys that overrides set are ``overridden``.
+    A section counts as set by the last file or override that set one of its keys, since that change
+    caused any problem of the section as a whole. ``left_out`` has one sentence for each key that
+    was dropped together with its algorithm. ``overridden`` holds the keys that overrides set.
     """
 
     data: dict[str, Any] = field(default_factory=dict[str, Any])
@@ -40,38 +40,43 @@ class Draft:
     overridden: set[Key] = field(default_factory=set[Key])
 
     def set_over(self, key: Key) -> bool:
-        """Whether an override set a key, one below it or one around it: a new kind spares that."""
+        """Return whether an override set a key, or one below or around it.
+
+        A new kind keeps such keys.
+        """
         around = (key[:depth] in self.overridden for depth in range(1, len(key) + 1))
         return any(around) or any(other[: len(key)] == key for other in self.overridden)
 
     def origin(self, key: Key) -> str:
-        """The place that set a key, or the nearest key around it."""
+        """Return the origin of a key, or of the nearest key around it."""
         while key and key not in self.origins:
             key = key[:-1]
         return self.origins.get(key, "")
 
     def record(self, places: Mapping[Key, str]) -> None:
-        """Note who set what, after all that was set before."""
+        """Record the origins of keys as the latest ones."""
         for key, place in places.items():
             self.origins.pop(key, None)
             self.origins[key] = place
 
     def forget(self, key: Key) -> None:
-        """Drop who set a key and all below it."""
+        """Remove the origins of a key and of all keys below it."""
         self.origins = {k: v for k, v in self.origins.items() if k[: len(key)] != key}
 
     def last_origin(self, keys: Iterable[Key]) -> str:
-        """The place that set the last of some keys; of the section around them if it set none."""
+        """Return the origin of the key that was set last; else of the section around them."""
         keys = list(keys)
         order = {key: rank for rank, key in enumerate(self.origins)}
         return self.origin(max(keys, key=lambda key: order.get(key, -1)))
 
 
 def drafted(source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()) -> Draft:
-    """All that a scenario sets: its file and those it extends, or plain data, then overrides.
+    """Return all keys that a scenario sets: its file, the files it extends, then overrides.
+
+    Plain data may take the place of the file.
 
     Raises:
-        ScenarioError: what cannot be read, or an override that leads nowhere.
+        ScenarioError: an input cannot be read, or an override does not fit the data.
     """
     given = isinstance(source, Mapping)
     draft = (
@@ -83,15 +88,15 @@ def drafted(source: str | Path | Mapping[str, Any], overrides: Iterable[str] = (
 
 
 def varied(draft: Draft, changes: Mapping[str, Any], places: Mapping[str, str]) -> Draft:
-    """A draft with some keys changed as by overrides; the one that is given stays as it is.
+    """Return a copy of a draft with some keys changed, as by overrides.
 
     Args:
-        draft: what is changed.
+        draft: the draft to copy; it stays unchanged.
         changes: dotted keys and plain values, applied in this order.
-        places: who sets each of these keys, in the words of a message.
+        places: origin of each of these keys, as stated in messages.
 
     Raises:
-        ScenarioError: a key that leads nowhere.
+        ScenarioError: a key leads through a plain value or to a missing list index.
     """
     changed = Draft(
         copy.deepcopy(draft.data), dict(draft.origins), overridden=set(draft.overridden)
@@ -102,12 +107,12 @@ def varied(draft: Draft, changes: Mapping[str, Any], places: Mapping[str, str]) 
 
 
 def read_yaml(path: Path, what: str) -> Draft:
-    """The keys of one file, which is ``what`` in messages; each knows its line.
+    """Read the keys of one file, each with its line. Messages call the file ``what``.
 
-    Files that it names become absolute.
+    Paths in the file become absolute.
 
     Raises:
-        ScenarioError: it cannot be read, or is no mapping.
+        ScenarioError: the file cannot be read, or is no mapping.
     """
     read = read_file(path, what)
     if read.value is None:
@@ -119,17 +124,17 @@ def read_yaml(path: Path, what: str) -> Draft:
 
 
 def key_of(dotted: str) -> Key:
-    """A dotted key, step by step."""
+    """Split a dotted key into its steps."""
     return tuple(int(step) if step.isdigit() else step for step in dotted.split("."))
 
 
 def is_mapping(data: object) -> TypeGuard[dict[str, Any]]:
-    """Whether it is one, for the type checker too."""
+    """Return whether data is a mapping, and narrow its type."""
     return isinstance(data, dict)
 
 
 def is_list(data: object) -> TypeGuard[list[Any]]:
-    """Whether it is one, for the type checker too."""
+    """Return whether data is a list, and narrow its type."""
     return isinstance(data, list)
 
 
@@ -160,7 +165,7 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
 
 
 def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key) -> None:
-    """Lay data over the draft: mappings merge, all else replaces, a new ``kind`` starts afresh."""
+    """Merge data into the draft: combine mappings, replace all else, restart at a new ``kind``."""
     here: Any = base.data
     for step in key:
         here = here[step]
@@ -210,7 +215,7 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
                 _change_algorithm(draft, key[:-1], value)
             here[index] = value
         elif is_mapping(here):
-            if here.get(index) is None:  # absent, or none: a section begins
+            if here.get(index) is None:  # absent or null: start a section
                 here[index] = {}
             here = here[index]
         else:
@@ -221,7 +226,7 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
 
 
 def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
-    """Empty a section that gets another kind, but for what other overrides have set."""
+    """Empty a section whose kind changes, except for keys that overrides have set."""
     for name in list(section):
         if not draft.set_over((*key, name)):
             del section[name]
@@ -229,7 +234,7 @@ def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
 
 
 def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
-    """Leave out what the algorithm of before had and the new one has not, overrides apart."""
+    """Remove keys of the previous algorithm that the new one lacks, except overridden ones."""
     section = draft.data.get("reconstruction")
     if key != ("reconstruction",) or not is_mapping(section) or not isinstance(algorithm, str):
         return
@@ -251,10 +256,10 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
 def _absolute_paths(
     data: Any, folder: Path, places: Mapping[Key, str] | None = None, key: Key = ()
 ) -> Any:
-    """Plain data in which each file is absolute: it is relative to a folder.
+    """Return plain data in which each path, relative to a folder, is made absolute.
 
     Raises:
-        ScenarioError: a name that no file can have.
+        ScenarioError: no file can have this name.
     """
     if is_list(data):
         items = enumerate(data)

@@ -1,4 +1,4 @@
-"""The section that says how a volume is made: what all algorithms share, and the keys of one."""
+"""Section of the reconstruction: the keys that all algorithms share, and the keys of each one."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ DEFAULT_ALGORITHM = "sart"
 
 
 MOST = 65_536
-"""Voxels along an axis; what the memory holds is another question."""
+"""Largest number of voxels along an axis; the memory may allow fewer."""
 
 
 class Grid(Section):
-    """The voxels of the reconstruction."""
+    """Voxels of the reconstruction."""
 
     voxels: Annotated[int, Field(ge=2, le=4096)] | tuple[int, int, int] = setting(
         512, "Voxels along each axis; three numbers for (x, y, z).", source="the paper"
@@ -46,7 +46,7 @@ class Grid(Section):
 
     @property
     def volume_grid(self) -> VolumeGrid:
-        """The voxel lattice."""
+        """Voxel lattice."""
         nx, ny, nz = self.voxels if isinstance(self.voxels, tuple) else (self.voxels,) * 3
         return VolumeGrid(
             (nz, ny, nx), self.voxel_mm, Pose.from_euler(self.centre_mm, self.rotation_deg)
@@ -54,11 +54,11 @@ class Grid(Section):
 
 
 GeometryName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
-"""``commanded``, ``executed``, ``believed``, or what a geometry derived from the scan is called."""
+"""``commanded``, ``executed``, ``believed``, or the name of a geometry derived from the scan."""
 
 
 class Surroundings(Section):
-    """A coarse reconstruction of more than the grid, to take out what lies around the grid."""
+    """Coarse reconstruction of more than the grid, used to remove the surroundings of the grid."""
 
     margin_mm: Length = Field(
         description="By how much the coarse grid is larger on each side; the specimen should end "
@@ -71,7 +71,7 @@ class Surroundings(Section):
 
 
 class Zoom(Section):
-    """A region with finer voxels, reconstructed in place of the grid; its axes are the grid's."""
+    """Region with finer voxels, reconstructed in place of the grid, along the grid's axes."""
 
     centre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the region in the world.")
     size_mm: Length | Lengths = Field(description="Edges of the region; three for (x, y, z).")
@@ -86,7 +86,7 @@ class Zoom(Section):
 
 
 class Around(NamedTuple):
-    """What is taken out before a volume is made: arguments of ``without_surroundings``."""
+    """Arguments of ``without_surroundings``, which runs before a volume is made."""
 
     margin_mm: float | tuple[tuple[float, ...], ...]
     voxel_mm: float
@@ -95,7 +95,7 @@ class Around(NamedTuple):
 
 
 class Reconstruction(Section):
-    """From projections to a volume: the keys that all algorithms share; each adds its own."""
+    """Reconstruction from projections: keys that all algorithms share. Each adds its own keys."""
 
     algorithm: str = setting(
         DEFAULT_ALGORITHM, "docs/reconstruction.md says which for what.", source="the paper"
@@ -131,7 +131,7 @@ class Reconstruction(Section):
 
     @property
     def volume_grid(self) -> VolumeGrid:
-        """The voxels of the volume that is made: the grid's, or the zoom's."""
+        """Voxels of the reconstructed volume: the grid's, or the zoom's."""
         whole = self.grid.volume_grid
         if self.zoom is None:
             return whole
@@ -142,7 +142,7 @@ class Reconstruction(Section):
 
     @property
     def around(self) -> Around | None:
-        """What is taken out first; with both, surroundings begin where the whole grid ends."""
+        """Surroundings to remove first. With a zoom, too, they begin where the whole grid ends."""
         zoom, wide = self.zoom, self.surroundings
         if zoom is None:
             return None if wide is None else Around(**dict(wide))
@@ -154,7 +154,7 @@ class Reconstruction(Section):
         return Around(sides, edge, zoom.iterations, zoom.relaxation)
 
     def _sides(self) -> Floats:
-        """How far the whole grid reaches beyond the zoom, (2, 3): below and above, mm."""
+        """Return how far the whole grid reaches beyond the zoom, (2, 3): below and above, mm."""
         whole, part = self.grid.volume_grid, self.volume_grid
         middle = whole.world_from_grid.inverse().apply(part.world_from_grid.position)
         spare = (whole.size_mm - part.size_mm) / 2
@@ -162,12 +162,12 @@ class Reconstruction(Section):
 
     @property
     def geometries(self) -> tuple[GeometryName, ...]:
-        """Always a tuple."""
+        """Names of the geometries, always as a tuple."""
         return self.geometry if isinstance(self.geometry, tuple) else (self.geometry,)
 
     @property
     def in_words(self) -> str:
-        """Algorithm, the keys of its own and the corrections, in one line."""
+        """Algorithm, its own keys and the corrections, in one line."""
         words = [self.algorithm]
         words += [_in_words(key, getattr(self, key)) for key in own_keys(type(self))]
         if self.beam_hardening:
@@ -186,7 +186,7 @@ class Reconstruction(Section):
         return ", ".join(filter(None, words))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """By name: where this is read again, its class is made anew."""
+        """Pickle the values alone, since every process creates the class anew."""
         return _restored, (self.model_dump(),)
 
 
@@ -204,7 +204,7 @@ def _in_words(key: str, value: Any) -> str:
 
 
 def own_keys(section: type[Section]) -> list[str]:
-    """Keys that a section has because of its algorithm."""
+    """Return the keys that a section has because of its algorithm."""
     return [key for key in section.model_fields if key not in Reconstruction.model_fields]
 
 
@@ -224,12 +224,12 @@ def _with_settings(algorithm: Algorithm[Any]) -> type[Reconstruction]:
 
 
 def _sections() -> tuple[dict[str, type[Reconstruction]], dict[str, str]]:
-    """The section of each algorithm, and what is wrong with those that cannot be chosen."""
+    """Return the section of each algorithm, and the problem of each algorithm that is unusable."""
     sections, broken = dict[str, type[Reconstruction]](), dict(algorithms().broken)
     for name, algorithm in algorithms().items():
         try:
             sections[name] = _with_settings(algorithm)
-        except Exception as error:  # its settings come from anywhere
+        except Exception as error:  # settings may come from any package
             broken[name] = f"the settings of {name!r} cannot be used: {error}"
             log.warning(broken[name])
     return sections, broken
@@ -239,7 +239,7 @@ SECTIONS, BROKEN_ALGORITHMS = _sections()
 
 
 def _named(value: Any) -> str:
-    """The algorithm that a section or its plain data names."""
+    """Return the algorithm that a section, or its plain data, names."""
     if isinstance(value, dict):
         return str(cast("dict[str, Any]", value).get("algorithm", DEFAULT_ALGORITHM))
     return str(getattr(value, "algorithm", DEFAULT_ALGORITHM))

@@ -1,4 +1,4 @@
-"""The scenario itself: all sections, what they ask of each other, and its files."""
+"""The scenario itself: all sections, their mutual requirements, and its files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from twinct.trajectory.families import families
 if TYPE_CHECKING:
 
     class AnyTrajectory(TrajectorySettings):
-        """What all of them have."""
+        """Keys that all trajectories share."""
 
         kind: str
 
@@ -37,7 +37,7 @@ else:
 
 
 class Scenario(Section):
-    """Everything one simulation needs."""
+    """Complete description of one simulation."""
 
     name: str = setting("scan", "Names the scan in the report and in messages.", min_length=1)
     description: str = setting("", "What the scan is for; the report shows it.")
@@ -142,22 +142,22 @@ class Scenario(Section):
         )
 
     def resolved(self) -> str:
-        """The whole scenario, defaults included, as canonical JSON."""
+        """Return the whole scenario, defaults included, as canonical JSON."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
     @property
     def believed_seed(self) -> int:
-        """Seed of what the believed poses are off by."""
+        """Seed of the errors of believed poses."""
         return self.seed if self.uncertainty.seed is None else self.uncertainty.seed
 
     @property
     def arms_seed(self) -> int:
-        """Seed of what is wrong with the arms for a whole scan."""
+        """Seed of the arms' errors, which are constant during a scan."""
         own = self.uncertainty.arms.seed
         return self.seed if own is None else own
 
     def files(self) -> dict[str, Path]:
-        """Files and folders the scenario names, by key, from every section."""
+        """Return the files and folders that the scenario names in any section, by key."""
         return dict(_files(self, ""))
 
 
@@ -173,6 +173,6 @@ def _files(section: Section, key: str) -> Iterator[tuple[str, Path]]:
 
 
 def sections_in(value: object) -> tuple[Section, ...]:
-    """The sections of a list of them; none of anything else."""
+    """Return the sections in a tuple; an empty tuple for any other value."""
     items = cast("tuple[object, ...]", value) if isinstance(value, tuple) else ()
     return tuple(item for item in items if isinstance(item, Section))

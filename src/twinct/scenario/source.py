@@ -1,4 +1,4 @@
-"""The X-ray source. Each default is the ideal."""
+"""X-ray source. Every default is ideal."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from twinct.scenario.composition import Composition
 from twinct.settings import Conflict, ConflictError, Length, Pair, Positive, Section, facts, setting
 
 MOST_KV = 50.0
-"""Highest tube voltage for which SpekPy knows molybdenum and rhodium."""
+"""Highest tube voltage that SpekPy supports for molybdenum and rhodium."""
 
 
 class Filter(Section):
-    """A plate in the beam, crossed at right angles."""
+    """Plate in the beam, crossed at right angles."""
 
     material: str | Composition = setting(
         "aluminium", "Material of the plate.", source="attenuation: xraylib"
@@ -24,7 +24,7 @@ class Filter(Section):
 
 
 class TubeSpectrum(Section):
-    """The spectrum of an X-ray tube, by SpekPy."""
+    """Spectrum of an X-ray tube, computed by SpekPy."""
 
     kind: Literal["tube"]
     kvp: float = Field(
@@ -93,7 +93,7 @@ class SquareSpot(_Spot):
 
 
 class ImageSpot(_Spot):
-    """A focal spot as measured."""
+    """Measured focal spot."""
 
     kind: Literal["image"]
     path: Path = Field(description="Intensity as .npy, or an image; row 0 at the lowest y.")
@@ -107,7 +107,7 @@ Spot = Annotated[GaussianSpot | SquareSpot | ImageSpot, Field(discriminator="kin
 
 
 class Source(Section):
-    """The X-ray source: by default a monochromatic point."""
+    """X-ray source; a monochromatic point by default."""
 
     energy_kev: float = setting(
         80.0,
@@ -155,5 +155,5 @@ class Source(Section):
 
     @property
     def ideal(self) -> bool:
-        """Whether it is a monochromatic point."""
+        """True for a monochromatic point source."""
         return self.spectrum is None and self.focal_spot is None

@@ -1,4 +1,4 @@
-"""What is imaged, and where it stands."""
+"""Specimen and its pose."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Scale = Annotated[float, Field(gt=0, le=1000)]
 
 
 class Skull(Section):
-    """The built-in adult skull from implicit surfaces."""
+    """Built-in adult skull, made of implicit surfaces."""
 
     kind: Literal["skull"]
     scale: Scale = setting(1.0, "1 is adult size.")
@@ -36,7 +36,7 @@ class Skull(Section):
 
 
 class Head(Section):
-    """The soft tissue about the built-in skull at the same place, down to the chin; airways too."""
+    """Soft tissue around the built-in skull at the same place, down to the chin, with airways."""
 
     kind: Literal["head"]
     scale: Scale = setting(1.0, "1 is adult size.")
@@ -46,7 +46,7 @@ class Head(Section):
 
 
 class Brain(Section):
-    """What fills the braincase of the built-in skull at the same place; the skull comes later."""
+    """Content of the built-in skull's braincase, at the same place; list it before the skull."""
 
     kind: Literal["brain"]
     scale: Scale = setting(1.0, "1 is adult size.")
@@ -137,7 +137,7 @@ Shape = Annotated[
 
 
 class Part(Section):
-    """One body of one material. Where parts overlap the later one wins."""
+    """One body of one material. Where parts overlap, the later one wins."""
 
     name: str = setting("", "Shown in messages; the kind of shape where empty.")
     shape: Shape = Field(description="Its shape.")
@@ -154,12 +154,12 @@ class Part(Section):
 
     @property
     def label(self) -> str:
-        """What messages call it."""
+        """Name of the part in messages."""
         return self.name or self.shape.kind
 
 
 class Specimen(Section):
-    """What is imaged, and where it stands."""
+    """Specimen and its pose."""
 
     parts: tuple[Part, ...] = Field(min_length=1, description="Bodies, each of one material.")
     reference: str = setting(
@@ -178,5 +178,5 @@ class Specimen(Section):
 
     @property
     def world_from_specimen(self) -> Pose:
-        """Pose of the specimen where it stands."""
+        """Pose of the specimen in the world."""
         return Pose.from_euler(self.position_mm, self.rotation_deg)

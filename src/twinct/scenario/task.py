@@ -1,4 +1,4 @@
-"""What views shall be planned for: a region, what counts there, and how many views."""
+"""Task of view planning: a region, the goals, and the number of views."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ENOUGH = (
 
 
 class CompletenessGoal(Section):
-    """Planes through the region's points that the source crosses (Tuy): more is better."""
+    """Planes through points of the region that the source crosses (Tuy): more is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
     at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
@@ -33,7 +33,7 @@ class CompletenessGoal(Section):
 
 
 class DetectabilityGoal(Section):
-    """Detectability d' of a signal in the region's middle: more is better."""
+    """Detectability d' of a signal in the middle of the region: more is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
     at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
@@ -50,7 +50,7 @@ class DetectabilityGoal(Section):
 
 
 class SeenMetal(Section):
-    """Metal that a volume shows, such as one of a few scout views."""
+    """Metal that a volume shows, such as a volume from a few scout views."""
 
     path: Path = Field(
         description="NIfTI file of attenuation, 1/mm, in the world, as a run's volume.nii."
@@ -62,7 +62,7 @@ class SeenMetal(Section):
 
 
 class MetalGoal(Section):
-    """Metal on some rays: less is better."""
+    """Metal that rays cross: less is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
     parts: tuple[str, ...] = setting((), "Names of the parts of metal.")
@@ -84,7 +84,7 @@ class MetalGoal(Section):
 
 
 class DoseGoal(Section):
-    """Primary kerma in a part: less is better; scattered photons are left out."""
+    """Primary kerma in a part: less is better. Scattered photons are ignored."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
     part: str = Field(description="Name of the part.")
@@ -92,7 +92,7 @@ class DoseGoal(Section):
 
 
 class MovingGoal(Section):
-    """Time that the arms take from view to view at full speed: less is better."""
+    """Time that the arms need from view to view at full speed: less is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
     at_most_rel: Share | None = setting(
@@ -104,7 +104,7 @@ class MovingGoal(Section):
 
 
 class KnownGoal(Section):
-    """How much of the region few views tell, as a linear model foresees: more is better."""
+    """Knowledge of the region from few views, predicted by a linear model: more is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
     at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
@@ -121,13 +121,13 @@ class KnownGoal(Section):
 
 
 class TryingGoal(Section):
-    """Error in the region of a volume that is made of images of each path: less is better."""
+    """Error in the region of a volume made from images of each path: less is better."""
 
     weight: Weight = setting(1.0, "How much it counts.", unit="1")
 
 
 class ExposureSharing(Section):
-    """The mAs shared among the chosen views so that detectability is largest, at a fixed sum."""
+    """Distribution of the mAs among the chosen views for the best detectability, at a fixed sum."""
 
     least_rel: float = setting(
         0.25, "Least mAs of a view, as a share of the source's.", unit="1", gt=0, le=1
@@ -138,7 +138,7 @@ class ExposureSharing(Section):
 
 
 class FamilyParameter(Section):
-    """A number of the scenario's trajectory that is sought."""
+    """Numeric key of the scenario's trajectory that is optimised."""
 
     key: str = Field(description="Its key in `trajectory`, such as tilt_deg.")
     low: Finite = Field(description="Lowest value.")
@@ -146,7 +146,7 @@ class FamilyParameter(Section):
 
 
 class FamilySearch(Section):
-    """The best path of the scenario's kind of trajectory, by CMA-ES, instead of free views."""
+    """Best path of the scenario's kind of trajectory, found by CMA-ES, instead of free views."""
 
     parameters: tuple[FamilyParameter, ...] = Field(min_length=2, description="What is sought.")
     generations: int = setting(15, "Generations of the search, at most.", ge=1, le=1000)
@@ -154,7 +154,7 @@ class FamilySearch(Section):
 
 
 class ViewTask(Section):
-    """What `twinct plan` chooses views for, by what counts; a run does not read it."""
+    """Goals for which `twinct plan` chooses views; a run does not read them."""
 
     position_mm: Vector = setting(
         (0.0, 0.0, 0.0), "Middle of the region, a ball, in the specimen's frame."
@@ -188,7 +188,7 @@ class ViewTask(Section):
     )
 
     def conflicts(self, specimen: Specimen) -> list[Conflict]:
-        """Nothing that counts, more views than candidates, parts that are not there."""
+        """Return conflicts: no goal, more views than candidates, or unknown parts."""
         names = [part.label for part in specimen.parts]
         having = f"there {'are' if len(names) > 1 else 'is'} {', '.join(map(repr, names))}"
         found: list[Conflict] = []

@@ -1,4 +1,4 @@
-"""What separates executed poses from commanded ones, and believed ones from both."""
+"""Differences between commanded, executed and believed poses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DALY = "Daly et al., Med. Phys. 35 (2008) 2124"
 
 
 class PoseNoise(Section):
-    """Normal noise of the poses that are reported, for each axis."""
+    """Gaussian noise of the reported poses, for each axis."""
 
     sigma_mm: NonNegative = setting(0.1, "Standard deviation for each axis.", source="the paper")
     cutoff_mm: Length | None = setting(
@@ -51,10 +51,10 @@ class PoseNoise(Section):
 
 
 class ArmErrors(Section):
-    """How both arms differ from what their controllers know: drawn once for a scan, for each arm.
+    """Differences between the arms and their controllers' models, drawn once per scan and arm.
 
-    Spreads are standard deviations for each joint and axis. The controller goes by its nominal
-    model and the encoders, and so do the plan, its clearance and the trigger.
+    Spreads are standard deviations for each joint and axis. The controller uses its nominal model
+    and the encoders. So do the plan, its clearance and the trigger.
     """
 
     joint_offset_deg: NonNegative = setting(0.0, "Of each joint's zero.")
@@ -112,7 +112,7 @@ class ArmErrors(Section):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """All that moves a tool where it is not 0."""
+        """Parameters that move a tool unless they are 0."""
         ageing = (self.ageing_mm + self.ageing_deg) * self.age_months
         return (
             *(self.joint_offset_deg, self.link_mm, self.link_deg, self.base_mm, self.base_deg),
@@ -122,7 +122,7 @@ class ArmErrors(Section):
 
 
 class ViewErrors(Section):
-    """What is drawn anew for each view, of executed poses: standard deviations for each axis."""
+    """Errors of executed poses, drawn anew for each view: standard deviations for each axis."""
 
     source_mm: NonNegative = setting(0.0, "Of the focal spot, along each axis.")
     detector_in_plane_mm: NonNegative = setting(
@@ -137,15 +137,15 @@ class ViewErrors(Section):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """All that moves source or panel where it is not 0."""
+        """Parameters that move source or panel unless they are 0."""
         panel = self.detector_in_plane_mm, self.detector_normal_mm
         return self.source_mm, *panel, self.detector_tilt_deg, self.detector_turn_deg
 
 
 class PatientMotion(Section):
-    """How the specimen moves while it is scanned, in directions that are drawn once for a scan.
+    """Motion of the specimen during the scan, in directions that are drawn once per scan.
 
-    It starts where the scenario puts it, where the truth stays.
+    It starts at the scenario's pose. The truth stays at that pose.
     """
 
     nod_mm: NonNegative = setting(0.0, "How far it goes and comes back, again and again.")
@@ -158,7 +158,7 @@ class PatientMotion(Section):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """All that moves it where it is not 0."""
+        """Parameters that move the specimen unless they are 0."""
         return self.nod_mm, self.nod_deg, self.jerk_mm, self.jerk_deg
 
 
@@ -205,17 +205,17 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         },
     },
 }
-"""Keys of this section by the machine that they are of.
+"""Keys of this section, by kind of machine.
 
-Repeatability and absolute error are those of arms of their kind: 0.03 to 0.05 mm (data sheets,
-ISO 9283) and 0.5 to 2 mm before calibration; how the second is shared among the terms is our
-choice. Of the C-arm: short-term reproducibility, and half of the largest departures from the mean
-orbit, as Daly et al. (2008) found them.
+Repeatability and absolute error are typical of such arms: 0.03 to 0.05 mm (data sheets, ISO 9283)
+and 0.5 to 2 mm before calibration. How the absolute error is shared among the terms is our choice.
+The values of the C-arm are its short-term reproducibility, and half of the largest deviations from
+the mean orbit, as reported by Daly et al. (2008).
 """
 
 
 class Uncertainty(Section):
-    """What separates executed poses from commanded ones, and believed ones from both."""
+    """Differences between commanded, executed and believed poses."""
 
     preset: Literal["industrial", "collaborative", "c_arm", "c_arm_uncalibrated"] | None = setting(
         None,
@@ -255,5 +255,5 @@ class Uncertainty(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether anything separates executed poses from what the controllers take them to be."""
+        """True if executed poses can differ from the poses that the controllers assume."""
         return any((*self.arms.sizes, *self.views.sizes, *self.patient.sizes))

@@ -1,7 +1,7 @@
-"""Scenarios as version 0.1 wrote them into its results: one flat section for all algorithms.
+"""Scenarios in the results of version 0.1: one flat section for all algorithms.
 
-The section then held every key with its default, ``engine`` and those without effect included; no
-person writes all of them, so that they are known by it.
+The section held every key with its default, including ``engine`` and keys without effect. Nobody
+writes all of them by hand, so they identify such a scenario.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _ORDER = (
     *("formula", "mass_fractions", "density_g_cm3"),
     *("geometry", "grid", "centre_mm", "rotation_deg"),
 )
-"""Of the keys of this section and of those in it, in what was hashed; kept is the alphabet's."""
+"""Order of the keys, nested ones included, in the hashed text; stored keys are alphabetical."""
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """The same scenario in today's keys; anything else than one of version 0.1 as it is.
+    """Return a scenario of version 0.1 in today's keys, and any other scenario unchanged.
 
-    What the algorithm did not use is left out, the engine ``rtk`` is the algorithm ``rtk_sart``,
-    and without a ``nonnegative`` the algorithm's own default holds, as then.
+    Leave out settings that the algorithm did not use. Turn the engine ``rtk`` into the algorithm
+    ``rtk_sart``. Without ``nonnegative``, the algorithm's own default holds, as in version 0.1.
     """
     section = data.get("reconstruction")
     if not isinstance(section, dict) or not section.keys() >= _ALL:
@@ -53,11 +53,11 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def volume_digest(scan_digest: str, section: dict[str, Any]) -> str:
-    """What version 0.1 knew a volume by: SHA-256 of its scan's digest and its settings as JSON.
+    """Return version 0.1's digest of a volume: SHA-256 of its scan's digest and settings as JSON.
 
     Args:
-        scan_digest: that the scan store holds.
-        section: ``reconstruction`` as version 0.1 wrote it down.
+        scan_digest: digest in the scan store.
+        section: ``reconstruction`` as version 0.1 stored it.
     """
     text = json.dumps(_in_order(section), separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256((scan_digest + text).encode()).hexdigest()
@@ -73,7 +73,7 @@ def _in_order(value: Any) -> Any:
 
 
 def advice(key: tuple[str | int, ...], value: Any) -> str:
-    """What to do with a key that version 0.1 had and that is gone."""
+    """Return advice about a key of version 0.1 that no longer exists; empty for any other key."""
     if key != ("reconstruction", "engine"):
         return ""
     instead = "use algorithm: rtk_sart" if value == "rtk" else "leave it out"

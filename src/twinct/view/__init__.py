@@ -1,1 +1,1 @@
-"""The live page: a run, or a plan, to look into with a browser."""
+"""The live page, which shows a run or a plan in a browser."""

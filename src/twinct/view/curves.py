@@ -16,10 +16,10 @@ class Curve:
     """Several series over one axis.
 
     Attributes:
-        title: with the unit.
-        x: of all series.
-        over_views: whether x is the view, so that the one that is shown is marked.
-        series: values by name, as many as x; NaN where there is none.
+        title: title with the unit.
+        x: abscissa of all series.
+        over_views: True if x is the view, so that the current view is marked.
+        series: values by name, as many as in x; NaN if unknown.
     """
 
     title: str
@@ -28,7 +28,7 @@ class Curve:
     series: dict[str, Floats]
 
     def marked(self, view: int) -> Floats:
-        """NaN but at a view, there its values' mean: a mark on the curve."""
+        """Return a mark on the curve: the mean of all series at a view, and NaN elsewhere."""
         mark = np.full(len(self.x), np.nan)
         if 0 <= view < len(mark):
             values = [values[view] for values in self.series.values()]
@@ -38,7 +38,7 @@ class Curve:
 
 
 def curves(shows: Sequence[Show]) -> list[Curve]:
-    """All curves of the runs on the page; those without a value are left out."""
+    """Return all curves of the runs on the page, without empty ones."""
     views = max((len(show) for show in shows), default=0)
     x = np.arange(views, dtype=float)
     errors: dict[str, Floats] = {}
@@ -64,7 +64,7 @@ def curves(shows: Sequence[Show]) -> list[Curve]:
 
 
 def _filled(values: Floats, length: int) -> Floats:
-    """As long as asked for, NaN at the end."""
+    """Return values extended to a length with NaN."""
     whole = np.full(length, np.nan)
     whole[: len(values)] = values
     return whole

@@ -1,4 +1,4 @@
-"""One file that plays all views with a free camera, from disk, without a server or a network."""
+"""A single-file page that plays all views with a free camera, without server or network."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ SURFACE_TRIANGLES = 40_000
 
 
 def export_page(show: Show, workshop: Workshop, path: Path, progress: Progress) -> None:
-    """Write a run, or a plan, as a page of one file.
+    """Write a run, or a plan, as a single-file page.
 
-    Slices are those through the middle; curves and the slices of all volumes are pictures in it.
+    It shows the middle slices. Curves and the slices of all volumes are embedded as pictures.
 
     Raises:
         InputError: the scenario's room cannot be built.
-        StorageError: it cannot be written.
+        StorageError: the file cannot be written.
     """
     server = serve(LOOPBACK, 0)
     try:
@@ -76,7 +76,7 @@ def export_page(show: Show, workshop: Workshop, path: Path, progress: Progress) 
 
 
 def first_look(show: Show) -> Look:
-    """What is shown of a run at first: slices through the middle."""
+    """Return the initial look at a run, with slices through the middle."""
     first = next(iter(show.volumes), NOTHING)
     shown = RECONSTRUCTION if RECONSTRUCTION in show.volumes else first
     grid = show.volumes[first].grid if show.volumes else None
@@ -87,7 +87,7 @@ def first_look(show: Show) -> Look:
 
 
 def _with_pictures(text: str, show: Show, look: Look) -> str:
-    """The page with its title, and with pictures that unfold in a corner."""
+    """Return the page with its title, and with pictures that unfold in a corner."""
     pictures = []
     if (sheet := slices_beside([show], look)) is not None:
         pictures.append(("slices", _png(sheet)))
@@ -114,7 +114,7 @@ def _with_pictures(text: str, show: Show, look: Look) -> str:
 
 
 def curves_picture(found: Sequence[Curve]) -> bytes:
-    """All curves one below the other, PNG."""
+    """Return a picture (PNG) of all curves, one below the other."""
     figure = Figure(figsize=(6.0, 2.4 * len(found)), layout="constrained", dpi=110)
     panels = np.atleast_1d(figure.subplots(len(found), 1))
     for axes, curve in zip(panels, found, strict=True):

@@ -1,4 +1,4 @@
-"""Fills the page: first what is there at once, then what takes seconds to build."""
+"""Content of the page: first the parts that are ready, then those that take seconds to build."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 def bare_room(show: Show) -> Room | None:
-    """The room with an empty holder, which takes no time; None of a gantry's."""
+    """Return the room with an empty holder, which is built at once; None for a gantry."""
     scenario = show.scenario
     if not isinstance(scenario.cell, Cell):
         return None
@@ -31,7 +31,7 @@ def bare_room(show: Show) -> Room | None:
 
 
 def whole_room(show: Show, workshop: Workshop) -> Room:
-    """The room with what holds the specimen."""
+    """Return the room with the specimen's holder."""
     section = show.scenario.cell
     if isinstance(section, Cell):
         return Room(workshop.cell)
@@ -41,7 +41,7 @@ def whole_room(show: Show, workshop: Workshop) -> Room:
 
 
 def specimen_as_it_looks(workshop: Workshop) -> trimesh.Trimesh:
-    """Its surface in its own frame, mm, with so few triangles that a browser turns it."""
+    """Return the specimen's surface in its own frame, mm, simplified for browsers."""
     mesh = workshop.specimen.surface()
     if len(mesh.faces) > MOST_TRIANGLES:
         mesh = mesh.simplify_quadric_decimation(face_count=MOST_TRIANGLES)
@@ -49,7 +49,7 @@ def specimen_as_it_looks(workshop: Workshop) -> trimesh.Trimesh:
 
 
 def fill(page: Page, run: int, show: Show, workshop: Workshop | None = None) -> Thread:
-    """Put a run on the page; the thread ends when everything is there."""
+    """Put a run on the page; return a thread that ends when the page is complete."""
     room = bare_room(show)
     page.put(run, show)
     if room is not None:
@@ -67,6 +67,6 @@ def _fill_up(page: Page, run: int, show: Show, workshop: Workshop | None) -> Non
         page.put_specimen(run, specimen_as_it_looks(workshop))
         if not show.poses:
             page.put_field(run, field_of_view(show))
-    except TwinctError as error:  # such as a mesh that is no longer where the run found it
+    except TwinctError as error:  # such as a mesh file that has moved since the run
         log.warning("%s", error)
         page.say(f"**the specimen is not shown: {error}**")

@@ -1,4 +1,4 @@
-"""Reads what the page shows from the folder of a run, finished or going on."""
+"""Reader of the page's content from the folder of a run, finished or not."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from twinct.volume import Volume
 
 
 class RunFolder:
-    """A run's folder; each look reads only what is new."""
+    """A run's folder, of which each look reads only new data."""
 
     def __init__(self, path: Path, *, live: bool = False) -> None:
-        """Of what ``twinct run --out`` wrote, or the scan.zarr in it; ``live``: by this process.
+        """Open the folder of a run, or its scan.zarr; ``live`` if this process writes it.
 
         Raises:
-            InputError: it is no folder of a run.
+            InputError: the path is no folder of a run.
         """
         self.paths, self._live = Folder(folder_of_run(path)), live
         self._store: ScanStore | None = None
@@ -43,18 +43,18 @@ class RunFolder:
 
     @property
     def under_way(self) -> bool:
-        """Whether the run is not finished: more may come."""
+        """True if the run is not finished."""
         return not all(path.exists() for path in self.paths.results)
 
     def iterated(self, event: IterationDone) -> None:
-        """An iteration of a reconstruction in this process: its volume need not be read."""
+        """Take an iteration of a reconstruction in this process, instead of reading its volume."""
         course = self._course.setdefault(event.geometry, [])
         if len(course) == event.iteration - 1:
             course.append(event.residual)
         self._told = event
 
     def look(self) -> Show:
-        """The run as far as it is now.
+        """Return the current state of the run.
 
         Raises:
             InputError: the folder is gone, or damaged.
@@ -73,7 +73,7 @@ class RunFolder:
         return self._show
 
     def _of_scenario(self) -> Show:
-        """A run that has not stored a view yet."""
+        """Return the state of a run without a stored view."""
         scenario = self.paths.scenario_of_run(planned=True)
         commanded = PosePairs.from_geometry(Workshop(scenario).asked)
         return Show(self.paths.path.name, scenario, commanded, state="no view is stored yet")
@@ -134,7 +134,7 @@ class RunFolder:
         return poses, objects, np.concatenate(joints), np.concatenate(clearance)
 
     def _poses(self, store: ScanStore, executed: PosePairs, acquired: int) -> dict[str, PosePairs]:
-        """Executed, believed, and what was derived; the believed ones are made where not kept."""
+        """Return executed, believed and derived poses; compute believed ones unless stored."""
         found = {"executed": executed}
         derived = {
             name: kept.poses
@@ -145,7 +145,7 @@ class RunFolder:
             found["believed"] = derived["believed"]
         elif acquired:
             views, poses = self._reported
-            # Making them takes longer with each view: while a scan goes on, not after each.
+            # This slows down with each view, so a running scan does not do it after every view.
             if views < acquired and (acquired == store.views or acquired >= 1.1 * views):
                 poses = store.reported.poses
                 self._reported = acquired, poses
@@ -154,7 +154,7 @@ class RunFolder:
         return found | {name: poses for name, poses in derived.items() if name not in OWN}
 
     def _made(self, base: Show, poses: Mapping[str, PosePairs]) -> dict[str, ScanGeometry]:
-        """Geometries of these poses; of executed ones only those of new views are made."""
+        """Return the geometries of these poses; for executed poses, build only new views."""
         panel, before = base.scenario.detector.panel, base.made
         made = {"commanded": before.get("commanded") or base.commanded.geometry(panel)}
         for name, now in poses.items():
@@ -171,7 +171,7 @@ class RunFolder:
         return made
 
     def _volumes(self) -> tuple[dict[str, Volume], bool]:
-        """All volumes that there are, and whether the run's own is still to come."""
+        """Return all volumes, and True while the run's own is still to come."""
         files = {RECONSTRUCTION: self.paths.volume}
         if self.paths.reconstructions.is_dir():
             for kept in sorted(self.paths.reconstructions.glob("*/volume.nii")):
@@ -187,7 +187,7 @@ class RunFolder:
         return found, not self.paths.volume.exists()
 
     def _checkpoint(self) -> tuple[Volume, str, int, tuple[float, ...]] | None:
-        """The newest iteration of a reconstruction that is under way, with its residuals."""
+        """Return volume, geometry, number and residuals of a reconstruction's newest iteration."""
         if (told := self._told) is not None:
             course = tuple(self._course[told.geometry])
             return told.volume, told.geometry, told.iteration, course
@@ -207,7 +207,7 @@ class RunFolder:
         try:
             return self._cached(files[-1], read, None)
         except (OSError, ValueError, KeyError):
-            return None  # it has just been replaced by the next
+            return None  # the next checkpoint has just replaced this one
 
     def _scenario_now(self) -> Scenario:
         assert self._store is not None
@@ -223,7 +223,7 @@ class RunFolder:
     def _said(
         self, store: ScanStore, acquired: int, volumes: Mapping[str, Volume], waiting: bool
     ) -> tuple[str, tuple[str, ...]]:
-        """The state in a line, and what is missing."""
+        """Return the state in one line, and the missing parts."""
         state = f"{acquired} of {store.views} views"
         under_way = self._checkpoint() if waiting else None
         if under_way is not None:
@@ -238,7 +238,7 @@ class RunFolder:
         )
 
     def _cached(self, path: Path, read: Any, otherwise: Any) -> Any:
-        """What was read from a file or folder, read again where that has changed."""
+        """Return the content of a file or folder; read it again only if it has changed."""
         try:
             stat = path.stat()
         except FileNotFoundError:

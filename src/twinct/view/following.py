@@ -1,4 +1,4 @@
-"""Follows runs that go on: by their folders, or as an observer in the process of a run."""
+"""Live update of the page, from a run's folder or as an observer in the run's process."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from twinct.view.show import Show
 log = logging.getLogger(__name__)
 
 LOOKS_APART_S = 0.4
-"""Between two looks into a folder that another process may write."""
+"""Time between two looks into a folder that another process may write."""
 
 JOINTS_HZ = 10.0
 
 HANGS_S = 60.0
-"""The end waits so long for the last look, without which the page would lack the last views."""
+"""Time that the end waits for the last look, without which the page would lack the last views."""
 
 
 class Follower:
-    """Looks into a run's folder again and again, and puts what is new on the page."""
+    """Poller of a run's folder, which puts new data on the page."""
 
     def __init__(self, page: Page, run: int, folder: RunFolder, shown: Show) -> None:
-        """Starts at once; ``shown`` is what the page has."""
+        """Start polling; ``shown`` is the current content of the page."""
         self._page, self._run, self.folder = page, run, folder
         self._shown = shown
         self._nudged, self._ended = Signal(), False
@@ -51,11 +51,11 @@ class Follower:
         self._thread.start()
 
     def nudge(self) -> None:
-        """Look now."""
+        """Look at once."""
         self._nudged.set()
 
     def close(self) -> None:
-        """Look no more, after a last look."""
+        """Stop polling after a last look."""
         self._ended = True
         self._nudged.set()
         self._thread.join(HANGS_S)
@@ -90,7 +90,7 @@ class Follower:
 
 
 def mark(show: Show) -> tuple[object, ...]:
-    """What differs between two looks at a folder in which something happened."""
+    """Return a key that differs between two looks at a folder if its content has changed."""
     volumes = tuple((name, id(volume)) for name, volume in show.volumes.items())
     poses = tuple((name, len(known)) for name, known in show.poses.items())
     residuals = tuple((name, len(values)) for name, values in show.residuals.items())
@@ -98,10 +98,10 @@ def mark(show: Show) -> tuple[object, ...]:
 
 
 class LivePage:
-    """A page as an observer of a run in this process."""
+    """A page that observes a run in this process."""
 
     def __init__(self, page: Page, out: Path, workshop: Workshop | None = None) -> None:
-        """``out`` is the run's folder, which need not be there yet; the workshop is the run's."""
+        """Prepare a page of a run with ``workshop``; its folder ``out`` may not exist yet."""
         self._page, self._out, self._workshop = page, out, workshop
         self._follower: Follower | None = None
         self._shown: Show | None = None
@@ -109,13 +109,13 @@ class LivePage:
 
     @property
     def observer(self) -> Observer:
-        """What the run shall tell it; what is too much is left out."""
+        """Observer for the run, which drops events when the page is too slow."""
         kinds = (PlanMade, JointSample, ViewStored, IterationDone)
         stages = (StageBegan, StageStep, StageEnded, Said)
         return Observer(self.hear, (*kinds, *stages), joints_hz=JOINTS_HZ, waiting=64)
 
     def hear(self, event: Event) -> None:
-        """Put an event on the page; called in a thread of the observer."""
+        """Put an event on the page; called in the observer's thread."""
         match event:
             case PlanMade(scenario, commanded, plan):
                 name = self._out.name
@@ -130,7 +130,7 @@ class LivePage:
                     self._follower.folder.iterated(event)
                 self._look()
             case StageBegan(name, total, done) | StageStep(name, total, done):
-                if not name.startswith("views"):  # they speak for themselves
+                if not name.startswith("views"):  # the page shows views as they come
                     self._page.say(f"{name}: {done} of {total}" if total > 1 else name)
             case Said(text, True):
                 self._page.say(text)
@@ -138,7 +138,7 @@ class LivePage:
                 pass
 
     def close(self) -> None:
-        """The run is over: a last look at its folder."""
+        """Take a last look at the folder of the finished run."""
         self._look()
         self._page.say("the run is over")
         if self._follower is not None:

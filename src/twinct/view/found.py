@@ -1,4 +1,4 @@
-"""Whether there is a run to show: known before anything large is imported."""
+"""Search for a run to show, before anything large is imported."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ SCAN, SCENARIO = "scan.zarr", "scenario.yaml"
 
 
 def folder_of_run(path: Path) -> Path:
-    """The folder that a path means: what ``twinct run --out`` wrote, or the scan.zarr in it.
+    """Return the folder of a run, given the folder of ``twinct run --out`` or its scan.zarr.
 
     Raises:
-        InputError: it is no folder of a run.
+        InputError: the path is no folder of a run.
     """
     path = path.parent if path.name == SCAN else path
     if not path.is_dir():

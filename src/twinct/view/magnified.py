@@ -1,4 +1,4 @@
-"""Geometries of the same views with their differences magnified, so that an eye sees them."""
+"""Geometries of the same views, with their differences magnified to be visible."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from twinct.geometry import Floats, ScanGeometry
 
 
 def magnified(reference: ScanGeometry, other: ScanGeometry, factor: float) -> ScanGeometry:
-    """Another geometry, ``factor`` times as far from a reference as it is.
+    """Return ``other`` with its differences from a reference multiplied by ``factor``.
 
-    Places go along straight lines, the panel turns about the axis of its relative rotation.
+    Positions move along straight lines; the panel turns about the axis of its relative rotation.
 
     Raises:
-        ValueError: not the same number of views, or so large a factor that a panel would be seen
-            from behind.
+        ValueError: the numbers of views differ, or so large a factor would show a panel from
+            behind.
     """
     if len(reference) != len(other):
         raise ValueError(f"{len(reference)} and {len(other)} views: they cannot be compared")
@@ -37,7 +37,7 @@ def _axes(geometry: ScanGeometry) -> Rotation:
 
 
 def corners(geometry: ScanGeometry, view: int) -> Floats:
-    """The active area's corners in the order of a walk round it, (4, 3), mm."""
+    """Return the corners of the active area, in order around it, (4, 3), mm."""
     width, height = geometry.panel.size_mm
     across, up = geometry.u[view] * width / 2, geometry.v[view] * height / 2
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))

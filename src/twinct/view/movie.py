@@ -1,4 +1,4 @@
-"""A film of a scan: the room, the projection and the middle of the volume, view by view."""
+"""A film of a scan: the room, the projection and the middle slice of the volume, view by view."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ PATH_RADIUS_MM = 4.0
 
 
 def write_movie(show: Show, workshop: Workshop, path: Path, progress: Progress) -> None:
-    """Write a film (MP4, H.264) that has each view for a tenth of a second.
+    """Write a film (MP4, H.264) that shows each view for a tenth of a second.
 
     Raises:
         InputError: the scenario's room cannot be built, or MuJoCo cannot draw here.
-        StorageError: it cannot be written.
+        StorageError: the file cannot be written.
     """
     import imageio_ffmpeg
 
@@ -58,7 +58,7 @@ def write_movie(show: Show, workshop: Workshop, path: Path, progress: Progress) 
 
 
 def frames(show: Show, workshop: Workshop) -> Iterator[NDArray[np.uint8]]:
-    """One picture a view, (HEIGHT, WIDTH, 3)."""
+    """Yield one picture per view, (HEIGHT, WIDTH, 3)."""
     beside, projections = _middle_slice(show), Projections(show)
     pictures = _rooms(show, workshop)
     for view, room in enumerate(pictures):
@@ -109,7 +109,7 @@ def _rooms(show: Show, workshop: Workshop) -> Iterator[NDArray[np.uint8]]:
 
 
 def _object(show: Show, view: int) -> Iterator[tuple[str, Pose]]:
-    """Where the specimen is, which moves where the patient does."""
+    """Yield the pose of the specimen, which moves with the patient."""
     if view < len(show.objects):
         yield "specimen", show.objects[view]
 
@@ -129,7 +129,7 @@ def _pose(position_m: Floats, wxyz: Floats) -> Pose:
 
 
 def _middle_slice(show: Show) -> Image.Image | None:
-    """The slice across z through the middle of the volume, or of the truth."""
+    """Return the middle slice across z of the reconstruction or else the ground truth."""
     names = [name for name in (RECONSTRUCTION, TRUTH) if name in show.volumes]
     if not names:
         return None

@@ -1,4 +1,4 @@
-"""What a click selects, in numbers."""
+"""Text with the numbers of a clicked object."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twinct.view.slices import AXES, Plane, index_at
 
 
 def of_view(show: Show, view: int) -> str:
-    """Where source and panel of a view are, and how far from the executed ones, by geometry."""
+    """Return a view's source and panel in each geometry, and their distances from executed."""
     executed = show.geometries.get("executed")
     taken = executed is not None and view < len(executed)
     told = [f"**View {view}** of {len(show)}"]
@@ -45,7 +45,7 @@ def of_view(show: Show, view: int) -> str:
 
 
 def of_joints(show: Show, view: int, body: str) -> str:
-    """A body of the room, and the joints of its arm."""
+    """Return a body's name, and the joints of its arm."""
     told = [f"**{body}**"]
     joints = show.joints_at(view)
     if joints is not None and show.plan is not None:
@@ -64,15 +64,15 @@ def of_joints(show: Show, view: int, body: str) -> str:
 def of_pixel(
     show: Show, drawn: ScanGeometry, view: int, origin: Floats, direction: Floats, front_mm: float
 ) -> str | None:
-    """The pixel that a ray meets, and its value.
+    """Return the pixel that a ray meets, and its value; None outside the panel.
 
     Args:
         show: the run.
-        drawn: the one view as it is drawn.
-        view: which one.
-        origin: of the ray, mm.
-        direction: of the ray.
-        front_mm: by how much the image is drawn before the pixels' plane.
+        drawn: the view's geometry as drawn.
+        view: index of the view.
+        origin: the ray's origin, mm.
+        direction: the ray's direction.
+        front_mm: distance of the drawn image from the pixel plane.
     """
     n = drawn.normal[0]
     point = _met(origin, direction, drawn.detector[0] + front_mm * n, n)
@@ -95,7 +95,7 @@ def of_pixel(
 
 
 def of_voxel(show: Show, axis: int, index: int, origin: Floats, direction: Floats) -> str | None:
-    """The voxel of a slice that a ray meets, in all volumes."""
+    """Return the voxel of a slice that a ray meets, in all volumes."""
     first = next(iter(show.volumes.values()), None)
     if first is None:
         return None
@@ -106,7 +106,7 @@ def of_voxel(show: Show, axis: int, index: int, origin: Floats, direction: Float
 
 
 def of_point(show: Show, point: Floats, where: str) -> str | None:
-    """A point of the volumes, mm."""
+    """Return all volumes' values at a point, mm."""
     told: list[str] = []
     for name, volume in show.volumes.items():
         found = index_at(volume.grid, point)
@@ -118,7 +118,7 @@ def of_point(show: Show, point: Floats, where: str) -> str | None:
 def on_surface(
     show: Show, name: str, level: float, origin: Floats, direction: Floats
 ) -> Floats | None:
-    """The first point of a ray at which a volume is above a level, mm."""
+    """Return the first point of a ray at which a volume exceeds a level, mm, if any."""
     volume = show.volumes.get(name)
     if volume is None:
         return None
@@ -136,7 +136,7 @@ def on_surface(
 
 
 def nearest_view(show: Show, name: str, origin: Floats, direction: Floats) -> int | None:
-    """The view whose source in a geometry is nearest to a ray."""
+    """Return the view whose source in a geometry is nearest to a ray."""
     geometry = show.geometries.get(name)
     if geometry is None:
         return None
@@ -146,7 +146,7 @@ def nearest_view(show: Show, name: str, origin: Floats, direction: Floats) -> in
 
 
 def _met(origin: Floats, direction: Floats, point: Floats, normal: Floats) -> Floats | None:
-    """Where a ray meets a plane."""
+    """Return the intersection of a ray and a plane; None if parallel."""
     slope = float(direction @ normal)
     if abs(slope) < 1e-12:
         return None

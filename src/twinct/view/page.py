@@ -1,8 +1,7 @@
-"""The page: controls, curves and pictures beside the scene; one thread paints, whoever asks.
+"""The page: controls, curves and pictures beside the scene, all painted by one thread.
 
-Callbacks of browsers and events of a run only say what is wanted. The painter takes the newest
-wish, so that a slider that is dragged, a run that goes fast or a browser that is slow leave out
-views and never queue them.
+Callbacks of browsers and events of a run only record requests. The painter takes the newest
+request, so that a dragged slider, a fast run or a slow browser skips views and never queues them.
 """
 
 from __future__ import annotations
@@ -40,24 +39,24 @@ from twinct.view.tiles import slices_beside
 log = logging.getLogger(__name__)
 
 APART_M = 2.8
-"""Between the isocentres of two runs side by side."""
+"""Distance between the isocentres of two runs side by side."""
 
 FASTEST_HZ = 30.0
-"""Paintings a second, at most."""
+"""Maximum number of paintings per second."""
 
 BROWSER_COMES_S, BROWSER_DRAWS_S = 2.0, 2.0
-"""How long a first browser may take to come, and then to draw, before heavy work begins."""
+"""Time for a first browser to connect, and then to draw, before heavy work begins."""
 
 SURFACE_SHARE = 0.5
-"""Level of the bone surface at first: this share of the densest material in the window."""
+"""Initial level of the bone surface, as a share of the densest material in the window."""
 
 HANGS_S = 60.0
-"""The end of a page waits so long for the painter, which a large surface keeps busy for seconds."""
+"""Time that closing waits for the painter, which a large surface keeps busy for seconds."""
 
 
 @dataclass
 class _Wishes:
-    """What has come since the last painting."""
+    """Requests since the last painting."""
 
     shows: dict[int, Show] = field(default_factory=dict)
     rooms: dict[int, Room] = field(default_factory=dict)
@@ -75,10 +74,10 @@ class _Wishes:
 
 
 class Page:
-    """What all browsers see."""
+    """The page that all browsers share."""
 
     def __init__(self, server: viser.ViserServer, runs: int = 1, *, live: bool = False) -> None:
-        """An empty page for one run or two; ``live`` follows the newest view at first."""
+        """Build an empty page for one or two runs; ``live`` initially follows the newest view."""
         self.server = server
         self._changed = Condition()
         self._wishes = _Wishes()
@@ -104,59 +103,59 @@ class Page:
         self._thread = Thread(target=self._paint_on, name="page", daemon=True)
         self._thread.start()
 
-    # What the run tells; each returns at once.
+    # Updates from the run; each call returns at once.
 
     def put(self, run: int, show: Show) -> None:
-        """A run as it is now."""
+        """Show the current state of a run."""
         self._wish(lambda wishes: wishes.shows.__setitem__(run, show))
 
     def put_room(self, run: int, room: Room) -> None:
-        """The bodies of its room."""
+        """Show the bodies of a run's room."""
         self._wish(lambda wishes: wishes.rooms.__setitem__(run, room))
 
     def put_specimen(self, run: int, mesh: Any) -> None:
-        """Its specimen as it looks, mm, in its own frame."""
+        """Show the surface of a run's specimen, mm, in its own frame."""
         self._wish(lambda wishes: wishes.specimens.__setitem__(run, mesh))
 
     def put_field(self, run: int, mesh: Any) -> None:
-        """What every view sees, mm."""
+        """Show the region that every view sees, mm."""
         self._wish(lambda wishes: wishes.fields.__setitem__(run, mesh))
 
     def move(self, run: int, joints: Floats) -> None:
-        """Its arms, while they move."""
+        """Show a run's arms during a move."""
         self._wish(lambda wishes: wishes.joints.__setitem__(run, joints))
 
     def say(self, text: str) -> None:
-        """A line about what goes on."""
+        """Show a status line."""
         self._wish(lambda wishes: setattr(wishes, "said", text))
 
     def show_view(self, view: int) -> None:
-        """Go to a view, as by the slider."""
+        """Go to a view, like the slider."""
         self._view.value = int(np.clip(view, 0, self._view.max))
 
     def settle(self, timeout_s: float | None = None) -> bool:
-        """Wait until all that was wanted is painted; whether it was in time."""
+        """Wait until all requests are painted; return False on timeout."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._wishes and not self._busy, timeout_s)
 
     def let_draw(self) -> None:
-        """Wait while a browser may draw for the first time, which work here would hold up."""
+        """Wait for a browser's first drawing, which other work here would delay."""
         if self._opened.wait(BROWSER_COMES_S):
             time.sleep(BROWSER_DRAWS_S)
 
     def close(self) -> None:
-        """Paint no more."""
+        """Stop painting."""
         self._wish(lambda wishes: setattr(wishes, "ended", True))
         self._thread.join(HANGS_S)
 
     @property
     def look(self) -> Look:
-        """What is looked at."""
+        """Current look."""
         return self._look
 
     @property
     def shows(self) -> Sequence[Show]:
-        """The runs that are on the page."""
+        """Runs on the page."""
         return [show for show in self._shows if show is not None]
 
     def _wish(self, wish: Callable[[_Wishes], Any]) -> None:
@@ -209,7 +208,7 @@ class Page:
         ):
             handle.on_update(lambda _: self._look_again())
 
-        # In the server's loop, which keeps the order of clicks; its other threads do not.
+        # Async, to run in the server's loop, which keeps clicks in order; its threads do not.
         @self._buttons.on_click
         async def _(_: Any) -> None:
             self._press(str(self._buttons.value))
@@ -286,7 +285,7 @@ class Page:
                 time.sleep(rest)
 
     def _await_beat(self, beat_s: float) -> None:
-        """Wait until the next view of those that play is due, or something is wanted."""
+        """Wait until the next view of the playback is due, or a request comes."""
         self._changed.wait_for(lambda: self._wishes, beat_s)
 
     def _complain(self, text: str) -> None:
@@ -314,7 +313,7 @@ class Page:
                 self._paint_numbers()
 
     def _take(self, wishes: _Wishes) -> bool:
-        """Take over what came; whether all is to be drawn anew."""
+        """Apply the requests; return True if everything has to be redrawn."""
         for run, show in wishes.shows.items():
             before, self._shows[run] = self._shows[run], show
             self._fit_controls(show, before)
@@ -333,7 +332,7 @@ class Page:
         return bool(wishes.shows or wishes.rooms or wishes.specimens)
 
     def _fit_controls(self, show: Show, before: Show | None) -> None:
-        """Let the controls offer what there is."""
+        """Offer the available data in the controls."""
         self._mute = True
         views = max(len(one) for one in self.shows)
         self._view.max = max(views - 1, 1)
@@ -367,7 +366,7 @@ class Page:
             if plane.max != n - 1:
                 plane.max = n - 1
                 plane.value = n // 2
-        if first:  # it would hide the slices
+        if first:  # the specimen would hide the slices
             self._specimen.value = False
         if first or TRUTH in names:
             low, high = show.window()
@@ -408,7 +407,7 @@ class Page:
                 plot.data = (curve.x, *curve.series.values(), curve.marked(self._look.view))
 
     def _lay_curves(self, found: list[Curve]) -> bool:
-        """Plots of the curves, which stay where they have the series that they had; else True."""
+        """Update the plots; return True if they were made anew because the series have changed."""
         known = [(c.title, tuple(c.series)) for c, _ in self._curves]
         if known == [(c.title, tuple(c.series)) for c in found]:
             self._curves = [(c, plot) for c, (_, plot) in zip(found, self._curves, strict=True)]
@@ -439,10 +438,10 @@ class Page:
             scales={"x": {"time": False}},
         )  # fmt: skip
 
-    # What a click selects.
+    # Selection by clicks.
 
     def _select(self, run: int, kind: str, detail: str, origin: Floats, along: Floats) -> None:
-        """Say what was clicked; called in a thread of viser's."""
+        """Show the numbers of a clicked object; called in a thread of viser."""
         show = self._shows[run]
         if show is None:
             return
@@ -473,7 +472,7 @@ class Page:
             self._numbers.content = told
 
     def _paint_numbers(self) -> None:
-        """The numbers of the view, of the run in which one was clicked."""
+        """Show the view's numbers of the run in which a view was last clicked."""
         show = self._shows[self._selected]
         if show is not None:
             self._numbers.content = of_view(show, min(self._look.view, len(show) - 1))

@@ -1,4 +1,4 @@
-"""What the page shows of a scenario that was not run: plan, reach of the path, field of view."""
+"""Content of the page for a scenario that was not run: plan, reachable views, field of view."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from twinct.view.show import Show
 from twinct.view.surface import dense_surface
 
 COARSE_VOXELS = 64
-"""Voxels along each axis for the field of view: it is convex, few are enough."""
+"""Voxels along each axis of the field of view, which is convex, so that few are enough."""
 
 
 def planned(workshop: Workshop) -> Show:
-    """The plan of a scenario; where there is none, which views the arms cannot have.
+    """Return the plan of a scenario or, if there is none, the views that the arms cannot reach.
 
     Raises:
-        InputError: whatever keeps the scenario from being planned, but views that cannot be had.
+        InputError: planning fails for a reason other than unreachable views.
     """
     scenario = workshop.scenario
     if isinstance(scenario.cell, Cell):
@@ -59,7 +59,7 @@ def planned(workshop: Workshop) -> Show:
 
 
 def field_of_view(show: Show) -> trimesh.Trimesh | None:
-    """Surface of what every view sees, by the commanded poses, mm; None where that is nothing."""
+    """Return the surface of the region that all commanded views see, mm; None if it is empty."""
     whole = show.scenario.reconstruction.volume_grid
     shape = tuple(min(n, COARSE_VOXELS) for n in whole.shape)
     voxel = [size / n for size, n in zip(whole.size_mm, shape[::-1], strict=True)]

@@ -1,4 +1,4 @@
-"""The image of a view as a picture, all views in one window."""
+"""Projections as pictures, with one grey window for all views."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ DARKEST = 1e-4
 """Transmission shown for anything darker."""
 
 EMPTY_RGB = (28, 52, 84)
-"""Of the panel in a view that was not taken."""
+"""Colour of the panel in a view that was not acquired."""
 
 HEADROOM = 1.25
-"""The window goes so far beyond what the first image has."""
+"""Window relative to the first image's 99.5th percentile."""
 
 
 class Projections:
     """Pictures of the views of a run."""
 
     def __init__(self, show: Show, window: float = 0.0) -> None:
-        """``window``: of line integrals, from 0; 0: as the first image that is asked for needs."""
+        """Set the largest line integral of the window; 0 derives it from the first image."""
         self.show, self.window = show, window
 
     def at(self, view: int) -> NDArray[np.uint8]:
-        """Line integrals, dense is bright, (rows, columns, 3); plain where there is no image."""
+        """Return line integrals, dense is bright, (rows, columns, 3); plain without an image."""
         show = self.show
         if show.transmission is None or view >= show.acquired:
             return np.full((8, 8, 3), EMPTY_RGB, np.uint8)

@@ -1,8 +1,8 @@
-"""The operating room as meshes with places: the only file that knows ``mjviser``.
+"""The operating room as meshes with poses: the only file that uses ``mjviser``.
 
-Its conversion of MuJoCo's shapes is what serves here; its scene draws a model of which the fixed
-bodies never move and whose bodies have one look, while here two rooms stand side by side, a
-gantry's source and panel are moved without joints, and a page may be written to a file.
+Only its conversion of MuJoCo's shapes is used. Its scene assumes that fixed bodies never move and
+that bodies have one look. Here, two rooms stand side by side, a gantry's source and panel move
+without joints, and a page may be written to a file.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from twinct.cell import BodyPlaces, CellModel, GantryModel
 from twinct.geometry import Floats, Pose
 
 LEFT_OUT = ("floor", "specimen")
-"""Bodies that the page draws itself: a floor without end, and the specimen as it looks."""
+"""Bodies that the page draws itself: an endless floor, and the specimen's true surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +23,8 @@ class Body:
     """One body of the room.
 
     Attributes:
-        name: of MuJoCo's body.
-        mesh: its coloured surface in its own frame, m.
+        name: name of MuJoCo's body.
+        mesh: coloured surface in the body's own frame, m.
     """
 
     name: str
@@ -32,10 +32,10 @@ class Body:
 
 
 class Room:
-    """All bodies of a room that are seen."""
+    """All visible bodies of a room."""
 
     def __init__(self, model: CellModel | GantryModel) -> None:
-        """Convert a room; a gantry's is the one of its first view."""
+        """Convert a room; a gantry's room is that at its first view."""
         from mjviser.conversions import merge_geoms
 
         self._places = BodyPlaces(model)
@@ -51,16 +51,16 @@ class Room:
         )
 
     def at(self, joints: Floats | None) -> tuple[Floats, Floats]:
-        """Positions, (bodies, 3), m, and quaternions (w, x, y, z), (bodies, 4), of ``bodies``."""
+        """Return positions, (bodies, 3), m, and quaternions (w, x, y, z), (bodies, 4)."""
         positions, quats = self._places.at(joints)
         return positions[self._indices], quats[self._indices]
 
 
 class GantryPlaces:
-    """Where the source and the panel of a gantry's room are, given where they shall be."""
+    """Poses of all bodies of a gantry's room, for given poses of source and panel."""
 
     def __init__(self, room: Room, source: Pose, detector: Pose) -> None:
-        """Of a room that was built for these two poses."""
+        """Take a room that was built for these two poses."""
         positions, quats = room.at(None)
         self._fixed = positions, quats
         self._tools: dict[int, tuple[bool, Pose]] = {}
@@ -73,7 +73,7 @@ class GantryPlaces:
                 self._tools[index] = is_source, shall.inverse() @ here
 
     def at(self, source: Pose, detector: Pose) -> tuple[Floats, Floats]:
-        """As ``Room.at``, for other poses of the two."""
+        """Return positions and quaternions for given poses of source and panel."""
         positions, quats = (numbers.copy() for numbers in self._fixed)
         for index, (is_source, mount) in self._tools.items():
             position, quat = ((source if is_source else detector) @ mount).to_metres()

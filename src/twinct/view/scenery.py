@@ -1,4 +1,4 @@
-"""Light and the first camera of a scene, of the page and of exported ones."""
+"""Lights and initial camera of a scene, for the live page and exported pages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import viser
 
 
 def set_lights(server: viser.ViserServer, runs: int = 1) -> None:
-    """Light that needs nothing from elsewhere, and a camera that sees all runs."""
+    """Set lights that need no download, and a camera that sees all runs."""
     scene, camera = server.scene, server.initial_camera
     scene.configure_default_lights(False)
     scene.configure_environment_map(None)

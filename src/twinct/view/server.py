@@ -1,8 +1,8 @@
-"""A server of viser's that only this machine reaches, and that nothing shares.
+"""A viser server that only this machine can reach, and that shares nothing.
 
-viser listens on all addresses, takes the next port where one is in use, has a button that lends the
-page to the internet, and lets pages of any site in; this file undoes that, and is the only one that
-reaches into it.
+viser listens on all addresses, takes the next port if one is in use, has a button that shares the
+page on the internet, and admits pages of any site. This file reverses that, and is the only one
+that uses viser's internals.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ def serve(
 
     Args:
         host: address to listen on.
-        port: 0 takes any that is free.
-        allow_network: whether the address may be another than loopback.
-        label: of the page's panel.
+        port: port to listen on; 0 for any free one.
+        allow_network: permit addresses other than loopback.
+        label: label of the page's panel.
 
     Raises:
-        InputError: the port is in use or forbidden, the address is none of this machine, or is
-            another than loopback without ``allow_network``.
+        InputError: the port is in use or forbidden, or the address does not belong to this machine,
+            or is not loopback without ``allow_network``.
     """
     if not allow_network and not is_loopback(host):
         raise InputError(
@@ -52,9 +52,9 @@ def serve(
     _require_free(host, port)
     with _quiet():
         server = viser.ViserServer(host=host, port=port, verbose=False, label=label)
-    # Whoever only knocks at the port is none of the user's business.
+    # Users need not know of connections without a valid handshake.
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-    if port and server.get_port() != port:  # somebody was faster: viser took the next one
+    if port and server.get_port() != port:  # another process was faster: viser took the next
         close(server)
         raise InputError(_in_use(port))
     _share_nothing(server)
@@ -70,7 +70,7 @@ def close(server: viser.ViserServer) -> None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is only reached from this machine."""
+    """Return True if an address is reachable only from this machine."""
     if host == "localhost":
         return True
     with contextlib.suppress(ValueError):
@@ -79,14 +79,14 @@ def is_loopback(host: str) -> bool:
 
 
 def address(server: viser.ViserServer) -> str:
-    """Where a browser of this machine finds the page."""
+    """Return the page's URL for browsers on this machine."""
     host = server.get_host()
     shown = "localhost" if host in (*LOCAL_NAMES, "0.0.0.0", "::") else host
     return f"http://{shown}:{server.get_port()}"
 
 
 def by_ssh(server: viser.ViserServer) -> str:
-    """How another machine reaches the page."""
+    """Return the SSH command with which another machine reaches the page."""
     port = server.get_port()
     return f"ssh -N -L {port}:localhost:{port} USER@{socket.gethostname()}"
 
@@ -110,17 +110,17 @@ def _in_use(port: int) -> str:
 
 
 def _share_nothing(server: viser.ViserServer) -> None:
-    """Hide the button, and make the server deaf to what it would say."""
+    """Hide the share button, and ignore its messages."""
     server.gui.configure_theme(show_share_button=False, show_logo=False, brand_color=(31, 96, 145))
     for kind in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(kind)
 
 
 def _refuse_other_sites(server: viser.ViserServer) -> None:
-    """Close connections that a page of another site opens in the browser of this machine.
+    """Close connections that pages of other sites open from a browser on this machine.
 
-    Browsers let any page open websockets to loopback, and a site may give its own name the address
-    of loopback; both are known by the names in the request (RFC 6455, section 10.2).
+    Browsers let any page open websockets to loopback, and a site may point its own name to
+    loopback. The names in the request reveal both (RFC 6455, section 10.2).
     """
     inner = server._websock_server
 
@@ -139,6 +139,6 @@ def _refuse_other_sites(server: viser.ViserServer) -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what viser prints by itself."""
+    """Suppress viser's own output."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

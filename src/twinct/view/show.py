@@ -1,4 +1,4 @@
-"""What the page shows of a run, at one moment: plain data, whoever reads or makes it."""
+"""Content of the page for a run at one moment, as plain data."""
 
 from __future__ import annotations
 
@@ -25,26 +25,25 @@ RECONSTRUCTION = "reconstruction"
 
 @dataclass(frozen=True, eq=False)
 class Show:
-    """A run as far as it is, or a scenario that was not run.
+    """Current state of a run, or a scenario that was not run.
 
     Attributes:
-        name: for people.
-        scenario: of it.
+        name: name for users.
+        scenario: the run's scenario.
         commanded: poses of all views.
-        plan: that the arms follow; None where none is known, or with a gantry.
-        poses: of the views on disk, by name of their geometry, ``executed`` first; the commanded
-            ones are not among them.
+        plan: the arms' plan; None if unknown, or for a gantry.
+        poses: poses of the views on disk, by geometry, ``executed`` first, without ``commanded``.
         objects: ``world_from_object`` of the views on disk.
-        joints: of the views on disk, rad, (views, joints).
-        clearance_mm: of the views on disk, (views,).
-        transmission: the image of a view on disk, (rows, columns).
-        volumes: by name; ``reconstruction`` is the run's own, others bear the name they were given,
-            ``truth`` is what they are judged against. Memory-mapped.
-        residuals: of each iteration, by geometry.
-        made: geometries of these poses that are made already, by name.
-        refused: views that the arms cannot have, where there is no plan.
-        state: in one line for people.
-        problems: what a user should know, a sentence each.
+        joints: joint positions of the views on disk, rad, (views, joints).
+        clearance_mm: clearances of the views on disk, (views,).
+        transmission: returns the image of a view on disk, (rows, columns).
+        volumes: memory-mapped volumes, by name: ``reconstruction`` is the run's own, ``truth`` the
+            reference; others have the names they were given.
+        residuals: residuals of each iteration, by geometry.
+        made: geometries of these poses already built, by name.
+        refused: views that the arms cannot reach, if there is no plan.
+        state: state in one line, for users.
+        problems: messages for users, one sentence each.
     """
 
     name: str
@@ -64,17 +63,17 @@ class Show:
     problems: tuple[str, ...] = ()
 
     def __len__(self) -> int:
-        """Number of views that it has, or shall have."""
+        """Return the number of views of the complete run."""
         return len(self.commanded)
 
     @property
     def acquired(self) -> int:
-        """Number of views on disk; they are the first."""
+        """Number of views on disk, which are the first views."""
         return len(self.joints)
 
     @cached_property
     def geometries(self) -> Mapping[str, ScanGeometry]:
-        """All geometries by name: ``commanded`` of all views, the others of those on disk."""
+        """All geometries by name: ``commanded`` for all views, others for the views on disk."""
         panel, made = self.scenario.detector.panel, self.made
         return {
             name: made[name] if name in made else poses.geometry(panel)
@@ -83,29 +82,29 @@ class Show:
         }
 
     def geometry(self, name: str, view: int) -> tuple[str, ScanGeometry]:
-        """The geometry of this name, or ``commanded`` where it does not have the view."""
+        """Return the named geometry, or ``commanded`` if it lacks the view."""
         known = self.geometries.get(name)
         if known is None or view >= len(known):
             name = "commanded"
         return name, self.geometries[name]
 
     def joints_at(self, view: int) -> Floats | None:
-        """Where the arms are in a view: reached, or planned; None where neither is known."""
+        """Return the executed or else planned joint configuration of a view; None if unknown."""
         if view < self.acquired:
             return self.joints[view]
         return None if self.plan is None else np.asarray(self.plan.joints[view])
 
     def pose_errors_mm(self) -> dict[str, Floats]:
-        """Distance of source and panel from the executed ones in each view on disk, by geometry.
+        """Return distances of source and panel from the executed ones in each view on disk, mm.
 
-        Names are as ``believed, source``; of the commanded ones, what the motion left.
+        Names are like ``believed, source``. The commanded ones give the error of the motion.
         """
         executed = self.poses.get("executed")
         if executed is None or not len(executed):
             return {}
         found: dict[str, Floats] = {}
         for name, poses in {"commanded": self.commanded, **self.poses}.items():
-            views = min(len(poses), len(executed))  # while a scan goes on not all have the newest
+            views = min(len(poses), len(executed))  # some may lack a running scan's newest views
             if name != "executed" and views:
                 errors = pose_errors(_first(poses, views), _first(executed, views))
                 found[f"{name}, source"] = errors.source.position_mm
@@ -113,7 +112,7 @@ class Show:
         return found
 
     def window(self) -> tuple[float, float]:
-        """Grey window that all its volumes share, 1/mm: air to a little above what is dense."""
+        """Return the grey window of all volumes, 1/mm: from air to just above dense material."""
         judged = self.volumes.get(TRUTH) or self.volumes.get(RECONSTRUCTION)
         if judged is None:
             return 0.0, 1.0

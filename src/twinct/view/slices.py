@@ -1,4 +1,4 @@
-"""Planes of a volume: which voxels they hold, where they lie, and as pictures."""
+"""Planes of a volume: their voxels, poses and pictures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twinct.volume import Volume
 Bytes = NDArray[np.uint8]
 
 AXES = ("x", "y", "z")
-"""A plane is named after the axis of the grid that it is across."""
+"""Names of planes: the axis of the grid that is normal to the plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +23,11 @@ class Plane:
     """A plane of voxels.
 
     Attributes:
-        axis: 0, 1, 2: across x, y or z of the grid.
-        index: of the voxels along that axis.
-        at_mm: their place along it, in the grid's own frame.
+        axis: 0, 1 or 2 for a plane normal to x, y or z of the grid.
+        index: index of the voxels along that axis.
+        at_mm: position along that axis, in the grid's own frame.
         size_mm: width and height of the plane.
-        world_from_plane: its middle; x along the columns of ``values``, y along the rows.
+        world_from_plane: pose of its middle; x along the columns of ``values``, y along the rows.
     """
 
     axis: int
@@ -38,7 +38,7 @@ class Plane:
 
     @classmethod
     def of(cls, grid: VolumeGrid, axis: int, index: int) -> Plane:
-        """One plane of a grid, the nearest where there is none of this index."""
+        """Return one plane of a grid; an index outside the grid gives the nearest plane."""
         index = int(np.clip(index, 0, grid.shape_xyz[axis] - 1))
         across, along = _in_plane(axis)
         at = float(grid.axes()[axis][index])
@@ -52,7 +52,7 @@ class Plane:
         return cls(axis, index, at, (float(size[across]), float(size[along])), pose)
 
     def values(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Its voxels, (rows, columns); only they are read from what is memory-mapped."""
+        """Return the plane's voxels, (rows, columns), the only ones read from a mapped file."""
         picked: list[slice | int] = [slice(None)] * 3
         picked[2 - self.axis] = self.index
         found = np.array(array[tuple(picked)])
@@ -64,7 +64,7 @@ _SHOWN: WeakKeyDictionary[Volume, dict[int, tuple[int, NDArray[np.float32]]]] = 
 
 
 def values_of(volume: Volume, plane: Plane) -> NDArray[np.float32]:
-    """Voxels of a plane; the last one across each axis is kept, as the room and the sheet show it.
+    """Return the voxels of a plane; cache the last plane per axis, for both room and sheet.
 
     Reading a plane across x from a mapped file of 512^3 voxels takes tenths of a second.
     """
@@ -75,15 +75,15 @@ def values_of(volume: Volume, plane: Plane) -> NDArray[np.float32]:
 
 
 def _in_plane(axis: int) -> tuple[int, int]:
-    """The axes along columns and rows of the plane across an axis."""
+    """Return the axes along columns and rows of the plane normal to an axis."""
     across, along = (k for k in range(3) if k != axis)
     return across, along
 
 
 def release(array: NDArray[np.float32]) -> None:
-    """Give back the memory of a file that is mapped; what is read again comes from its file.
+    """Release the memory of a mapped file; later reads come from the file again.
 
-    A plane across x touches every page of a volume: without this a process grows by all of it.
+    A plane across x touches every page of a volume, so the process would grow by the whole volume.
     """
     owner: object = array
     while isinstance(owner, np.ndarray) and not isinstance(owner, np.memmap):
@@ -95,7 +95,7 @@ def release(array: NDArray[np.float32]) -> None:
 
 
 def greys(values: Floats | NDArray[np.float32], window: tuple[float, float]) -> Bytes:
-    """Values in a window as grey, (rows, columns, 3)."""
+    """Return values in a window as grey, (rows, columns, 3)."""
     low, high = window
     scale = 255.0 / max(high - low, 1e-12)
     grey = np.clip((np.asarray(values, np.float32) - low) * scale, 0, 255).astype(np.uint8)
@@ -103,7 +103,7 @@ def greys(values: Floats | NDArray[np.float32], window: tuple[float, float]) -> 
 
 
 def differences(values: NDArray[np.float32], half: float) -> Bytes:
-    """Differences as blue (below), white and red (above), full at ``half``."""
+    """Return differences as blue (below), white and red (above), saturated at ``half``."""
     t = np.clip(np.asarray(values, np.float32) / max(half, 1e-12), -1, 1)
     fade = 255 * (1 - np.abs(t))
     red, blue = np.where(t > 0, 255, fade), np.where(t < 0, 255, fade)
@@ -111,7 +111,7 @@ def differences(values: NDArray[np.float32], half: float) -> Bytes:
 
 
 def index_at(grid: VolumeGrid, point_mm: Floats) -> tuple[int, int, int] | None:
-    """Index (k, j, i) of the voxel that holds a point of the world; None outside the grid."""
+    """Return the index (k, j, i) of the voxel at a point in the world; None outside the grid."""
     local = grid.world_from_grid.inverse().apply(np.asarray(point_mm)[None])[0]
     found = np.rint((local - grid.first_voxel_mm) / grid.voxel).astype(int)
     if (found < 0).any() or (found >= grid.shape_xyz).any():

@@ -1,4 +1,4 @@
-"""One run on the page: its room, beam, paths and volume as nodes of viser's scene, metres."""
+"""One run on the page: its room, beam, paths and volume as nodes of viser's scene, in metres."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ BEAM = (246, 200, 80)
 BONE = (232, 220, 190)
 
 IN_FRONT_MM = 6.0
-"""By how much the projection is drawn before the pixels' plane: else the housing's cover would hide
-it."""
+"""Distance of the drawn projection from the pixel plane, so that the housing does not hide it."""
 
 DOT_MM = 2.5
 _OCTAHEDRON = (
@@ -40,7 +39,7 @@ _OCTAHEDRON = (
         [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
     ),
 )
-"""Corners, m, and triangles of what marks a view on a path."""
+"""Corners, m, and triangles of the marker of a view on a path."""
 
 DIFFERENCE, NOTHING = "difference", "nothing"
 
@@ -49,20 +48,20 @@ FLOOR_M = 4.0
 
 @dataclass(frozen=True)
 class Look:
-    """What of a run is looked at.
+    """Display settings of a run.
 
     Attributes:
-        view: from 0.
-        geometry: whose beam and panel are drawn.
-        factor: by which differences between geometries are magnified.
-        beam: whether the beam is drawn.
-        paths: whether the source's paths are.
-        specimen: whether the specimen is, as it is in truth.
-        shown: which volume the slices are of, ``difference``, or ``nothing``.
-        slices: indices of the planes across x, y and z.
-        window: of the slices, 1/mm.
-        surface: of which volume the surface is drawn, or ``nothing``.
-        level: of the surface, 1/mm.
+        view: index of the view, from 0.
+        geometry: geometry of the drawn beam and panel.
+        factor: magnification of differences between geometries.
+        beam: draw the beam.
+        paths: draw the paths of the source.
+        specimen: draw the true specimen.
+        shown: volume of the slices, or ``difference`` or ``nothing``.
+        slices: indices of the planes normal to x, y and z.
+        window: grey window of the slices, 1/mm.
+        surface: volume of the drawn surface, or ``nothing``.
+        level: level of the surface, 1/mm.
     """
 
     view: int = 0
@@ -79,10 +78,10 @@ class Look:
 
 
 class Stage:
-    """A run in the scene."""
+    """One run in the scene."""
 
     def __init__(self, server: viser.ViserServer, name: str, offset_m: Floats) -> None:
-        """An empty one; ``name`` is of its node, ``offset_m`` where its isocentre stands."""
+        """Add an empty stage; ``name`` of its node, ``offset_m`` of its isocentre."""
         self._scene = server.scene
         self._root = f"/{name}"
         self.offset_m = np.asarray(offset_m, dtype=float)
@@ -95,10 +94,10 @@ class Stage:
         self._projections: Projections | None = None
         self._named = 0
         self.clicked: Any = None
-        """Called with the name of what was clicked, its details, and the ray of the click."""
+        """Callback for clicks, with the object's kind and details, and the ray of the click."""
 
     def set_room(self, show: Show, room: Room) -> None:
-        """Put the bodies of a room in place of those that were there."""
+        """Replace all bodies by a room's bodies."""
         for body in self._bodies:
             body.remove()
         self._room, self._places = room, [(b"", b"")] * len(room.bodies)
@@ -118,21 +117,21 @@ class Stage:
             )  # fmt: skip
 
     def set_specimen(self, mesh: trimesh.Trimesh) -> None:
-        """The specimen as it looks, in its own frame, mm."""
+        """Set the surface of the specimen, in its own frame, mm."""
         self._mesh("specimen", mesh, BONE, None)
 
     def set_field_of_view(self, mesh: trimesh.Trimesh | None) -> None:
-        """What every view sees, mm."""
+        """Set the surface of the region that every view sees, mm."""
         if mesh is not None:
             self._mesh("field of view", mesh, (70, 150, 220), 0.25)
 
     def move(self, joints: Floats) -> None:
-        """The arms alone, while they move."""
+        """Move only the arms, during a move."""
         if self._room is not None:
             self._put_bodies(*self._room.at(joints))
 
     def draw(self, show: Show, look: Look, before: Look | None) -> None:
-        """Bring the scene to a look; what is as ``before`` stays, all is drawn where None."""
+        """Draw a look; only the changes from ``before``, or everything if ``before`` is None."""
 
         def changed(*names: str) -> bool:
             return before is None or any(getattr(look, n) != getattr(before, n) for n in names)
@@ -155,7 +154,7 @@ class Stage:
                 self._draw_slice(show, look, axis)
 
     def set_surface(self, mesh: trimesh.Trimesh | None, opacity: float | None = None) -> None:
-        """Surface of a volume, world mm; none where None."""
+        """Set the surface of a volume, world mm; None removes it."""
         if mesh is None:
             self._remove("surface")
             return
@@ -189,7 +188,7 @@ class Stage:
                 self._places[index] = place
 
     def shown_geometry(self, show: Show, look: Look, view: int) -> tuple[str, ScanGeometry, int]:
-        """Name, geometry and index of the view in it, as they are drawn: magnified."""
+        """Return name, magnified geometry as drawn, and index of the view in it."""
         name, geometry = show.geometry(look.geometry, view)
         executed = show.geometries.get("executed")
         one = geometry[view]
@@ -274,7 +273,7 @@ class Stage:
             )
 
     def _draw_dots(self, show: Show, name: str, points: Floats) -> None:
-        """One at each view of a path: lines cannot be clicked."""
+        """Draw a dot at each view of a path, because lines cannot be clicked."""
         key, still = f"dots {name}", np.tile((1.0, 0.0, 0.0, 0.0), (len(points), 1))
         if key in self._nodes and len(self._nodes[key].batched_positions) == len(points):
             self._nodes[key].batched_positions = points.astype(np.float32)
@@ -288,7 +287,7 @@ class Stage:
         self._clickable(self._nodes[key], "path", name)
 
     def _draw_marks(self, show: Show, look: Look, view: int) -> None:
-        """A ball at the focal spot of each geometry."""
+        """Draw a ball at the focal spot of each geometry."""
         for name in show.geometries:
             key = f"ball {name}"
             if show.geometry(name, view)[0] != name:
@@ -339,7 +338,7 @@ class Stage:
             self._clickable(node, key, "")
 
     def _fresh(self, name: str) -> str:
-        """A name in the scene that was never used: browsers mix up what is soon called the same."""
+        """Return a new scene name, because browsers confuse names that are reused too soon."""
         self._named += 1
         return f"{self._root}/{name.replace(' ', '_')}/{self._named}"
 
@@ -356,7 +355,7 @@ class Stage:
 
 
 def colour_of(name: str, show: Show) -> tuple[int, int, int]:
-    """Colour of a geometry, always the same."""
+    """Return the fixed colour of a geometry."""
     if name in COLOURS:
         return COLOURS[name]
     others = [known for known in show.geometries if known not in COLOURS]
@@ -366,7 +365,7 @@ def colour_of(name: str, show: Show) -> tuple[int, int, int]:
 def slice_picture(
     show: Show, shown: str, plane: Plane, window: tuple[float, float]
 ) -> NDArray[np.uint8]:
-    """A plane of a volume, or of its difference to the truth."""
+    """Return a picture of a volume's plane, or of its difference from the truth."""
     if shown != DIFFERENCE:
         return greys(values_of(show.volumes[shown], plane), window)
     volume, truth = show.volumes[RECONSTRUCTION], show.volumes[TRUTH]
@@ -375,7 +374,7 @@ def slice_picture(
 
 
 def _as_far_as_can_be(reference: ScanGeometry, other: ScanGeometry, factor: float) -> ScanGeometry:
-    """Magnified; as it is where that would turn a panel round."""
+    """Magnify differences unless that would turn a panel round."""
     try:
         return magnified(reference, other, factor)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The surface of what is dense in a volume, with so few triangles that a browser turns it."""
+"""Surface of dense material in a volume, with few enough triangles for a browser."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twinct.geometry import Floats, VolumeGrid
 from twinct.view.slices import release
 
 MOST_VOXELS = 160
-"""Along an axis; what has more is averaged before its surface is looked for."""
+"""Maximum number of voxels along an axis; larger volumes are averaged before marching cubes."""
 
 MOST_TRIANGLES = 60_000
 
@@ -21,21 +21,21 @@ MOST_TRIANGLES = 60_000
 def dense_surface(
     array: NDArray[np.float32], grid: VolumeGrid, level: float, triangles: int = MOST_TRIANGLES
 ) -> trimesh.Trimesh | None:
-    """Surface between what lies above and below a value, by marching cubes.
+    """Return the isosurface of a volume at a level, by marching cubes.
 
     Args:
         array: (z, y, x); read slab by slab, so that it may be memory-mapped.
-        grid: where its voxels are.
+        grid: its voxel grid.
         level: in the unit of the array.
-        triangles: at most; more are made fewer (Garland and Heckbert, SIGGRAPH 1997).
+        triangles: maximum; larger meshes are simplified (Garland and Heckbert, SIGGRAPH 1997).
 
     Returns:
-        Vertices in world mm, triangles counter-clockwise seen from outside; None where the value is
-        nowhere crossed.
+        Vertices in world mm, triangles counter-clockwise seen from outside; None if the level is
+        never crossed.
     """
     step = math.ceil(max(grid.shape) / MOST_VOXELS)
     coarse = averaged(array, step)
-    # A rim of emptiness closes what reaches the border of the grid.
+    # An empty rim closes surfaces that reach the border of the grid.
     padded = np.pad(coarse, 1, constant_values=min(float(coarse.min()), 0.0))
     if not padded.min() < level < padded.max():
         return None
@@ -47,7 +47,7 @@ def dense_surface(
 
 
 def averaged(array: NDArray[np.float32], step: int) -> NDArray[np.float32]:
-    """Means of blocks of ``step`` voxels along each axis; what is left over at the end is out."""
+    """Return means of blocks of ``step`` voxels along each axis; drop incomplete blocks."""
     nz, ny, nx = (n // step for n in array.shape)
     if step == 1:
         return np.array(array, dtype=np.float32)
@@ -60,6 +60,6 @@ def averaged(array: NDArray[np.float32], step: int) -> NDArray[np.float32]:
 
 
 def _placed(indices: Floats, grid: VolumeGrid, step: int) -> Floats:
-    """Block indices (z, y, x) as world mm."""
+    """Convert block indices (z, y, x) to world mm."""
     voxels = indices[:, ::-1] * step + (step - 1) / 2
     return grid.world_from_grid.apply(grid.first_voxel_mm + voxels * grid.voxel)

@@ -1,4 +1,4 @@
-"""Slices of all volumes beside each other, in one window, as one picture."""
+"""One picture of the slices of all volumes side by side, with one grey window."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PAPER, INK = (255, 255, 255), (31, 41, 51)
 
 
 def slices_beside(shows: Sequence[Show], look: Look) -> NDArray[np.uint8] | None:
-    """A row for each plane of each run, a column for each volume; None where there is no volume."""
+    """Return the picture: a row per plane of each run, a column per volume; None if no volumes."""
     rows = []
     for show in shows:
         names = list(show.volumes)
@@ -50,7 +50,7 @@ def slices_beside(shows: Sequence[Show], look: Look) -> NDArray[np.uint8] | None
 def _tile(
     picture: NDArray[np.uint8], size_mm: tuple[float, float], words: str
 ) -> NDArray[np.uint8]:
-    """A plane with the second axis upwards, as large as fits, its name below."""
+    """Return a plane with its second axis upwards, scaled to fit, with its name below."""
     scale = (TILE_PX - 6) / max(size_mm)
     width, height = (max(1, round(edge * scale)) for edge in size_mm)
     tile = Image.new("RGB", (TILE_PX, TILE_PX + CAPTION_PX), PAPER)
