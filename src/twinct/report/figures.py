@@ -144,11 +144,9 @@ def _ball(axes: Any, centre: Floats, radius: float, viewer: Floats) -> None:
     grey = 0.66 + 0.27 * lit
     border = np.clip((1 - np.hypot(x, y)) * _BALL_PX / 2, 0, 1)
     shown = np.stack([grey, grey, np.minimum(grey + 0.012, 1), border], axis=-1)
-    matrix = axes.get_proj()
-    (left, low, _), (end, top, _) = (
-        np.asarray(proj3d.proj_transform(*(centre + side * radius * (right + up)), matrix), float)
-        for side in (-1, 1)
-    )
+    corners = np.array([centre - radius * (right + up), centre + radius * (right + up)])
+    xs, ys, zs = corners.T
+    (left, end), (low, top), _ = proj3d.proj_transform(xs, ys, zs, axes.get_proj())
     image = AxesImage(axes, extent=(left, end, low, top), origin="lower", zorder=2)
     image.set_data(shown)
     axes.add_artist(image)
