@@ -1,4 +1,4 @@
-"""A gantry in place of arms: source and panel are exactly where they are told to be."""
+"""Gantry in place of arms: source and panel reach their commanded poses exactly."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from twinct.uncertainty import TrueCell
 from twinct.views import Instant, JointSample, Reached, SevenNumbers, Target, from_seven, to_seven
 
 STATE = 15
-"""Numbers of a state: simulated time, and the two poses of the last target."""
+"""Length of a state: simulated time, and the two poses of the last target."""
 
 
 class Gantry:
-    """What a scan needs of a robot simulation, without arms: executed is what was commanded.
+    """Replacement of the robot simulation without arms: executed poses equal commanded poses.
 
-    But for what is drawn for each view, and a specimen that moves, where the scenario says so.
+    The exceptions are random errors drawn for each view and a moving specimen, if the scenario
+    has them.
 
-    There are no joints, and nothing is looked at that could collide: the clearance is NaN. Where
-    an image takes its time, it is centred on the moment of the view, and both end-effectors go on
-    in the screw motion that led from the view before to this one, at constant speed.
+    A gantry has no joints and checks no collisions: the clearance is NaN. An exposure of finite
+    duration is centred on the time of the view. During it, both end-effectors continue the screw
+    motion from the previous view to this view, at constant speed.
 
     Attributes:
-        on_joints: would hear of joints; there are none.
+        on_joints: callback for joints, which is never called.
     """
 
     on_joints: Callable[[JointSample], None] | None = None
@@ -40,14 +41,14 @@ class Gantry:
         remember: bool = False,
         true_cell: TrueCell | None = None,
     ) -> None:
-        """Stand before the first view.
+        """Start at time zero, before the first view.
 
         Args:
-            cell: the time from view to view.
-            source: how long an image takes, and of how many instants it is made.
+            cell: time from view to view.
+            source: exposure time and number of instants of an exposure.
             specimen: ``world_from_specimen``.
-            remember: whether each view says where the last one was taken.
-            true_cell: where everything really is; None: where it is told to be.
+            remember: whether each view also reports the poses of the previous view.
+            true_cell: true geometry of the cell; None if it is the commanded geometry.
         """
         self._true_cell = true_cell
         self._view_s = cell.view_s
@@ -61,10 +62,10 @@ class Gantry:
         self._last: Target | None = None
 
     def follow(self, plan: object) -> None:
-        """There is nothing to follow: a gantry goes straight to each target."""
+        """Do nothing: a gantry follows no plan, but goes straight to each target."""
 
     def move(self, view: int | None, target: Target) -> Reached:
-        """Be at a target, whichever view it is."""
+        """Move to a target, and return the poses there."""
         last, self._last = self._last, target
         last_s, self._time_s = self._time_s, self._time_s + self._view_s
         before = view - 1 if view else None
@@ -90,7 +91,7 @@ class Gantry:
         )
 
     def home(self) -> Reached:
-        """Refused.
+        """Raise an error: a gantry has no home.
 
         Raises:
             MotionError: always.
@@ -98,10 +99,10 @@ class Gantry:
         raise MotionError("a gantry has no home: it is where it was last told to be")
 
     def restore(self, state: Floats) -> None:
-        """Go back exactly to ``Reached.state``.
+        """Restore the exact state of a ``Reached.state``.
 
         Raises:
-            MotionError: the state is no gantry's.
+            MotionError: the state does not belong to a gantry.
         """
         if np.shape(state) != (STATE,):
             raise MotionError(
@@ -112,7 +113,7 @@ class Gantry:
         self._last = Target(tuple(poses[:7]), tuple(poses[7:]))
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: a gantry holds no resources."""
 
     def _really(self, told: Instant, view: int | None, time_s: float) -> Instant:
         return told if self._true_cell is None else self._true_cell.at(told, view, time_s)
@@ -121,7 +122,7 @@ class Gantry:
         return Instant(target.source_m, self._object_m, target.detector_m)
 
     def _on(self, last: Target, target: Target, share: float) -> Instant:
-        """Where everything is after a share of the way from view to view, from the target on."""
+        """Return the poses at a fraction of the motion between views, measured from the target."""
         return Instant(
             _screwed(last.source_m, target.source_m, share),
             self._object_m,
@@ -130,6 +131,6 @@ class Gantry:
 
 
 def _screwed(start: SevenNumbers, end: SevenNumbers, share: float) -> SevenNumbers:
-    """Behind the end of a way of constant twist, by a share of it."""
+    """Extrapolate a motion of constant twist beyond its end by a fraction of the motion."""
     pose = from_seven(end)
     return to_seven(pose @ Pose.exp(share * (from_seven(start).inverse() @ pose).log()))

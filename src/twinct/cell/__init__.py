@@ -1,6 +1,6 @@
-"""The operating room: two arms with source and panel, table, specimen, as one MuJoCo model.
+"""Robot cell: two arms with source and panel, table and specimen, as one MuJoCo model.
 
-MuJoCo is imported when a cell is built, not when this package is.
+MuJoCo is imported when a cell is built, not together with this package.
 """
 
 from twinct.cell._mujoco import mujoco_module

@@ -8,14 +8,14 @@ from types import ModuleType
 
 from twinct.errors import MissingExtraError
 
-# MUJOCO_GL is read when MuJoCo is first imported, so it must be set before; a value that the user
-# set stays. EGL shares a process with gVXR's context, GLFW does not.
+# MuJoCo reads MUJOCO_GL on its first import, so it must be set before; a user's value is kept.
+# EGL can share a process with gVXR's context, GLFW cannot.
 if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL", "").strip():
     os.environ["MUJOCO_GL"] = "egl"  # empty counts as not set
 
 
 def mujoco_module() -> ModuleType:
-    """The module ``mujoco``.
+    """Return the module ``mujoco``.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.

@@ -1,4 +1,4 @@
-"""Single arms: built in, of MuJoCo Menagerie, or a user's own, brought to one form."""
+"""Models of single arms, built in, from MuJoCo Menagerie or from a user, in one common form."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ArmModel:
-    """One arm before it is placed in the room.
+    """Model of one arm before it is placed in the cell.
 
     Attributes:
         spec: the arm alone, without actuators, keyframes and lights.
@@ -31,8 +31,8 @@ class ArmModel:
         flange_site: site at the tool flange, z away from the arm.
         torque_limits: N m, (joints,).
         speed_limits: rad/s, (joints,).
-        home: where the search for a way starts, rad, (joints,), if the scenario says so.
-        file_from_base: the base in the model's world, where that is not its origin.
+        home: start of the path search, rad, (joints,), if the scenario states one.
+        file_from_base: pose of the base in the model's world; None at the origin.
     """
 
     spec: mujoco.MjSpec
@@ -45,17 +45,17 @@ class ArmModel:
 
 
 def load_arm(arm: Arm, key: str) -> ArmModel:
-    """Load the model that a scenario names.
+    """Load the arm model that a scenario names.
 
     Args:
-        arm: the section; ``model`` or ``file`` names it, ``joint_speed_deg_s`` fills in what it
-            does not state.
-        key: where the section stands in the scenario, for messages.
+        arm: section of the arm; ``model`` or ``file`` names the model, and ``joint_speed_deg_s``
+            gives speed limits that the model does not state.
+        key: key of the section in the scenario, for messages.
 
     Raises:
-        MissingExtraError: a Menagerie model is asked for and there is no copy of Menagerie.
-        ScenarioError: Menagerie holds no such model, it is no single arm, or lacks what a cell
-            needs.
+        MissingExtraError: a Menagerie model is requested, and no copy of Menagerie is installed.
+        ScenarioError: Menagerie has no such model, or the model is no single arm or lacks data
+            that a cell needs.
     """
     mujoco = mujoco_module()
     name = arm.model
@@ -102,7 +102,7 @@ def _menagerie_file(name: str, key: str) -> Path:
             raise ScenarioError(f"{key}.model: {error}") from error
         if folder.is_file():
             folder = folder.parent
-    # A model's folder holds scenes, which include the robot, and variants for other simulators.
+    # A model's folder also contains scenes, which include the robot, and variants for MJX.
     candidates = [p for p in sorted(folder.glob("*.xml")) if "scene" not in p.stem]
     plain = [p for p in candidates if not p.stem.endswith("_mjx")] or candidates
     if not plain:
@@ -152,7 +152,7 @@ def _is_chain(model: mujoco.MjModel) -> bool:
 
 
 def _torque_limits(model: mujoco.MjModel) -> Floats:
-    """The joint's own limit, else what its actuator can give."""
+    """Return the torque limit of each joint, the smaller of its own and its actuator's limits."""
     mujoco = mujoco_module()
     limits = np.full(model.njnt, np.inf)
     for j in range(model.njnt):
@@ -172,7 +172,7 @@ def _torque_limits(model: mujoco.MjModel) -> Floats:
 def _speed_limits(
     spec: mujoco.MjSpec, names: tuple[str, ...], arm: Arm, origin: str, own: OwnArm | None
 ) -> Floats:
-    """What the model states, else the scenario, deg/s."""
+    """Return the speed limits of the model, or else of the scenario, deg/s."""
     key = "joint_speed_deg_s"
     if stated := [n for n in spec.numerics if n.name == key]:
         speeds = np.array(list(stated[0].data))

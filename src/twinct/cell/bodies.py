@@ -1,4 +1,4 @@
-"""Where the bodies of the room are, and which of their shapes are seen: for those who draw it."""
+"""Poses and visible shapes of the bodies of a cell, for programs that draw them."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ Indices = NDArray[np.intp]
 
 
 class BodyPlaces:
-    """Forward kinematics of every body of a room; metres, as MuJoCo has them.
+    """Forward kinematics of every body of a cell, in MuJoCo's metres.
 
     Attributes:
-        names: of the bodies, the world first.
+        names: names of the bodies, the world first.
     """
 
     def __init__(self, room: CellModel | GantryModel) -> None:
-        """Of a room; of a gantry's nothing moves."""
+        """Set up the kinematics of a cell; nothing moves in a gantry's cell."""
         self._model, self._data = room.model, mujoco_module().MjData(room.model)
         self.names: tuple[str, ...] = tuple(
             self._model.body(body).name for body in range(self._model.nbody)
         )
 
     def seen(self, body: int) -> list[int]:
-        """Ids of the geoms of a body that a picture shows."""
+        """Return the ids of a body's geoms that a picture shows."""
         geoms = np.flatnonzero(self._model.geom_bodyid == body)
         return [int(g) for g in geoms if self._model.geom_group[g] < COLLISION_GROUP]
 
     def at(self, joints: ArrayLike | None) -> tuple[Floats, Floats]:
-        """Where all bodies are.
+        """Compute the poses of all bodies.
 
         Args:
-            joints: rad, (n,); zeros where None.
+            joints: rad, (n,); None for zeros.
 
         Returns:
-            Positions, (bodies, 3), m, and quaternions (w, x, y, z), (bodies, 4).
+            positions, (bodies, 3), m, and quaternions (w, x, y, z), (bodies, 4).
         """
         data = self._data
         data.qpos[:] = 0.0 if joints is None else joints

@@ -1,4 +1,4 @@
-"""Both arms of a cell as chains: what a robot's controller knows of its own geometry."""
+"""Kinematic chains of both arms of a cell: the geometry that a robot's controller assumes."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from twinct.scenario import Cell
 
 
 def nominal_chains(cell: Cell, panel: Panel) -> tuple[Chain, Chain]:
-    """Source and detector arm of a scenario.
+    """Return the chains of source and detector arm of a scenario.
 
     Raises:
-        MissingExtraError: MuJoCo, or Menagerie where it is asked for, is not installed.
-        ScenarioError: an arm that cannot be built.
+        MissingExtraError: MuJoCo, or a requested Menagerie, is not installed.
+        ScenarioError: an arm cannot be built.
     """
     return chains_of(build_cell(cell, None, Pose.identity(), panel))
 
 
 def chains_of(built: CellModel) -> tuple[Chain, Chain]:
-    """Source and detector arm of a room."""
+    """Return the chains of source and detector arm of a compiled cell."""
     mujoco, model = mujoco_module(), built.model
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
-    # The joint that carries each body last, -1 for none.
+    # The last joint that moves each body, -1 for none.
     carriers = model.body_jntadr[model.body_weldid]
     sections = built.cell.source_arm, built.cell.detector_arm
     found = []
@@ -50,7 +50,7 @@ def chains_of(built: CellModel) -> tuple[Chain, Chain]:
 
 
 def _frame(anchor_m: Floats, axis: Floats) -> Floats:
-    """A frame on a hinge, z along it; its x is square to the world's axis that z is nearest to."""
+    """Return a frame on a hinge, z along its axis, x the projection of the next world axis."""
     other = np.eye(3)[(np.argmax(np.abs(axis)) + 1) % 3]
     x = other - (other @ axis) * axis
     x /= np.linalg.norm(x)

@@ -1,8 +1,9 @@
-"""How far bodies are apart, by ``mj_geomDistance`` over all pairs of non-adjacent bodies.
+"""Smallest distances between bodies, by ``mj_geomDistance`` over all non-adjacent pairs.
 
-Contacts cannot tell: MuJoCo reports none for pairs that its filters leave out or that are still
-apart. Exact distances of all pairs at every step would cost more than the simulation, so pairs are
-skipped where a lower bound proves that they are not the smallest; the result is the same.
+Contacts are no substitute: MuJoCo reports none for pairs that its filters exclude or that are
+still apart. Exact distances of all pairs at every step would cost more than the simulation.
+Therefore pairs are skipped if a lower bound proves that another pair is closer, which does not
+change the result.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ if TYPE_CHECKING:
     import mujoco
 
 NEAR_M = 0.08
-"""Pairs whose world-aligned boxes are closer get the tighter bound."""
+"""Distance of world-aligned boxes below which a pair gets the tighter bound."""
 
 SLACK_M = 1e-6
-"""A smaller gap than the one found may be overlooked by this much: GJK's own tolerance."""
+"""Largest error of the smallest gap, equal to GJK's own tolerance."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """The smallest distance and whose it is.
+    """Smallest distance, and its two bodies.
 
     Attributes:
-        distance_mm: negative where the bodies overlap.
+        distance_mm: negative if the bodies overlap.
         bodies: names of the two bodies.
     """
 
@@ -43,11 +44,11 @@ class Clearance:
     """Smallest distance between non-adjacent bodies, at one instant or over a motion."""
 
     def __init__(self, cell: CellModel, sides: tuple[str, ...] = ("source", "detector")) -> None:
-        """Prepare the pairs.
+        """Select the pairs of geoms.
 
         Args:
-            cell: the room.
-            sides: pairs that involve an arm not named here are left out.
+            cell: robot cell.
+            sides: arms to include; pairs with a moving part of any other arm are excluded.
         """
         self._mujoco = mujoco_module()
         self._cell = cell
@@ -62,17 +63,17 @@ class Clearance:
         self._scratch = self._mujoco.MjData(model)
         self._smallest, self._which, self._limit = np.inf, -1, np.inf
         self._joints = self._turned = np.zeros((0, 0))
-        # Pairs of the same two bodies come near each other by the same joints only: those that
-        # move one body and not the other.
+        # Only joints that move one body and not the other bring two bodies closer; they are common
+        # to all geom pairs of the two bodies.
         bodies = model.geom_bodyid[self._pairs]
         unique, self._body_pair = np.unique(bodies, axis=0, return_inverse=True)
         one, other = cell.lever[unique[:, 0]], cell.lever[unique[:, 1]]
         self._approach = np.where((one > 0) != (other > 0), one + other, 0.0)
 
     def lower_bounds(self, data: mujoco.MjData) -> Floats:
-        """A lower bound of each pair's distance, m, (pairs,).
+        """Compute a lower bound of each pair's distance, m, (pairs,).
 
-        From boxes along the world's axes; near pairs again from the geoms' own, oriented boxes.
+        World-aligned boxes give the bound; for near pairs, the geoms' oriented boxes tighten it.
         """
         rotation = data.geom_xmat.reshape(-1, 3, 3)
         centre = data.geom_xpos + (rotation @ self._centre[:, :, None])[:, :, 0]
@@ -94,7 +95,7 @@ class Clearance:
             gap = from_one - own - seen
             np.maximum(gap, 0, out=gap)
             bound[near] = np.maximum(bound[near], np.sqrt((gap * gap).sum(axis=1)))
-        # Boxes that overlap say nothing about how deep.
+        # Overlapping boxes do not bound the depth of the overlap.
         bound[bound == 0] = -np.inf
         return bound
 
@@ -103,12 +104,12 @@ class Clearance:
         return self._mujoco.mj_geomDistance(self._cell.model, data, a, b, limit_m, self._line)
 
     def at(self, data: mujoco.MjData) -> Gap:
-        """The smallest distance now, at most 10 m; geom poses must be up to date."""
+        """Return the smallest distance now, at most 10 m; geom poses must be up to date."""
         return self._gap(*self._search(data, self.lower_bounds(data), 10.0))
 
     def _search(self, data: mujoco.MjData, bounds: Floats, smallest: float) -> tuple[float, int]:
         which = -1
-        # Hardly ever is the smallest distance not among the near pairs: sort those alone first.
+        # The smallest distance is almost always among the near pairs, so sort only those first.
         near = np.flatnonzero(bounds < NEAR_M)
         for candidates in (near, np.flatnonzero(bounds >= NEAR_M)):
             for pair in candidates[np.argsort(bounds[candidates], kind="stable")]:
@@ -128,11 +129,11 @@ class Clearance:
         return Gap(distance_m * MM_PER_M, (first, second))
 
     def over(self, joints: Floats) -> Gap:
-        """The smallest distance over a sequence of joint configurations.
+        """Return the smallest distance over a sequence of joint configurations.
 
-        Two bodies cannot come nearer from one configuration to the next than the joints between
-        them turn, times their levers. With the distances at both ends of a stretch known, that
-        bounds the distance in between; a stretch is halved until it can hold no smaller one.
+        Between two configurations, two bodies approach by at most the rotations of the joints
+        between them, times their levers. With the distances at both ends of an interval, this
+        bounds the distance inside. An interval is bisected until it can contain no smaller one.
 
         Args:
             joints: rad, (steps, n).
@@ -144,11 +145,11 @@ class Clearance:
         self._smallest, self._which = self._search(self._scratch, bounds, np.inf)
         approach = self._approach[self._body_pair] @ self._turned[-1]
         pairs = np.flatnonzero(bounds - approach < self._smallest)
-        # Beyond this a pair stays out of question all the way.
+        # A pair beyond this limit cannot become the closest during the whole motion.
         self._limit = self._smallest + float(approach.max(initial=0)) + SLACK_M
         first = self._distances(pairs)
         if len(joints) > 1:
-            # Most motions go one way, so that one of the ends is the nearest instant or near it.
+            # Most motions go one way, so that the closest instant is at or near one of the ends.
             self._place(-1)
             self._between(0, len(joints) - 1, pairs, first, self._distances(pairs))
         return self._gap(self._smallest, self._which)
@@ -158,7 +159,7 @@ class Clearance:
         self._mujoco.mj_kinematics(self._cell.model, self._scratch)
 
     def _distances(self, pairs: np.ndarray) -> Floats:
-        """Distances where the scratch data is, keeping the smallest."""
+        """Compute distances in the scratch configuration, and store the smallest."""
         found = np.empty(len(pairs))
         for k, pair in enumerate(pairs):
             found[k] = self._exact(self._scratch, pair, self._limit)

@@ -1,4 +1,4 @@
-"""Where the links of the robot description are, for those who do not compute it."""
+"""Link frames of the robot description, for programs without forward kinematics."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from twinct.cell.urdf import link_names
 
 
 class LinkFrames:
-    """Forward kinematics of all links but those of source and panel themselves."""
+    """Forward kinematics of all links except the links of source and panel themselves."""
 
     def __init__(self, cell: CellModel) -> None:
-        """Of a cell."""
+        """Set up the kinematics of a cell."""
         self._model, self._data = cell.model, mujoco_module().MjData(cell.model)
         self._names = link_names(cell)
 
     def at(self, joints: ArrayLike) -> dict[str, tuple[float, ...]]:
-        """Position in metres and quaternion (x, y, z, w) of each link in the world, by its name.
+        """Return position in metres and quaternion (x, y, z, w) of each link in the world, by name.
 
         Args:
             joints: rad, (n,).
@@ -28,7 +28,7 @@ class LinkFrames:
         data.qpos[:] = joints
         mujoco_module().mj_kinematics(self._model, data)
         for body, name in enumerate(self._names[1:], start=1):
-            joint = int(self._model.body_jntadr[body])  # on whose axis a link begins
+            joint = int(self._model.body_jntadr[body])  # a link's origin lies on its joint
             position = data.xpos[body] if joint < 0 else data.xanchor[joint]
             found[name] = (*position.tolist(), *np.roll(data.xquat[body], -1).tolist())
         return found

@@ -1,4 +1,4 @@
-"""Arms from files of the user's own: read, and checked for what a cell needs of them."""
+"""Arm models from a user's files: reading, and checks of the data that a cell needs."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ if TYPE_CHECKING:
     import mujoco
 
 FLANGE_SITES = ("flange", "attachment_site", "attachment")
-"""By which MJCF models call the place where a tool is bolted on, in order of preference."""
+"""Names of the tool flange in MJCF models, in order of preference."""
 
 FLANGE_LINKS = ("tool0", "flange")
-"""By which URDF does; after ROS's REP 199 z of ``tool0`` points away, of ``flange`` its x."""
+"""Names of the flange in URDF; by ROS's REP 199, z of ``tool0`` and x of ``flange`` point away."""
 
 ALONG, ROUNDING_M = 0.99, 1e-6
-"""Cosine, and distance: z of a flange that nobody named goes along the last axis, and outwards."""
+"""Limits for z of an unnamed flange: cosine to the last joint's axis, and offset inwards."""
 
 FLANGE_SITE = "twinct_flange"
-"""The site at a flange that is a body."""
+"""Name of the site that is added to a flange that is a body."""
 
 _HIDDEN_GROUP = 3
 
 
 @dataclass(frozen=True, eq=False)
 class OwnArm:
-    """What a file says beyond MuJoCo's model.
+    """Arm from a user's file, with data beyond MuJoCo's model.
 
     Attributes:
-        spec: the arm as it stands there.
+        spec: the arm as the file describes it.
         flange_site: site at the tool flange.
-        speed_limits: rad/s by joint, as far as stated.
-        file_from_base: the base in the file's world.
+        speed_limits: rad/s by joint, if stated.
+        file_from_base: pose of the base in the file's world.
     """
 
     spec: mujoco.MjSpec
@@ -49,14 +49,14 @@ class OwnArm:
 
 
 def read_own_arm(arm: Arm, where: str) -> OwnArm:
-    """Read and check the file that a scenario names.
+    """Read and check the arm file that a scenario names.
 
     Args:
-        arm: the section, with ``file``.
-        where: what messages call the file.
+        arm: section of the arm, with ``file``.
+        where: name of the file in messages.
 
     Raises:
-        ScenarioError: what cannot be read, or lacks what a cell needs.
+        ScenarioError: the file cannot be read, or lacks data that a cell needs.
     """
     mujoco = mujoco_module()
     assert arm.file is not None
@@ -112,7 +112,7 @@ def _check(model: mujoco.MjModel, where: str) -> None:
 
 
 def _base(model: mujoco.MjModel, data: mujoco.MjData, asked: str | None, where: str) -> Pose:
-    """The base in the file's world."""
+    """Return the pose of the base in the file's world."""
     names = [model.body(b).name for b in range(model.nbody)]
     name = asked or names[1]
     if name not in names:
@@ -126,7 +126,7 @@ def _base(model: mujoco.MjModel, data: mujoco.MjData, asked: str | None, where: 
 
 
 def _show_visuals(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Collision shapes are not drawn where the link has others for that."""
+    """Hide the collision shapes of links that have visual shapes."""
     solid = (model.geom_contype | model.geom_conaffinity) != 0
     seen = set(model.geom_bodyid[~solid & (model.geom_group < _HIDDEN_GROUP)])
     for geom, is_solid, body in zip(spec.geoms, solid, model.geom_bodyid, strict=True):
@@ -142,7 +142,7 @@ def _flange(
     is_urdf: bool,
     where: str,
 ) -> str:
-    """The site that the key names, or a new one where a body of that name is."""
+    """Return the name of the flange site; add a site if the flange is a body."""
     bodies = [model.body(b).name for b in range(1, model.nbody)]
     sites = [model.site(s).name for s in range(model.nsite)]
     usual, places = (FLANGE_LINKS, bodies) if is_urdf else (FLANGE_SITES, sites)

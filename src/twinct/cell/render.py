@@ -1,4 +1,4 @@
-"""A picture of the room."""
+"""Pictures of the cell."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ADVICE = "leave MUJOCO_GL unset, which takes EGL and needs no display"
 
 
 MOST_SHOWN = 10_000
-"""Geoms and balls that one picture holds."""
+"""Largest number of geoms and balls in one picture."""
 
 RED = (0.90, 0.08, 0.08)
 BEAM_RGBA = (0.96, 0.78, 0.31, 0.8)
@@ -31,16 +31,16 @@ GHOST_RGBA = (0.15, 0.45, 0.95, 0.35)
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """What a picture shows beside the room itself.
+    """Marks that a picture shows in addition to the cell.
 
     Attributes:
         red: bodies drawn in red.
-        ghosts: tools drawn translucent where they are not: ``source`` or ``detector``, and where
-            its focal spot or panel centre shall be.
-        points: small balls: positions, (p, 3), mm.
-        colours: of the balls, red, green, blue and opacity in [0, 1], (p, 4).
-        radius_mm: of the balls.
-        lines: thin rods: their ends, (l, 2, 3), mm.
+        ghosts: translucent copies of tools: ``source`` or ``detector``, and the target pose of its
+            focal spot or panel centre.
+        points: centres of small balls, (p, 3), mm.
+        colours: red, green, blue and opacity of the balls in [0, 1], (p, 4).
+        radius_mm: radius of the balls.
+        lines: ends of thin rods, (l, 2, 3), mm.
         line_rgba: colour of the rods.
     """
 
@@ -55,13 +55,13 @@ class Marks:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What one picture of several shows.
+    """Content of one picture in a series.
 
     Attributes:
-        joints: joint positions, source arm first, rad; zeros, or no arms, where None.
-        marks: what is shown beside the room.
-        places: ``world_from_body`` of bodies that no joint moves and that stand elsewhere than in
-            the model, by name.
+        joints: joint positions, source arm first, rad; None for zeros, or without arms.
+        marks: marks in addition to the cell.
+        places: ``world_from_body`` by name, of bodies without joints whose pose differs from the
+            model.
     """
 
     joints: Floats | None = None
@@ -70,10 +70,10 @@ class Moment:
 
 
 def check_drawing() -> None:
-    """Refuse, before any work, a back end that cannot draw here.
+    """Check before any work that the rendering back end can draw here.
 
     Raises:
-        InputError: ``MUJOCO_GL`` asks for a window where there is no display.
+        InputError: ``MUJOCO_GL`` requires a display, and there is none.
     """
     asked = os.environ.get("MUJOCO_GL", "")
     displays = ("DISPLAY", "WAYLAND_DISPLAY")
@@ -82,10 +82,10 @@ def check_drawing() -> None:
 
 
 def check_picture_size(width: int, height: int) -> None:
-    """Refuse what MuJoCo cannot draw, before the room is built.
+    """Check the size of a picture before the cell is built.
 
     Raises:
-        InputError: with one sentence for each side that is too small or too large.
+        InputError: a side is too small or too large; the error has one sentence for each.
     """
     sides = zip(("width", "height"), (width, height), LARGEST_PICTURE, strict=True)
     problems = [
@@ -108,12 +108,12 @@ def render_cell(
     """Write a picture of the whole cell.
 
     Args:
-        cell_model: the room.
-        path_png: where to write.
-        joints: joint positions, source arm first, rad; zeros, or no arms, where None.
+        cell_model: robot cell.
+        path_png: path of the picture.
+        joints: joint positions, source arm first, rad; None for zeros, or without arms.
         width: pixels.
         height: pixels.
-        marks: what is shown beside the room.
+        marks: marks in addition to the cell.
 
     Raises:
         StorageError: the file cannot be written.
@@ -132,7 +132,7 @@ def render_cell(
 def room_pictures(
     cell_model: CellModel | GantryModel, moments: Iterable[Moment], width: int, height: int
 ) -> Iterator[NDArray[np.uint8]]:
-    """Pictures of the whole cell, one for each moment, (height, width, 3).
+    """Yield a picture of the whole cell for each moment, (height, width, 3).
 
     Raises:
         InputError: MuJoCo cannot draw here.
@@ -178,7 +178,7 @@ def room_pictures(
 def _renderer(model: Any, width: int, height: int) -> Any:
     try:
         return mujoco_module().Renderer(model, height, width, max_geom=MOST_SHOWN)
-    except Exception as error:  # MuJoCo's FatalError, and what EGL's and OSMesa's loaders raise
+    except Exception as error:  # MuJoCo's FatalError, and errors of EGL's and OSMesa's loaders
         chosen = os.environ.get("MUJOCO_GL", "")
         raise InputError(
             f"MuJoCo cannot draw with MUJOCO_GL={chosen} ({str(error).strip() or 'no context'}): "
@@ -187,7 +187,7 @@ def _renderer(model: Any, width: int, height: int) -> Any:
 
 
 def _reddened(model: Any, bodies: tuple[str, ...]) -> Any:
-    """A copy in which some bodies are red."""
+    """Return a copy of the model in which some bodies are red."""
     model = copy.copy(model)
     for geom in range(model.ngeom):
         if model.body(model.geom_bodyid[geom]).name in bodies:
@@ -200,7 +200,7 @@ def _reddened(model: Any, bodies: tuple[str, ...]) -> Any:
 
 
 def _add(scene: Any, model: Any, data: Any, marks: Marks) -> None:
-    """Ghosts and balls into what is drawn."""
+    """Add ghosts, rods and balls to a scene."""
     mujoco = mujoco_module()
 
     def add(kind: Any, size: Any, position: Any, rotation: Any, rgba: Any) -> None:

@@ -1,4 +1,4 @@
-"""The room as one MuJoCo model, composed from a scenario's ``cell`` section."""
+"""Construction of the cell as one MuJoCo model from a scenario's ``cell`` section."""
 
 from __future__ import annotations
 
@@ -21,57 +21,57 @@ if TYPE_CHECKING:
     import trimesh
 
 ARMS = ("source", "detector")
-"""Prefixes of the two arms, in the order of joints, actuators and everything that is stacked."""
+"""Prefixes of the two arms, in the order of joints, actuators and all stacked arrays."""
 
 MM = 1 / MM_PER_M
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
-"""Shown and solid where a geom is both; invisible collision shapes are in the second."""
+"""Groups of geoms: visible ones, which may be solid, too, and invisible collision shapes."""
 
 BANDWIDTH_RAD_S = 80.0
-"""Natural frequency of the joint servos; a damped one settles a millimetre step in 0.1 s."""
+"""Natural frequency of the joint servos; critically damped, a 1 mm step settles in 0.1 s."""
 
 PANEL_BORDER_MM = 10.0
 PANEL_DEPTH_MM = 24.0
 PANEL_COVER_MM = 4.0
-"""Housing about the active area: a border all round, so deep, so much of it before the pixels."""
+"""Housing of the active area: border, total depth, and depth of the cover before the pixels."""
 
 
 ZONE = "zone "
-"""Before the name of a forbidden zone in its body's."""
+"""Prefix of the body name of a forbidden zone."""
 
 ZONE_RGBA = (0.88, 0.20, 0.12, 0.28)
 
 TOOLS_MM = 200.0
-"""By how much the housings of source and panel make a gantry's picture larger."""
+"""Length that the housings of source and panel add to the extent of a gantry's picture."""
 
 LARGEST_PICTURE = (3840, 2400)
-"""Pixels, width and height, for which MuJoCo sets memory aside."""
+"""Width and height in pixels for which MuJoCo allocates memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class CellModel:
-    """The compiled room and where things are in it.
+    """Compiled model of the cell, with the indices and limits of its parts.
 
-    Every joint is a hinge; joints, actuators and all arrays here are in the order source arm, then
+    Every joint is a hinge. Joints, actuators and all arrays are in the order source arm, then
     detector arm, from base to flange.
 
     Attributes:
         model: MuJoCo's model, metres.
-        cell: the section it was built from.
-        panel: the pixel lattice the housing was built about.
+        cell: section from which the model was built.
+        panel: pixel lattice around which the housing was built.
         joint_names: prefixed ``source_`` and ``detector_``.
         arm_joints: slice of the joints of each arm.
-        site_ids: sites ``source`` and ``detector``; their frames are the design's.
+        site_ids: sites ``source`` and ``detector``, with the frames of the design.
         specimen_body: body id of ``specimen``.
-        torque_limits: what the arms may use (published limit times ``torque_scale``), N m, (n,).
+        torque_limits: usable torques (published limit times ``torque_scale``), N m, (n,).
         speed_limits: published joint speeds, rad/s, (n,).
-        speed_scales: share of them that a move may use, (n,).
+        speed_scales: shares of the published speeds that a move may use, (n,).
         pairs: geom ids of all pairs of non-adjacent bodies that can move against each other,
             (p, 2).
-        homes: where the search for a way starts, rad, for each arm of which the scenario says so.
+        homes: start of the path search for each arm, rad, or None if the scenario states none.
         lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n);
-            zero where the joint does not move the body.
+            zero if the joint does not move the body.
     """
 
     model: mujoco.MjModel
@@ -94,13 +94,13 @@ class CellModel:
         return self.model.jnt_range.copy()
 
     def body_of_geom(self, geom: int) -> str:
-        """Name of the body that a geom belongs to."""
+        """Return the name of the body of a geom."""
         return self.model.body(self.model.geom_bodyid[geom]).name
 
 
 @dataclass(frozen=True, eq=False)
 class GantryModel:
-    """A compiled room without arms, in which nothing moves; its extent is source to panel.
+    """Compiled cell without arms, in which nothing moves; it extends from source to panel.
 
     Attributes:
         model: MuJoCo's model, metres.
@@ -112,18 +112,18 @@ class GantryModel:
 def build_cell(
     cell: Cell, specimen_mesh: trimesh.Trimesh | None, world_from_specimen: Pose, panel: Panel
 ) -> CellModel:
-    """Compose and compile the room.
+    """Compose and compile the cell.
 
     Args:
         cell: arms, table, floor.
-        specimen_mesh: surface in the specimen's frame, mm; its convex hull is what collides. None
-            leaves the holder empty.
-        world_from_specimen: where the specimen stands.
-        panel: the pixel lattice; the housing follows its size.
+        specimen_mesh: surface in the specimen's frame, mm, whose convex hull is the collision
+            shape. None leaves the holder empty.
+        world_from_specimen: pose of the specimen.
+        panel: pixel lattice, which determines the size of the housing.
 
     Raises:
-        MissingExtraError: MuJoCo, or Menagerie where it is asked for, is not installed.
-        ScenarioError: an arm or a measure that cannot be built, or a zone that covers the specimen.
+        MissingExtraError: MuJoCo, or a requested Menagerie, is not installed.
+        ScenarioError: an arm or a dimension cannot be built, or a zone reaches into the specimen.
     """
     spec = _room(cell.floor_z_mm)
     spec.option.timestep = cell.timestep_ms / 1000
@@ -138,8 +138,8 @@ def build_cell(
     _zones(spec, cell)
     names = _servos(spec, arms, cell)
     _exclude_adjacent(spec)
-    # Per joint: position, velocity and acceleration of the reference that the servos follow; then
-    # the mark of the plan that it comes from.
+    # Per joint: position, velocity and acceleration of the servos' reference; then the mark of the
+    # plan from which the reference comes.
     spec.nuserdata = 3 * len(names) + 1
     built = _compiled(spec, cell, panel, arms, names)
     _specimen_outside_zones(built)
@@ -154,15 +154,15 @@ def build_gantry(
     world_from_source: Pose,
     world_from_detector: Pose,
 ) -> GantryModel:
-    """The room of a gantry at one view, for pictures: source and panel hang in the air.
+    """Build the cell of a gantry at one view, for pictures: source and panel float in the air.
 
     Args:
-        cell: the floor.
+        cell: section of the gantry, with the height of the floor.
         specimen_mesh: surface in the specimen's frame, mm.
-        world_from_specimen: where the specimen stands.
-        panel: the pixel lattice; the housing follows its size.
-        world_from_source: where the source is.
-        world_from_detector: where the panel is.
+        world_from_specimen: pose of the specimen.
+        panel: pixel lattice, which determines the size of the housing.
+        world_from_source: pose of the source.
+        world_from_detector: pose of the panel.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
@@ -182,7 +182,7 @@ def build_gantry(
 
 
 def _room(floor_z_mm: float) -> mujoco.MjSpec:
-    """Floor and lights, and all materials."""
+    """Return a model with floor, lights and all materials."""
     room = files("twinct.cell").joinpath("room.xml").read_text(encoding="utf-8")
     spec = mujoco_module().MjSpec.from_string(room)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
@@ -208,7 +208,7 @@ def _rod(
 def _specimen(
     spec: mujoco.MjSpec, mesh: trimesh.Trimesh | None, world_from_specimen: Pose
 ) -> float | None:
-    """Add the body; returns the height of its lowest point in the world, mm."""
+    """Add the specimen, and return the height of its lowest point in the world, mm."""
     mujoco = mujoco_module()
     position, quat = world_from_specimen.to_metres()
     body = spec.worldbody.add_body(name="specimen", pos=position, quat=np.roll(quat, 1))
@@ -266,7 +266,7 @@ def _table(
 
 
 def _zones(spec: mujoco.MjSpec, cell: Cell) -> None:
-    """Each a body of its own, translucent."""
+    """Add each forbidden zone as a translucent body of its own."""
     kinds = mujoco_module().mjtGeom
     for index, zone in enumerate(cell.zones):
         shape = zone.shape
@@ -287,10 +287,10 @@ def _zones(spec: mujoco.MjSpec, cell: Cell) -> None:
 
 
 def _specimen_outside_zones(built: CellModel) -> None:
-    """Refuse zones that the specimen reaches into.
+    """Check that no zone reaches into the specimen.
 
     Raises:
-        ScenarioError: naming them.
+        ScenarioError: zones reach into the specimen; the message names them.
     """
     mujoco, model = mujoco_module(), built.model
     data, line, problems = mujoco.MjData(model), np.zeros(6), []
@@ -311,7 +311,7 @@ def _specimen_outside_zones(built: CellModel) -> None:
 
 
 def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmModel) -> Any:
-    """Stand the arm on a pedestal and give its flange a body for the tool, which is returned."""
+    """Mount an arm on its pedestal, and return a new body at its flange for the tool."""
     world_from_file = Pose.from_euler(arm.base_position_mm, arm.base_rotation_deg)
     if loaded.file_from_base is not None:
         world_from_file @= loaded.file_from_base.inverse()
@@ -334,7 +334,7 @@ def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmMode
 
 
 def _source_tool(body: Any, arm: Arm, panel: Panel) -> None:
-    """A tube housing; the focal spot lies 20 mm behind its front, z leaves through the window."""
+    """Add a tube housing; the focal spot lies 20 mm behind its front, z exits by the window."""
     s, mass = arm.standoff_mm, arm.tool_mass_kg
     adapter = min(15.0, 0.1 * s)
     front = s + 20
@@ -347,7 +347,7 @@ def _source_tool(body: Any, arm: Arm, panel: Panel) -> None:
 
 
 def _panel_tool(body: Any, arm: Arm, panel: Panel) -> None:
-    """A flat panel on a bracket; the pixels' plane is 4 mm behind the cover."""
+    """Add a flat panel on a bracket; the pixel plane lies 4 mm behind the cover's front."""
     s, mass = arm.standoff_mm, arm.tool_mass_kg
     width, height = (edge + 2 * PANEL_BORDER_MM for edge in panel.size_mm)
     back = s + PANEL_COVER_MM - PANEL_DEPTH_MM
@@ -367,7 +367,7 @@ def _panel_tool(body: Any, arm: Arm, panel: Panel) -> None:
 
 
 def _servos(spec: mujoco.MjSpec, arms: list[ArmModel], cell: Cell) -> tuple[str, ...]:
-    """One torque-limited position servo a joint; its gains follow once inertias are known."""
+    """Add a torque-limited position servo per joint; gains are set once inertias are known."""
     mujoco = mujoco_module()
     names = []
     for side, arm, section in zip(ARMS, arms, (cell.source_arm, cell.detector_arm), strict=True):
@@ -377,7 +377,7 @@ def _servos(spec: mujoco.MjSpec, arms: list[ArmModel], cell: Cell) -> tuple[str,
             joint = spec.joint(name)
             joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
             joint.actfrcrange = [-limit, limit]
-            # Gravity compensation is the motor's work too: it counts within the limit.
+            # The motor also provides gravity compensation, which counts towards its limit.
             joint.actgravcomp = True
             actuator = spec.add_actuator(name=name, target=name)
             actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
@@ -393,13 +393,13 @@ def _servos(spec: mujoco.MjSpec, arms: list[ArmModel], cell: Cell) -> tuple[str,
 
 
 def _exclude_adjacent(spec: mujoco.MjSpec) -> None:
-    """Bodies joined to each other may touch; MuJoCo itself filters only moving parents."""
+    """Let bodies that are joined touch each other; MuJoCo itself filters only moving parents."""
     listed = {frozenset((e.bodyname1, e.bodyname2)) for e in spec.excludes}
     bodies = [body for body in spec.bodies if body.name != "world"]
     for link in (body for body in bodies if body.joints):
         carrier = _link_of(link.parent)
         carriers = [link.parent.name]
-        if carrier.joints:  # not part of the building: all of that link is adjacent
+        if carrier.joints:  # a moving link: all its bodies are adjacent
             carriers = sorted({b.name for b in bodies if _link_of(b).name == carrier.name})
         pieces = [body.name for body in bodies if _link_of(body).name == link.name]
         for pair in product(pieces, carriers):
@@ -408,7 +408,7 @@ def _exclude_adjacent(spec: mujoco.MjSpec) -> None:
 
 
 def _link_of(body: Any) -> Any:
-    """The body that carries the joint: bodies without one are a piece of their parent."""
+    """Return the body with the joint; bodies without a joint are part of their parent's link."""
     while not body.joints and body.parent is not None and body.parent.name != "world":
         body = body.parent
     return body
@@ -422,7 +422,7 @@ _KEYS = {
     "holder": "cell.table",
     "zone": "cell.zones",
 }
-"""What made a part of the model, by how its name begins."""
+"""Scenario key for each part of the model, by the prefix of its name."""
 
 
 def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -463,7 +463,7 @@ def _compiled(
 
 
 def _tune_servos(model: mujoco.MjModel) -> None:
-    """Critically damped gains from the largest inertia a joint meets in a spread of poses."""
+    """Set critically damped gains for the largest inertia of each joint over random poses."""
     mujoco = mujoco_module()
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
@@ -482,7 +482,7 @@ def _tune_servos(model: mujoco.MjModel) -> None:
 
 
 def _non_adjacent_pairs(model: mujoco.MjModel) -> np.ndarray:
-    """Solid geoms of bodies that can move against each other and are not excluded."""
+    """Return the pairs of solid geoms of bodies that can move against each other, not excluded."""
     excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
     solid = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
     pairs = []
@@ -495,7 +495,7 @@ def _non_adjacent_pairs(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _levers(model: mujoco.MjModel) -> Floats:
-    """Lengths of the chain from each joint to each body, with the body's own size."""
+    """Return the lengths of the chain from each joint to each body, with the body's own size."""
     size = np.zeros(model.nbody)
     for geom, body in enumerate(model.geom_bodyid):
         extent = model.geom_rbound[geom] + np.linalg.norm(model.geom_pos[geom])

@@ -1,9 +1,9 @@
-"""The cell as a robot description (URDF): what ROS's tools know arms and rooms by.
+"""Robot description (URDF) of the cell, for ROS's tools.
 
-Links are MuJoCo's bodies, with the joints' names and limits. Both tools end in a link whose frame
-is the design's: ``source`` and ``detector``, as ``/scan/reached`` tells their poses in ``world``;
-``detector_optical`` stands still before the panel, where the source should be. The format:
-https://wiki.ros.org/urdf/XML.
+Links are MuJoCo's bodies, with the joints' names and limits. Each tool ends in a link with the
+frame of the design, ``source`` or ``detector``, whose pose in ``world`` is reported on
+``/scan/reached``. ``detector_optical`` is fixed to the panel, at the nominal position of the
+source. The format: https://wiki.ros.org/urdf/XML.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ WORLD, OPTICAL = "world", "detector_optical"
 
 
 def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None = None) -> str:
-    """The robot description of a cell: metres and rad, root ``world``.
+    """Return the robot description of a cell, in metres and rad, with root ``world``.
 
     Args:
-        cell: the room.
-        detector_from_optical: the camera's frame, z towards the panel.
-        meshes: folder for a file (STL) of each mesh, by whose address it is named; None writes each
-            as the box about it.
+        cell: robot cell.
+        detector_from_optical: frame of the camera, z towards the panel.
+        meshes: folder for one file (STL) per mesh, referenced by its URI; None replaces each mesh
+            by its bounding box.
 
     Raises:
         StorageError: the meshes cannot be written.
@@ -55,9 +55,10 @@ def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None 
 
 
 def link_names(cell: CellModel) -> list[str]:
-    """Of all bodies; those of the tools begin at the flange, their names belong to what they carry.
+    """Return unique link names for all bodies, whatever the names of a user's arms and zones.
 
-    No two are the same, whatever a user's own arms and zones are called.
+    Links of the tools begin at the flange and get the suffix ``_tool``, because ``source`` and
+    ``detector`` name the frames that they carry.
     """
     names, taken = [WORLD], {WORLD, OPTICAL, *ARMS}
     for body in range(1, cell.model.nbody):
@@ -71,7 +72,7 @@ def link_names(cell: CellModel) -> list[str]:
 
 
 def _join(robot: Xml.Element, cell: CellModel, body: int, names: list[str]) -> None:
-    """Hang a body on its parent: where the joint is at zero."""
+    """Join a body to its parent, with the origin at joint position zero."""
     model, parent = cell.model, int(cell.model.body_parentid[body])
     place = _pose(model.body_pos[body], model.body_quat[body])
     parent_from_link = _link_from_body(cell, parent) @ place @ _link_from_body(cell, body).inverse()
@@ -108,7 +109,7 @@ def _between(joint: Xml.Element, parent: str, child: str, place: Pose) -> None:
 
 
 def _fill(link: Xml.Element, cell: CellModel, body: int, meshes: Path | None) -> None:
-    """Mass and shapes of a body: those that are shown, else those that are solid."""
+    """Add mass and shapes of a body; visual shapes are its visible ones, else its solid ones."""
     model, from_body = cell.model, _link_from_body(cell, body)
     if (mass := model.body_mass[body]) > 0:
         inertial = Xml.SubElement(link, "inertial")
@@ -134,7 +135,7 @@ def _fill(link: Xml.Element, cell: CellModel, body: int, meshes: Path | None) ->
 
 
 def _shapes(cell: CellModel, geom: int, meshes: Path | None) -> Iterator[tuple[Pose, Xml.Element]]:
-    """``body_from_shape`` and shape of all that makes up a geom."""
+    """Yield ``body_from_shape`` and element of each shape that makes up a geom."""
     model, kinds = cell.model, mujoco_module().mjtGeom
     kind, (radius, half, _) = int(model.geom_type[geom]), model.geom_size[geom]
     place = _pose(model.geom_pos[geom], model.geom_quat[geom])
@@ -153,7 +154,7 @@ def _shapes(cell: CellModel, geom: int, meshes: Path | None) -> Iterator[tuple[P
 
 
 def _mesh_file(model: Any, mesh: int, folder: Path) -> Path:
-    """Write a mesh, each once."""
+    """Write a mesh to a file in a folder, and return its path."""
     import trimesh
 
     file = folder / f"mesh_{mesh}.stl"
@@ -171,7 +172,7 @@ def _mesh_file(model: Any, mesh: int, folder: Path) -> Path:
 
 
 def _link_from_body(cell: CellModel, body: int) -> Pose:
-    """A link's origin lies on its joint's axis, whereas a body's may lie beside it."""
+    """Return the pose of a body in its link, whose origin lies on the joint's axis."""
     joint = int(cell.model.body_jntadr[body])
     return Pose.identity() if joint < 0 else _pose(-cell.model.jnt_pos[joint])
 
@@ -181,7 +182,7 @@ def _pose(position_m: ArrayLike, quat: ArrayLike = (1, 0, 0, 0)) -> Pose:
 
 
 def _origin(element: Xml.Element, place: Pose) -> None:
-    """Roll, pitch and yaw about the parent's axes, in this order."""
+    """Add an origin; roll, pitch and yaw turn about the parent's axes, in this order."""
     rotation = scipy.spatial.transform.Rotation.from_quat(place.quat)
     turn = rotation.as_euler("xyz", suppress_warnings=True)
     Xml.SubElement(element, "origin", xyz=_text(place.position / MM_PER_M), rpy=_text(turn))

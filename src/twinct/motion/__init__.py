@@ -1,6 +1,6 @@
-"""How the arms get from view to view: inverse kinematics, planning, and the dynamic simulation.
+"""Motion of the arms from view to view: inverse kinematics, planning and dynamic simulation.
 
-MuJoCo, mink and Ruckig are imported when they are used, not when this package is.
+MuJoCo, mink and Ruckig are imported on first use, not together with this package.
 """
 
 from twinct.motion.kinematics import IkResult, Kinematics

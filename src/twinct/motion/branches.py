@@ -1,7 +1,8 @@
-"""All joint configurations with which one arm holds a pose, for many poses at once.
+"""All joint configurations with which one arm reaches a pose, for many poses at once.
 
-A UR10e has up to eight, in closed form. Any other arm is searched from seeded starts; those of one
-pose are starts for the next, so that neighbouring poses get neighbouring configurations.
+A UR10e has up to eight, in closed form. For any other arm, a search runs from seeded random starts
+and from the results of the previous pose, so that neighbouring poses get neighbouring
+configurations.
 """
 
 from __future__ import annotations
@@ -28,32 +29,32 @@ D1, A2, A3, D4, D5, D6 = 0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655
 """UR10e, m: Universal Robots, "DH parameters for calculations of kinematics and dynamics"."""
 
 ROUNDING = 1e-9
-"""By this much a sine or cosine may exceed 1: an arm just stretched out."""
+"""Amount by which a sine or cosine may exceed 1, for an arm that is just stretched out."""
 
 SEARCH_STARTS = 48
-"""Random configurations from which a pose of an arm without closed form is searched."""
+"""Random starts of the search for a pose of an arm without closed form."""
 
 KEPT = 16
-"""Configurations of such a pose that are starts for the next one, at most."""
+"""Largest number of configurations of such a pose that are starts for the next pose."""
 
 SEARCH_STEPS = 40
 SOLVED = 1e-7
-"""Newton's method ends here, m and rad."""
+"""Error below which Newton's method ends, m and rad."""
 
 TO_MIDDLE = 0.05
-"""Share of the way to the middle of its ranges that a redundant arm makes in a step."""
+"""Fraction of the distance to the middle of its ranges that a redundant arm moves per step."""
 
 SAME_RAD = 0.05
-"""Configurations closer than this in every joint are one."""
+"""Configurations closer than this in every joint count as one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Configurations:
-    """What holds poses.
+    """Joint configurations of one arm that reach given poses.
 
     Attributes:
         joints: rad, (m, k), inside the joints' ranges, without full turns.
-        pose: index of the pose that each holds, rising, (m,).
+        pose: index of the pose of each configuration, in ascending order, (m,).
     """
 
     joints: Floats
@@ -61,16 +62,16 @@ class Configurations:
 
 
 class Branches:
-    """The configurations of one arm of a cell."""
+    """Solver for all configurations of one arm of a cell."""
 
     def __init__(self, cell: CellModel, arm: int, ik: InverseKinematics, seed: int = 0) -> None:
-        """Take the arm's mounting from the compiled model.
+        """Read the arm's mounting from the compiled model.
 
         Args:
-            cell: the room.
+            cell: robot cell.
             arm: 0 source, 1 detector.
-            ik: how far off a searched configuration may be; the closed form is exact.
-            seed: of the search; the closed form draws nothing.
+            ik: tolerances of the search; the closed form is exact.
+            seed: seed of the search; the closed form needs none.
         """
         self._cell, self._part, self._seed = cell, cell.arm_joints[arm], seed
         self._site = cell.site_ids[arm]
@@ -86,12 +87,12 @@ class Branches:
         if base is not None:
             self._world_from_base = _matrix(base.xpos, base.xmat)
             at_zero = _matrix(self._data.site_xpos[self._site], self._data.site_xmat[self._site])
-            # With all joints at zero: the flange looks along -y.
+            # With all joints at zero, the flange points along -y.
             flange = _matrix((A2 + A3, -D4 - D6, D1 - D5), ((1, 0, 0), (0, 0, -1), (0, 1, 0)))
             self._tool_from_flange = np.linalg.inv(at_zero) @ self._world_from_base @ flange
 
     def of(self, poses: Floats, starts: int = SEARCH_STARTS) -> Configurations:
-        """All that were found.
+        """Compute all configurations for some poses; a search may miss some.
 
         Args:
             poses: ``world_from_tool``, (poses, 4, 4), mm.
@@ -122,7 +123,7 @@ class Branches:
         return Configurations(np.vstack(found) if found else before, pose)
 
     def _newton(self, pose: Floats, joints: Floats) -> Floats:
-        """Distinct solutions, (m, k), by damped Newton steps from all starts together."""
+        """Compute distinct solutions, (m, k), by damped Newton steps from all starts at once."""
         model, data, n = self._cell.model, self._data, joints.shape[1]
         open_ = np.arange(len(joints))
         solved = np.zeros(len(joints), bool)
@@ -144,7 +145,7 @@ class Branches:
             back = scipy.spatial.transform.Rotation.from_matrix(turned).inv()
             error[:, 3:] = (wanted * back).as_rotvec()
             left = np.linalg.norm(error.reshape(-1, 2, 3), axis=2)
-            # Some poses are in reach by a part of the tolerance only, at the end of a range.
+            # At the end of a range, some poses can only be reached within the tolerance.
             solved[open_] = (left <= self._off).all(axis=1)
             go = left.max(axis=1) >= SOLVED
             open_, error, matrices = open_[go], error[go], matrices[go]
@@ -152,7 +153,7 @@ class Branches:
                 break
             here = joints[open_]
             step = _step(matrices, error, middle - here)
-            # A joint at the end of its range that would leave it stands; the others do its share.
+            # Hold a joint that would leave its range, and let the other joints compensate.
             over = ((here <= low) & (step < 0)) | ((here >= high) & (step > 0))
             if over.any():
                 step = np.where(over, 0, _step(matrices * ~over[:, None], error, middle - here))
@@ -167,7 +168,7 @@ class Branches:
 
 
 def matrices(poses: list[Pose]) -> Floats:
-    """Homogeneous matrices (poses, 4, 4), mm."""
+    """Return the homogeneous matrices of poses, (poses, 4, 4), mm."""
     return np.array([pose.matrix for pose in poses]).reshape(-1, 4, 4)
 
 
@@ -179,9 +180,9 @@ def _matrix(position: object, rotation: object) -> Floats:
 
 
 def _step(jacobian: Floats, error: Floats, rest: Floats) -> Floats:
-    """Damped Newton steps (m, k); what a redundant arm has left draws it to the middle."""
+    """Compute damped Newton steps, (m, k); the null space pulls redundant arms to the middle."""
     transposed = jacobian.transpose(0, 2, 1)
-    damping = 1e-9 + 1e-3 * (error * error).sum(axis=1)  # cautious far away
+    damping = 1e-9 + 1e-3 * (error * error).sum(axis=1)  # small steps far away
     square = jacobian @ transposed + damping[:, None, None] * np.eye(6)
     pull = TO_MIDDLE * rest[:, :, None]
     return (pull + transposed @ np.linalg.solve(square, error[:, :, None] - jacobian @ pull))[
@@ -190,28 +191,28 @@ def _step(jacobian: Floats, error: Floats, rest: Floats) -> Floats:
 
 
 def _without_turns(joints: Floats, ranges: Floats) -> Floats:
-    """The same pose with full turns taken out, where the range has room for it."""
+    """Remove full turns from joints where the result lies within their ranges."""
     wrapped = (joints + np.pi) % (2 * np.pi) - np.pi
     return np.where((wrapped >= ranges[:, 0]) & (wrapped <= ranges[:, 1]), wrapped, joints)
 
 
 def ur10e(base_from_flange: Floats) -> Floats:
-    """The eight ways of a UR10e: shoulder left or right, wrist up or down, elbow up or down.
+    """Compute the eight solutions of a UR10e: shoulder left/right, wrist up/down, elbow up/down.
 
     The axes of joints 2, 3 and 4 are parallel, which decouples the equations (Hawkins, "Analytic
-    inverse kinematics for the Universal Robots UR-5/UR-10 arms", 2013; derived anew here).
+    inverse kinematics for the Universal Robots UR-5/UR-10 arms", 2013; derived independently here).
 
     Args:
         base_from_flange: (poses, 4, 4), m.
 
     Returns:
-        joint angles in (-pi, pi], (poses, 8, 6); NaN where there is none.
+        joint angles in (-pi, pi], (poses, 8, 6); NaN where no solution exists.
     """
     shoulder = np.array([1, 1, 1, 1, -1, -1, -1, -1])
     wrist = np.array([1, 1, -1, -1, 1, 1, -1, -1])
     elbow = np.array([1, -1, 1, -1, 1, -1, 1, -1])
     x6, y6, z6, tip = (base_from_flange[:, None, :3, k] for k in range(4))
-    centre = tip - D6 * z6  # of wrist 3, which stands d4 off the plane of the arm
+    centre = tip - D6 * z6  # of wrist 3, at distance d4 from the plane of the arm
     reach = np.hypot(centre[..., 0], centre[..., 1])
     side = _arcsin(D4 / reach)
     q1 = np.arctan2(centre[..., 1], centre[..., 0])
@@ -220,7 +221,7 @@ def ur10e(base_from_flange: Floats) -> Floats:
     normal = np.stack([sine, -cosine, np.zeros_like(q1)], axis=-1)
     q5 = wrist * _arccos((z6 * normal).sum(axis=-1))
     s5, c5 = np.sin(q5), np.cos(q5)
-    # With axes 4 and 6 in line their shares are free: joint 6 stays at zero.
+    # With axes 4 and 6 in line, one of their angles is free: joint 6 stays at zero.
     sign = np.where(np.abs(s5) < ROUNDING, 0.0, np.sign(s5))
     q6 = np.arctan2(-sign * (y6 * normal).sum(axis=-1), sign * (x6 * normal).sum(axis=-1))
     s6, c6 = np.sin(q6)[..., None], np.cos(q6)[..., None]
@@ -239,7 +240,7 @@ def ur10e(base_from_flange: Floats) -> Floats:
 
 
 def _arccos(x: Floats) -> Floats:
-    """NaN beyond 1 by more than rounding."""
+    """Return the arccosine, NaN for values beyond 1 by more than rounding."""
     return np.arccos(np.where(np.abs(x) <= 1 + ROUNDING, np.clip(x, -1, 1), np.nan))
 
 

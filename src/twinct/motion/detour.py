@@ -1,10 +1,10 @@
-"""Ways round: both arms together, from one configuration to another, where straight is not clear.
+"""Detours of both arms between two configurations whose straight joint path is not clear.
 
 OMPL's RRT-Connect (Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path
-planning", ICRA 2000) and its shortcuts. Joints that can make full turns are angles on a circle:
-which turn they end in is found with the way. Searches look at configurations only, some way apart;
-straight paths of what they find are proven. All of OMPL is made anew after its seed and stopped by
-a count, so that the same question has the same answer whatever ran before.
+planning", ICRA 2000) and its shortcuts. Joints that can make full turns are angles on a circle;
+the search decides in which turn they end. Searches check configurations at a certain spacing; the
+straight segments of their results are then proven clear. Every search seeds OMPL, creates its
+objects anew and stops at a count, so that equal queries give equal results whatever ran before.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from twinct.motion.feasible import Feasible, Flags
 from twinct.motion.glance import Glance
 
 SEARCHES = ((20_000, 0.1), (100_000, 0.03))
-"""How many configurations a search may look at, and how far apart they lie on straight paths: the
-sum of the times that the joints take, s."""
+"""Number of configurations that a search may check, and their spacing on straight paths: the sum
+of the times of all joints, s."""
 
 STEP_S = 3.0
-"""Longest step of a tree, told likewise."""
+"""Longest step of a tree, as such a sum of times."""
 
 SHORTCUTS = 100
-"""Tries to shorten a way that was found."""
+"""Attempts to shorten a detour."""
 
 FINE_S = 0.1
-"""How far apart configurations lie that are looked at on a shortcut, told likewise."""
+"""Spacing of the configurations that are checked on a shortcut, as such a sum of times."""
 
 ASIDE_MM = (2.0, 8.0)
-"""What shortcuts keep beside the clearance asked for, lest a proof finds less between two looks."""
+"""Margins of shortcuts above the required clearance, lest the proof fail between two checks."""
 
 
 def _ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
@@ -48,20 +48,20 @@ def _ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
 
 
 class Detours:
-    """Searches ways round in one cell."""
+    """Search for detours in one cell."""
 
     def __init__(
         self, cell: CellModel, room: Feasible, turns: Flags, seed: int, most: float = np.inf
     ) -> None:
-        """Prepare.
+        """Silence OMPL and set up the collision checks.
 
         Args:
-            cell: the room.
-            room: judges straight paths of both arms.
-            turns: which joints can make full turns, (n,).
-            seed: of every search.
-            most: configurations that all searches together may look at, but for the last one's
-                shortcuts.
+            cell: robot cell.
+            room: clearance check for straight paths of both arms.
+            turns: flags of the joints that can make full turns, (n,).
+            seed: seed of every search.
+            most: largest number of configurations that all searches together may check, without
+                the shortcuts of the last search.
 
         Raises:
             MissingExtraError: OMPL is not installed.
@@ -72,29 +72,29 @@ class Detours:
 
     @property
     def looked(self) -> int:
-        """How many configurations were looked at."""
+        """Number of configurations checked so far."""
         return self._glance.looked
 
     @property
     def over(self) -> bool:
-        """Whether no search may look at any more."""
+        """True once no search may check further configurations."""
         return self.looked >= self._most
 
     def between(
         self, start: Floats, end: Floats, least_mm: float, effort: int, *, turning: bool = True
     ) -> Floats | None:
-        """A way that is clear on the straight paths between its knots.
+        """Search for a detour whose straight segments are clear.
 
         Args:
             start: rad, (n,).
             end: rad, (n,).
-            least_mm: the clearance asked for.
-            effort: which of SEARCHES.
-            turning: joints that can make full turns may end in any, and leave their ranges; else
-                all stay inside and end as told.
+            least_mm: required clearance.
+            effort: index into SEARCHES.
+            turning: True lets joints that can make full turns end in any turn and leave their
+                ranges; False keeps all joints in their ranges and ends exactly at ``end``.
 
         Returns:
-            knots, both ends included, rad, (knots, n); None: none was found.
+            knots, both ends included, rad, (knots, n); None if no detour was found.
         """
         checks, spacing_s = SEARCHES[effort]
         glance, room = self._glance, self._room
@@ -104,7 +104,7 @@ class Detours:
 
         glance.keep(least_mm)
         circles = self._turns & turning
-        # Before any object with a generator of its own is made.
+        # Set the seed before creating any object with a random generator of its own.
         _ompl()[2].RNG.setSeed(self._seed + 1)
         space = _Space(self._cell, circles)
         if self.over or not (glance.clear(start) and glance.clear(end)):
@@ -121,7 +121,7 @@ class Detours:
         else:
             if not proven(knots := found):
                 return None
-        # The ends to the last bit: what is in between may be rounded.
+        # Restore the exact ends, which OMPL may have rounded.
         knots[0] = start
         knots[-1] = end + circles * 2 * np.pi * np.rint((knots[-1] - end) / (2 * np.pi))
         return knots
@@ -129,24 +129,24 @@ class Detours:
 
 @dataclass(frozen=True, eq=False)
 class _Joints:
-    """How OMPL's states tell joints: those on a circle as angles, the others as numbers."""
+    """Conversion from OMPL's states: joints on a circle are angles, the others numbers."""
 
     circles: Flags
 
     def one(self, state: Any) -> Floats:
-        """Rad, (n,); angles within half a turn."""
+        """Return the joints of one state, rad, (n,); angles within half a turn."""
         told = enumerate(self.circles.tolist())
         return np.array([state[j].value if circle else state[j][0] for j, circle in told])
 
     def knots(self, states: Any) -> Floats:
-        """Rad, (m, n); from state to state angles go the shorter way."""
+        """Return the joints of states, rad, (m, n); angles go the shorter way between states."""
         joints = np.array([self.one(state) for state in states])
         joints[:, self.circles] = np.unwrap(joints[:, self.circles], axis=0)
         return joints
 
 
 class _Space:
-    """OMPL's view of both arms' joints, their distances told as the time that each takes."""
+    """OMPL state space of both arms' joints; distances are the times that the joints take."""
 
     def __init__(self, cell: CellModel, circles: Flags) -> None:
         self._base, self._geometric, _ = _ompl()
@@ -181,7 +181,7 @@ class _Space:
         spacing_s: float,
         over: Callable[[], bool],
     ) -> Floats | None:
-        """Knots (m, n) by RRT-Connect; None where it was over before."""
+        """Return the knots of a path by RRT-Connect, (m, n); None if the search ended before."""
         information = self._judged(clear, spacing_s)
         problem = self._base.ProblemDefinition(information)
         problem.setStartAndGoalStates(self._state(start), self._state(end))
@@ -195,7 +195,7 @@ class _Space:
         return self._from(start, problem.getSolutionPath())
 
     def shortened(self, knots: Floats, clear: Callable[[Floats], bool]) -> Floats:
-        """The same ends, but for full turns, with fewer knots on a shorter way."""
+        """Shorten a path and reduce its knots; the ends stay, except for full turns."""
         information = self._judged(clear, FINE_S)
         path = self._geometric.PathGeometric(information)
         for q in knots:
@@ -214,6 +214,6 @@ class _Space:
         return information
 
     def _from(self, start: Floats, path: Any) -> Floats:
-        """Knots of a path, joints on a circle with the turns that the start has."""
+        """Return the knots of a path; joints on a circle begin in the turn of the start."""
         knots = self._joints.knots(path.getStates())
         return knots + 2 * np.pi * np.rint((start - knots[0]) / (2 * np.pi))

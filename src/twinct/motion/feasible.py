@@ -1,8 +1,8 @@
-"""Whether many configurations, or straight joint paths, keep a clearance.
+"""Clearance checks of many configurations or straight joint paths.
 
-That question is cheaper than how large the clearance is: boxes prove almost all pairs of
-geoms apart, many configurations in one pass; ``mj_geomDistance`` judges what is left. A straight
-path is halved until distances and levers prove each part clear: nothing is missed in between.
+A check is cheaper than a distance: bounding boxes prove almost all pairs of geoms far enough
+apart, for many configurations in one pass, and ``mj_geomDistance`` decides the remaining pairs. A
+straight path is bisected until distances and levers prove each part clear, without gaps between.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ else:
     mujoco = mujoco_module()
 
 Whom = Literal["source", "detector", "both", "cross"]
-"""Pairs of geoms: one arm with itself and the room; all; one arm with the other."""
+"""Pairs to check: one arm with itself and the room, all pairs, or one arm with the other."""
 
 AT_ONCE = 64
-"""Configurations in one pass: what fits the processor's cache."""
+"""Configurations in one pass, chosen to fit the processor's cache."""
 
 SHORTFALL_MM = 0.1
-"""A straight path may come this much nearer than asked, between two instants."""
+"""Amount by which a straight path may fall below the clearance between two checked points."""
 
 LOOSE_M = 0.03
-"""The box about a geom of this cell stands out from it by about this much."""
+"""Typical excess of a bounding box over its geom in this cell."""
 
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -40,17 +40,17 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Of all geoms in m configurations: positions (m, geoms, 3), rotations (m, geoms, 9)."""
+    """Positions (m, geoms, 3) and rotations (m, geoms, 9) of all geoms in m configurations."""
 
     position: Floats
     turned: Floats
 
 
 class Feasible:
-    """Judges configurations of one arm, or of both."""
+    """Clearance check of one arm, or of both."""
 
     def __init__(self, cell: CellModel, whom: Whom = "both") -> None:
-        """Take the pairs of geoms that count."""
+        """Select the pairs of geoms to check."""
         model = self._model = cell.model
         source, detector = (
             (cell.lever[model.geom_bodyid[cell.pairs], part] > 0).any(axis=(1, 2))
@@ -68,21 +68,21 @@ class Feasible:
         self._first, self._second = compact.reshape(-1, 2).T
         self._centre, self._half = np.split(model.geom_aabb[self._geoms], 2, axis=1)
         bodies = model.geom_bodyid[pairs]
-        # Two bodies come near each other by those joints only that move one and not the other.
+        # Only joints that move one body and not the other change the distance of two bodies.
         one, other = cell.lever[bodies[:, 0]], cell.lever[bodies[:, 1]]
         self._lever = np.where((one > 0) != (other > 0), one + other, 0.0)
         self._data = mujoco.MjData(model)
         self._line = np.zeros(6)
 
     def clear(self, joints: Floats, least_mm: float) -> Flags:
-        """Whether all pairs are at least so far apart.
+        """Check configurations for a clearance between all pairs.
 
         Args:
-            joints: of the whole cell, rad, (m, n); an arm that does not count may stand anywhere.
-            least_mm: the clearance asked for.
+            joints: of the whole cell, rad, (m, n); values of an unchecked arm have no effect.
+            least_mm: required clearance.
 
         Returns:
-            (m,).
+            True for each clear configuration, (m,).
         """
         least = least_mm / MM_PER_M
         clear = np.ones(len(joints), bool)
@@ -94,19 +94,19 @@ class Feasible:
         return clear
 
     def straight(self, starts: Floats, ends: Floats, least_mm: float) -> Flags:
-        """Whether straight joint paths keep the clearance all the way.
+        """Check straight joint paths for a clearance along their whole length.
 
         Args:
             starts: rad, (m, n).
             ends: rad, (m, n).
-            least_mm: the clearance asked for; up to SHORTFALL_MM less may pass.
+            least_mm: required clearance; up to SHORTFALL_MM less may pass.
 
         Returns:
-            (m,).
+            True for each clear path, (m,).
         """
         least, turn = least_mm / MM_PER_M, ends - starts
         clear = np.ones(len(starts), bool)
-        # Parts of paths: whose, where their middle is (share); of them the pairs in question.
+        # Parts of paths: index of the path, middle as a fraction of it, and the pairs in question.
         path, middle, half = np.arange(len(starts)), np.full(len(starts), 0.5), 0.5
         pair, which = np.zeros((2, 0), np.intp)
         while len(path):
@@ -121,13 +121,13 @@ class Feasible:
                 else:
                     mine = slice(*np.searchsorted(which, (start, start + AT_ONCE)))
                     own, at = pair[mine], which[mine] - start
-                # This much nearer two geoms can come from the middle of the part to its ends.
+                # Two geoms can approach by this much between the middle and the ends of a part.
                 room = half * (self._lever[own] * step[at]).sum(axis=1)
                 asked = least + room
                 for index, near, bounds in self._suspects(places, own, at, asked):
                     if not clear[part[index]]:
                         continue
-                    # Far below what is asked the distance itself would prove no more than boxes.
+                    # Far below the required distance, an exact distance proves no more than boxes.
                     hope = (bounds < least) | (asked[near] - bounds < LOOSE_M)
                     found = room[near] > SHORTFALL_MM / MM_PER_M
                     for k in np.flatnonzero(hope).tolist():
@@ -153,7 +153,7 @@ class Feasible:
         return clear
 
     def _places(self, joints: Floats) -> _Places:
-        """Where all geoms are."""
+        """Compute the poses of all geoms in some configurations."""
         model, data, count = self._model, self._data, len(joints)
         position = np.empty((count, model.ngeom, 3))
         turned = np.empty((count, model.ngeom, 9))
@@ -164,11 +164,11 @@ class Feasible:
         return _Places(position, turned)
 
     def _near(self, places: _Places, asked_m: Floats) -> tuple[Indices, Indices]:
-        """Pairs and configurations that boxes along the world's axes do not prove far enough apart.
+        """Return pairs and configurations that world-aligned boxes do not prove far enough apart.
 
         Args:
-            places: of the geoms in m configurations.
-            asked_m: the distance to prove, (pairs, m or 1).
+            places: poses of the geoms in m configurations.
+            asked_m: distance to prove, (pairs, m or 1).
         """
         turned = places.turned.reshape(*places.position.shape, 3)[:, self._geoms]
         centre = places.position[:, self._geoms] + (turned * self._centre[:, None]).sum(axis=3)
@@ -190,17 +190,17 @@ class Feasible:
     def _suspects(
         self, places: _Places, pair: Indices, which: Indices, asked_m: Floats
     ) -> Iterator[tuple[int, Indices, Floats]]:
-        """Of given pairs those that the geoms' own boxes do not prove far enough apart.
+        """Yield the pairs that the geoms' own oriented boxes do not prove far enough apart.
 
         Args:
-            places: of the geoms in some configurations.
+            places: poses of the geoms in some configurations.
             pair: indices of pairs, (k,).
-            which: the configuration of each, rising, (k,).
-            asked_m: the distance to prove, (k,).
+            which: configuration of each pair, in ascending order, (k,).
+            asked_m: distance to prove, (k,).
 
         Yields:
-            index of a configuration, which the scratch data then hold; rows of ``pair``, those
-            that seem to overlap most first; what is proven of their distances, m.
+            index of a configuration, which the scratch data then hold; rows of ``pair``, deepest
+            overlap of the boxes first; lower bounds of their distances, m.
         """
         a, b = (self._geoms[side[pair]] for side in (self._first, self._second))
         turned = places.turned.reshape(*places.position.shape, 3)
@@ -217,7 +217,7 @@ class Feasible:
         ):
             gap = np.abs((between[:, :, None] * own).sum(axis=1)) - reach
             outside = np.sqrt((np.maximum(gap, 0) ** 2).sum(axis=1))
-            # Boxes that overlap say nothing of how far; the deepest is looked at first.
+            # Overlapping boxes bound no distance; the deepest overlap is checked first.
             bound = np.maximum(bound, np.where(outside > 0, outside, gap.max(axis=1)))
         rows = np.flatnonzero(bound < asked_m)
         rows = rows[np.lexsort((bound[rows], which[rows]))]

@@ -1,8 +1,8 @@
-"""The way of the reactive scheme: one configuration of each arm, followed from view to view.
+"""Path of the reactive scheme: one branch of each arm, followed from view to view.
 
-Each arm reaches a pose in several ways (elbow up or down, wrist turned over). All ways that seeded
-restarts find in the middle of the path are followed to both ends; the pair that reaches every view
-with the largest clearance is taken.
+Each arm reaches a pose on several branches (elbow up or down, wrist turned over). All branches that
+seeded restarts find in the middle of the path are followed to both ends. The pair that reaches
+every view with the largest clearance is chosen.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from twinct.scenario import Motion
 from twinct.views import Target
 
 RESTARTS = 60
-"""Random starts in one view; two UR10e have shown all their ways by 40."""
+"""Random starts in one view; two UR10e show all their branches within 40."""
 
 BRANCHES = 16
-"""Ways of one arm that are followed at most."""
+"""Largest number of branches of one arm that are followed."""
 
 SAME_RAD = 0.05
-"""Configurations closer than this in every joint are the same way."""
+"""Configurations closer than this in every joint belong to one branch."""
 
 CHECK_MM = 4.0
-"""Between views, clearance is looked at whenever a point may have moved this far."""
+"""Travel of a geom between two clearance checks from view to view."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """One arm's path on one branch: joints (views, k), what is left (views,), flips (views,)."""
+    """One arm's path on one branch: joints (views, k), residual errors and flips (views,)."""
 
     joints: Floats
     position_mm: Floats
@@ -56,16 +56,16 @@ class _Way:
 
 
 def branch_way(cell_model: CellModel, motion: Motion, targets: Sequence[Target]) -> Way:
-    """Find a way through all targets.
+    """Find a path through all targets on one branch of each arm.
 
     Args:
-        cell_model: the room.
-        motion: tolerances and the clearance asked for.
+        cell_model: robot cell.
+        motion: tolerances and the required clearance.
         targets: one for each view, in order.
 
     Raises:
-        TrajectoryError: views out of reach, in collision, or without a continuous path to them;
-            every problem names views, arm, reason and how far off.
+        TrajectoryError: views are out of reach, in collision or without a continuous path; every
+            problem names views, arm, reason and missing distance.
         MissingExtraError: mink is not installed.
     """
     targets = list(targets)
@@ -97,7 +97,7 @@ def branch_way(cell_model: CellModel, motion: Motion, targets: Sequence[Target])
 def _ways(
     cell: CellModel, kinematics: Kinematics, targets: list[Target]
 ) -> tuple[list[_Way], list[_Way]]:
-    """Both arms' paths on every branch found, the arms solved together."""
+    """Return both arms' paths on every detected branch, with both arms solved together."""
     middle, starts = _start_view(cell, kinematics, targets)
     ways: tuple[list[_Way], list[_Way]] = ([], [])
     for k in range(max(len(found) for found in starts)):
@@ -112,7 +112,7 @@ def _ways(
 def _start_view(
     cell: CellModel, kinematics: Kinematics, targets: list[Target]
 ) -> tuple[int, list[list[Floats]]]:
-    """A view that both arms reach, the middle one where possible, and their ways to reach it."""
+    """Return a view that both arms reach, the middle view if possible, and their branches there."""
     last = len(targets) - 1
     found = None
     for view in dict.fromkeys((len(targets) // 2, 0, last, last // 4, 3 * last // 4)):
@@ -128,7 +128,7 @@ def _start_view(
 def _starts(
     cell: CellModel, kinematics: Kinematics, target: Target
 ) -> tuple[list[list[Floats]], int]:
-    """Each arm's ways to reach a target, else its nearest miss; and how many arms reach it."""
+    """Return each arm's branches at a target, or its nearest miss, and the number of arms there."""
     rng = np.random.default_rng(0)
     low = np.maximum(cell.joint_ranges[:, 0], -np.pi)
     high = np.minimum(cell.joint_ranges[:, 1], np.pi)
@@ -152,7 +152,7 @@ def _starts(
 
 
 def _wrapped(joints: Floats, ranges: Floats) -> Floats:
-    """The same pose with full turns taken out, where the range has room for it."""
+    """Remove full turns from joints where the result lies within their ranges."""
     wrapped = (joints + np.pi) % (2 * np.pi) - np.pi
     return np.where((wrapped >= ranges[:, 0]) & (wrapped <= ranges[:, 1]), wrapped, joints)
 
@@ -172,7 +172,7 @@ def _trace(
                 for arm, part in enumerate(cell.arm_joints):
                     flips[view, arm] = largest[part].max() > FLIP_RAD
             joints[view] = result.joints
-            # An arm goes on from where it was last right, not from where it got stuck.
+            # An arm continues from its last solution, not from where it got stuck.
             q = q.copy()
             for arm, part in enumerate(cell.arm_joints):
                 if result.solved[arm]:
@@ -187,24 +187,24 @@ def _trace(
 
 
 def _centred(joints: Floats, ranges: Floats) -> Floats:
-    """The same path, shifted by full turns to where it stays furthest from the joints' limits."""
+    """Shift a path by full turns so that it stays as far as possible from the joint limits."""
     turns = 2 * np.pi * np.arange(-2, 3)[:, None]
     margin = np.minimum(
         joints.min(axis=0) + turns - ranges[:, 0], ranges[:, 1] - joints.max(axis=0) - turns
     )
-    # The smallest shift among equals; whole turns of a path in the middle of its range are none.
+    # Prefer the smallest shift among equals, so that a centred path stays in place.
     best = np.argmax(np.round(margin, 6) - 1e-9 * np.abs(turns), axis=0)
     return joints + turns[best, 0]
 
 
 def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
-    """The pair of paths with the largest clearance, judged on up to 40 views."""
+    """Return the pair of paths with the largest clearance, evaluated in up to 40 views."""
     views = len(ways[0][0].joints)
     sample = np.unique(np.linspace(0, views - 1, min(views, 40)).astype(int))
     data = mujoco.MjData(cell.model)
 
     def smallest_gap(clearance: Clearance, part: slice, joints: Floats, enough: float) -> float:
-        """Over the sample; looks no further once it is below ``enough``."""
+        """Return the smallest gap over the sample; stop once it is below ``enough``."""
         smallest = np.inf
         for view in sample:
             data.qpos[part] = joints[view]
@@ -231,7 +231,7 @@ def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
             break
         joints = np.hstack([way.joints for way in pair])
         smallest = smallest_gap(clearance, slice(None), joints, best_score[0])
-        # Equal clearance (a wrist's own, say): the path with less joint motion.
+        # At equal clearance (within a wrist, for example), prefer less joint motion.
         travel = sum(np.abs(np.diff(way.joints, axis=0)).sum() for way in pair)
         if (smallest, -travel) > best_score:
             best, best_score = pair, (smallest, -travel)
@@ -239,7 +239,7 @@ def _clearest(cell: CellModel, ways: list[list[_Way]]) -> tuple[_Way, _Way]:
 
 
 def gaps_along(cell: CellModel, joints: Floats) -> list[Gap]:
-    """Smallest gap at each view and on the straight joint path to it from the view before."""
+    """Return the smallest gap at each view and on the straight joint path from the view before."""
     clearance = Clearance(cell)
     scratch = mujoco.MjData(cell.model)
     return [
@@ -249,15 +249,15 @@ def gaps_along(cell: CellModel, joints: Floats) -> list[Gap]:
 
 
 def straight_path(cell: CellModel, data: mujoco.MjData, start: Floats, end: Floats) -> Floats:
-    """Configurations from ``end`` back towards ``start``, no geom further on than CHECK_MM.
+    """Return configurations from ``end`` back towards ``start``, in steps of at most CHECK_MM.
 
-    The start is left out: it is where the arms are, or the end of the path before.
+    The start is excluded: it is the current position, or the end of the previous path.
 
     Args:
-        cell: the room.
-        data: scratch.
-        start: joint positions, rad, (n,); ``end`` likewise.
-        end: of the first row of the result, (steps, n).
+        cell: robot cell.
+        data: scratch data.
+        start: joint positions, rad, (n,).
+        end: joint positions, rad, (n,), the first row of the result, (steps, n).
     """
     places = []
     for joints in (start, end):

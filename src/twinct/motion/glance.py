@@ -1,7 +1,7 @@
-"""Whether one configuration looks clear: MuJoCo's own collision detection, with margins.
+"""Fast clearance check of one configuration by MuJoCo's collision detection with margins.
 
-For one configuration it is several times as fast as distances. Searches look at thousands this way;
-what they find is judged by distances.
+For a single configuration, the check is several times faster than distances. Searches check
+thousands of configurations this way; distances then verify the result.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ else:
 
 
 class Glance:
-    """Looks at configurations of one cell.
+    """Fast clearance check of one cell.
 
     Attributes:
-        looked: at how many so far.
+        looked: number of configurations checked so far.
     """
 
     def __init__(self, cell: CellModel) -> None:
-        """Let exactly those pairs of geoms collide that count for the clearance."""
+        """Enable collisions for exactly the pairs of geoms that count for the clearance."""
         model = self._model = copy.copy(cell.model)
         self._counts = np.zeros((model.ngeom, model.ngeom), bool)
         self._counts[tuple(cell.pairs.T)] = self._counts[tuple(cell.pairs.T[::-1])] = True
@@ -37,12 +37,12 @@ class Glance:
         self.looked = 0
 
     def keep(self, least_mm: float) -> None:
-        """Ask for this clearance from now on."""
+        """Set the clearance for all further checks."""
         # The margins of two geoms, or bodies, add up.
         self._model.geom_margin[:] = self._model.body_margin[:] = least_mm / MM_PER_M / 2
 
     def clear(self, joints: Floats) -> bool:
-        """Whether nothing seems nearer than asked.
+        """Check that no pair of geoms seems closer than the clearance.
 
         Args:
             joints: rad, (n,).

@@ -1,4 +1,4 @@
-"""Plans to targets of no plan, and home, from wherever the arms are."""
+"""Plans from the current joints to targets outside the plan, and home."""
 
 from __future__ import annotations
 
@@ -19,47 +19,47 @@ from twinct.scenario import Motion
 from twinct.views import Target
 
 MOST_LOOKS = 60_000
-"""Configurations that the search for a way to a target may look at, and again from home.
+"""Configurations that one search may check, from the current joints, and again from home.
 
-Both take about 5 s: an answer is promised within 10.
+Each search takes about 5 s: an answer is promised within 10 s.
 """
 
 
 class Guide:
-    """Finds ways, and remembers those that the arms went since home: they lead back."""
+    """Path search that stores the paths taken since home, because they lead back."""
 
     def __init__(
         self, cell: CellModel, motion: Motion, roll_free: tuple[bool, bool], home: Floats
     ) -> None:
-        """Take the arms to be at home.
+        """Start with the arms at home.
 
         Args:
-            cell: the room.
+            cell: robot cell.
             motion: clearance, limits.
-            roll_free: whether source and panel may be turned about their own axis.
+            roll_free: whether source and panel may roll about their own axes.
             home: rad, (n,).
         """
         self._cell, self._motion, self._roll_free, self._home = cell, motion, roll_free, home
-        # Knots of the ways since home; none: the arms went by other ways than these.
+        # Knots of the paths since home; empty after a move on an unknown path.
         self._trail: list[Floats] = [home[None]]
 
     def forget(self) -> None:
-        """The arms went by a way that is not known here."""
+        """Discard the stored paths after a move on an unknown path."""
         self._trail = []
 
     def to(self, target: Target, here: Floats) -> MotionPlan:
-        """The arms are going to follow it: a plan to a target from where they are, rad, (n,).
+        """Plan a path to a target from joints ``here``, rad, (n,), and store it as taken.
 
         Raises:
-            TargetRefusedError: there is none.
+            TargetRefusedError: no path was found.
         """
         return self._planned(partial(self._way_to, target), here)
 
     def home(self, here: Floats) -> MotionPlan:
-        """The arms are going to follow it: a plan home from where they are, rad, (n,).
+        """Plan a path home from joints ``here``, rad, (n,), and store it as taken.
 
         Raises:
-            TargetRefusedError: there is none.
+            TargetRefusedError: no path was found.
         """
         return self._planned(self._way_home, here)
 
@@ -68,7 +68,7 @@ class Guide:
             way = find(here)
             plan = timed(self._cell, self._motion, way)
         except TrajectoryError as error:
-            # Who asks knows no view 0.
+            # The caller knows a target, no view 0.
             told = [problem.removeprefix("view 0: ") for problem in error.problems]
             text = "; ".join(told).replace("view 0", "the target")
             raise TargetRefusedError(text, arms_in(text)) from None
@@ -81,7 +81,7 @@ class Guide:
         return plan
 
     def _way_to(self, target: Target, here: Floats) -> Way:
-        """From where the arms are; where none is found and the way back is known, over home."""
+        """Find a path to a target; if none is found and the path back is known, go through home."""
         found = partial(
             find_way,
             self._cell,

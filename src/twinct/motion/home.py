@@ -1,4 +1,4 @@
-"""Where the arms start: just off the first view, so that it too is entered in motion."""
+"""Home configuration of the arms: just off the first view, so that they enter it in motion."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from twinct.motion.kinematics import Kinematics
 from twinct.views import Target
 
 WITHDRAWN_MM = (40.0, 20.0, 10.0, 5.0)
-"""How far home may lie off the first view: outwards along the beam, if that can be."""
+"""Distances of home from the first view, in order of preference; outwards along the beam first."""
 
 FLIP_RAD = 0.35
-"""A joint step this large, for one small step of the tools, is a flip and no motion."""
+"""Joint step above which a small step of the tools counts as a flip to another branch."""
 
 
 def home_off(
@@ -25,23 +25,23 @@ def home_off(
     clear: Callable[[Floats], bool],
     asked_mm: float,
 ) -> Floats:
-    """Both tools drawn back along the beam, as far as reach and clearance allow; else across it.
+    """Return a home with both tools moved along the beam, or else across it, as far as possible.
 
     Args:
         first: poses of the first view.
-        joints: configuration there, rad, (n,).
-        kinematics: of the cell.
-        clear: whether the straight path from ``joints`` to other ones keeps the clearance.
-        asked_mm: that clearance, for the message.
+        joints: joint configuration of the first view, rad, (n,).
+        kinematics: kinematics of the cell.
+        clear: checks that the straight path from ``joints`` to a configuration keeps the clearance.
+        asked_mm: required clearance, for the message.
 
     Raises:
-        TrajectoryError: there is no such place.
+        TrajectoryError: no home lies within reach and keeps the clearance.
     """
     source, detector = first.source, first.detector
     beam = source.position - detector.position
     beam = beam / max(float(np.linalg.norm(beam)), 1e-9)
     u, v = detector.rotation[:, :2].T
-    # Inwards is for an arm at the end of its reach.
+    # Moving inwards suits an arm at the end of its reach.
     for ways in ((beam, -beam), (u, -u, v, -v)):
         for distance in WITHDRAWN_MM:
             for way in ways:

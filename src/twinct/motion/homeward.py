@@ -1,4 +1,4 @@
-"""The way of both arms to where they started, from wherever they are."""
+"""Path of both arms from their current joints back to their home."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twinct.scenario import Motion
 from twinct.views import Target
 
 AT_ONCE = 8
-"""Knots of the way back that are looked for at once, the last ones first."""
+"""Knots of the path back that are checked at once for a straight connection, last ones first."""
 
 
 def way_home(
@@ -29,23 +29,23 @@ def way_home(
     seed: int = 0,
     most_looks: float = np.inf,
 ) -> Way:
-    """Straight in joint space where that is clear; else back as the arms came; else a way round.
+    """Find a path home: straight in joint space, else along the known path, else by a detour.
 
     Args:
-        cell: the room.
-        motion: the clearance asked for; where an end of the way has less, that is kept instead.
-        start: where the arms are, rad, (n,).
-        home: where they shall be, rad, (n,).
-        back: knots of a clear way from start to home, both included, which is shortened where
-            straight ways between its knots are clear, rad, (m, n); empty: none is known.
-        seed: of the searches.
-        most_looks: configurations that the searches may look at.
+        cell: robot cell.
+        motion: required clearance; the path keeps less if one of its ends has less.
+        start: current joint positions, rad, (n,).
+        home: joint positions at home, rad, (n,).
+        back: knots of a clear path from start to home, both included, rad, (m, n); shortened where
+            straight paths between its knots are clear. Empty if no path is known.
+        seed: seed of the searches.
+        most_looks: largest number of configurations that the searches may check.
 
     Returns:
-        A way with one view, at its end: the poses that the arms have at home.
+        a path with one view, at its end: the poses of the end-effectors at home.
 
     Raises:
-        TrajectoryError: bodies touch where the arms are, or no way was found.
+        TrajectoryError: bodies touch at the start or at home, or no path was found.
     """
     least = kept_mm(motion)
     gap = Clearance(cell).over(np.array([start, home]))
@@ -57,7 +57,7 @@ def way_home(
         if len(back):
             knots = _shortened(room, back, kept)
         else:
-            # All joints end as told: home is one turn, not the next.
+            # No free turns: all joints must end exactly at home, not a turn away.
             detours = Detours(cell, room, np.zeros(len(start), bool), seed, most_looks)
             tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
             found = next((way for way in tries if way is not None), None)
@@ -72,7 +72,7 @@ def way_home(
 
 
 def _shortened(room: Feasible, knots: Floats, least_mm: float) -> Floats:
-    """From each knot straight to the last one that is in sight; the next one always is."""
+    """Connect each knot straight to the last knot in sight, at least to the next one."""
     kept, last = [0], len(knots) - 1
     while kept[-1] < last:
         here = kept[-1]

@@ -1,4 +1,4 @@
-"""Inverse kinematics of both arms together, with mink."""
+"""Inverse kinematics of both arms in one problem, with mink."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ else:
 
 FAR_MM = 20.0
 FAR_DEG = 4.0
-"""Targets further away than this are approached through poses in between, on the same branch."""
+"""Targets farther away than this are approached through intermediate poses, on the same branch."""
 
 LEVENBERG = 1e-3
-"""Damping in proportion to the squared error: cautious far away, Newton's method near by."""
+"""Damping per squared error: small steps far from the target, Newton's method close to it."""
 
 MM_PER_DEG = 5.0
-"""Weight of an angle against a distance: a degree at an end-effector's size."""
+"""Weight of a degree in mm: the arc that one degree makes at the size of an end-effector."""
 
 GIVE_UP_AFTER = 12
-"""Iterations without progress after which a target counts as not solvable from here."""
+"""Iterations without progress after which a target counts as unsolvable from the start."""
 
 
 @dataclass(frozen=True, eq=False)
 class IkResult:
-    """What the solver found.
+    """Result of the inverse kinematics.
 
     Attributes:
-        joints: rad, (n,).
-        position_mm: distance that is left, source and detector, (2,).
-        rotation_deg: angle that is left, (2,).
-        solved: which arms are within the tolerances, (2,).
+        joints: joint configuration, rad, (n,).
+        position_mm: remaining position error of source and detector, (2,).
+        rotation_deg: remaining rotation error, (2,).
+        solved: flags of the arms that are within the tolerances, (2,).
     """
 
     joints: Floats
@@ -51,10 +51,10 @@ class IkResult:
 
 
 class Kinematics:
-    """Forward and inverse kinematics of one cell; keeps no joint state between calls."""
+    """Forward and inverse kinematics of one cell; stores no joint state between calls."""
 
     def __init__(self, cell: CellModel, ik: InverseKinematics) -> None:
-        """Prepare the tasks.
+        """Set up the solver's tasks and limits.
 
         Raises:
             MissingExtraError: mink or its solver is not installed.
@@ -75,14 +75,14 @@ class Kinematics:
         self._limits = [mink.ConfigurationLimit(cell.model)]
 
     def poses(self, joints: Floats) -> tuple[Pose, Pose]:
-        """``world_from_source`` and ``world_from_detector`` at a joint configuration."""
+        """Return ``world_from_source`` and ``world_from_detector`` at a joint configuration."""
         self._data.qpos[:] = joints
         mujoco.mj_kinematics(self._cell.model, self._data)
         source, detector = (site_pose(self._data, site) for site in self._cell.site_ids)
         return source, detector
 
     def solve(self, start: Floats, target: Target) -> IkResult:
-        """Newton's method from ``start``, both arms in one problem, inside the joint limits."""
+        """Solve both arms in one problem by Newton's method from ``start``, within joint limits."""
         mink, ik = self._mink, self._ik
         for task, pose in zip(self._tasks, (target.source, target.detector), strict=True):
             position, quat = pose.to_metres()
@@ -95,7 +95,7 @@ class Kinematics:
             result = self._measure()
             if result.solved.all():
                 return result
-            # An arm that cannot get there must not spoil what the other one has found.
+            # An arm that cannot reach its target must not spoil the other arm's solution.
             left = result.position_mm + MM_PER_DEG * result.rotation_deg
             stalled = 0 if (left < 0.99 * least).any() else stalled + 1
             best = self._better(best, result, left < least)
@@ -112,12 +112,12 @@ class Kinematics:
             step = velocity * min(1.0, 0.5 / max(float(np.abs(velocity).max()), 1e-12))
             self._configuration.integrate_inplace(step, 1.0)
             inside = np.clip(self._configuration.q, ranges[:, 0], ranges[:, 1])
-            if (inside != self._configuration.q).any():  # the limits are kept but for rounding
+            if (inside != self._configuration.q).any():  # beyond a limit by rounding
                 self._configuration.update(inside)
         return best
 
     def _better(self, best: IkResult, other: IkResult, arms: np.ndarray) -> IkResult:
-        """``best`` with those arms taken from ``other``."""
+        """Return ``best`` with the flagged arms taken from ``other``."""
         joints = best.joints.copy()
         for take, part in zip(arms, self._cell.arm_joints, strict=True):
             if take:
@@ -131,7 +131,7 @@ class Kinematics:
 
     def _measure(self) -> IkResult:
         errors = np.array([t.compute_error(self._configuration) for t in self._tasks])
-        # The twist's linear part is the distance only where the frames are not turned.
+        # The twist's linear part equals the distance only between frames of equal orientation.
         here = self._configuration.data.site_xpos[list(self._cell.site_ids)]
         wanted = [task.transform_target_to_world.translation() for task in self._tasks]
         position_mm = np.array([float(np.linalg.norm(off)) for off in here - wanted]) * MM_PER_M
@@ -141,10 +141,10 @@ class Kinematics:
         return IkResult(self._configuration.q.copy(), position_mm, rotation_deg, solved)
 
     def follow(self, start: Floats, target: Target) -> tuple[IkResult, Floats]:
-        """Solve a target from afar: through poses in between, so that the branch is kept.
+        """Solve a distant target through intermediate poses, so that the branch stays the same.
 
         Returns:
-            the result, and the largest step of each joint from pose to pose, rad, (n,).
+            the result, and the largest step of each joint between successive poses, rad, (n,).
         """
         waypoints = _between(self.poses(start), (target.source, target.detector))
         result, joints, largest = None, start, np.zeros(len(start))
@@ -171,7 +171,7 @@ def _between(here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[Target]:
 
 
 def site_pose(data: mujoco.MjData, site: int) -> Pose:
-    """Pose of one site, whose frame must be up to date."""
+    """Return the pose of one site, whose frame must be up to date."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, data.site_xmat[site])
     return Pose.from_metres(data.site_xpos[site], np.roll(quat, -1))

@@ -1,10 +1,10 @@
-"""Which configuration for each view: the choice over all views that moves least and keeps clear.
+"""Choice of one configuration per view with the least motion over all views, clear of collisions.
 
-Each view is a layer of candidates for each arm. An arm's moves are judged by dynamic programming
-forwards and backwards: what the best path through each candidate takes. The most promising of both
-arms are paired, pairs too near each other struck out, and the best path through pairs is found,
-again by dynamic programming. Straight paths between views are looked at only where such a path uses
-them; what is not clear there costs a detour, and the choice is made anew.
+Each view is a layer of candidates for each arm. Dynamic programming, forwards and backwards, gives
+the time of an arm's best path through each candidate. The most promising candidates of both arms
+are paired, and pairs that come too close are discarded. Dynamic programming then finds the best
+path through the pairs. Straight moves between views are checked only if such a path uses them; a
+move that is not clear costs a detour, and the choice is made again.
 """
 
 from __future__ import annotations
@@ -19,38 +19,38 @@ from twinct.geometry import Floats
 from twinct.motion.feasible import Flags, Indices
 
 FIRST_PROMISING = 12
-"""Candidates of an arm that are paired at first; doubled while no pair of a view is clear."""
+"""Initial number of candidates per arm to pair; doubled while no pair of a view is clear."""
 
 NEAR_THE_BEST = 1e-3
-"""Share by which the distance from the best path counts among candidates of equal promise."""
+"""Weight of the distance from the best path, which ranks candidates of equal promise."""
 
 OTHER_BRANCH_RAD = 0.3
-"""So far apart in a joint, not the last, configurations of a pose are of different branches."""
+"""Difference in any joint but the last from which configurations belong to different branches."""
 
 PAIRS_AT_ONCE = 2048
-"""Pairs whose clearance is judged in one go."""
+"""Number of pairs whose clearance is checked at once."""
 
 DETOUR_S = 4.0
-"""What a way round costs beside the joints' motion."""
+"""Cost of a detour on top of the joints' motion."""
 
 ROUNDS = 60
-"""Choices made anew at most, before the ways round are sought."""
+"""Largest number of repeated choices before the search for detours."""
 
 
 @dataclass(frozen=True, eq=False)
 class Speeds:
-    """How long joints take.
+    """Speed limits of joints, for the time between configurations.
 
     Attributes:
         limits: rad/s, (k,).
-        turns: which joints can make a full turn, so that angles count modulo one, (k,).
+        turns: flags of the joints that can make a full turn, whose angles are periodic, (k,).
     """
 
     limits: Floats
     turns: Flags
 
     def seconds(self, a: Floats, b: Floats) -> Floats:
-        """Of the slowest joint, from each of (m, k) to each of (p, k): (m, p)."""
+        """Return the time of the slowest joint from each of (m, k) to each of (p, k), (m, p)."""
         slowest = np.zeros((len(a), len(b)), np.float32)
         for j, limit in enumerate(self.limits):
             way = np.abs(a[:, None, j] - b[None, :, j]).astype(np.float32)
@@ -61,27 +61,27 @@ class Speeds:
 
 
 def speeds_of(cell: CellModel) -> list[Speeds]:
-    """Of both arms; a joint that can go round more than once may take the shorter side."""
+    """Return the speeds of both arms; joints with a range over 1.5 turns may go the shorter way."""
     limits, turns = cell.speed_limits * cell.speed_scales, np.ptp(cell.joint_ranges, axis=1)
     return [Speeds(limits[part], turns[part] > 3 * np.pi) for part in cell.arm_joints]
 
 
 def promising(layers: Sequence[Floats], speeds: Speeds) -> list[Indices]:
-    """Candidates of one arm in each layer, those first through which the best paths go.
+    """Rank the candidates of one arm in each layer by the time of the best path through each.
 
-    Before all others comes the best of each branch: where the roll is free, many candidates differ
-    in the last joint alone.
+    The best candidate of each branch comes first, because with a free roll many candidates differ
+    in the last joint only.
 
     Args:
         layers: candidates, (m, k) each, none empty.
-        speeds: of the arm's joints.
+        speeds: speeds of the arm's joints.
     """
     forwards = [np.zeros(len(layers[0]))]
     for a, b in zip(layers[:-1], layers[1:], strict=True):
         forwards.append((forwards[-1][:, None] + speeds.seconds(a, b)).min(axis=0))
     ranked, backwards, best = [], np.zeros(len(layers[-1])), int(forwards[-1].argmin())
     for k in range(len(layers) - 1, -1, -1):
-        # Where the roll is free many paths are equal: of all layers those near one best path.
+        # With a free roll many paths are equal: prefer candidates near one best path in all layers.
         aside = speeds.seconds(layers[k], layers[k][best, None])[:, 0]
         order = np.argsort(forwards[k] + backwards + NEAR_THE_BEST * aside, kind="stable")
         ranked.append(_branches_first(order, layers[k]))
@@ -104,11 +104,11 @@ def _branches_first(ranked: Indices, joints: Floats) -> Indices:
 def clear_pairs(
     ranked: tuple[Indices, Indices], clear: Callable[[Indices, Indices], Flags]
 ) -> Indices:
-    """Pairs of candidates of one view that are clear of each other, (p, 2); empty: there is none.
+    """Return the pairs of candidates of a view that are clear of each other, (p, 2), or none.
 
     Args:
         ranked: candidates of both arms, the most promising first.
-        clear: whether source and detector candidates, (m,) each, are clear of each other.
+        clear: checks that source and detector candidates, (m,) each, are clear of each other.
     """
     before, count = 0, FIRST_PROMISING
     while before < max(len(r) for r in ranked):
@@ -126,25 +126,25 @@ def clear_pairs(
 
 
 class Choice:
-    """The best path through layers of nodes, made anew as edges turn out to be closed."""
+    """Search for the best path through layers of nodes, repeated as edges turn out blocked."""
 
     def __init__(self, costs: Sequence[Floats]) -> None:
-        """Take what the moves cost.
+        """Store the costs of the moves.
 
         Args:
-            costs: s, from each node of a layer to each of the next, (m, p) each.
+            costs: s, from each node of a layer to each node of the next layer, (m, p) each.
         """
         self._costs = [cost.astype(np.float64) for cost in costs]
 
     def raise_cost(self, layer: int, edge: tuple[int, int], seconds: float) -> None:
-        """Make the move from a node of a layer to one of the next dearer; inf forbids it."""
+        """Raise the cost of the move from a node to a node of the next layer; inf forbids it."""
         self._costs[layer][edge] += seconds
 
     def best(self, start: Floats) -> tuple[Indices, float]:
-        """The node of each layer, and what the path costs; inf where there is none.
+        """Return the node of each layer on the best path, and its cost, inf if no path exists.
 
         Args:
-            start: what each node of the first layer costs, (m,).
+            start: cost of each node of the first layer, (m,).
         """
         value, back = start, []
         for cost in self._costs:
@@ -165,23 +165,23 @@ def lifted(
     rewinding_s: Floats,
     first_stays: bool,
 ) -> Floats:
-    """Knots with full turns added to each joint so that it moves least, inside its range.
+    """Add full turns to the joints of each knot, for the least motion within their ranges.
 
     Args:
         joints: rad, (knots, n).
-        legs: the way from each knot to the next, (m, n): it starts in the one and ends in the
-            other but for full turns.
+        legs: path from each knot to the next, (m, n), with ends that equal both knots up to full
+            turns.
         ranges: rad, (n, 2).
         speeds: rad/s, (n,).
-        rewinding_s: what it costs where knots come to lie other full turns apart than their leg's
-            ends, (knots - 1,).
-        first_stays: the first knot keeps the turns it has.
+        rewinding_s: cost where two knots lie other full turns apart than the ends of their leg,
+            (knots - 1,).
+        first_stays: whether the first knot keeps its turns.
     """
     found = np.empty_like(joints)
     turns = 2 * np.pi * np.array([0, -1, 1, -2, 2])
     for j, (low, high) in enumerate(ranges):
         options = joints[:, j, None] + turns
-        # Among equals the middle of the range.
+        # A small cost prefers the middle of the range among equal options.
         aside = np.where(
             (options < low) | (options > high), np.inf, 1e-3 * np.abs(options - (low + high) / 2)
         )

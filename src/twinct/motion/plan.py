@@ -1,8 +1,8 @@
-"""The plan: where the joints are when, and which view is exposed at which waypoint.
+"""Motion plan: joint states over time, and the view that is exposed at each waypoint.
 
-It is made before anything moves and is what the servos follow. Between waypoints the joints go as
-the polynomial of fifth degree does that meets position, velocity and acceleration at both, which is
-how a ``trajectory_msgs/JointTrajectory`` is meant.
+The plan is complete before anything moves, and the servos follow it. Between two waypoints the
+joints follow the quintic polynomial that matches position, velocity and acceleration at both, as
+in a ``trajectory_msgs/JointTrajectory``.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ if TYPE_CHECKING:
     from scipy.interpolate import BPoly
 
 WAYPOINT_S = 0.02
-"""Between waypoints; each view has one of its own besides."""
+"""Time between waypoints, s; each view adds a waypoint of its own."""
 
 KNOT_RAD = 0.1
-"""The spline through a way is held to its straight stretches at least this often."""
+"""Largest joint step between knots of the spline, which keep it near the straight segments."""
 
 FINER = 4
-"""Times that it is held to them twice as often where it leaves them too far."""
+"""Largest number of plans; each halves the knot spacing where the last one came too close."""
 
 WATCH_S = 0.004
-"""Step at which the clearance of a plan is watched."""
+"""Time step at which the clearance of a plan is checked, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionPlan:
-    """Joints over time, from rest to rest, through all views.
+    """Motion plan of all joints, from rest to rest, through all views.
 
     Attributes:
         joint_names: prefixed ``source_`` and ``detector_``, source first.
-        time_s: of each waypoint, from 0, rising, (waypoints,).
+        time_s: time of each waypoint, increasing from 0, (waypoints,).
         state: position, velocity and acceleration, rad and s, (waypoints, 3, n).
-        views: the view exposed at each waypoint, -1 for none, (waypoints,).
+        views: view exposed at each waypoint, -1 for none, (waypoints,).
         targets: commanded poses of each view.
-        clearance_mm: smallest gap between non-adjacent bodies on the way to each view, (views,).
-        nearest: names of the two bodies of each of these gaps, (views,).
+        clearance_mm: smallest gap between non-adjacent bodies on the path to each view, (views,).
+        nearest: names of the two bodies at each of these gaps, (views,).
     """
 
     joint_names: tuple[str, ...]
@@ -67,37 +67,37 @@ class MotionPlan:
     nearest: tuple[tuple[str, str], ...]
 
     def __post_init__(self) -> None:
-        """Lock the arrays."""
+        """Make the arrays read-only."""
         lock(self, "time_s", "state", "views", "clearance_mm")
 
     @property
     def home(self) -> Floats:
-        """Where the arms start, at rest, rad, (n,)."""
+        """Joint configuration at the start, where the arms rest, rad, (n,)."""
         return self.state[0, 0]
 
     @cached_property
     def waypoints(self) -> NDArray[np.intp]:
-        """The waypoint of each view, (views,)."""
+        """Index of the waypoint of each view, (views,)."""
         return np.argsort(self.views, kind="stable")[-len(self.targets) :]
 
     @property
     def joints(self) -> Floats:
-        """Configuration of each view, rad, (views, n)."""
+        """Joint configuration of each view, rad, (views, n)."""
         return self.state[self.waypoints, 0]
 
     @property
     def exposures_s(self) -> Floats:
-        """When each view is exposed, (views,)."""
+        """Exposure time of each view within the plan, (views,)."""
         return self.time_s[self.waypoints]
 
     @property
     def duration_s(self) -> float:
-        """From rest to rest."""
+        """Duration from rest to rest."""
         return float(self.time_s[-1])
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of what the arms do, in hexadecimal."""
+        """Hexadecimal SHA-256 of the joint names, targets and waypoints."""
         told = hashlib.sha256(repr((self.joint_names, self.targets)).encode())
         for array in (self.time_s, self.state, self.views.astype(np.int64)):
             told.update(array.tobytes())
@@ -109,13 +109,13 @@ class MotionPlan:
         return path, path.derivative(), path.derivative(2)
 
     def at(self, time_s: Floats) -> Floats:
-        """Position, velocity and acceleration; at rest before and after the waypoints.
+        """Return the joint states at some times; the arms rest before and after the plan.
 
         Args:
             time_s: (times,).
 
         Returns:
-            (times, 3, n).
+            position, velocity and acceleration, (times, 3, n).
         """
         inside = np.clip(time_s, 0.0, self.duration_s)
         found = np.stack([derivative(inside) for derivative in self._polynomials], axis=1)
@@ -131,23 +131,23 @@ def plan_motion(
     roll_free: tuple[bool, bool] = (False, False),
     exposure_s: float = 0.0,
 ) -> MotionPlan:
-    """Find a way through all targets and the times on it.
+    """Plan a path through all targets, and its timing.
 
     Args:
-        cell: the room.
-        motion: scheme, tolerances, limits, and the clearance asked for.
+        cell: robot cell.
+        motion: scheme, tolerances, limits, and the required clearance.
         targets: one for each view.
-        roll_free: whether source and panel may be turned about their own axis.
-        exposure_s: that views taken at rest last.
+        roll_free: whether source and panel may roll about their own axes.
+        exposure_s: exposure time of a view that is taken at rest.
 
     Raises:
-        TrajectoryError: views out of reach, in collision, or without a way to them; every problem
-            names views, arm, reason and how far off.
+        TrajectoryError: views are out of reach, in collision or not connected by a path; every
+            problem names views, arm, reason and missing distance.
         MissingExtraError: mink or OMPL is not installed.
     """
     if motion.scheme == "reactive":
         way = branch_way(cell, motion, targets)
-        # Servos take longer than this: what is late even so is late for certain.
+        # A lower bound, because servos take longer: views late by it are late for certain.
         speeds = cell.speed_limits * cell.speed_scales
         least_s = (np.abs(np.diff(way.joints, axis=0)) / speeds).max(axis=1)
         if late := late_problems(least_s.tolist(), motion.timeout_s):
@@ -158,7 +158,7 @@ def plan_motion(
 
 
 def _unhurried(cell: CellModel, way: Way) -> MotionPlan:
-    """A second from knot to knot, at rest in each: reactive arms are checked by it, none follow."""
+    """Return a plan with a rest in each knot, 1 s apart, only for checks of the reactive scheme."""
     state = np.zeros((len(way.joints), 3, way.joints.shape[1]))
     state[:, 0] = way.joints
     time_s = np.arange(len(state), dtype=np.float64)
@@ -167,15 +167,13 @@ def _unhurried(cell: CellModel, way: Way) -> MotionPlan:
 
 
 def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) -> MotionPlan:
-    """The plan that follows a way.
-
-    Views are numbered in the order in which the way comes by them.
+    """Compute the motion plan along a path; views are numbered in the order of the path.
 
     Raises:
-        TrajectoryError: the arms cannot follow it within their limits and the clearance.
+        TrajectoryError: the arms cannot follow the path within their limits and the clearance.
     """
     law = TimeLaw(cell, motion)
-    # The view that each stretch of the way leads to.
+    # The view at the end of each segment of the path.
     leads_to = np.cumsum(way.views >= 0)[:-1]
     spacing = np.full(len(leads_to), KNOT_RAD)
     problems: dict[int, str] = {}
@@ -189,7 +187,7 @@ def timed(cell: CellModel, motion: Motion, way: Way, exposure_s: float = 0.0) ->
 
 
 def _laws(law: TimeLaw, motion: Motion, way: Way, spacing: Floats) -> list[tuple[Law, list[int]]]:
-    """The law of each stretch from rest to rest, and its knots that are the way's own."""
+    """Return the law from rest to rest of each stretch, and the indices of the path's knots."""
     stops = {0, len(way.joints) - 1}
     if motion.trigger == "settled":
         stops |= set(np.flatnonzero(way.views >= 0).tolist())
@@ -213,7 +211,7 @@ def _compose(
     laws: list[tuple[Law, list[int]]],
     exposure_s: float,
 ) -> MotionPlan:
-    """One plan of the laws of its stretches, with a rest after each where views settle."""
+    """Join the time laws of all stretches into one plan, with rests between if views settle."""
     times, states, knots_s = [], [], [0.0]
     start = 0.0
     every = round(WAYPOINT_S / FINE_S)
@@ -242,13 +240,13 @@ def _compose(
     views = np.full(len(time_s), -1)
     views[np.searchsorted(time_s, views_s)] = np.arange(len(order))
     state = draft.at(time_s)
-    state[[0, -1], 1:] = 0.0  # but for rounding they are
+    state[[0, -1], 1:] = 0.0  # zero already, up to rounding
     plan = replace(draft, time_s=time_s, state=state, views=views)
     return with_gaps(plan, gaps_of(cell, plan))
 
 
 def with_gaps(plan: MotionPlan, gaps: list[Gap]) -> MotionPlan:
-    """A plan that knows how clear the way to each view is."""
+    """Return the plan with the clearance and the nearest bodies on the path to each view."""
     return replace(
         plan,
         clearance_mm=np.array([gap.distance_mm for gap in gaps]),
@@ -257,12 +255,12 @@ def with_gaps(plan: MotionPlan, gaps: list[Gap]) -> MotionPlan:
 
 
 def _whole_nanoseconds(time_s: Floats) -> Floats:
-    """What a message can carry."""
+    """Round times to whole nanoseconds, the resolution of a ROS message."""
     return np.rint(time_s * 1e9) / 1e9
 
 
 def gaps_of(cell: CellModel, plan: MotionPlan) -> list[Gap]:
-    """The smallest gap on the way to each view, what comes after the last one included there."""
+    """Return the smallest gap on the path to each view, for the last view up to the plan's end."""
     clearance = Clearance(cell)
     ends = plan.exposures_s.copy()
     ends[-1] = plan.duration_s
@@ -275,7 +273,7 @@ def gaps_of(cell: CellModel, plan: MotionPlan) -> list[Gap]:
 
 
 def too_close(plan: MotionPlan, room: float) -> dict[int, str]:
-    """What is wrong with the way to which view."""
+    """Return a message for each view whose path comes closer than ``room``, mm."""
     return {
         view: f"view {view}: on the way there {' and '.join(plan.nearest[view])} come within "
         f"{gap:.1f} mm, {room:g} mm are asked"

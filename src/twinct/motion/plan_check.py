@@ -1,4 +1,4 @@
-"""A plan that was made elsewhere, or before: whether these arms may drive it for these views."""
+"""Checks of a motion plan from elsewhere against the cell, the limits and the requested views."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from twinct.scenario import Motion
 from twinct.views import Target
 
 SAME_MM, SAME_DEG = 1e-3, 1e-3
-"""So near, the poses of a plan are those that are asked for."""
+"""Tolerances within which the poses of a plan equal the requested poses."""
 
 OVER = 1.02
-"""A limit exceeded by less is kept: between waypoints the joints go as a polynomial does."""
+"""Factor by which a limit may be exceeded, because joints follow polynomials between waypoints."""
 
 RESTS_RAD_S = 1e-9
-"""A joint that is slower rests, but for rounding: a thousandth of a micrometre in a second."""
+"""Speed below which a joint rests, up to rounding: a thousandth of a micrometre per second."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What a plan must do.
+    """Views that a plan must cover.
 
     Attributes:
         targets: one for each view.
-        roll_free: whether source and panel may be turned about their own axis.
-        any_order: whether the views may be taken in another order.
+        roll_free: whether source and panel may roll about their own axes.
+        any_order: whether the plan may take the views in another order.
     """
 
     targets: Sequence[Target]
@@ -47,18 +47,18 @@ class Asked:
 def checked_plan(
     plan: MotionPlan, cell: CellModel, motion: Motion, asked: Asked, where: str
 ) -> MotionPlan:
-    """The same plan, its clearance measured anew.
+    """Check a plan, and return it with newly computed clearances.
 
     Args:
-        plan: to be driven.
-        cell: the room.
-        motion: tolerances, limits, and the clearance asked for.
-        asked: the views.
-        where: the plan comes from, for messages.
+        plan: plan to be executed.
+        cell: robot cell.
+        motion: tolerances, limits, and the required clearance.
+        asked: requested views.
+        where: origin of the plan, for messages.
 
     Raises:
-        TrajectoryError: it is of another cell or of other views, or exceeds what joints, torques or
-            clearance allow.
+        TrajectoryError: the plan belongs to another cell or other views, or violates the limits of
+            joints, torques or clearance.
     """
     if plan.joint_names != cell.joint_names:
         raise TrajectoryError(
@@ -109,7 +109,7 @@ def _same(has: Pose, want: Pose, roll_free: bool) -> bool:
 
 
 def _elsewhere(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
-    """Views for which the plan's joints put a tool somewhere else: the cell is another."""
+    """Return a message for views whose joints miss the tool pose, which means another cell."""
     kinematics, ik = Kinematics(cell, motion.ik), motion.ik
     off: dict[str, dict[int, tuple[float, float]]] = {side: {} for side in SIDES}
     for view, (joints, target) in enumerate(zip(plan.joints, plan.targets, strict=True)):
@@ -128,7 +128,7 @@ def _elsewhere(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
 
 
 def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
-    """What the joints cannot do, the worst of each kind."""
+    """Return messages for the limits that the plan exceeds, with the worst joint of each kind."""
     states = plan.at(np.arange(0.0, plan.duration_s, FINE_S))
     low, high = cell.joint_ranges.T
     beyond = np.maximum(low - states[:, 0], states[:, 0] - high)

@@ -1,4 +1,4 @@
-"""A plan as arrays: what a file and the scan store keep of it, and what is read back."""
+"""Conversion of a motion plan to and from arrays, for files and the scan store."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from twinct.views import Target
 FORMAT = "twinct plan 1"
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Time of each member of a file, so that the same plan gives the same bytes."""
+"""Fixed time stamp of each member of a file, so that equal plans give equal bytes."""
 
 LARGEST_PLAN_BYTES = 2**30
-"""Of all arrays in a file; the plan of 10,000 views has a tenth of that."""
+"""Largest total size of the arrays in a file; a plan of 10,000 views has a tenth of this."""
 
 
 def plan_arrays(plan: MotionPlan) -> dict[str, NDArray[Any]]:
-    """All of a plan, by name: SI units, poses as x, y, z and a quaternion (x, y, z, w)."""
+    """Return a plan as named arrays in SI units; poses are x, y, z and quaternion (x, y, z, w)."""
     return {
         "format": np.array(FORMAT),
         "digest": np.array(plan.digest),
@@ -43,14 +43,14 @@ def plan_arrays(plan: MotionPlan) -> dict[str, NDArray[Any]]:
 
 
 def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
-    """The plan that ``plan_arrays`` told.
+    """Return the plan that ``plan_arrays`` converted to arrays.
 
     Args:
-        arrays: as it gave them; texts may be lists.
-        where: they come from, for messages.
+        arrays: result of ``plan_arrays``; arrays of texts may be lists.
+        where: origin of the arrays, for messages.
 
     Raises:
-        InputError: they make no plan, or not the one that their digest tells of.
+        InputError: the arrays form no plan, or not the plan of their digest.
     """
     try:
         if str(arrays["format"]) != FORMAT:
@@ -99,10 +99,10 @@ def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
 
 
 def save_plan(plan: MotionPlan, path: Path) -> None:
-    """Write a plan as a NumPy archive (``.npz``); the same plan gives the same bytes.
+    """Write a plan as a NumPy archive (``.npz``); equal plans give equal bytes.
 
     Raises:
-        StorageError: it cannot be written.
+        StorageError: the file cannot be written.
     """
     with storage_errors(path), complete(path) as draft:
         with zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -114,10 +114,10 @@ def save_plan(plan: MotionPlan, path: Path) -> None:
 
 
 def load_plan(path: Path) -> MotionPlan:
-    """Read what ``save_plan`` wrote; whether a cell can drive it is not looked at.
+    """Read a plan that ``save_plan`` wrote, without checking it against a cell.
 
     Raises:
-        InputError: it is no such file, or damaged.
+        InputError: the file holds no plan, or is damaged.
     """
     arrays = read_npz(path, f"{path}: no plan: the file", LARGEST_PLAN_BYTES)
     with library_errors(f"{path}: no plan: its content"):  # arrays of any kind and shape

@@ -1,4 +1,4 @@
-"""Targets solved when they arrive, as in the paper's figure 2."""
+"""Reactive scheme: targets are solved as they arrive, as in the paper's figure 2."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from twinct.scenario import Motion
 from twinct.views import Target
 
 REFUSED_SHARE = 0.5
-"""A target is refused where its path leaves less than this share of a plan's clearance.
+"""Share of a plan's clearance below which the path to a target is refused.
 
-The rest is room for the solver's tolerance and the servos' lag.
+The remainder is a margin for the solver's tolerance and the servos' lag.
 """
 
 
 class Reactive:
-    """Inverse kinematics from where the arms are, with a look at the way."""
+    """Inverse kinematics from the current joints, with a collision check of the path."""
 
     def __init__(self, cell: CellModel, motion: Motion) -> None:
-        """Take the room, and what a way must keep."""
+        """Set up kinematics and clearance of a cell."""
         self._cell, self._motion = cell, motion
         self._kinematics = Kinematics(cell, motion.ik)
         self._clearance = Clearance(cell)
         self._scratch = mujoco.MjData(cell.model)
 
     def solve(self, start: Floats, target: Target) -> Floats:
-        """Joint positions for a target, checked for reach and for collisions on the way.
+        """Return joint positions for a target, after checks of reach and of collisions on the path.
 
         Args:
-            start: joint positions from which the arms go straight, rad, (n,).
-            target: where they shall go.
+            start: joint positions at the start of the straight joint path, rad, (n,).
+            target: poses to reach.
 
         Raises:
-            TargetRefusedError: with arm, reason and how far off.
+            TargetRefusedError: a check failed; the message names arm, reason and distance.
         """
         result, largest = self._kinematics.follow(start, target)
         problems: dict[str, str] = {}
@@ -64,7 +64,7 @@ class Reactive:
             how = f"come within {gap.distance_mm:.1f} mm, at least {least:g} mm must stay"
             if gap.distance_mm < 0:
                 how = f"overlap by {-gap.distance_mm:.1f} mm"
-            # The names of bodies begin with the arm that they belong to.
+            # Names of bodies begin with the name of their arm.
             arms = [side for side in SIDES if any(body.startswith(side) for body in gap.bodies)]
             raise TargetRefusedError(f"would collide: {pair} would {how}", arms)
         return result.joints

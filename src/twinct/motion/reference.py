@@ -1,4 +1,4 @@
-"""The timed joint path that the servos follow: jerk-limited, both arms arriving together."""
+"""Timed joint path for the servos: jerk-limited, with both arms arriving together."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from twinct.scenario import Motion
 
 
 class Reference:
-    """Plans from any moving state to rest at a goal, within speed, acceleration and jerk limits."""
+    """Planner from any state to rest at a goal, within limits of speed, acceleration and jerk."""
 
     def __init__(self, cell: CellModel, motion: Motion) -> None:
-        """Take the limits; Ruckig missing is a ``MissingExtraError``."""
+        """Store the limits; raise ``MissingExtraError`` if Ruckig is not installed."""
         try:
             import ruckig
         except ImportError as error:
@@ -29,14 +29,14 @@ class Reference:
         self._jerk = [float(np.radians(motion.jerk_deg_s3))] * n
 
     def towards(self, now: Floats, goal: Floats) -> TimedPath:
-        """The path to rest at a goal.
+        """Compute the timed path to rest at a goal.
 
         Args:
             now: position, velocity and acceleration of the reference, rad and s, (3, n).
             goal: joint positions, rad, (n,).
 
         Raises:
-            MotionError: there is none; names Ruckig's verdict.
+            MotionError: no path exists; the message contains Ruckig's verdict.
         """
         ask = self._ruckig.InputParameter(self._n)
         ask.current_position = now[0].tolist()
@@ -54,7 +54,7 @@ class Reference:
 
 
 class TimedPath:
-    """Joint positions over time, for ``duration`` seconds."""
+    """Joint states over time, for ``duration`` seconds."""
 
     def __init__(self, trajectory: Any) -> None:
         """Wrap Ruckig's trajectory."""
@@ -62,5 +62,5 @@ class TimedPath:
         self.duration = float(trajectory.duration)
 
     def at(self, time_s: float) -> Floats:
-        """Position, velocity and acceleration at a time since the start, (3, n); at rest after."""
+        """Return position, velocity and acceleration at a time, (3, n); at rest after the end."""
         return np.array(self._trajectory.at_time(time_s))

@@ -1,4 +1,4 @@
-"""What is said of views that cannot be had: which, which arm or bodies, and how far off."""
+"""Messages about infeasible views: the views, the arm or bodies, and the missing distance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twinct.motion.branches import SIDES
 
 
 def far_problems(side: str, far: Mapping[int, tuple[float, float]]) -> list[str]:
-    """Views out of an arm's reach, by how many mm and degrees."""
+    """Return messages for views out of an arm's reach, with the distance in mm and degrees."""
     problems = []
     for first, last in runs(far):
         worst = np.max([far[view] for view in range(first, last + 1)], axis=0)
@@ -25,7 +25,7 @@ def far_problems(side: str, far: Mapping[int, tuple[float, float]]) -> list[str]
 
 
 def gap_problems(gaps: Mapping[int, Gap], asked_mm: float) -> list[str]:
-    """Views in which bodies are too near each other, with the smallest of their gaps."""
+    """Return messages for views in which bodies come too close, with their smallest gap."""
     problems: list[tuple[int, str]] = []
     for bodies in sorted({gap.bodies for gap in gaps.values()}):
         for first, last in runs(view for view, gap in gaps.items() if gap.bodies == bodies):
@@ -35,7 +35,7 @@ def gap_problems(gaps: Mapping[int, Gap], asked_mm: float) -> list[str]:
 
 
 def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:
-    """Views that take longer to get to than is allowed, by the seconds that each takes."""
+    """Return messages for views whose motion takes longer than allowed, from the time of each."""
     late = [view for view, needed_s in enumerate(seconds) if needed_s > allowed_s]
     return [
         f"{named(first, last)}: the way there takes {'up to ' if last > first else ''}at least "
@@ -45,7 +45,7 @@ def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:
 
 
 def gap_text(gap: Gap, asked_mm: float) -> str:
-    """Two bodies that are too near each other."""
+    """Return a message for two bodies that are too close to each other."""
     pair = " and ".join(map(readable, gap.bodies))
     if gap.distance_mm < 0:
         return f"{pair} overlap by {-gap.distance_mm:.1f} mm"
@@ -53,22 +53,22 @@ def gap_text(gap: Gap, asked_mm: float) -> str:
 
 
 def readable(body: str) -> str:
-    """A body's name as messages call it."""
+    """Return the name of a body in messages."""
     return {"detector": "detector_panel"}.get(body, body)
 
 
 def arms_in(text: str) -> list[str]:
-    """The arms that such words name, themselves or one of their bodies."""
+    """Return the arms that a message names, directly or by one of their bodies."""
     return [side for side in SIDES if re.search(rf"\b{side}(_| arm| and | overlap| come )", text)]
 
 
 def runs(views: Iterable[int]) -> list[tuple[int, int]]:
-    """First and last of each run of consecutive numbers."""
+    """Return the first and last number of each run of consecutive numbers."""
     ordered = np.array(sorted(views), dtype=np.intp)
     parts = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1)
     return [(int(part[0]), int(part[-1])) for part in parts if len(part)]
 
 
 def named(first: int, last: int) -> str:
-    """One view, or several."""
+    """Return the text for one view or a range of views."""
     return f"view {first}" if first == last else f"views {first} to {last}"

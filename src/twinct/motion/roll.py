@@ -1,4 +1,4 @@
-"""Whether source and panel may be turned about their own axes: what nobody asked for is free."""
+"""Free roll of source and panel about their own axes, where the scenario allows it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from twinct.trajectory.family import TrajectorySettings
 
 
 def roll_free(motion: Motion, trajectory: TrajectorySettings, source: Source) -> tuple[bool, bool]:
-    """Of the source, and of the panel.
+    """Return whether source and panel may roll about their own axes.
 
     Raises:
-        TrajectoryError: a file of views that cannot be read.
+        TrajectoryError: the file of views cannot be read.
     """
     spot = source.focal_spot
     symmetric = spot is None or (

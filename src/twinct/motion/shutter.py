@@ -1,4 +1,4 @@
-"""When the shutter is open: the instants of an exposure, from the steps of the simulation."""
+"""Shutter: the instants of an exposure, interpolated from the steps of the simulation."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from twinct.views import Instant
 
 @dataclass(frozen=True)
 class Shutter:
-    """How an image takes its time.
+    """Timing of an exposure.
 
     Attributes:
-        exposure_s: from the trigger until the shutter closes.
-        samples: instants of the exposure; with one the image takes no time.
-        remember: whether each view says where the last one was taken.
+        exposure_s: time from the trigger until the shutter closes.
+        samples: instants of the exposure; with one sample the exposure is instantaneous.
+        remember: whether each view also reports the poses of the previous view.
     """
 
     exposure_s: float = 0.0
@@ -27,22 +27,22 @@ class Shutter:
     remember: bool = False
 
     def steps(self, timestep_s: float) -> int:
-        """Steps of the simulation to take after the trigger."""
+        """Return the number of simulation steps after the trigger."""
         if self.samples == 1:
             return 0
         return math.ceil(self.exposure_s / timestep_s - 1e-9)
 
     @property
     def middle_s(self) -> float:
-        """From the trigger until the middle of the exposure."""
+        """Time from the trigger to the middle of the exposure."""
         return self.exposure_s / 2 if self.samples > 1 else 0.0
 
     def middle(self, steps: Floats, timestep_s: float) -> Floats:
-        """Numbers in the middle of the exposure, from those at each step since the trigger.
+        """Return values at the middle of the exposure, interpolated linearly between steps.
 
         Args:
-            steps: (steps, ...); linear between.
-            timestep_s: between two of them.
+            steps: values at each step since the trigger, (steps, ...).
+            timestep_s: time between two steps.
         """
         first, share = _between(len(steps), self.middle_s / timestep_s)
         return steps[first] if not share else (1 - share) * steps[first] + share * steps[first + 1]
@@ -50,11 +50,11 @@ class Shutter:
     def over(
         self, steps: Sequence[Instant], timestep_s: float
     ) -> tuple[Instant, tuple[Instant, ...]]:
-        """The middle of the exposure, and its instants: the middles of equal parts of it.
+        """Return the middle of the exposure, and the middles of its equal parts.
 
         Args:
-            steps: where everything was at each step since the trigger; linear between.
-            timestep_s: between two of them.
+            steps: instants at each step since the trigger, interpolated linearly.
+            timestep_s: time between two steps.
         """
         if self.samples == 1:
             return steps[0], ()
@@ -65,13 +65,13 @@ class Shutter:
 
 
 def _between(steps: int, time: float) -> tuple[int, float]:
-    """The step before a time, of which steps are the unit, and the share of the way to the next."""
+    """Return the step before a time in units of steps, and the remaining fraction of a step."""
     first = max(min(int(time), steps - 2), 0)
     return first, time - first
 
 
 def _at(steps: Sequence[Instant], time: float) -> Instant:
-    """Linear in the position and, for the small turn of one step, in the quaternion."""
+    """Interpolate positions, and quaternions for the small turn of one step, linearly."""
     first, share = _between(len(steps), time)
     mixed = []
     for one, two in zip(np.array(steps[first]), np.array(steps[first + 1]), strict=True):

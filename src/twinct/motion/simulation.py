@@ -1,4 +1,4 @@
-"""The dynamic simulation of both arms: servos within torque limits that follow a timed path."""
+"""Dynamic simulation of both arms: servos with torque limits that follow a timed path."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ from twinct.uncertainty import TrueCell
 from twinct.views import Instant, JointSample, Reached, Target, to_seven
 
 BREAKAWAY_RAD_S = 0.002
-"""Speed from which a joint's dry friction is compensated in full."""
+"""Speed above which a joint's dry friction is fully compensated."""
 
 STANDING = 1e-9
-"""Speed and acceleration, rad and s, below which the reference stands still but for rounding."""
+"""Speed and acceleration, rad and s, below which the reference stands still, up to rounding."""
 
 SATURATED = 0.999
-"""Share of its torque limit from which a joint counts as at the limit."""
+"""Share of its torque limit above which a joint counts as saturated."""
 
 SAMPLE_S = 0.02
-"""Simulated time from one sample of the moving joints to the next, at most."""
+"""Longest simulated time between two samples of the moving joints."""
 
 
 @dataclass
 class StepWatch:
-    """What happened over the steps of one move.
+    """Torques, speeds and contacts over the steps of one move.
 
     Attributes:
         torque_share: largest share of its torque limit that each joint used, (n,).
-        speed_share: largest share of its published speed that each joint had, (n,).
+        speed_share: largest share of its published speed that each joint reached, (n,).
         contacts: pairs of bodies that touched.
     """
 
@@ -53,16 +53,15 @@ class StepWatch:
 
 
 class RobotSimulation:
-    """Both arms, stepped by MuJoCo along a plan, or from target to target.
+    """Simulation of both arms, stepped by MuJoCo along a plan or from target to target.
 
-    The state is MuJoCo's alone: the reference position, velocity and acceleration of the servos are
-    kept in ``mjData.userdata`` with a mark of the plan, whose time is MuJoCo's, so
-    ``mjSTATE_INTEGRATION`` is all there is, and what follows is a function of it, of the plan and
-    of the targets.
+    MuJoCo holds the complete state: ``mjData.userdata`` stores the reference position, velocity
+    and acceleration of the servos and a mark of the plan, and the plan uses MuJoCo's time.
+    ``mjSTATE_INTEGRATION``, the plan and the targets therefore determine all further motion.
 
     Attributes:
         watch: torques, speeds and contacts over every step of the last move.
-        on_joints: hears of the joints every ``SAMPLE_S``, on a grid of the simulated time.
+        on_joints: callback that receives the joints every ``SAMPLE_S`` of simulated time.
     """
 
     on_joints: Callable[[JointSample], None] | None = None
@@ -76,18 +75,18 @@ class RobotSimulation:
         roll_free: tuple[bool, bool] = (False, False),
         true_cell: TrueCell | None = None,
     ) -> None:
-        """Start at rest in a plan's home.
+        """Start at rest in a plan's home configuration.
 
         Args:
-            cell_model: the room.
+            cell_model: robot cell.
             motion: scheme, trigger, tolerances, limits of the joint path.
-            plan: what is followed; with ``motion.scheme: reactive`` its home alone counts. None
+            plan: plan to follow; with ``motion.scheme: reactive`` only its home is used. None
                 waits for ``follow``.
-            shutter: how long an image takes; none: no time.
-            roll_free: whether source and panel may be turned about their own axis on the way to a
-                target of no plan.
-            true_cell: where everything really is. The model here is the nominal one: plan, trigger
-                and clearance go by it. None: it is the truth.
+            shutter: duration of an exposure; None for an instantaneous one.
+            roll_free: whether source and panel may roll about their own axes on the path to a
+                target outside the plan.
+            true_cell: true geometry of the cell. Plan, trigger and clearance use the nominal
+                ``cell_model``. None if the nominal model is exact.
 
         Raises:
             MissingExtraError: MuJoCo, mink or Ruckig is not installed.
@@ -105,7 +104,7 @@ class RobotSimulation:
         self._sample_steps = max(1, int(SAMPLE_S / self._model.opt.timestep + 1e-9))
         self._n = len(cell_model.joint_names)
         self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
-        # The servo's own damping and the joint's friction both pull back a moving joint.
+        # Both the servo's damping and the joint's friction brake a moving joint.
         self._drag = self._model.dof_damping - self._model.actuator_biasprm[: self._n, 2]
         self._dry_friction = self._model.dof_frictionloss
         self._jacobian = np.zeros((3, self._model.nv))
@@ -117,10 +116,10 @@ class RobotSimulation:
             self.follow(plan)
 
     def follow(self, plan: MotionPlan) -> None:
-        """Stand at rest in a plan's home, to follow it from its beginning.
+        """Reset to rest in a plan's home, and follow the plan from its start.
 
         Raises:
-            MotionError: it is of another cell.
+            MotionError: the plan belongs to another cell.
         """
         if plan.joint_names != self._cell.joint_names:
             raise MotionError(
@@ -137,7 +136,7 @@ class RobotSimulation:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Prefixed ``source_`` and ``detector_``, source first."""
+        """Joint names with the prefix ``source_`` or ``detector_``, source first."""
         return self._cell.joint_names
 
     @property
@@ -147,18 +146,18 @@ class RobotSimulation:
 
     @property
     def joints(self) -> Floats:
-        """Joint positions now, rad, (n,)."""
+        """Current joint positions, rad, (n,)."""
         return self._data.qpos.copy()
 
     def close(self) -> None:
-        """Free what MuJoCo holds; a closed simulation cannot be used."""
+        """Free MuJoCo's memory; a closed simulation cannot be used."""
         del self._data, self._reactive, self._clearance
 
     def restore(self, state: Floats) -> None:
-        """Go back exactly to ``Reached.state``.
+        """Restore the exact state of a ``Reached.state``.
 
         Raises:
-            MotionError: the state is of another cell or of another plan.
+            MotionError: the state belongs to another cell or another plan.
         """
         size = mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_INTEGRATION)
         state = np.asarray(state, dtype=np.float64)
@@ -179,19 +178,20 @@ class RobotSimulation:
         target: Target,
         on_step: Callable[[mujoco.MjData], None] | None = None,
     ) -> Reached:
-        """Go on along the plan until the trigger of a view fires.
+        """Continue along the plan until the trigger of a view fires.
 
-        With ``motion.scheme: reactive`` the target is solved from the joints as they are. To a
-        target of no plan one is made from where the arms come to rest, and followed from then on.
+        With ``motion.scheme: reactive``, inverse kinematics starts from the current joints. For a
+        target outside the plan, a new plan starts where the arms come to rest, and replaces the
+        present one.
 
         Args:
-            view: its number in the plan; None for a target that is in none.
-            target: the poses that the trigger compares with.
+            view: number of the view in the plan; None for a target outside the plan.
+            target: poses that the trigger compares with.
             on_step: called at every step, with kinematics up to date.
 
         Raises:
-            TargetRefusedError: out of reach, would collide, missed, or the arms could not follow.
-                The first two leave the simulation as it was.
+            TargetRefusedError: the target is out of reach, would cause a collision or was missed,
+                or the arms could not follow. The first two leave the simulation unchanged.
         """
         self._view = view
         if self._motion.scheme == "reactive" or view is not None:
@@ -208,14 +208,14 @@ class RobotSimulation:
         return self._along(view, f"view {view}", np.zeros((0, 3, self._n)), on_step)
 
     def home(self, on_step: Callable[[mujoco.MjData], None] | None = None) -> Reached:
-        """Bring the arms to rest where they started, by a way planned from where they are.
+        """Plan a path home from the current joints, and bring the arms to rest there.
 
         Args:
             on_step: called at every step, with kinematics up to date.
 
         Raises:
-            TargetRefusedError: there is no way, which leaves the simulation as it was; or the arms
-                could not follow it.
+            TargetRefusedError: no path was found, and the simulation is unchanged; or the arms
+                could not follow the path.
         """
         self._view = None
         lead = self._plan_from(self._guide.home)
@@ -229,14 +229,14 @@ class RobotSimulation:
         on_step: Callable[[mujoco.MjData], None] | None,
         settled: bool | None = None,
     ) -> Reached:
-        """Go on along the plan until a view's trigger fires.
+        """Continue along the plan until the trigger of a view fires.
 
         Args:
-            view: its number in the plan.
-            name: what messages call it.
-            lead: states of the reference that come before the plan begins, (steps, 3, n).
+            view: number of the view in the plan.
+            name: name of the view in messages.
+            lead: states of the reference before the plan begins, (steps, 3, n).
             on_step: called at every step.
-            settled: whether the trigger waits for rest; None: as ``motion.trigger`` says.
+            settled: whether the trigger waits for rest; None for the setting ``motion.trigger``.
         """
         plan, timestep = self._plan, self._model.opt.timestep
         assert plan is not None
@@ -251,22 +251,22 @@ class RobotSimulation:
         rows[: len(lead)] = lead
         shut = len(lead)
         if settled is None and self._motion.trigger == "settled":
-            # At rest for the view before, arms may stand within the next one's tolerance.
+            # Arms at rest for the previous view may already be within this view's tolerance.
             shut = max(shut, math.floor(exposures_s[view] / timestep) - taken)
         target, what = plan.targets[view], f"{name} was missed"
         return self._run(rows.__getitem__, steps, target, what, on_step, shut, settled)
 
     def _plan_from(self, make: Callable[[Floats], MotionPlan]) -> Floats:
-        """Make a plan from where the arms come to rest the one that is followed.
+        """Make a plan from the joints at which the arms come to rest, and follow it from there.
 
         Args:
-            make: makes it, from joint positions, rad, (n,).
+            make: makes a plan from joint positions, rad, (n,).
 
         Returns:
             States of the reference until the plan begins, (steps, 3, n).
 
         Raises:
-            TargetRefusedError: there is no such plan; nothing is changed.
+            TargetRefusedError: no plan was found; nothing is changed.
         """
         lead = self._to_rest()
         here = lead[-1, 0] if len(lead) else self._data.userdata[: self._n].copy()
@@ -275,7 +275,7 @@ class RobotSimulation:
         return lead
 
     def _to_rest(self) -> Floats:
-        """States of the reference until it stands still, (steps, 3, n)."""
+        """Return the states of the reference until it stands still, (steps, 3, n)."""
         now, timestep = self._data.userdata[: 3 * self._n].reshape(3, -1), self._model.opt.timestep
         if np.abs(now[1:]).max() <= STANDING:
             return np.zeros((0, 3, self._n))
@@ -290,11 +290,11 @@ class RobotSimulation:
     def drive(
         self, goal: Floats, target: Target, on_step: Callable[[mujoco.MjData], None] | None = None
     ) -> Reached:
-        """Move to joint positions, unchecked, until the trigger fires for ``target``.
+        """Move towards joint positions, without checks, until the trigger fires for ``target``.
 
         Args:
             goal: joint positions, rad, (n,).
-            target: the poses that the trigger compares with.
+            target: poses that the trigger compares with.
             on_step: called at every step, with kinematics up to date.
 
         Raises:
@@ -316,13 +316,13 @@ class RobotSimulation:
         shut: int = 0,
         settled: bool | None = None,
     ) -> Reached:
-        """Follow a reference until the trigger fires, for so many steps at most.
+        """Follow a reference until the trigger fires, for at most ``steps`` steps.
 
-        It cannot fire within the first ``shut`` of them.
+        The trigger cannot fire within the first ``shut`` steps.
         """
         model, data, motion, n = self._model, self._data, self._motion, self._n
         wanted = np.array([target.source_m[:3], target.detector_m[:3]])
-        # Views of MuJoCo's memory: looking them up at every step costs as much as the step.
+        # Views into MuJoCo's memory, because looking them up costs as much as a step.
         spots = [data.site_xpos[site] for site in self._cell.site_ids]
         joints, speeds, torques = data.qpos, data.qvel, data.qfrc_actuator
         tolerance_m = motion.tolerance_mm / MM_PER_M
@@ -346,7 +346,7 @@ class RobotSimulation:
                 self._sample(self.on_joints)
             to_source, to_detector = spots[0] - wanted[0], spots[1] - wanted[1]
             near = max(to_source @ to_source, to_detector @ to_detector) < tolerance_m**2
-            # What a move finds before its first step is the last one's doing.
+            # The state before the first step belongs to the move before.
             opens = step > shut and near and (not settled or self._at_rest())
             if instants or opens:
                 instants.append(self._instant(self._view))
@@ -361,14 +361,14 @@ class RobotSimulation:
         raise self._late(wanted, what)
 
     def _sample(self, tell: Callable[[JointSample], None]) -> None:
-        """Tell of the joints where the time is on the samples' grid."""
+        """Pass a joint sample to the callback if the time is on the grid of samples."""
         data = self._data
         if round(data.time / self._model.opt.timestep) % self._sample_steps == 0:
             now = data.qpos.copy(), data.qvel.copy(), data.qfrc_actuator.copy()
             tell(JointSample(float(data.time), self.joint_names, *now))
 
     def _step(self, state: Floats) -> None:
-        """One step of the servos towards position, velocity and acceleration, (3, n)."""
+        """Step the servos once towards a position, velocity and acceleration, (3, n)."""
         model, data, n = self._model, self._data, self._n
         position, velocity, acceleration = state
         mujoco.mj_mulM(model, data, self._feedforward, acceleration)
@@ -380,7 +380,7 @@ class RobotSimulation:
         mujoco.mj_step1(model, data)
 
     def _judge(self, watch: StepWatch, record: Floats) -> None:
-        """Largest speeds and torques; those of the first instant belong to the move before."""
+        """Store the largest speed and torque shares; the first instant belongs to the last move."""
         _, speed, torque = np.abs(record[1:]).max(axis=0, initial=0.0)
         watch.speed_share = speed / self._cell.speed_limits
         watch.torque_share = torque / self._cell.torque_limits
@@ -389,7 +389,7 @@ class RobotSimulation:
         return StepWatch(np.zeros(self._n), np.zeros(self._n), set())
 
     def _at_rest(self) -> bool:
-        """The reference has stopped and both end-effectors stand still."""
+        """Check that the reference has stopped and both end-effectors stand still."""
         if np.abs(self._data.userdata[self._n : 3 * self._n]).max() > STANDING:
             return False
         limit = self._motion.settle_speed_mm_s / MM_PER_M
@@ -430,7 +430,7 @@ class RobotSimulation:
         )
 
     def _late(self, wanted: Floats, what: str) -> TargetRefusedError:
-        """Where the arms are when their time is over, and what holds them."""
+        """Return the error of a timeout: the arms' distances, saturated joints and contacts."""
         here = self._data.site_xpos[list(self._cell.site_ids)]
         off_mm = np.linalg.norm(here - wanted, axis=1) * MM_PER_M
         parts = [

@@ -1,10 +1,10 @@
-"""The time law: when the arms are where on their way, made before anything moves.
+"""Time law of a path: the joint states over time, computed before anything moves.
 
-The way is a spline through its knots, on which one number s runs; both arms share it, so that they
-go through equal shares of their ways at equal times. Its speed keeps below what speeds, curvature
-and the tools allow, rises and falls within the accelerations, and is smoothed over time, which
-bounds the jerk. Where the result still asks for too much, torques included, it is slowed there and
-made again.
+The path is a spline through its knots with one path parameter s. Both arms share s, so that they
+complete equal shares of their paths at equal times. The speed of s stays below the limits of joint
+speed, curvature and tool speed, rises and falls within the acceleration limits, and is smoothed
+over time, which bounds the jerk. Where the result still exceeds a limit, torques included, it is
+slowed down and computed again.
 """
 
 from __future__ import annotations
@@ -25,35 +25,35 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 TORQUE_SHARE = 0.9
-"""Of the torque limits; the rest is for the servos' corrections."""
+"""Share of the torque limits that a law may use; the rest is for the servos' corrections."""
 
 CURVE_SHARE = 0.5
-"""Of the acceleration, for following the curve; the rest is for getting faster and slower."""
+"""Share of the acceleration for following the curve; the rest is for speeding up and braking."""
 
 FINE_S = 0.002
-"""Step of the law, and of looking at limits."""
+"""Time step of the law and of the checks of its limits, s."""
 
 LOOK = 8
-"""Points of the way in each span at which its limits are taken."""
+"""Points between two knots at which the limits are evaluated."""
 
 ROUNDS = 60
-"""Times that a law is slowed and made again."""
+"""Largest number of times that a law is slowed down and computed again."""
 
 SLOWER = 1.01
-"""Slowed by so much more than was too much, lest the last thousandth takes all rounds."""
+"""Extra factor of each slowdown, lest the last thousandth take all rounds."""
 
 ALLOWED = 1.001
-"""A limit exceeded by less is kept."""
+"""Factor by which a limit may be exceeded."""
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """Joints over time, from rest to rest, at equal steps of ``FINE_S``.
+    """Joint states over time, from rest to rest, at equal steps of ``FINE_S``.
 
     Attributes:
         time_s: (times,), from 0.
         state: position, velocity and acceleration, rad and s, (times, 3, n).
-        knots_s: when each knot of the way is passed, (knots,).
+        knots_s: time at each knot of the path, (knots,).
     """
 
     time_s: Floats
@@ -62,10 +62,10 @@ class Law:
 
 
 class TimeLaw:
-    """Makes the laws of one cell."""
+    """Computation of time laws for one cell."""
 
     def __init__(self, cell: CellModel, motion: Motion) -> None:
-        """Take the limits."""
+        """Store the limits of cell and motion."""
         self._cell = cell
         self._data = mujoco.MjData(cell.model)
         self._speed = cell.speed_limits * cell.speed_scales
@@ -76,13 +76,13 @@ class TimeLaw:
         self._window = max(1, round(self._acceleration / self._jerk / FINE_S))
 
     def through(self, knots: Floats) -> Law:
-        """The fastest law that this method finds through some knots.
+        """Return the fastest law through some knots that this method finds.
 
         Args:
             knots: joint positions, rad, (knots, n); at least two, neighbours different.
 
         Raises:
-            TrajectoryError: a joint cannot even hold the arm, or no slow motion was slow enough.
+            TrajectoryError: a joint cannot even hold the arm, or no law kept the limits.
         """
         still = np.zeros_like(knots)
         holding = self._torque_shares(np.stack([knots, still, still], axis=1)).max(axis=0)
@@ -103,7 +103,7 @@ class TimeLaw:
             excess = self._excess(law)
             if excess.max() <= ALLOWED:
                 return law
-            # Slower where it was too much, and a window's width about it.
+            # Slow down where a limit was exceeded, and within one smoothing window of it.
             here = scipy.ndimage.maximum_filter1d(excess, 2 * self._window + 1)
             along = np.interp(s, self._progress, here)
             slower = np.where(along > 1.0, np.minimum(SLOWER * along, 2.0), 1.0)
@@ -112,7 +112,7 @@ class TimeLaw:
         raise TrajectoryError(f"no timing keeps the joints' limits within {ROUNDS} rounds")
 
     def shares(self, states: Floats) -> dict[str, Floats]:
-        """Speed, acceleration and torque as shares of what each joint may have.
+        """Return the speed, acceleration and torque as shares of each joint's limits.
 
         Args:
             states: position, velocity and acceleration, rad and s, (times, 3, n).
@@ -127,7 +127,7 @@ class TimeLaw:
         }
 
     def _allowed(self, way: CubicSpline, s: Floats) -> tuple[Floats, Floats]:
-        """Largest speed of s at each of its values, and the largest change of it that is left."""
+        """Return the largest speed of s at each value of s, and the acceleration left for s."""
         first, second, third = (np.abs(way(s, d)) for d in (1, 2, 3))
         with np.errstate(divide="ignore"):
             most = np.min(
@@ -143,7 +143,7 @@ class TimeLaw:
         return most, gain
 
     def _tool_slopes(self, way: CubicSpline, s: Floats) -> Floats:
-        """How far the faster tool goes for a step of s, m."""
+        """Return the distance that the faster tool travels per unit of s, m."""
         if not np.isfinite(self._tool_m_s):
             return np.zeros(len(s))
         jacobian = np.zeros((3, self._cell.model.nv))
@@ -159,11 +159,11 @@ class TimeLaw:
 
     def _law(self, way: CubicSpline, s: Floats, most: Floats, gain: Floats, passed: Floats) -> Law:
         speed = self._reachable(s, most, gain)
-        # Between two values of s the change is constant: the mean speed gives the time.
+        # The acceleration is constant between two values of s: the mean speed gives the time.
         ends = np.concatenate([[0.0], np.cumsum(2 * np.diff(s) / (speed[1:] + speed[:-1]))])
         count = int(np.ceil(ends[-1] / FINE_S))
         rising = np.interp(np.arange(count + 1) * FINE_S, ends, s)
-        # Speeds over time, at rest before and after, smoothed twice: the sum stays.
+        # Speeds over time, padded with rest, smoothed twice, which preserves the sum.
         steps = np.pad(np.diff(rising), 2 * self._window)
         for _ in range(2):
             steps = scipy.ndimage.uniform_filter1d(steps, self._window, mode="constant")
@@ -183,7 +183,7 @@ class TimeLaw:
 
     @staticmethod
     def _reachable(s: Floats, most: Floats, gain: Floats) -> Floats:
-        """Speeds of s from rest to rest below ``most`` that change no faster than ``gain``."""
+        """Return the speeds of s from rest to rest, within ``most`` and accelerations ``gain``."""
         squared = scipy.ndimage.minimum_filter1d(most, 3) ** 2
         squared[0] = squared[-1] = 0.0
         room = 2 * np.minimum(gain[1:], gain[:-1]) * np.diff(s)
@@ -194,7 +194,7 @@ class TimeLaw:
         return np.sqrt(squared)
 
     def _excess(self, law: Law) -> Floats:
-        """By how much s is too fast at each time, at least 1, (times,)."""
+        """Return the factor by which s is too fast at each time, at least 1, (times,)."""
         jerk = np.gradient(law.state[:, 2], FINE_S, axis=0)
         excess = np.max(
             [
@@ -210,7 +210,7 @@ class TimeLaw:
         return excess
 
     def _torque_shares(self, states: Floats) -> Floats:
-        """Shares of the torque limits that inverse dynamics asks for, (times, n)."""
+        """Return the torques from inverse dynamics as shares of the limits, (times, n)."""
         data, model = self._data, self._cell.model
         torques = np.zeros((len(states), model.nv))
         for k, (joints, velocity, acceleration) in enumerate(states):
@@ -219,7 +219,7 @@ class TimeLaw:
             mujoco.mj_comPos(model, data)
             mujoco.mj_comVel(model, data)
             mujoco.mj_rne(model, data, 1, torques[k])
-        # Newton and Euler know the links; rotors and what drags belong to the joints.
+        # Newton-Euler covers the links only; rotor inertia, damping and friction are added here.
         torques += model.dof_armature * states[:, 2] + model.dof_damping * states[:, 1]
         drag = model.dof_frictionloss * np.sign(states[:, 1])
         return np.abs(torques + drag) / self._cell.torque_limits

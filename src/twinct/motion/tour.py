@@ -1,4 +1,4 @@
-"""An order of views that the arms go through fast: nearest neighbour, then 2-opt."""
+"""Order of views with a short total time of motion: nearest neighbour, then 2-opt."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from twinct.geometry import Floats
 from twinct.motion.layers import Speeds
 
 SAMPLES = 12
-"""Configurations of a view and an arm between which distances are measured, at most."""
+"""Largest number of configurations per view and arm between which distances are measured."""
 
 GAIN_S = 1e-6
-"""A change of the order must save this much."""
+"""Least saving for which the order is changed."""
 
 
 def moving_seconds(candidates: Sequence[Sequence[Floats]], arms: Sequence[Speeds]) -> Floats:
-    """How long the arms take from view to view at least, s, (views, views).
+    """Return a lower bound of the time from each view to each other view, s, (views, views).
 
-    That is between the nearest configurations, of the slower arm, at full speed.
+    The bound is the time of the slower arm at full speed between its nearest configurations.
 
     Args:
-        candidates: of each arm for each view, rad, (m, k); none empty.
-        arms: the speeds of both.
+        candidates: configurations of each arm for each view, rad, (m, k); none empty.
+        arms: joint speeds of both arms.
     """
     views = len(candidates[0])
     seconds = np.zeros((views, views))
@@ -38,14 +38,13 @@ def moving_seconds(candidates: Sequence[Sequence[Floats]], arms: Sequence[Speeds
 
 
 def shortest_tour(seconds: Floats) -> list[int]:
-    """Views in an order that moves little, from view 0 on.
+    """Return the views in an order of short total time, starting with view 0.
 
-    The tour starts with nearest neighbours; then parts of it are turned round as long as that
-    shortens it (2-opt: Croes, "A method for solving traveling-salesman problems", Operations
-    Research 6, 1958).
+    The tour starts from nearest neighbours; sections are then reversed as long as that shortens it
+    (2-opt: Croes, "A method for solving traveling-salesman problems", Operations Research 6, 1958).
 
     Args:
-        seconds: from view to view, (views, views).
+        seconds: time from view to view, (views, views).
     """
     views = len(seconds)
     order, left = [0], set(range(1, views))
@@ -57,7 +56,7 @@ def shortest_tour(seconds: Floats) -> list[int]:
 
 
 def _turned_round(order: np.ndarray, seconds: Floats) -> list[int]:
-    """Parts turned round until none shortens the tour, whose end is open."""
+    """Reverse sections until no reversal shortens the tour, whose end is open."""
     better = True
     while better:
         better = False
@@ -66,7 +65,7 @@ def _turned_round(order: np.ndarray, seconds: Floats) -> list[int]:
             tails = order[first + 1 :]
             after = np.append(order[first + 2 :], -1)
             saved = seconds[before, head] - seconds[before, tails]
-            # After the last view comes nothing.
+            # The last view has no successor.
             saved += np.where(after < 0, 0, seconds[tails, after] - seconds[head, after])
             best = int(saved.argmax())
             if saved[best] > GAIN_S:

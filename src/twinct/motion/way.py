@@ -1,8 +1,8 @@
-"""Finding a way: which configurations for which views, in which order, and how to the next.
+"""Path search: the joint configuration of each view, the order of views, and the paths in between.
 
-All configurations of both arms for every view, turned about the beam where that is free, are judged
-for clearance; those are chosen that move least over all views; between neighbours the way is
-straight in joint space where that is clear, and a detour where not.
+All configurations of both arms for every view, rolled about the beam where that is free, are
+checked for clearance. The search chooses those with the least motion over all views. Neighbours
+are connected by a straight line in joint space if it is clear, and by a detour otherwise.
 """
 
 from __future__ import annotations
@@ -44,42 +44,42 @@ else:
     mujoco = mujoco_module()
 
 ROLL_STEP_DEG = 5.0
-"""Turns about the beam that are tried where they are free."""
+"""Step between the roll angles that are tried where the roll is free."""
 
 SETTLED_ROOM_MM = 0.5
-"""What a way keeps beside the clearance asked for, for arms that come to rest in every view."""
+"""Margin of a path above the required clearance, for arms that come to rest in every view."""
 
 MANY_STARTS = 500
-"""Starts of the search for a pose of which no configuration found at first is clear."""
+"""Starts of the second search for a pose, if no configuration of the first search is clear."""
 
 NEAREST_STARTS = 8
-"""Starts from which it is found how far off an arm remains."""
+"""Starts of the search for the remaining error of an arm out of reach."""
 
 WIDEST_OF = 64
-"""Configurations of which the largest clearance is told, at most."""
+"""Largest number of configurations of which the largest clearance is reported."""
 
 DETOURS_TRIED = 20
-"""Searches for a way round from one view to the next, at most."""
+"""Largest number of searches for a detour from one view to the next."""
 
 TRIED_S = 0.15
-"""What a search in vain adds to what a move costs: others have their turn before more effort."""
+"""Cost that a failed search adds to a move, so that other moves are tried before more effort."""
 
 REWINDS_TRIED = 20
-"""Places tried for turning joints back that came to the end of their ranges, at most."""
+"""Largest number of places tried for turning joints back that reached the end of their ranges."""
 
 REWIND_AGAIN_S = 20.0
-"""What a place where that was sought in vain costs more the next time."""
+"""Cost that a failed attempt to turn joints back adds to its place."""
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """A way of both arms through all views.
+    """Path of both arms through all views.
 
     Attributes:
         joints: rad, (knots, n), source arm first; the straight joint path between neighbours is
             clear.
-        views: index of the view exposed at each knot, -1 where none is, (knots,); every view once.
-        targets: commanded poses of every view, by view index, with the roll that was chosen.
+        views: index of the view exposed at each knot, -1 for none, (knots,); every view once.
+        targets: commanded poses of every view, by view index, with the chosen roll.
     """
 
     joints: Floats
@@ -94,14 +94,14 @@ class Way:
 
 @dataclass(frozen=True, eq=False)
 class _Candidates:
-    """Of one view and one arm: configurations (m, k), and the roll that each holds, rad, (m,)."""
+    """Joint configurations of one arm for one view, (m, k), and their roll angles, rad, (m,)."""
 
     joints: Floats
     roll: Floats
 
 
 def kept_mm(motion: Motion) -> float:
-    """The clearance that a way keeps: what is asked for and room for how the arms follow."""
+    """Return the clearance of a path: the required clearance plus a margin for the servos."""
     settled = motion.trigger == "settled"
     return motion.clearance_mm + (SETTLED_ROOM_MM if settled else 2 * motion.tolerance_mm)
 
@@ -116,28 +116,28 @@ def find_way(
     seed: int = 0,
     most_looks: float = np.inf,
 ) -> Way:
-    """Find a way through all targets.
+    """Find a path through all targets.
 
     Args:
-        cell_model: the room.
+        cell_model: robot cell.
         motion: tolerances, clearance, and the order of the views.
         targets: one for each view.
-        roll_free: whether source and panel may be turned about their own axis.
-        start: where the arms are, rad, (n,); without it the way starts just off its first view.
-        seed: of searches and detours.
-        most_looks: configurations that searches for detours may look at.
+        roll_free: whether source and panel may roll about their own axes.
+        start: current joint positions, rad, (n,); None starts just off the first view.
+        seed: seed of searches and detours.
+        most_looks: largest number of configurations that searches for detours may check.
 
     Raises:
-        TrajectoryError: views that cannot be had; every problem names views, arm, reason and how
-            far off.
-        NoWayError: no way was found from one to the next.
+        TrajectoryError: views are infeasible; every problem names views, arm, reason and missing
+            distance.
+        NoWayError: no path was found from one view to the next.
         MissingExtraError: mink or OMPL is not installed.
     """
     return _Finder(cell_model, motion, list(targets), roll_free, seed, most_looks).find(start)
 
 
 class _Finder:
-    """One search; what it holds lives as long."""
+    """State of one path search."""
 
     def __init__(
         self,
@@ -173,7 +173,7 @@ class _Finder:
         layers = [[arm[view] for view in order] for arm in candidates]
         views = np.array(order)
         if start is not None:
-            # A layer too: what is promising depends on where the arms are.
+            # The start is a layer, too, because it decides which candidates are promising.
             start = self._checked(start)
             for arm, part in zip(layers, self._cell.arm_joints, strict=True):
                 arm.insert(0, _Candidates(start[None, part], np.zeros(1)))
@@ -206,7 +206,7 @@ class _Finder:
         return Way(joints, exposed, tuple(targets))
 
     def _of_arm(self, arm: int) -> tuple[list[_Candidates], list[str]]:
-        """Clear candidates of every view, and what is to be said of views without any."""
+        """Return the clear candidates of every view, and messages for views without any."""
         poses = [(t.source, t.detector)[arm] for t in self._targets]
         rolls, side = self._rolls[arm], SIDES[arm]
         turned = np.zeros((len(rolls), 4, 4))
@@ -238,7 +238,7 @@ class _Finder:
         return candidates, far_problems(side, far) + gap_problems(gaps, self._least_mm)
 
     def _nearest(self, view: int, arm: int) -> tuple[Floats, Floats, tuple[float, float] | None]:
-        """An arm's best try: it and its roll where it is within tolerance, else how far off."""
+        """Return a configuration and its roll if one is within tolerance, else the least error."""
         part, ranges = self._cell.arm_joints[arm], self._cell.joint_ranges
         rng = np.random.default_rng([self._seed, view])
         low, high = np.maximum(ranges[:, 0], -np.pi), np.minimum(ranges[:, 1], np.pi)
@@ -251,13 +251,13 @@ class _Finder:
         return np.zeros((0, part.stop - part.start)), np.zeros(0), off
 
     def _placed(self, joints: Floats, arm: int) -> Floats:
-        """Configurations of one arm among those of the cell, (m, n)."""
+        """Extend configurations of one arm to the whole cell by zeros, (m, n)."""
         placed = np.zeros((len(joints), len(self._speeds)))
         placed[:, self._cell.arm_joints[arm]] = joints
         return placed
 
     def _widest(self, joints: Floats, sides: tuple[str, ...]) -> Gap:
-        """The largest of the clearances of some configurations."""
+        """Return the largest clearance among some configurations."""
         clearance, data = Clearance(self._cell, sides), mujoco.MjData(self._cell.model)
         best = Gap(-np.inf, ("", ""))
         for q in joints[:WIDEST_OF]:
@@ -267,7 +267,7 @@ class _Finder:
         return best
 
     def _pairs(self, views: Indices, layers: list[list[_Candidates]]) -> list[Indices]:
-        """Pairs of candidates of both arms that are clear of each other, for every layer."""
+        """Return the pairs of candidates of both arms that are clear of each other, per layer."""
         ranked = [
             promising([c.joints for c in arm], speeds)
             for arm, speeds in zip(layers, self._arms, strict=True)
@@ -295,12 +295,12 @@ class _Finder:
         return pairs
 
     def _checked(self, start: Floats) -> Floats:
-        """Where the arms are; what they have of clearance there is asked for on the first way."""
+        """Check the start; the first path requires no more clearance than the start has."""
         start = np.array(start, dtype=np.float64)
         ranges = self._cell.joint_ranges
         if start.shape != self._speeds.shape or not np.isfinite(start).all():
             raise TrajectoryError(f"start: {start} are no positions of {len(ranges)} joints")
-        # A joint that stands at the end of its range may be beyond it by rounding.
+        # A joint at the end of its range may exceed it by rounding.
         start = np.where(np.abs(start - start.clip(*ranges.T)) < 1e-3, start.clip(*ranges.T), start)
         if (start != start.clip(*ranges.T)).any():
             raise TrajectoryError(f"start: {start} is outside the joints' ranges")
@@ -317,7 +317,7 @@ class _Finder:
         pairs: list[Indices],
         from_start: bool,
     ) -> tuple[list[Floats], list[Indices]]:
-        """Ways from layer to layer, knots (m, n) each, and the pair of candidates of each layer."""
+        """Return the paths between layers, knots (m, n) each, and each layer's candidate pair."""
         nodes = [
             np.hstack([arm[k].joints[p] for arm, p in zip(layers, pair.T, strict=True)])
             for k, pair in enumerate(pairs)
@@ -350,7 +350,7 @@ class _Finder:
                 ways, blocked = self._in_range(knots, legs, least, from_start)
                 if ways:
                     return ways, [pair[node] for pair, node in zip(pairs, path, strict=True)]
-            # Other pairs of configurations have their turn before more effort is made.
+            # Try other pairs of configurations before spending more effort on this one.
             edge = edges[blocked]
             tried[edge] += 1
             choice.raise_cost(blocked, edge[1:], TRIED_S if tried[edge] < len(SEARCHES) else np.inf)
@@ -367,7 +367,7 @@ class _Finder:
         straight: dict[tuple[int, int, int], bool],
         least_mm: Floats,
     ) -> Indices:
-        """The best path of which it is known which moves are clear where straight."""
+        """Return the best path, after checking which of its straight moves are clear."""
         path = np.zeros(0, np.intp)
         for _ in range(ROUNDS):
             path, _ = choice.best(np.zeros(len(nodes[0])))
@@ -392,11 +392,11 @@ class _Finder:
         return path
 
     def _shorter(self, moves: Floats) -> Floats:
-        """Moves on the shorter side, of joints that can make a full turn."""
+        """Take the shorter way round for joints that can make a full turn."""
         return np.where(self._turns, (moves + np.pi) % (2 * np.pi) - np.pi, moves)
 
     def _round(self, start: Floats, end: Floats, least_mm: float, effort: int) -> Floats | None:
-        """Knots of a detour, which may end full turns away."""
+        """Return the knots of a detour, which may end full turns away."""
         key = np.concatenate([start, end, [least_mm, effort]]).tobytes()
         if key not in self._known:
             self._known[key] = self._detours.between(start, end, least_mm, effort)
@@ -405,12 +405,12 @@ class _Finder:
     def _in_range(
         self, knots: Floats, legs: list[Floats], least_mm: Floats, from_start: bool
     ) -> tuple[list[Floats], int]:
-        """The legs with full turns added that keep all joints in their ranges.
+        """Add full turns to the legs so that all joints stay within their ranges.
 
-        Where leg after leg turns a joint the same way, it has to be turned back somewhere.
+        If successive legs turn a joint in one direction, it must be turned back somewhere.
 
         Returns:
-            the legs; none where it was sought in vain, and where that was last.
+            the legs, empty after failure, and the index of the leg that failed last.
         """
         if not legs:
             return [
@@ -436,12 +436,12 @@ class _Finder:
                     break
                 ways.append(way)
             else:
-                # A single view has no way to another.
+                # A single view has no legs.
                 return ways or [placed], 0
         return [], blocked
 
     def _polished(self, joints: Floats, views: NDArray[np.intp], targets: list[Target]) -> Floats:
-        """The same knots; mink has the last word on those with a view."""
+        """Return the knots, with mink's solution at each view."""
         joints = joints.copy()
         for knot in np.flatnonzero(views >= 0):
             result = self._kinematics.solve(joints[knot], targets[views[knot]])
@@ -465,7 +465,7 @@ class _Finder:
 
 
 def _rolled(pose: Pose, angle: float) -> Pose:
-    """Turned about its own z axis, rad."""
+    """Roll a pose about its own z axis by an angle, rad."""
     about_z = scipy.spatial.transform.Rotation.from_euler("z", angle)
     turned = scipy.spatial.transform.Rotation.from_quat(pose.quat) * about_z
     return Pose(pose.position, turned.as_quat()) if angle else pose

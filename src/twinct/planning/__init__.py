@@ -1,4 +1,4 @@
-"""Which views are worth taking: objectives over a region, and the choice among candidates."""
+"""View planning: objectives over a region, and the choice of views among candidates."""
 
 from twinct.planning.completeness import crossed_planes, local_completeness, plane_normals
 from twinct.planning.detectability import Detectability, Task, detectability_of

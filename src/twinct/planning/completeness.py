@@ -1,9 +1,9 @@
-"""Local completeness of cone-beam data: which planes through a point the source crosses.
+"""Local completeness of cone-beam data: share of planes through a point that the source crosses.
 
-A point can be reconstructed exactly where every plane through it meets the path of the source
-(H. K. Tuy, SIAM J. Appl. Math. 43 (1983) 546); the share of planes that do is how complete the
-data are there. Only views that see the point count. On the axis of a full circle of radius R, h off
-its plane, the share that is missing is 1 - R / sqrt(R^2 + h^2).
+A point can be reconstructed exactly if every plane through it meets the path of the source
+(H. K. Tuy, SIAM J. Appl. Math. 43 (1983) 546). The share of planes that meet the path measures the
+completeness of the data at the point. Only views that see the point count. On the axis of a full
+circle of radius R, at height h above its plane, the missing share is 1 - R / sqrt(R^2 + h^2).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from twinct.geometry import Floats, ScanGeometry, fibonacci_directions
 from twinct.planning.sight import sees
 
 _AT_A_TIME = 2_000_000
-"""Distances of sources from planes that are held at once: 16 MB."""
+"""Largest number of distances between sources and planes in memory: 16 MB."""
 
 
 def plane_normals(count: int) -> Floats:
-    """Normals of planes of every direction, of equal density on half the sphere, (count, 3)."""
+    """Return plane normals of equal density on half the sphere, (count, 3)."""
     return fibonacci_directions(2 * count)[:count]
 
 
@@ -31,18 +31,18 @@ def local_completeness(
     closed: bool = False,
     normals: int = 2000,
 ) -> Floats:
-    """Share of the planes through each point that the source crosses, (points,), 0 to 1.
+    """Return the share of planes through each point that the source crosses, (points,), 0 to 1.
 
-    Of a path: between two views, one after the other, that both see the point and lie on different
-    sides of the plane, or on it. Of a free set of views: those within an angle of the plane, seen
-    from the point.
+    A path crosses a plane between two successive views that both see the point and lie on different
+    sides of the plane, or on it. A free set of views crosses a plane if a view that sees the point
+    lies within an angle of the plane.
 
     Args:
-        geometry: the views; a path in their order.
+        geometry: views, in the order of a path.
         points: (points, 3), mm.
-        within_deg: the angle, for a free set; None: a path.
-        closed: the path ends where it begins.
-        normals: planes through each point.
+        within_deg: angle at the point between view and plane, for a free set; None for a path.
+        closed: whether the path ends at its beginning.
+        normals: number of planes through each point.
     """
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     directions = plane_normals(normals)
@@ -67,10 +67,10 @@ def local_completeness(
 def crossed_planes(
     geometry: ScanGeometry, points: ArrayLike, within_deg: float, normals: int = 200
 ) -> NDArray[np.bool_]:
-    """Which planes through which points each view of a free set crosses.
+    """Return flags of the planes through some points that each view of a free set crosses.
 
     Returns:
-        (views, points * normals): what each candidate adds to a choice of views.
+        (views, points * normals), the elements that each candidate adds to a choice of views.
     """
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     directions, seen = plane_normals(normals), sees(geometry, points)
@@ -84,7 +84,7 @@ def crossed_planes(
 
 
 def _changes(heights: Floats, seen: NDArray[np.bool_], closed: bool) -> NDArray[np.bool_]:
-    """Planes whose sides the views change between, of heights (views, planes)."""
+    """Return flags of the planes that a path crosses, from heights above them, (views, planes)."""
     if closed:
         heights, seen = np.vstack([heights, heights[:1]]), np.append(seen, seen[0])
     both = seen[1:] & seen[:-1]

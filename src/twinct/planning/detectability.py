@@ -1,10 +1,10 @@
-"""How well a task can be done with some views: predicted detectability at a place.
+"""Predicted detectability of a task at one place, for a set of views.
 
-The reconstruction is the quadratic penalised weighted least-squares one: it minimises
-(p - A x)^T D (p - A x) / 2 + beta x^T R x / 2, with D the photons that are expected in each pixel,
-which is one over the variance of a line integral, and R the differences of neighbouring voxels. It
-is linear; about a voxel j it acts nearly like a filter. With f the Fourier transform of A^T D A e_j
-and r that of R e_j,
+The reconstruction is quadratic penalised weighted least squares: it minimises
+(p - A x)^T D (p - A x) / 2 + beta x^T R x / 2. D holds the expected photons in each pixel, the
+inverse variance of a line integral, and R the differences of neighbouring voxels. The
+reconstruction is linear, and around a voxel j it acts nearly like a filter. With the Fourier
+transforms f of A^T D A e_j and r of R e_j,
 
     MTF = f / (f + beta r),    NPS = f / (f + beta r)^2
 
@@ -14,7 +14,8 @@ Fessler, IEEE Trans. Med. Imaging 23 (2004) 1543; task-driven: G. J. Gang et al.
 
     d'^2 = [sum |W MTF|^2]^2 / sum |W MTF|^2 NPS.
 
-f is a sum over the views, each with its exposure: that of many choices of views costs little.
+f is a sum over the views, weighted by their exposures. Many choices of views are therefore cheap
+to evaluate.
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ from twinct.recon import Projector
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A signal that is to be told from nothing, in the middle of a small grid.
+    """Signal to detect, in the middle of a small grid.
 
     Attributes:
-        signal: the difference that it makes, (z, y, x), 1/mm.
-        beta: strength of the penalty, mm^2: its R has no unit, its D photons.
+        signal: difference between signal and background, (z, y, x), 1/mm.
+        beta: strength of the penalty, mm^2, because R has no unit and D counts photons.
     """
 
     signal: Floats
     beta: float
 
     def __init__(self, signal: ArrayLike, beta: float) -> None:
-        """Copy, check and freeze.
+        """Copy, check and freeze the signal.
 
         Raises:
-            InputError: no signal, or a penalty that is not positive.
+            InputError: the signal is no volume or all 0, or the penalty is not positive.
         """
         values = np.array(signal, dtype=np.float64)
         values.setflags(write=False)
@@ -62,11 +63,11 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Detectability:
-    """d' of a task as a function of the exposure of each candidate view.
+    """Detectability d' of a task as a function of the exposure of each candidate view.
 
     Attributes:
         task: signal and penalty.
-        fisher: f of each view at unit exposure, as ``numpy.fft.rfftn`` orders frequencies,
+        fisher: f of each view at unit exposure, frequencies in the order of ``numpy.fft.rfftn``,
             (views, z, y, x // 2 + 1), float32.
     """
 
@@ -75,7 +76,7 @@ class Detectability:
 
     @cached_property
     def _power(self) -> Floats:
-        """|W|^2 of the half spectrum; frequencies stand for their mirrored ones as well."""
+        """Half spectrum of |W|^2, in which frequencies also count for their mirror images."""
         shape = self.task.signal.shape
         times = np.full(shape[2] // 2 + 1, 2.0)
         times[0] = 1.0
@@ -85,22 +86,22 @@ class Detectability:
 
     @cached_property
     def _penalty(self) -> Floats:
-        """Beta r."""
+        """Spectrum of the penalty, beta r."""
         z, y, x = self.task.signal.shape
         return self.task.beta * difference_spectrum((z, y, x))
 
     def __call__(self, exposures: ArrayLike) -> float:
-        """D' with an exposure of each view, (views,), 0 where a view is not taken."""
+        """Return d' for the exposures of all views, (views,), 0 for a view that is not taken."""
         f = np.tensordot(np.asarray(exposures, dtype=np.float64), self.fisher, axes=1)
         return float(self._of(f))
 
     def added(self, chosen: Sequence[int], candidates: Sequence[int]) -> Floats:
-        """D' of a choice of views with one more, for each of some candidates, (candidates,)."""
+        """Return d' of a choice of views with one more view, for each candidate, (candidates,)."""
         f = self.fisher[list(chosen)].sum(axis=0, dtype=np.float64)
         return np.array([self._of(f + self.fisher[view]) for view in candidates])
 
     def slopes(self, exposures: ArrayLike) -> Floats:
-        """Derivatives of d'^2 with each view's exposure, (views,)."""
+        """Return the derivatives of d'^2 with respect to each view's exposure, (views,)."""
         f = np.tensordot(np.asarray(exposures, dtype=np.float64), self.fisher, axes=1)
         known = f > 0
         both = f + self._penalty
@@ -117,16 +118,16 @@ class Detectability:
     def blurred(
         self, views: Sequence[int], sigma: float, exposures: ArrayLike | None = None
     ) -> float:
-        """D' of a choice of views where what is there is blurred and the template is not.
+        """Return d' of a choice of views if the signal is blurred and the template is not.
 
-        The observer looks for what was to be expected: d' times sum |W MTF|^2 B / sum |W MTF|^2,
-        B that of a Gaussian. A blurred template would not only expect less, but also let less noise
-        through, and d' might rise.
+        The observer looks for the expected signal: d' times sum |W MTF|^2 B / sum |W MTF|^2, with
+        the transfer function B of a Gaussian. A blurred template would also pass less noise, and d'
+        might rise.
 
         Args:
-            views: of the choice.
-            sigma: of the Gaussian, in voxels.
-            exposures: of each of these; None: unit ones.
+            views: chosen views.
+            sigma: standard deviation of the Gaussian, in voxels.
+            exposures: exposure of each chosen view; None for unit exposures.
         """
         each = np.ones(len(views)) if exposures is None else np.asarray(exposures, np.float64)
         f = np.tensordot(each, self.fisher[list(views)], axes=1)
@@ -138,7 +139,7 @@ class Detectability:
         return self._of(f) * float((seen * blur).sum() / seen.sum()) if seen.any() else 0.0
 
     def _of(self, f: Floats) -> float:
-        """D' of f over a whole choice; powers that are still negative, of the grid's end, are 0."""
+        """Return d' for f of a whole choice; negative values, from the grid's end, count as 0."""
         f = np.maximum(f, 0.0)
         transfer, both = self._transfer(f), f + self._penalty
         seen = self._power * transfer * transfer
@@ -147,7 +148,7 @@ class Detectability:
         return float(seen.sum() / np.sqrt(noise)) if noise > 0 else 0.0
 
     def _transfer(self, f: Floats) -> Floats:
-        """MTF; of a constant neither views nor penalty may say anything."""
+        """Return the MTF, 0 where neither views nor penalty determine a frequency."""
         both = f + self._penalty
         return np.divide(f, both, out=np.zeros_like(f), where=both > 0)
 
@@ -158,17 +159,17 @@ def detectability_of(
     task: Task,
     progress: Progress = SILENT,
 ) -> Detectability:
-    """The detectability of a task in the middle of the projector's grid.
+    """Compute the detectability of a task in the middle of the projector's grid.
 
     Args:
-        A: of all candidate views, on a grid about the place with the signal's shape and at least
-            its blur around it.
-        photons: D at unit exposure, (views, rows, columns): what a prior volume lets through.
+        A: projector of all candidate views, on a grid of the signal's shape around the place, with
+            a margin of at least the signal's blur.
+        photons: D at unit exposure behind a prior volume, (views, rows, columns).
         task: signal and penalty.
-        progress: hears how far it is.
+        progress: progress display.
 
     Raises:
-        InputError: shapes that do not fit.
+        InputError: shapes do not match.
     """
     photons = np.asarray(photons, dtype=np.float32)
     if photons.shape != A.range_shape:
@@ -185,8 +186,9 @@ def detectability_of(
             one = A[view]
             column = one.T(photons[view : view + 1] * one(delta))
             spectrum = np.fft.rfftn(np.roll(column, [-n for n in place], axis=(0, 1, 2)))
-            # Even about the place to first order; what is left makes no filter. The negative side
-            # lobes of a ray that ends with the grid stay: they cancel in the sum over views.
+            # The column is even about the place to first order; the odd rest makes no filter.
+            # Keep the negative side lobes of rays that end with the grid: they cancel in the sum
+            # over views.
             fisher[view] = spectrum.real
             step()
     fisher.setflags(write=False)
@@ -194,7 +196,7 @@ def detectability_of(
 
 
 def difference_spectrum(shape: tuple[int, int, int]) -> Floats:
-    """r: Fourier transform of R e_j, of differences to the six neighbours, in half."""
+    """Return r, the half spectrum of R e_j, from differences to the six neighbours."""
     z, y = (2 - 2 * np.cos(2 * np.pi * np.fft.fftfreq(n)) for n in shape[:2])
     x = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(shape[2]))
     return z[:, None, None] + y[None, :, None] + x

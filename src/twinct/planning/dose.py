@@ -1,13 +1,13 @@
-"""Dose of each view to a part: primary kerma.
+"""Dose of each view to a part of the patient: primary kerma.
 
-Photons that reach a point without an interaction give it
+Photons that reach a point without an interaction give it the kerma
 
     K = phi E mu_en / rho,    phi = n mAs (1 m / r)^2 exp(-int mu dl)
 
-where n is the photon number per mm^2 at 1 m and mAs, r the distance from the focal spot, and the
-integral goes from there to the point; a spectrum's energies add up (F. H. Attix, Introduction to
-Radiological Physics and Radiation Dosimetry, 1986). Scattered photons are left out; they spread
-more evenly, so that the true doses of views differ by less than K does.
+where n is the number of photons per mm^2 and mAs at 1 m, r the distance from the focal spot, and
+the integral goes from the focal spot to the point; the energies of a spectrum add up (F. H. Attix,
+Introduction to Radiological Physics and Radiation Dosimetry, 1986). Scattered photons are
+neglected; they spread more evenly, so that the true doses of views differ less than K.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ def primary_kerma(
     photons_per_mm2: float,
     absorption_cm2_g: float,
 ) -> Floats:
-    """Mean primary kerma of the points of a part for each view, Gy, at one energy.
+    """Compute the mean primary kerma of a part's points in each view, Gy, at one energy.
 
-    The beam is as wide as the panel: what it does not see gets nothing.
+    The beam is collimated to the panel: points outside the projection get no dose.
 
     Args:
-        geometry: the views.
-        points: of the part, (points, 3), mm.
-        attenuation: of the patient at this energy, 1/mm, on a coarse grid that holds all of it.
+        geometry: views.
+        points: points of the part, (points, 3), mm.
+        attenuation: the patient at this energy, 1/mm, entirely inside a coarse grid.
         energy_kev: photon energy E.
-        photons_per_mm2: n mAs: of the free beam at 1 m.
+        photons_per_mm2: n mAs, photons of the unattenuated beam at 1 m.
         absorption_cm2_g: mu_en / rho of the part, see ``Material.absorption_cm2_g``.
 
     Returns:
@@ -51,7 +51,7 @@ def primary_kerma(
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     grid, inside = attenuation.grid, sees(geometry, points)
     step = float(grid.voxel.min()) / 2
-    # No way through the grid is longer than its diagonal; a point of it may lie at its far end.
+    # The diagonal is the longest path through the grid.
     reach = float(np.linalg.norm(grid.size_mm))
     kerma = np.zeros(len(geometry))
     for view in np.flatnonzero(inside.any(axis=1)).tolist():

@@ -1,4 +1,4 @@
-"""How to share a given exposure among views: more mAs where they tell more."""
+"""Distribution of a total exposure over views: more mAs for more informative views."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from twinct.planning.detectability import Detectability
 def best_exposures(
     found: Detectability, views: list[int], total: float, least: float = 0.0, most: float = np.inf
 ) -> Floats:
-    """Exposures of some views with a given sum whose detectability is largest, (views,).
+    """Compute exposures of some views with a given sum and the best detectability, (views,).
 
-    By sequential quadratic programming with exact slopes, from equal ones (scipy's SLSQP). d'^2 is
-    not concave in the exposures: it is a local optimum, and never worse than equal exposures.
+    Sequential quadratic programming with exact derivatives starts from equal exposures (scipy's
+    SLSQP). Because d'^2 is not concave in the exposures, the result is a local optimum. It is never
+    worse than equal exposures.
 
     Args:
         found: detectability of all candidates.
-        views: which of them are taken.
-        total: sum of the exposures, in units of those that ``found`` was made with.
-        least: of each view.
-        most: of each view.
+        views: indices of the chosen views.
+        total: sum of the exposures, in units of the exposures of ``found``.
+        least: smallest exposure of each view.
+        most: largest exposure of each view.
 
     Raises:
-        InputError: bounds that no exposures of this sum keep.
+        InputError: no exposures with this sum lie within the bounds.
     """
     count = len(views)
     if not 0 <= least * count <= total <= most * count:

@@ -1,7 +1,7 @@
-"""The best parameters of a family of trajectories: CMA-ES within bounds.
+"""Search for the best parameters of a family of trajectories: CMA-ES within bounds.
 
 Covariance matrix adaptation (N. Hansen, A. Ostermeier, Evol. Comput. 9 (2001) 159) by the package
-``cmaes``: it needs no slopes, and takes the steps that reach and completeness have as they are.
+``cmaes`` needs no derivatives, and tolerates the jumps of reach and completeness.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from twinct.geometry import Floats
 from twinct.progress import SILENT, Progress
 
 FIRST_SIGMA = 0.3
-"""Spread of the first generation, as a share of each parameter's range."""
+"""Standard deviation of the first generation, as a share of each parameter's range."""
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What a search over parameters found.
+    """Result of a search over parameters.
 
     Attributes:
-        parameters: the best that was tried, by name.
-        worth: theirs.
-        history: the best so far after each generation.
+        parameters: best set that was tried, by name.
+        worth: figure of merit of the best set.
+        history: best figure of merit after each generation.
     """
 
     parameters: Mapping[str, float]
@@ -36,7 +36,7 @@ class Tuned:
 
 
 Worth = Callable[[Sequence[Mapping[str, float]]], Sequence[float]]
-"""What sets of parameters are worth, a generation at a time; -inf of one that cannot be had."""
+"""Figures of merit of a generation of parameter sets; -inf for an infeasible set."""
 
 
 def best_parameters(
@@ -49,19 +49,20 @@ def best_parameters(
     start: Mapping[str, float] | None = None,
     progress: Progress = SILENT,
 ) -> Tuned:
-    """Search for the parameters that are worth most.
+    """Search for the parameters with the largest figure of merit.
 
     Args:
-        worth: judges a generation, in any order or at once; see ``Worth``.
+        worth: evaluates a generation, in any order or at once; see ``Worth``.
         bounds: lowest and highest value of each parameter, by name.
-        generations: at most; it ends before where the search has converged.
-        population: sets of parameters in each; None: 4 + 3 ln(parameters), as CMA-ES takes it.
-        seed: of its draws; the same gives the same.
-        start: middle of the first generation; of the bounds unless given.
-        progress: hears how far it is.
+        generations: largest number of generations; the search ends early on convergence.
+        population: number of sets per generation; None for CMA-ES's 4 + 3 ln(parameters).
+        seed: seed of the draws; equal seeds give equal results.
+        start: centre of the first generation; the middle of the bounds by default.
+        progress: progress display.
 
     Raises:
-        InputError: bounds that are none, a start outside them, or nothing found that can be had.
+        InputError: invalid bounds, fewer than two parameters, a start outside the bounds, or no
+            feasible set.
         MissingExtraError: cmaes is not installed.
     """
     names = list(bounds)
@@ -82,7 +83,7 @@ def best_parameters(
     require("planning")
     from cmaes import CMA
 
-    # The whole search in shares of the ranges: angles and distances count alike.
+    # Search in shares of the ranges, so that angles and distances have equal weight.
     unit = np.tile([0.0, 1.0], (len(names), 1))
     search = CMA(middle, FIRST_SIGMA, bounds=unit, seed=seed, population_size=population)
     best, most, history = middle, -np.inf, []
@@ -94,7 +95,7 @@ def best_parameters(
             if values.max() > most:
                 best, most = asked[int(values.argmax())], float(values.max())
             history.append(most)
-            # What cannot be had ranks below all that can.
+            # Infeasible sets rank below all feasible sets.
             finite = np.where(np.isfinite(values), values, -1e300)
             search.tell(list(zip(asked, (-finite).tolist(), strict=True)))
             step()

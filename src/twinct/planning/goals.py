@@ -1,4 +1,4 @@
-"""What a choice of views is worth: measures, weighed against each other and kept within limits."""
+"""Figures of merit of a choice of views: measures, weighted and kept within limits."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from twinct.planning.moving import TourTime
 
 
 class Measure(Protocol):
-    """A figure of a choice of views; ``Detectability`` is one."""
+    """Figure of a choice of views, such as ``Detectability``."""
 
     def added(self, chosen: Sequence[int], candidates: Sequence[int]) -> Floats:
-        """The figure of a choice with one more view, for each of some candidates."""
+        """Return the figure of a choice with one more view, for each of some candidates."""
         ...
 
 
@@ -41,19 +41,19 @@ class Coverage:
 
 @dataclass(frozen=True, eq=False)
 class Mean:
-    """Mean over the views of what each has by itself, such as dose, or length in metal.
+    """Mean over the views of a figure of each view, such as its dose or path length in metal.
 
     Attributes:
-        each: of each candidate, (candidates,).
+        each: figure of each candidate, (candidates,).
     """
 
     each: Floats
 
     def __init__(self, each: ArrayLike) -> None:
-        """Copy and freeze.
+        """Copy and freeze the figures.
 
         Raises:
-            InputError: something that is no number.
+            InputError: a figure is not a finite number.
         """
         object.__setattr__(self, "each", np.array(each, dtype=np.float64))
         if not np.isfinite(self.each).all():
@@ -67,15 +67,15 @@ class Mean:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A measure with what it counts for.
+    """Measure with its weight and limits.
 
     Attributes:
-        name: what messages and reports call it.
-        measure: of a choice.
-        weight: how much a change by ``unit`` is worth; negative where less is better.
-        unit: what the measure is counted in, such as that of views spread evenly.
-        at_most: limit of what no view lessens by much: a ``Mean``, or a time; None: there is none.
-        at_least: what a whole choice must have; None: anything.
+        name: name in messages and reports.
+        measure: measure of a choice.
+        weight: gain for a change by ``unit``; negative if less is better.
+        unit: unit of the measure, such as its value for evenly spread views.
+        at_most: upper limit, for a ``Mean`` or a time, which no view lowers by much; None for none.
+        at_least: lower limit of a whole choice; None for none.
     """
 
     name: str
@@ -86,10 +86,10 @@ class Goal:
     at_least: float | None = None
 
     def __post_init__(self) -> None:
-        """Check.
+        """Check the limit and the unit.
 
         Raises:
-            InputError: a limit that cannot be kept to view by view, or a unit of 0.
+            InputError: an upper limit cannot be kept view by view, or the unit is not positive.
         """
         if self.at_most is not None and not isinstance(self.measure, (Mean, TourTime)):
             raise InputError(f"{self.name}: only a mean over the views or a time can have a limit")
@@ -97,19 +97,19 @@ class Goal:
             raise InputError(f"{self.name}: it is counted in units of {self.unit:g}")
 
     def of(self, views: Sequence[int]) -> float:
-        """The measure of a choice."""
+        """Return the measure of a choice."""
         return float(self.measure.added(list(views)[:-1], list(views)[-1:])[0])
 
     def room(
         self, number: int, chosen: Sequence[int], free: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """What a further view may cost so that the cheapest others still make up the number.
+        """Return flags of the free candidates that keep the upper limit, (candidates,).
 
-        Returns:
-            (candidates,): whether each may be taken.
+        For a mean, the rest of the limit must suffice to complete the choice with the cheapest
+        candidates.
         """
         assert self.at_most is not None
-        if not isinstance(self.measure, Mean):  # it only grows
+        if not isinstance(self.measure, Mean):  # a time only grows
             allowed = free.copy()
             allowed[free] = self.measure.added(chosen, np.flatnonzero(free).tolist()) <= (
                 self.at_most + 1e-9 * abs(self.at_most)
@@ -119,7 +119,7 @@ class Goal:
         budget = self.at_most * number - each[list(chosen)].sum() + 1e-9 * abs(self.at_most)
         cheapest = np.sort(each[free])
         rest = cheapest[:left].sum()
-        # A candidate that is among the cheapest itself makes room for the next of them.
+        # If the candidate is among the cheapest itself, the next cheapest takes its place.
         among = each <= (cheapest[left - 1] if left else -np.inf)
         following = cheapest[left] if left < len(cheapest) else np.inf
         needed = np.where(among, rest + following, rest + each)
@@ -127,7 +127,7 @@ class Goal:
 
 
 def worth_of(goals: Sequence[Goal], views: Sequence[int]) -> float:
-    """What a choice is worth."""
+    """Return the sum of the weighted measures of a choice."""
     return sum(goal.weight * goal.of(views) / goal.unit for goal in goals if goal.weight)
 
 
@@ -138,18 +138,18 @@ def best_added(
     chosen: Sequence[int],
     instead_of: Sequence[int] | None = None,
 ) -> tuple[int | None, float]:
-    """The view that adds most to a choice, and what the choice is worth with it.
+    """Return the best view to add to a choice, and the sum of the goals with it.
 
     Args:
-        goals: what counts.
-        candidates: how many there are.
-        number: of views that the choice will have: the limits are those of all of them.
-        chosen: so far.
-        instead_of: the whole choice that one with the view replaces: it has no less of what there
-            must be enough of, unless it still has enough.
+        goals: goals of the choice.
+        candidates: number of candidates.
+        number: final number of views, to which the limits apply.
+        chosen: views chosen so far.
+        instead_of: choice that the new one replaces. The new choice must reach every lower limit,
+            or else at least the value of the old choice.
 
     Returns:
-        None where no view keeps within the limits.
+        None and -inf if no view keeps the limits.
     """
     free = np.ones(candidates, np.bool_)
     free[list(chosen)] = False

@@ -1,8 +1,8 @@
-"""Metal in the way: how far the rays through a region run in it, and how few photons come through.
+"""Metal in the beam: path lengths in metal, beam hardening and photon starvation in a region.
 
-Rays through metal carry streaks into what they cross: their photons are few, and the spectrum that
-is left is another. Views that see a region past the metal avoid both (P. Wu et al., Phys. Med.
-Biol. 65 (2020) 165012).
+Rays through metal cause streaks along their paths, because few photons remain and their spectrum
+is changed. Views that see a region past the metal avoid both (P. Wu et al., Phys. Med. Biol. 65
+(2020) 165012).
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from twinct.shadow import Body, Rays
 def metal_paths(
     geometry: ScanGeometry, metal: Sequence[tuple[Body, Pose]], points: ArrayLike
 ) -> Floats:
-    """Mean length in metal of each view's rays through a region, mm.
+    """Compute the mean path length in metal of each view's rays through a region, mm.
 
         sum over the points seen of l(ray of the pixel where the point projects) / their number
 
     Args:
-        geometry: the views; pixels as fine as the metal's edges shall count, see ``binned``.
+        geometry: views; their pixels limit the resolution of the metal's edges, see ``binned``.
         metal: closed bodies that do not overlap, and ``world_from_body`` of each.
-        points: of the region, (points, 3), mm.
+        points: points of the region, (points, 3), mm.
 
     Returns:
-        (views,); NaN where a view sees no point.
+        (views,); NaN for a view that sees no point.
 
     Raises:
-        InputError: metal that reaches behind a source.
+        InputError: metal reaches behind a source.
     """
     return mean_of_views([one.sum(axis=0) for one in metal_lengths(geometry, metal, points)])
 
@@ -43,7 +43,9 @@ def metal_paths(
 def metal_lengths(
     geometry: ScanGeometry, metal: Sequence[tuple[Body, Pose]], points: ArrayLike
 ) -> list[Floats]:
-    """Lengths in each body of each view's rays through points, as in ``metal_paths``.
+    """Compute path lengths of each view's rays through points in each body.
+
+    See ``metal_paths`` for the arguments.
 
     Returns:
         (bodies, points seen) of each view, mm.
@@ -60,12 +62,12 @@ def metal_lengths(
 
 
 def seen_lengths(A: Projector, metal: ArrayLike, points: ArrayLike) -> list[Floats]:
-    """The same of metal that a volume shows, such as a reconstruction of scout views.
+    """Compute path lengths in metal from a volume, such as a reconstruction of scout views.
 
     Args:
-        A: of the views, on the volume's grid.
-        metal: 1 where there is metal, (z, y, x).
-        points: of the region, (points, 3), mm.
+        A: projector of the views, on the volume's grid.
+        metal: 1 in metal, 0 elsewhere, (z, y, x).
+        points: points of the region, (points, 3), mm.
 
     Returns:
         (1, points seen) of each view, mm.
@@ -78,18 +80,18 @@ def seen_lengths(A: Projector, metal: ArrayLike, points: ArrayLike) -> list[Floa
 
 
 def spectral_shift(lengths: ArrayLike, attenuation_per_mm: ArrayLike, photons: ArrayLike) -> Floats:
-    """How much metal hardens a beam: what a line integral falls short of that of its thin parts.
+    """Compute the shortfall of line integrals by beam hardening, relative to thin metal.
 
         sum_E w_E d_E + ln(sum_E w_E exp(-d_E)),   d_E = sum over the bodies of mu_E l
 
-    with w_E the shares of the photons, each weighted with its signal. It is 0 of one energy and of
-    thin metal, grows with the square of the length at first, and is what streaks between bodies of
-    metal come from (P. Wu et al., 2020).
+    with the shares w_E of the photons, weighted by their signals. The shortfall is 0 for a single
+    energy and for thin metal, and grows with the square of the path length at first. It causes the
+    streaks between metal bodies (P. Wu et al., 2020).
 
     Args:
-        lengths: in each body, (bodies, rays), mm.
-        attenuation_per_mm: of each body at each energy, (bodies, energies), 1/mm.
-        photons: at each energy, weighted, (energies,).
+        lengths: path lengths in each body, (bodies, rays), mm.
+        attenuation_per_mm: attenuation of each body at each energy, (bodies, energies), 1/mm.
+        photons: photons at each energy, weighted by their signals, (energies,).
 
     Returns:
         (rays,), 0 or more.
@@ -101,23 +103,23 @@ def spectral_shift(lengths: ArrayLike, attenuation_per_mm: ArrayLike, photons: A
 
 
 def mean_of_views(values: Sequence[Floats]) -> Floats:
-    """Mean over the rays of each view, (views,); NaN where there is none."""
+    """Return the mean over the rays of each view, (views,); NaN for a view without rays."""
     return np.array([one.mean() if one.size else np.nan for one in values])
 
 
 def starved_share(
     geometry: ScanGeometry, photons: ArrayLike, points: ArrayLike, least: float
 ) -> Floats:
-    """Share of each view's rays through a region that fewer photons than ``least`` are left of.
+    """Return the share of each view's rays through a region with fewer than ``least`` photons.
 
     Args:
-        geometry: the views.
-        photons: expected in each pixel, (views, rows, columns).
-        points: of the region, (points, 3), mm.
-        least: photons of a ray that still tells something.
+        geometry: views.
+        photons: expected photons in each pixel, (views, rows, columns).
+        points: points of the region, (points, 3), mm.
+        least: least number of photons of a useful ray.
 
     Returns:
-        (views,), 0 to 1; NaN where a view sees no point.
+        (views,), 0 to 1; NaN for a view that sees no point.
     """
     photons = np.asarray(photons)
     return np.array(
@@ -131,7 +133,7 @@ def starved_share(
 def _pixels(
     geometry: ScanGeometry, points: ArrayLike
 ) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Rows and columns that the points project to, in each view those that it sees."""
+    """Return for each view the rows and columns of the pixels of the points that it sees."""
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     seen, places, panel = sees(geometry, points), geometry.project(points), geometry.panel
     found = []

@@ -1,4 +1,4 @@
-"""How long the arms take through a choice of views: a tour, or a path whose order is given."""
+"""Time of the arms' motion through a choice of views: a tour, or a path in a given order."""
 
 from __future__ import annotations
 
@@ -10,28 +10,27 @@ import numpy as np
 from twinct.geometry import Floats, lock
 
 Tour = Callable[[Floats], list[int]]
-"""An order of few views that is short, by the seconds from each to each."""
+"""Function that returns a short order of a few views, from the times between all of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class TourTime:
-    """Seconds of a short tour through the chosen views, whose end is open.
+    """Duration in seconds of a short tour through the chosen views, with an open end.
 
     Attributes:
-        seconds: from candidate to candidate, (candidates, candidates); not a number for one that
-            the arms cannot have.
-        tour: how its order is found.
+        seconds: time between candidates, (candidates, candidates); NaN for an infeasible one.
+        tour: function that orders the views.
     """
 
     seconds: Floats
     tour: Tour
 
     def __post_init__(self) -> None:
-        """Freeze."""
+        """Make the array read-only."""
         lock(self, "seconds")
 
     def added(self, chosen: Sequence[int], candidates: Sequence[int]) -> Floats:
-        """See ``Measure``: each is put in where that costs least (cheapest insertion)."""
+        """Insert each candidate where it adds least time (cheapest insertion); see ``Measure``."""
         views, more = np.array(sorted(chosen), np.intp), np.array(candidates, np.intp)
         among = self.seconds[np.ix_(views, views)]
         if np.isnan(among).any():
@@ -48,7 +47,7 @@ class TourTime:
 
 @dataclass(frozen=True, eq=False)
 class PathTime:
-    """Seconds through views in the order in which they are given.
+    """Duration in seconds of a path through views in their given order.
 
     Attributes:
         seconds: as in ``TourTime``.
@@ -57,11 +56,11 @@ class PathTime:
     seconds: Floats
 
     def __post_init__(self) -> None:
-        """Freeze."""
+        """Make the array read-only."""
         lock(self, "seconds")
 
     def added(self, chosen: Sequence[int], candidates: Sequence[int]) -> Floats:
-        """See ``Measure``: each comes last."""
+        """Append each candidate to the end of the path; see ``Measure``."""
         views, more = np.array(chosen, np.intp), np.array(candidates, np.intp)
         if not len(views):
             return np.diagonal(self.seconds)[more].copy()

@@ -1,7 +1,7 @@
-"""What limits cost: the price at which a choice that is free keeps them by itself.
+"""Prices of limits, at which an unconstrained choice keeps the limits by itself.
 
-A Lagrange multiplier: what a choice without limits, but with the price as a weight, has just so
-little or so much of (H. Everett, Oper. Res. 11 (1963) 399).
+A price is a Lagrange multiplier: with the price as a weight, a choice without limits just meets
+the limit (H. Everett, Oper. Res. 11 (1963) 399).
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 from twinct.planning.goals import Goal, best_added
 
 CHEAP, DEAR = 1e-3, 1e3
-"""Prices that are tried: of as much as the limit, as a share of what all else weighs."""
+"""Range of prices: the weight of an amount equal to the limit, as a share of all weights."""
 
 CLOSE = 1.1
-"""A price is known to this factor."""
+"""Factor within which a price is determined."""
 
 
 def priced(goals: Sequence[Goal], candidates: int, number: int) -> list[Goal]:
-    """The goals, each that has a limit weighed by its price besides, the limits kept.
+    """Add a price to the weight of each goal whose limit needs one; the limits stay.
 
     Args:
-        goals: what counts.
-        candidates: how many there are.
-        number: of views that will be chosen.
+        goals: goals of the choice.
+        candidates: number of candidates.
+        number: number of views to choose.
     """
     limited = [k for k, goal in enumerate(goals) if has_limit(goal)]
     by = list(goals)
@@ -50,12 +50,12 @@ def priced(goals: Sequence[Goal], candidates: int, number: int) -> list[Goal]:
 
 
 def has_limit(goal: Goal) -> bool:
-    """Whether there may be too much or too little of it."""
+    """Return True if a goal has an upper or a lower limit."""
     return goal.at_most is not None or goal.at_least is not None
 
 
 def _kept(by: list[Goal], k: int, candidates: int, number: int) -> bool:
-    """Whether views chosen without limits keep those of a goal."""
+    """Check if views that are chosen without limits keep the limits of a goal."""
     free, chosen = [replace(one, at_most=None, at_least=None) for one in by], list[int]()
     while len(chosen) < number:
         best, _ = best_added(free, candidates, number, chosen)

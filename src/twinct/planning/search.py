@@ -1,9 +1,10 @@
-"""Which of many candidate views to take for several goals: greedy, then by exchange.
+"""Choice of views among many candidates for several goals: greedy, then by exchange.
 
-One view after the other, each the one that adds most; then each is taken out in turn and the best
-of all put in its place, until a round changes nothing. What has a limit has a price as well, or
-cheap views would be left for the end and no exchange of one view could change that. Every step is
-a function of the one before: a search goes on from where it stopped.
+The greedy phase adds one view after the other, each time the view with the largest gain. The
+exchange phase replaces each view in turn by the best of all candidates, until a round changes
+nothing. Goals with limits also get prices; otherwise cheap views would be left for the end, which
+no exchange of a single view could change. Every step depends only on the step before, so that a
+search can be resumed.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from twinct.planning.goals import Goal, Mean, best_added, worth_of
 from twinct.planning.prices import priced
 
 BETTER = 1e-9
-"""A choice is better by at least this, relative: rounding does not go round in circles."""
+"""Least relative gain of a better choice, so that rounding cannot cause cycles."""
 
 
 @dataclass(frozen=True)
 class Searched:
-    """How far a search is.
+    """State of a search.
 
     Attributes:
-        chosen: candidates in the order in which they came.
-        worth: after each step, limits' prices left out.
-        place: of the view that is exchanged next.
-        unchanged: views in a row for which no exchange was better.
+        chosen: candidates in the order of their selection.
+        worth: figure of merit after each step, without the prices of limits.
+        place: position of the view to exchange next.
+        unchanged: number of successive views without a better exchange.
         priced: whether limits still have their prices.
     """
 
@@ -52,18 +53,19 @@ def search_views(
     rounds: int = 3,
     heard: Heard = lambda _: None,
 ) -> Searched:
-    """Choose views.
+    """Choose views by greedy selection and exchange.
 
     Args:
-        goals: what counts; their weighed measures add up.
-        candidates: how many there are, the first of those that the goals know.
-        number: of views to choose.
-        start: where an earlier search stopped.
-        rounds: of exchange, at most; with limits one more at the end, without their prices.
-        heard: told after every step.
+        goals: goals, whose weighted measures add up.
+        candidates: number of candidates, the first ones of the goals' measures.
+        number: number of views to choose.
+        start: state of an earlier search.
+        rounds: largest number of exchange rounds; limits add a last round without prices.
+        heard: callback that receives the state after every step.
 
     Raises:
-        InputError: fewer candidates than views, or limits that no choice keeps; with the nearest.
+        InputError: fewer candidates than views, or no choice within the limits; the message states
+            the closest value.
     """
     if not 1 <= number <= candidates:
         raise InputError(f"{number} views of {candidates} candidates: from 1 to all are possible")
@@ -79,7 +81,7 @@ def search_views(
         heard(state)
     phases: list[tuple[bool, Sequence[Goal], int]] = [(True, by, number * (1 + rounds))]
     if rounds and any(one is not goal for one, goal in zip(by, goals, strict=True)):
-        phases.append((False, goals, number * (2 + rounds)))  # uses what the prices left of limits
+        phases.append((False, goals, number * (2 + rounds)))  # uses the slack that prices left
     for prices, by, most in phases:
         if state.priced and not prices:
             state = replace(state, place=0, unchanged=0, priced=False)
@@ -92,7 +94,7 @@ def search_views(
 
 
 def _lacking(goal: Goal, chosen: Sequence[int]) -> str:
-    """What there is too little of."""
+    """Return a message if a choice misses the lower limit of a goal, else an empty text."""
     if goal.at_least is None or (has := goal.of(chosen)) >= goal.at_least * (1 - BETTER):
         return ""
     return (
@@ -104,7 +106,7 @@ def _lacking(goal: Goal, chosen: Sequence[int]) -> str:
 def _exchanged(
     state: Searched, goals: Sequence[Goal], by: Sequence[Goal], candidates: int, number: int
 ) -> Searched:
-    """The view at the search's place exchanged for a better one, by what counts now."""
+    """Exchange the view at the current position if another candidate improves the goals ``by``."""
     others = state.chosen[: state.place] + state.chosen[state.place + 1 :]
     best, worth = best_added(by, candidates, number, others, state.chosen)
     before, chosen, unchanged = worth_of(by, state.chosen), state.chosen, state.unchanged + 1

@@ -1,8 +1,9 @@
-"""Which views to take of many that could be: greedy with exchange, and exact as its yardstick.
+"""Choice of views for maximum coverage: greedy with exchange, and exact as a reference.
 
-Each candidate covers some elements, such as the planes it crosses; the views of a choice cover what
-any of them does. To cover most with so many views is the maximum coverage problem: greedy selection
-reaches at least 1 - 1/e of the optimum (Nemhauser, Wolsey, Fisher, Math. Program. 14 (1978) 265).
+Each candidate covers some elements, such as the planes that it crosses. A choice covers the union
+of the elements of its views. Maximising it for a given number of views is the maximum coverage
+problem: greedy selection reaches at least 1 - 1/e of the optimum (Nemhauser, Wolsey, Fisher, Math.
+Program. 14 (1978) 265).
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from twinct.errors import InputError
 
 @dataclass(frozen=True)
 class Choice:
-    """Some of the candidates.
+    """Choice of some candidates.
 
     Attributes:
-        views: indices, in rising order.
-        share: of the elements' weight that they cover.
-        bound: no choice of as many covers more than this share; 1 where nothing is known.
+        views: indices, in ascending order.
+        share: share of the elements' weight that the views cover.
+        bound: upper bound of the share for any choice of this size; 1 if unknown.
     """
 
     views: tuple[int, ...]
@@ -35,7 +36,7 @@ class Choice:
 def covered_share(
     covers: NDArray[np.bool_], views: Sequence[int], weights: ArrayLike | None = None
 ) -> float:
-    """Share of the elements' weight that some views cover; of elements alike without weights."""
+    """Return the share of the elements' weight that some views cover; weights are 1 by default."""
     weight = _weights(covers, weights)
     return float(weight[covers[list(views)].any(axis=0)].sum() / weight.sum())
 
@@ -43,12 +44,12 @@ def covered_share(
 def greedy_choice(
     covers: NDArray[np.bool_], number: int, weights: ArrayLike | None = None
 ) -> Choice:
-    """One view after the other, each the one that adds most; of equals the first.
+    """Choose one view after the other, each time the first view with the largest gain.
 
     Args:
         covers: (candidates, elements).
-        number: of views, at most the candidates'.
-        weights: of the elements, 0 or more.
+        number: number of views, at most the number of candidates.
+        weights: weights of the elements, 0 or more.
 
     Raises:
         InputError: fewer candidates than views.
@@ -67,7 +68,7 @@ def greedy_choice(
 
 
 def exchanged(covers: NDArray[np.bool_], start: Choice, weights: ArrayLike | None = None) -> Choice:
-    """A choice after each exchange of one view for another that covers more, best first."""
+    """Exchange single views of a choice, best exchange first, until no exchange covers more."""
     weight = _weights(covers, weights)
     total, chosen = weight.sum(), list(start.views)
     while True:
@@ -93,25 +94,25 @@ def exact_choice(
     *,
     seconds: float | None = None,
 ) -> Choice:
-    """The choice that covers most, by integer programming (HiGHS); for small sets.
+    """Compute the choice with maximum coverage by integer programming (HiGHS), for small sets.
 
-    Elements that the same candidates cover count as one.
+    Elements with equal sets of covering candidates are merged.
 
     Args:
         covers: (candidates, elements).
-        number: of views.
-        weights: of the elements, 0 or more.
-        seconds: after which the best so far counts, with the bound that is known then.
+        number: number of views.
+        weights: weights of the elements, 0 or more.
+        seconds: time limit, after which the best choice and its bound so far are returned.
 
     Raises:
-        InputError: fewer candidates than views, or no choice found in time.
+        InputError: fewer candidates than views, or no choice within the time limit.
     """
     _enough(covers, number)
     weight = _weights(covers, weights)
     kinds, kind = np.unique(covers, axis=1, return_inverse=True)
     worth = np.bincount(kind.ravel(), weight, kinds.shape[1])
     candidates, elements = kinds.shape
-    # Maximise worth . y with y_e <= sum of the x that cover e, sum of x = number, x whole.
+    # Maximise worth . y with y_e <= sum of the x that cover e, sum of x = number, x integer.
     cost = np.concatenate([np.zeros(candidates), -worth])
     covering = scipy.sparse.csr_matrix(kinds.T.astype(float))
     covered = scipy.sparse.hstack([-covering, scipy.sparse.eye(elements)])

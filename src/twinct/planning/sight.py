@@ -1,4 +1,4 @@
-"""Which views see a point, and in which pixels of a coarse panel a region lies."""
+"""Visibility of points in views, and sample points along rays towards the source."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from twinct.geometry import Floats, ScanGeometry
 
 
 def sees(geometry: ScanGeometry, points: ArrayLike) -> NDArray[np.bool_]:
-    """Whether points project into the panel from between it and the source, (views, points).
+    """Check which points lie between panel and source and project into the panel, (views, points).
 
     Args:
-        geometry: the views.
+        geometry: views.
         points: (points, 3), mm.
     """
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
@@ -26,16 +26,16 @@ def sees(geometry: ScanGeometry, points: ArrayLike) -> NDArray[np.bool_]:
 
 
 def samples_towards(points: Floats, source: Floats, reach_mm: float, step_mm: float) -> Floats:
-    """Points on the way from each of some points to a source, a step apart, from half a step on.
+    """Return samples on the rays from some points to a source, beginning at half a step.
 
     Args:
         points: (points, 3), mm.
         source: (3,), mm.
-        reach_mm: how far the way is followed, at most to the source.
-        step_mm: from one to the next.
+        reach_mm: length to sample, at most to the source.
+        step_mm: distance between samples.
 
     Returns:
-        (points, steps, 3), mm; those past the source are the source.
+        (points, steps, 3), mm; samples past the source equal the source.
     """
     way = source - points
     far = np.linalg.norm(way, axis=1)

@@ -1,12 +1,12 @@
-"""What few views leave unknown: the posterior variance of a linear model on a coarse grid.
+"""Posterior variance of a linear model on a coarse grid, after a few views.
 
-Attenuation is taken as x ~ N(mean, S), line integrals as p = A x + noise of variance 1 / w, w being
-the photons that are expected. Whatever the data will be, what is then known of x has covariance
+Attenuation is modelled as x ~ N(mean, S), and line integrals as p = A x + noise of variance 1 / w,
+with the expected photons w. For any data, the posterior covariance of x is
 
     C = (S^-1 + A^T diag(w) A)^-1
 
-(A. Tarantola, Inverse Problem Theory, SIAM 2005, section 3.2), and the mean of its diagonal over a
-region is the mean square error of the best estimate: to make it small is Bayesian A-optimal design
+(A. Tarantola, Inverse Problem Theory, SIAM 2005, section 3.2). The mean of its diagonal over a
+region is the mean square error of the best estimate. Minimising it is Bayesian A-optimal design
 (K. Chaloner, I. Verdinelli, Statist. Sci. 10 (1995) 273).
 """
 
@@ -24,11 +24,11 @@ from twinct.geometry import Floats, VolumeGrid
 from twinct.recon import Projector
 
 MOST_VOXELS = 5000
-"""Of a coarse grid: its covariance takes 200 MB."""
+"""Largest number of voxels of a coarse grid, whose covariance takes 200 MB."""
 
 
 def prior_covariance(grid: VolumeGrid, deviation: float, correlation_mm: float) -> Floats:
-    """S: voxels of one standard deviation, correlated by exp(-distance / length).
+    """Compute S for voxels of equal standard deviation, correlated by exp(-distance / length).
 
     Args:
         grid: n voxels.
@@ -39,7 +39,7 @@ def prior_covariance(grid: VolumeGrid, deviation: float, correlation_mm: float) 
         (n, n), 1/mm^2, voxels in C order of (z, y, x).
 
     Raises:
-        InputError: a deviation or a length that is not positive, or too many voxels.
+        InputError: deviation or length is not positive, or the grid has too many voxels.
     """
     for name, value in (("deviation", deviation), ("correlation_mm", correlation_mm)):
         if not (np.isfinite(value) and value > 0):
@@ -53,12 +53,12 @@ def prior_covariance(grid: VolumeGrid, deviation: float, correlation_mm: float) 
 
 @dataclass(frozen=True, eq=False)
 class KnownShare:
-    """Share of a region's variance that views take away: 0 with none, 1 if they tell everything.
+    """Share of a region's variance that views remove: 0 without views, 1 for full knowledge.
 
     Attributes:
         rays: sqrt(w) A of each candidate view at unit exposure, (views, rays, n), float32.
         root: L of S = L L^T, (n, n), 1/mm.
-        region: the voxels that are asked for, (n,).
+        region: flags of the voxels of the region, (n,).
     """
 
     rays: NDArray[np.float32]
@@ -73,17 +73,17 @@ class KnownShare:
         covariance: ArrayLike,
         region: ArrayLike,
     ) -> KnownShare:
-        """Of all candidate views.
+        """Compute the rays of all candidate views.
 
         Args:
-            A: on the coarse grid, best with a panel that is as coarse.
+            A: projector on the coarse grid, preferably with an equally coarse panel.
             photons: w at unit exposure, (views, rows, columns).
             covariance: S, (n, n), 1/mm^2.
-            region: (z, y, x), True where it counts.
+            region: (z, y, x), True inside the region.
 
         Raises:
-            InputError: too many voxels, shapes that do not fit, an empty region, photons below 0,
-                or no covariance.
+            InputError: too many voxels, shapes that do not match, an empty region, photons below 0,
+                or a covariance that is not positive definite.
         """
         _require_coarse(A.grid)
         n = int(np.prod(A.domain_shape))
@@ -114,13 +114,14 @@ class KnownShare:
         return cls(rays, root, inside.ravel())
 
     def __call__(self, exposures: ArrayLike) -> float:
-        """With an exposure of each view, (views,), 0 where a view is not taken."""
+        """Return the share for exposures of all views, (views,), 0 for a view that is not taken."""
         return 1.0 - float((self._factor(exposures)[:, self.region] ** 2).sum()) / self._before
 
     def added(self, chosen: Sequence[int], candidates: Sequence[int]) -> Floats:
-        """Of a choice of views at unit exposure with one more, for each candidate, (candidates,).
+        """Return the share of a choice with one more view, for each candidate, (candidates,).
 
-        A view with rays a takes C a^T (a C a^T + 1)^-1 a C away from what is left, C.
+        All views have unit exposure. A view with rays a reduces the covariance C by
+        C a^T (a C a^T + 1)^-1 a C.
         """
         exposures = np.bincount(np.asarray(chosen, np.int64), minlength=len(self.rays))
         factor = self._factor(exposures)
@@ -134,7 +135,7 @@ class KnownShare:
         return found
 
     def slopes(self, exposures: ArrayLike) -> Floats:
-        """Derivatives with each view's exposure, (views,): |a C|^2 over the region, of its rays."""
+        """Return derivatives by each view's exposure, (views,): |a C|^2 over the region."""
         factor = self._factor(exposures)
         towards = factor.T @ factor[:, self.region]
         return np.array([((one @ towards) ** 2).sum() for one in self.rays]) / self._before
@@ -145,7 +146,7 @@ class KnownShare:
         return float((self.root[self.region] ** 2).sum())
 
     def _factor(self, exposures: ArrayLike) -> Floats:
-        """F of C = F^T F, (n, n): U^-1 L^T, with U U^T = 1 + L^T A^T diag(w) A L."""
+        """Return F of C = F^T F, (n, n): U^-1 L^T, with U U^T = 1 + L^T A^T diag(w) A L."""
         e = np.asarray(exposures, dtype=np.float64)
         if e.shape != (len(self.rays),) or not (np.isfinite(e).all() and (e >= 0).all()):
             raise InputError(f"exposures: one of 0 or more for each of {len(self.rays)} views")

@@ -1,4 +1,4 @@
-"""Where the arms can go, where they had better stand, and why a view cannot be had."""
+"""Reach of the arms, their best placement, and the diagnosis of infeasible views."""
 
 from twinct.reach.holding import Holder, Poses
 from twinct.reach.place import Bounds, Placement, place

@@ -1,8 +1,8 @@
-"""Which held directions are joined by collision-free ways.
+"""Connection of reachable directions by collision-free paths.
 
-Configurations of neighbouring directions are joined by straight joint paths where those are clear,
-the nearest first, and only between parts that are not joined yet. What is left apart from the
-largest part is tried with detours.
+Clear straight joint paths join configurations of neighbouring directions, the nearest first, and
+only between components that are not joined yet. Directions outside the largest component are then
+tried with detours.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from twinct.progress import Progress
 from twinct.reach.holding import Holder
 
 NEIGHBOURS = 8
-"""Directions about each, itself included, between whose configurations ways are sought."""
+"""Number of nearest directions, the direction itself included, to which paths are tried."""
 
 FARTHEST_RAD = 1.5
 """Largest turn of a joint on a straight path that is tried."""
 
 AT_ONCE = 32
-"""Straight paths judged together."""
+"""Number of straight paths that are checked at once."""
 
 TRIES = 3
-"""Detours tried from a direction to the largest part, from the nearest configurations on."""
+"""Number of detours tried from a direction to the largest component, nearest pairs first."""
 
 EFFORT = 0
-"""Which of the detours' efforts is made."""
+"""Effort of the detours, an index into ``SEARCHES``."""
 
 
 def joined(
     holder: Holder, directions: Floats, nodes: Mapping[int, Floats], progress: Progress
 ) -> list[int]:
-    """The largest set of directions that ways join.
+    """Return the largest set of directions that paths join.
 
     Args:
-        holder: of the cell.
+        holder: feasibility checks of the cell.
         directions: unit vectors, (d, 3).
-        nodes: configurations of the directions that are held, (m, n) each.
-        progress: hears how far it is.
+        nodes: configurations of each reachable direction, (m, n).
+        progress: progress display.
     """
     if not nodes:
         return []
@@ -87,13 +87,13 @@ def joined(
 
 
 def _way(start: Floats, end: Floats, turns: Flags) -> Floats:
-    """What each joint turns, on the shorter side where it can go round."""
+    """Return the motion of each joint, the shorter way round for joints with full turns."""
     way = end - start
     return np.where(turns, (way + np.pi) % (2 * np.pi) - np.pi, way)
 
 
 def _edges(directions: Floats, joints: Floats, whose: Indices, turns: Flags) -> Indices:
-    """Each node with the nearest one of each direction about its own, nearest first, (e, 2)."""
+    """Pair each node with the nearest node of each neighbour, nearest pairs first, (e, 2)."""
     views = np.unique(whose)
     tree = scipy.spatial.KDTree(directions[views])
     _, near = tree.query(directions[views], min(NEIGHBOURS, len(views)))
@@ -113,7 +113,7 @@ def _edges(directions: Floats, joints: Floats, whose: Indices, turns: Flags) -> 
 
 
 def _largest(of_node: Indices, whose: Indices) -> int:
-    """Of the parts the one with configurations of the most directions."""
+    """Return the component with configurations of the most directions."""
     labels, part = np.unique(of_node, return_inverse=True)
     views = np.unique(np.stack([part, whose], axis=1), axis=0)[:, 0]
     return int(labels[np.bincount(views).argmax()])

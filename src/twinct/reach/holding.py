@@ -1,8 +1,8 @@
-"""Which poses the arms can hold, clear of themselves, of the room and of each other.
+"""Poses that the arms can hold, clear of themselves, of the room and of each other.
 
-Each arm alone first, which is independent of the other, then pairs until one is clear. Where the
-last joint turns the tool about the beam, a free roll is that joint's alone: the rest is solved
-once.
+Each arm is solved alone, independently of the other; then pairs are checked until one is clear.
+Where the last joint rolls the tool about the beam, a free roll changes that joint only: the others
+are solved once.
 """
 
 from __future__ import annotations
@@ -23,43 +23,43 @@ from twinct.motion.way import kept_mm
 from twinct.scenario import Motion
 
 ROLLS_DEG = np.array([0.0, 90.0, 45.0, 135.0, 180.0, 270.0, 225.0, 315.0, *range(15, 360, 15)])
-"""Turns about the beam, in the order in which they are tried where they are free."""
+"""Roll angles about the beam, in the order in which they are tried if the roll is free."""
 
 ROLLS_KEPT = 2
-"""Clear turns of a branch that are told; more tell nothing of reach."""
+"""Largest number of clear rolls per branch; more add nothing to the reach."""
 
 PAIRS_AT_ONCE = 8
-"""Pairs of configurations of one view that are judged together."""
+"""Number of pairs of configurations of one view that are checked at once."""
 
 SAME_MM, SAME_RAD = 1e-6, 1e-9
-"""A last joint that moves the tool by less than this, its turn aside, only turns it."""
+"""Motion of the tool, apart from its roll, below which the last joint only rolls the tool."""
 
 Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Where source and panel shall be in each of some views, ``world_from_tool``, (p, 4, 4), mm."""
+    """Target poses of source and panel in some views, ``world_from_tool``, (p, 4, 4), mm."""
 
     source: Floats
     detector: Floats
 
     @classmethod
     def of(cls, sources: Sequence[Pose], detectors: Sequence[Pose]) -> Poses:
-        """From poses."""
+        """Build from the poses of sources and detectors."""
         return cls(matrices(list(sources)), matrices(list(detectors)))
 
     def __len__(self) -> int:
-        """Number of views."""
+        """Return the number of views."""
         return len(self.source)
 
     def __getitem__(self, views: Sequence[int] | NDArray[np.intp]) -> Poses:
-        """Some of them."""
+        """Return the poses of some views."""
         return Poses(self.source[views], self.detector[views])
 
 
 class Holder:
-    """Asks of one cell what its arms can hold; keeps the clearance that a way keeps."""
+    """Feasibility checks of one cell, with the clearance of a motion plan."""
 
     def __init__(
         self,
@@ -71,15 +71,15 @@ class Holder:
         rolls: int = len(ROLLS_DEG),
         seed: int = 0,
     ) -> None:
-        """Prepare.
+        """Set up the checks.
 
         Args:
-            cell: the room.
-            motion: tolerances, and the clearance asked for.
-            roll_free: whether source and panel may be turned about their own axis.
+            cell: robot cell.
+            motion: tolerances, and the required clearance.
+            roll_free: whether source and panel may roll about their own axes.
             starts: random starts for each pose of an arm without closed form.
-            rolls: how many of ROLLS_DEG are tried at most.
-            seed: of that search.
+            rolls: largest number of ROLLS_DEG to try.
+            seed: seed of the random starts.
         """
         self.cell, self.least_mm = cell, kept_mm(motion)
         self.motion, self._starts, self._seed = motion, starts, seed
@@ -87,7 +87,7 @@ class Holder:
         self._cross = Feasible(cell, "cross")
 
     def alone(self, poses: Floats, arm: int) -> Configurations:
-        """What holds poses of one arm, clear of itself and the room.
+        """Return the configurations of one arm that reach poses, clear of itself and the room.
 
         Args:
             poses: ``world_from_tool``, (p, 4, 4), mm.
@@ -104,7 +104,7 @@ class Holder:
             open_ = np.flatnonzero(count < ROLLS_KEPT)
             joints = found.joints[open_].copy()
             joints[:, -1] = (joints[:, -1] + roll + np.pi) % (2 * np.pi) - np.pi
-            if roll == 0:  # as it was found, which is inside its range
+            if roll == 0:  # the original value, which is inside the range
                 joints[:, -1] = found.joints[open_, -1]
             good = (joints[:, -1] >= low) & (joints[:, -1] <= high)
             good[good] = room.clear(self.placed(joints[good], arm), self.least_mm)
@@ -115,11 +115,11 @@ class Holder:
         return Configurations(joints[order], pose[order])
 
     def can(self, poses: Floats, arm: int) -> Flags:
-        """Whether an arm holds poses, clear of itself and the room; less work than ``alone``."""
+        """Check which poses an arm holds, clear of itself and the room; faster than ``alone``."""
         branches = Branches(self.cell, arm, self.motion.ik, self._seed)
         room, held = Feasible(self.cell, SIDES[arm]), np.zeros(len(poses), bool)
         found = branches.of(poses, self._starts)
-        # One configuration after the other of each pose, until one is clear.
+        # Check one configuration of each pose after the other, until one is clear.
         turn = np.arange(len(found.pose)) - np.searchsorted(found.pose, found.pose)
         for k in range(int(turn.max(initial=-1)) + 1):
             mine = np.flatnonzero((turn == k) & ~held[found.pose])
@@ -131,15 +131,15 @@ class Holder:
         return held
 
     def any_clearance(self, poses: Floats, arm: int) -> Configurations:
-        """What holds poses of one arm, whatever it collides with."""
+        """Return the configurations of one arm that reach poses, including those in collision."""
         return Branches(self.cell, arm, self.motion.ik, self._seed).of(poses, self._starts)
 
     def held(self, poses: Poses) -> Flags:
-        """Which views both arms can hold, clear of each other too, (p,)."""
+        """Return flags of the views that both arms can hold, clear of each other, (p,)."""
         return self.held_by(poses)[0]
 
     def held_by(self, poses: Poses) -> tuple[Flags, Flags]:
-        """Which views both arms can hold, (p,), and each alone, (2, p)."""
+        """Return flags of the views that both arms can hold, (p,), and each arm alone, (2, p)."""
         found = self.alone(poses.source, 0), self.alone(poses.detector, 1)
         held, alone = np.zeros(len(poses), bool), np.zeros((2, len(poses)), bool)
         for flags, of in zip(alone, found, strict=True):
@@ -151,7 +151,7 @@ class Holder:
     def _rolled(
         self, branches: Branches, room: Feasible, poses: Floats, arm: int
     ) -> Configurations:
-        """The same for an arm whose last joint does more than turn the tool."""
+        """Compute the result of ``alone`` if the last joint does more than roll the tool."""
         turned = np.zeros((len(self._rolls[arm]), 4, 4))
         turned[:, 3, 3] = 1
         about_z = scipy.spatial.transform.Rotation.from_euler("z", self._rolls[arm][:, None])
@@ -172,7 +172,7 @@ class Holder:
         return bool(here and turned.magnitude() < SAME_RAD)
 
     def placed(self, joints: Floats, arm: int) -> Floats:
-        """Configurations of one arm among those of the cell, (m, n)."""
+        """Extend configurations of one arm to the whole cell by zeros, (m, n)."""
         placed = np.zeros((len(joints), len(self.cell.joint_names)))
         placed[:, self.cell.arm_joints[arm]] = joints
         return placed
@@ -180,18 +180,18 @@ class Holder:
     def pairs(
         self, source: Configurations, detector: Configurations, view: int, enough: int = 1
     ) -> Floats:
-        """Configurations of both arms that hold a view, clear of each other, (m, n).
+        """Return configurations of both arms that hold a view, clear of each other, (m, n).
 
         Args:
-            source: what holds its poses.
-            detector: what holds its.
-            view: index of the pose of both.
-            enough: the search ends with so many, or some more.
+            source: configurations of the source arm.
+            detector: configurations of the detector arm.
+            view: index of the view's pose for both arms.
+            enough: number of results at which the search ends; it may return more.
         """
         a, b = (
             c.joints[slice(*np.searchsorted(c.pose, (view, view + 1)))] for c in (source, detector)
         )
-        # Along the diagonals, so that no configuration has to wait for all of another.
+        # Diagonal order, so that no configuration has to wait for all pairs of another.
         i, j = np.indices((len(a), len(b))).reshape(2, -1)
         order = np.argsort(i + j, kind="stable")
         joints, found = np.hstack([a[i[order]], b[j[order]]]), []

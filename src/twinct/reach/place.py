@@ -1,13 +1,13 @@
-"""Where the arms had better stand: base positions and stand-offs that serve given views best.
+"""Placement of the arms: base positions and stand-offs from which they hold the most given views.
 
-A search in two stages, the same for the same seed. First each arm alone, which does not depend on
-the other: spread over the bounds by a Halton sequence, its own pose among them, it is asked which
-views it can hold, and the best of its places are improved by some of the views. The panel stands
-opposite the source: an arm also tries what the other found, across the middle of the bounds. Then
-the most promising pairs are judged together, and the best of them improved. To improve is to step
-along a coordinate, of a pair both arms' or one's, with steps that are halved when none helps
-(pattern search; Hooke and Jeeves, "Direct search solution of numerical and statistical problems",
-JACM 8, 1961).
+The search has two stages and is deterministic for a given seed. The first stage treats each arm
+alone, independently of the other. It counts the views that the arm can hold from its own place and
+from the places of a Halton sequence over the bounds, and improves the best places on some of the
+views. Because the panel stands opposite the source, each arm also tries the best places of the
+other, mirrored at the middle of the bounds. The second stage evaluates the most promising pairs of
+places, and improves the best pairs. An improvement steps along one coordinate, of one arm or of
+both, and halves the step when no step helps (pattern search; Hooke and Jeeves, "Direct search
+solution of numerical and statistical problems", JACM 8, 1961).
 """
 
 from __future__ import annotations
@@ -26,55 +26,55 @@ from twinct.reach.holding import Flags, Holder, Poses
 from twinct.scenario import Cell, Motion
 
 SAMPLES = 128
-"""Places of each arm alone, its own besides."""
+"""Number of places of each arm alone, in addition to its own."""
 
 PAIRS = 24
-"""Pairs of places that are judged together."""
+"""Number of pairs of places that are evaluated."""
 
 USES = 3
-"""Of these, so many have the same place of an arm."""
+"""Largest number of these pairs that share a place of one arm."""
 
 IMPROVED = 2
-"""Of these, so many are improved."""
+"""Number of pairs that are improved."""
 
 IMPROVED_ALONE = 6
-"""Places of each arm alone that are improved."""
+"""Number of places of each arm alone that are improved."""
 
 OF_VIEWS = 3
-"""They are improved by every third view."""
+"""Places of an arm alone are improved on every third view."""
 
 STEPS = (80.0, 40.0, 20.0)
-"""Steps of the improvement, mm, and deg of the tool's rotation; half of it for the stand-off."""
+"""Steps of the improvement, in mm, and in deg for the tool rotation; the stand-off takes half."""
 
 WAYS = ((1, 1), (1, -1), (1, 0), (0, 1))
-"""How a step moves the arms: both alike, both across, one."""
+"""Factors of a step for both arms: both alike, in opposite directions, or one arm only."""
 
 UNITS = np.diag([1.0, 1.0, 1.0, 0.5, 1.0])
-"""A step of each coordinate: base x, y, z, stand-off, tool rotation."""
+"""Unit steps of all coordinates: base x, y, z, stand-off, tool rotation."""
 
 ALONE_COUNTS = 0.05
-"""What views that an arm holds alone count beside those of both: plateaus have a slope."""
+"""Weight of views that an arm holds alone, which gives a slope to plateaus of the score."""
 
 BASES_APART_MM = 450.0
-"""Two bases are at least so far from each other."""
+"""Least distance between the two bases."""
 
 STARTS = 8
 """Random starts of the search for a pose, for arms without closed form."""
 
 ROLLS = 2
-"""Turns about the beam that are tried while searching: upright and across."""
+"""Number of roll angles that are tried during the search: upright and across."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Where the arms may stand, each a range (lowest, highest).
+    """Bounds of the placement, each a range (lowest, highest).
 
     Attributes:
-        x_mm: of each base.
-        y_mm: likewise.
-        z_mm: likewise.
-        standoff_mm: of source and panel.
-        tool_rotation_deg: of source and panel, where they may not be turned about the beam.
+        x_mm: x of each base.
+        y_mm: y of each base.
+        z_mm: z of each base.
+        standoff_mm: stand-off of source and panel.
+        tool_rotation_deg: tool rotation of source and panel, unless they may roll freely.
     """
 
     x_mm: tuple[float, float] = (-1000.0, 1000.0)
@@ -84,26 +84,26 @@ class Bounds:
     tool_rotation_deg: tuple[float, float] = (-180.0, 180.0)
 
     def __post_init__(self) -> None:
-        """Refuse what is no range."""
+        """Raise ``InputError`` unless all bounds are ranges."""
         for name, (low, high) in vars(self).items():
             if not (np.isfinite([low, high]).all() and low <= high):
                 raise InputError(f"bounds of {name}: {low:g} to {high:g} is no range")
 
     @property
     def ranges(self) -> Floats:
-        """As an array, (5, 2)."""
+        """Bounds as an array, (5, 2)."""
         return np.array(list(vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """What a search found.
+    """Result of a search for a placement.
 
     Attributes:
-        cell: the section with the base poses, stand-offs and tool rotations that were found.
-        before: which of the views both arms held before, (p,).
-        after: which they hold now, (p,).
-        judged: how many cells were judged.
+        cell: the section with the new base poses, stand-offs and tool rotations.
+        before: flags of the views that both arms held before, (p,).
+        after: flags of the views that both arms hold now, (p,).
+        judged: number of cells that were evaluated.
     """
 
     cell: Cell
@@ -113,7 +113,7 @@ class Placement:
 
     @property
     def overrides(self) -> list[str]:
-        """The keys that were sought, each as ``--set`` takes it."""
+        """Settings of the placement, each as an argument of ``--set``."""
         return [
             f"cell.{side}_arm.{key}={list(value) if isinstance(value, tuple) else value}"
             for side in SIDES
@@ -134,21 +134,20 @@ def place(
     seed: int = 0,
     progress: Progress = SILENT,
 ) -> Placement:
-    """Find where the arms serve most of some views.
+    """Find the placement of the arms from which they hold the most given views.
 
-    Base rotations stay but for the turn about the vertical, with which a base faces the middle of
-    the views.
+    Base rotations change only about the vertical, so that each base faces the middle of the views.
 
     Args:
-        cell: the room, with the arms as they stand.
-        build: composes a room.
-        motion: tolerances, and the clearance asked for.
-        poses: the views; a few hundred tell enough.
-        roll_free: whether source and panel may be turned about the beam.
-        bounds: where the arms may stand.
-        samples: places of each arm that are looked at first.
-        seed: of the search.
-        progress: hears how far it is.
+        cell: section of the cell, with the arms in their present places.
+        build: builds the model of a cell section.
+        motion: tolerances, and the required clearance.
+        poses: poses of the views; a few hundred are enough.
+        roll_free: whether source and panel may roll about the beam.
+        bounds: bounds of the placement.
+        samples: initial number of places for each arm.
+        seed: seed of the search.
+        progress: progress display.
 
     Raises:
         MissingExtraError: mink is not installed.
@@ -172,7 +171,7 @@ class _Search:
         self._roll_free, self._ranges, self._seed = roll_free, bounds.ranges, seed
         self._middle = (poses.source[:, :3, 3] + poses.detector[:, :3, 3]).mean(axis=0) / 2
         self._known: dict[bytes, tuple[float, Flags]] = {}
-        # A turn about the beam makes the tool's rotation one with it.
+        # With a free roll about the beam, the tool rotation is redundant.
         self._open = [slice(0, 4 if free else 5) for free in roll_free]
 
     def run(self, samples: int, progress: Progress) -> Placement:
@@ -200,8 +199,8 @@ class _Search:
         return Placement(self._as_cell(best), before[1], self._judged(best)[1], len(self._known))
 
     def _spread(self, own: Floats, arm: int, samples: int) -> list[Floats]:
-        """An arm's own place, and others all over the bounds."""
-        # Half a second to import: no other work waits for it.
+        """Return an arm's own place, and places spread over the bounds."""
+        # Imported here because the import takes half a second.
         from scipy.stats import qmc
 
         points = qmc.Halton(5, rng=self._seed).random(samples)
@@ -212,7 +211,7 @@ class _Search:
         return [own, *points]
 
     def _across(self, own: Floats, points: Sequence[Floats], arm: int) -> list[Floats]:
-        """An arm's places opposite those of the other."""
+        """Return places of an arm opposite some places of the other arm."""
         mirrored = np.array(points)
         mirrored[:, :2] = self._ranges[:2].sum(axis=1) - mirrored[:, :2]
         mirrored[:, self._open[arm].stop :] = own[self._open[arm].stop :]
@@ -239,7 +238,7 @@ class _Search:
         return [_climbed(point, steps, self._ranges, held, step) for point, _ in best]
 
     def _told(self, arm: int) -> Floats:
-        """Where an arm is: base x, y, z, stand-off, tool rotation."""
+        """Return an arm's present coordinates: base x, y, z, stand-off, tool rotation."""
         section = (self._cell.source_arm, self._cell.detector_arm)[arm]
         return np.array([*section.base_position_mm, section.standoff_mm, section.tool_rotation_deg])
 
@@ -265,7 +264,7 @@ class _Search:
     def _holder(self, cell: Cell) -> Holder | None:
         try:
             model = self._build(cell)
-        except ScenarioError:  # such as a stand-off that leaves no room for the panel's housing
+        except ScenarioError:  # for example, the stand-off leaves no room for the housing
             return None
         return Holder(
             model,
@@ -277,7 +276,7 @@ class _Search:
         )
 
     def _alone(self, point: Floats, arm: int, poses: Poses) -> Flags:
-        """Which views an arm holds with the other far away."""
+        """Return flags of the views that an arm holds, ignoring the other arm's moving links."""
         pair = np.array([self._told(0), self._told(1)])
         pair[arm] = point
         holder = self._holder(self._as_cell(pair))
@@ -286,7 +285,7 @@ class _Search:
         return holder.can((poses.source, poses.detector)[arm], arm)
 
     def _promising(self, alone: list[list[tuple[Floats, Flags]]]) -> list[Floats]:
-        """Pairs of places whose arms alone hold the most views in common."""
+        """Return the pairs of places whose arms, each alone, hold the most views in common."""
         masks = [np.array([flags for _, flags in of]).astype(int) for of in alone]
         count, pairs = masks[0] @ masks[1].T, []
         uses = [np.zeros(len(of), int) for of in alone]
@@ -305,7 +304,7 @@ class _Search:
         return bool(np.linalg.norm(pair[0, :2] - pair[1, :2]) >= BASES_APART_MM)
 
     def _judged(self, pair: Floats) -> tuple[float, Flags]:
-        """How good a pair of places is, and which views both arms hold there."""
+        """Return the score of a pair of places, and flags of the views that both arms hold."""
         key = pair.tobytes()
         if key not in self._known:
             self._known[key] = self._judge(pair)
@@ -339,7 +338,7 @@ def _climbed(
     score: Callable[[Floats], float],
     step: Callable[[], None],
 ) -> Floats:
-    """Where steps of all sizes lead that help, from a start on, inside of ranges."""
+    """Return the best point of a pattern search with all step sizes from a start within ranges."""
     best, (low, high) = start, ranges.T
     for size in STEPS:
         moved = True

@@ -1,4 +1,4 @@
-"""A reach as a table, and as pictures on the sphere and in the room."""
+"""Output of a reach as tables, and as pictures on the sphere and in the cell."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from twinct.reach.sphere import Reach
 MAP = "viridis"
 
 NOBODY_RGBA = (0.45, 0.45, 0.45, 0.35)
-"""Directions in the room that are not held."""
+"""Colour of unreachable directions in the cell."""
 
 CAN, CANNOT = "tab:blue", "0.82"
-"""Directions on the sphere that an arm alone holds, and that are not held."""
+"""Colours of directions on the sphere that an arm alone can hold and cannot hold."""
 
 
 def shares(reach: Reach) -> list[dict[str, float]]:
-    """For each radius: shares of the directions, and the middle of clearances and margins."""
+    """Return for each radius the shares of directions and the median clearance and margin."""
     rows: list[dict[str, float]] = []
     for k, sod in enumerate(reach.sod_mm.tolist()):
         row = {"sod_mm": sod, "odd_mm": reach.odd_mm, "directions": len(reach.directions)}
@@ -40,13 +40,13 @@ def shares(reach: Reach) -> list[dict[str, float]]:
 
 
 def longitude_latitude_deg(directions: Floats) -> tuple[Floats, Floats]:
-    """Longitude in (-180, 180], 0 is +x, and latitude, of unit vectors (d, 3)."""
+    """Return longitude in (-180, 180], 0 at +x, and latitude of unit vectors, (d, 3)."""
     x, y, z = directions.T
     return np.degrees(np.arctan2(y, x)), np.degrees(np.arcsin(z))
 
 
 def write_tables(reach: Reach, folder: Path) -> None:
-    """Write ``reach.json``, the shares, and ``reach.csv``, a row for each direction."""
+    """Write the shares to ``reach.json``, and one row per direction to ``reach.csv``."""
     write_json(
         folder / "reach.json", {"isocentre_mm": list(reach.isocentre_mm), "radii": shares(reach)}
     )
@@ -72,7 +72,7 @@ def write_tables(reach: Reach, folder: Path) -> None:
 def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> None:
     """Write a picture (PNG) of one radius: each arm alone, both by clearance, and by margin.
 
-    Directions to the source in Mollweide's equal-area projection.
+    The directions to the source are drawn in Mollweide's equal-area projection.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -131,16 +131,17 @@ def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> N
         axes.set_ylabel("latitude, deg", fontsize=8)
         axes.tick_params(labelsize=7)
         axes.set_axisbelow(False)
-        for label in axes.get_xticklabels():  # they stand on the equator, over the directions
+        for label in axes.get_xticklabels():  # labels on the equator cover directions
             label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8})
     figure.suptitle(f"{title}: SOD {reach.sod_mm[radius]:g} mm, ODD {reach.odd_mm:g} mm")
     figure.savefig(path, dpi=110)
 
 
 def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0, title: str = "") -> None:
-    """Write a picture (PNG) of the room with a ball where the source is of each direction.
+    """Write a picture (PNG) of the cell with a ball at the source position of each direction.
 
-    Coloured by clearance where both arms hold it; the arms stand in the pair with the largest.
+    Balls of directions that both arms hold are coloured by clearance. The arms are drawn in the
+    pair of configurations with the largest clearance.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -171,5 +172,5 @@ def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0, title:
 
 
 def _most(clearance_mm: Floats) -> float:
-    """The end of the colours: the largest clearance, in tens of mm."""
+    """Return the upper end of the colour scale: the largest clearance, rounded up to 10 mm."""
     return 10 * float(np.ceil(np.nanmax(clearance_mm, initial=1.0) / 10))

@@ -1,4 +1,4 @@
-"""Where on the sphere source and panel can go: alone, together, and from one place to the next."""
+"""Reach of source and panel over a sphere of directions: alone, together, and joined by paths."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from twinct.scenario import Motion
 from twinct.trajectory import panel_axes
 
 PAIRS_LOOKED_AT = 16
-"""Clear pairs of a direction of which the one with the largest clearance is told."""
+"""Number of clear pairs per direction from which the pair with the largest clearance is chosen."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """What the arms of a cell can hold, for d directions at r radii.
+    """Reach of the arms of a cell, for d directions at r radii.
 
     Attributes:
-        isocentre_mm: what all beams go through, (3,).
+        isocentre_mm: common point of all beams, (3,).
         directions: unit vectors from the isocentre to the source, (d, 3).
         sod_mm: radii of the source, (r,).
-        odd_mm: from the isocentre to the panel.
-        source: whether the source arm alone can hold its pose, (r, d).
-        detector: the same of the panel's arm, (r, d).
-        both: whether both can at a time, (r, d).
-        clearance_mm: the largest that was found of both; NaN where there is none, (r, d).
-        margin_deg: of that pair, from the nearest end of a joint's range; NaN likewise, (r, d).
-        joints: that pair, rad, NaN likewise, (r, d, n).
-        connected: whether collision-free ways join it with most of the others, (r, d); None where
-            nobody asked.
+        odd_mm: distance from the isocentre to the panel.
+        source: flags of the poses that the source arm alone can hold, (r, d).
+        detector: flags of the poses that the detector arm alone can hold, (r, d).
+        both: flags of the views that both arms can hold at once, (r, d).
+        clearance_mm: largest clearance among the pairs of configurations, NaN without any, (r, d).
+        margin_deg: distance of that pair from the nearest end of a joint range, or NaN, (r, d).
+        joints: joint configuration of that pair, rad, or NaN, (r, d, n).
+        connected: flags of the largest set of directions that collision-free paths join, (r, d);
+            None if not requested.
     """
 
     isocentre_mm: Floats
@@ -62,14 +62,14 @@ class Reach:
 def poses_of(
     directions: Floats, sod_mm: float, odd_mm: float, isocentre_mm: Floats, panel: Panel
 ) -> Poses:
-    """Source and upright panel on both sides of the isocentre.
+    """Return the poses of source and upright panel on opposite sides of the isocentre.
 
     Args:
         directions: unit vectors to the source, (d, 3), none vertical.
-        sod_mm: from the isocentre to the source.
-        odd_mm: from the isocentre to the panel.
-        isocentre_mm: what the beams go through, (3,).
-        panel: the pixel lattice.
+        sod_mm: distance from the isocentre to the source.
+        odd_mm: distance from the isocentre to the panel.
+        isocentre_mm: common point of all beams, (3,).
+        panel: pixel lattice.
     """
     u, v = panel_axes(directions)
     sources, panels = isocentre_mm + sod_mm * directions, isocentre_mm - odd_mm * directions
@@ -78,10 +78,10 @@ def poses_of(
 
 
 def check_asked(directions: int, sod_mm: Sequence[float], odd_mm: float) -> None:
-    """Look at what is asked for before any work.
+    """Check the parameters of ``reach`` before any work.
 
     Raises:
-        InputError: no direction, no radius, or one that is none.
+        InputError: no direction, no radius, or a distance that is not positive.
     """
     problems = [] if directions >= 1 else [f"directions: {directions}: at least 1 is needed"]
     problems += [] if len(sod_mm) else ["radii: at least one is needed"]
@@ -104,24 +104,24 @@ def reach(
     seed: int = 0,
     progress: Progress = SILENT,
 ) -> Reach:
-    """Ask for directions all over the sphere whether the arms can hold them.
+    """Compute the directions over the whole sphere that the arms can hold.
 
-    Source and panel may be turned about the beam. Both arms keep the clearance of a plan.
+    Source and panel may roll about the beam. Both arms keep the clearance of a plan.
 
     Args:
-        cell: the room.
-        motion: tolerances, and the clearance asked for.
-        directions: how many.
+        cell: robot cell.
+        motion: tolerances, and the required clearance.
+        directions: number of directions.
         sod_mm: radii of the source.
-        odd_mm: from the isocentre to the panel.
-        isocentre_mm: what the beams go through, (3,); the origin unless given.
-        connected: also seek ways between them.
-        seed: of searches.
-        progress: hears how far it is.
+        odd_mm: distance from the isocentre to the panel.
+        isocentre_mm: common point of all beams, (3,); the origin by default.
+        connected: whether to search for paths between the directions, too.
+        seed: seed of the searches.
+        progress: progress display.
 
     Raises:
-        InputError: no direction, or a radius that is none.
-        MissingExtraError: mink, or OMPL where ways are sought, is not installed.
+        InputError: no direction, no radius, or a distance that is not positive.
+        MissingExtraError: mink, or OMPL for the search for paths, is not installed.
     """
     radii = np.array(sod_mm, dtype=np.float64)
     check_asked(directions, radii.tolist(), odd_mm)
@@ -143,7 +143,7 @@ def reach(
 def _at(
     holder: Holder, towards: Floats, poses: Poses, connected: bool, progress: Progress
 ) -> dict[str, Any]:
-    """The rows of one radius, by the attributes of ``Reach``."""
+    """Return the results for one radius, by the attributes of ``Reach``."""
     count, cell = len(poses), holder.cell
     alone = np.zeros((2, count), bool)
     of_arms = [

@@ -1,4 +1,4 @@
-"""Why a view cannot be had, what would cure it, and what it looks like all the same."""
+"""Diagnosis of infeasible views: the reason, a change that cures it, and the closest attempt."""
 
 from __future__ import annotations
 
@@ -19,31 +19,32 @@ from twinct.scenario import Cell, Motion
 from twinct.views import Target
 
 FAILING = 8
-"""Views that cannot be held, evenly among all of them, for which a cure is sought."""
+"""Number of infeasible views, evenly spaced, for which a cure is sought."""
 
 OTHERS = 24
-"""Views that can be held, evenly among them, which a cure must not lose."""
+"""Number of feasible views, evenly spaced, that a cure must keep feasible."""
 
 STARTS = 8
-"""Random starts of the search for an arm's nearest configuration, or for all of a pose."""
+"""Random starts of the search for an arm's configuration nearest to a pose."""
 
 WIDEST_OF = 64
-"""Configurations of both arms of which the largest clearance is told, at most."""
+"""Largest number of pairs of configurations among which the largest clearance is sought."""
 
 SHIFTS_MM = (50.0, 100.0, 200.0)
 STANDOFFS_MM = (-25.0, 25.0, -50.0, 50.0, -100.0, 100.0)
 RADII = (0.95, 1.05, 0.9, 1.1, 0.8, 1.2)
-"""Changes that are tried, the smallest first."""
+"""Changes that are tried as a cure, the smallest first."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One view as well as the arms can have it.
+    """One view, held as well as the arms can.
 
     Attributes:
-        joints: the configuration with which they hold it, or come nearest to it, rad, (n,).
-        marks: what is wrong there: bodies in red, tools that are not where they shall be as ghosts.
-        words: what is wrong, one sentence each; none where both arms hold it.
+        joints: joint configuration that holds the view or comes nearest to it, rad, (n,).
+        marks: marks of the problems: red bodies that are too close, and ghosts of tools at target
+            poses out of reach.
+        words: the problems, one sentence each; empty if both arms hold the view.
     """
 
     joints: Floats
@@ -52,12 +53,12 @@ class View:
 
 
 def shown(holder: Holder, poses: Poses, view: int) -> View:
-    """The best that both arms can do for a view.
+    """Return the configuration of both arms closest to a view, and its problems.
 
     Args:
-        holder: of the cell; what it says of the roll counts.
-        poses: of all views.
-        view: which one.
+        holder: feasibility checks of the cell, with their setting of the roll.
+        poses: poses of all views.
+        view: index of the view.
     """
     one, both = poses[[view]], (poses.source[view], poses.detector[view])
     alone = holder.alone(one.source, 0), holder.alone(one.detector, 1)
@@ -88,7 +89,7 @@ def shown(holder: Holder, poses: Poses, view: int) -> View:
 def _nearest(
     holder: Holder, both: tuple[Floats, Floats], arm: int
 ) -> tuple[Floats, tuple[float, float]]:
-    """An arm's configuration nearest to its pose, (1, k), and how far off it is, mm and deg."""
+    """Return an arm's configuration nearest to its pose, (1, k), and its error, mm and deg."""
     kinematics, cell = Kinematics(holder.cell, holder.motion.ik), holder.cell
     target = Target.from_poses(*(Pose.from_matrix(m[:3, 3], m[:3, :3]) for m in both))
     low, high = (
@@ -105,7 +106,7 @@ def _nearest(
 
 
 def _widest(cell: CellModel, options: list[Floats]) -> tuple[Floats, Gap]:
-    """Of pairs of configurations that with the largest clearance."""
+    """Return the pair of configurations with the largest clearance, and its gap."""
     i, j = np.indices([len(of) for of in options]).reshape(2, -1)
     order = np.argsort(i + j, kind="stable")[:WIDEST_OF]
     pairs = np.hstack([options[0][i[order]], options[1][j[order]]])
@@ -122,20 +123,20 @@ def reasons(
     poses: Poses,
     roll_free: tuple[bool, bool],
 ) -> tuple[list[int], list[str]]:
-    """Which views cannot be held, and the smallest change that was found to cure that.
+    """Find the views that cannot be held, and the smallest tested change that cures them.
 
-    A cure is sought for some of them, so many by FAILING, and must not lose some others, so many by
-    OTHERS; whether the ways between views are clear is not looked at.
+    A cure is tested on at most FAILING infeasible views, and must keep at most OTHERS feasible
+    views. Paths between views are not checked.
 
     Args:
-        cell: the room, as its section.
-        build: composes a room.
-        motion: tolerances, and the clearance asked for.
-        poses: all views.
-        roll_free: whether source and panel may be turned about the beam.
+        cell: section of the cell.
+        build: builds the model of a cell section.
+        motion: tolerances, and the required clearance.
+        poses: poses of all views.
+        roll_free: whether source and panel may roll about the beam.
 
     Returns:
-        indices of the views that cannot be held, and sentences.
+        indices of the views that cannot be held, and messages.
     """
     held = Holder(build(cell), motion, roll_free=roll_free).held(poses)
     failing, fine = np.flatnonzero(~held), np.flatnonzero(held)
@@ -152,7 +153,7 @@ def reasons(
         some = _scaled(poses[looked_at], scale)
         try:
             now = Holder(build(changed), motion, roll_free=turned).held(some)
-        except ScenarioError:  # such as a stand-off without room for the panel
+        except ScenarioError:  # for example, a stand-off without room for the panel
             continue
         if now.all():
             return failing.tolist(), [f"cure: {words}; then {scope}, can be held"]
@@ -172,7 +173,7 @@ def _some(views: Indices, count: int) -> Indices:
 
 
 def _scaled(poses: Poses, scale: float) -> Poses:
-    """Source and panel moved along the beam, about its middle."""
+    """Scale the distances of source and panel from the middle of the beam."""
     middle = (poses.source[:, :3, 3] + poses.detector[:, :3, 3]) / 2
     moved = Poses(poses.source.copy(), poses.detector.copy())
     for matrices in (moved.source, moved.detector):
@@ -183,7 +184,7 @@ def _scaled(poses: Poses, scale: float) -> Poses:
 def _changes(
     cell: Cell, roll_free: tuple[bool, bool]
 ) -> Iterator[tuple[str, Cell, tuple[bool, bool], float]]:
-    """What is tried: in words, the cell, which rolls are free, and the scale of the radius."""
+    """Yield the changes to try: in words, the cell, the free rolls, and the scale of the radius."""
     for free in ((roll_free[0], True), (True, True)):
         if free != roll_free:
             opened = zip(SIDES, free, roll_free, strict=True)

@@ -1,4 +1,4 @@
-"""What separates executed from commanded poses, and believed ones from both."""
+"""Errors that separate executed from commanded poses, and believed poses from both."""
 
 from twinct.uncertainty.evidence import Evidence
 from twinct.uncertainty.executed import TrueCell

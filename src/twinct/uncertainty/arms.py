@@ -1,8 +1,8 @@
-"""What is wrong with an arm as its controller knows it: drawn, and put on its kinematics.
+"""Deviations of an arm from its controller's model: random draws, and the resulting kinematics.
 
-Each joint behind its encoder is off by its offset, by the wind-up of its gear under gravity and by
-the gear's eccentricity; each frame of base, links and tool is displaced. What is drawn here for a
-scan is what a kinematic calibration seeks.
+Behind its encoder, each joint deviates by its offset, by the wind-up of its gear under gravity and
+by the gear's eccentricity. Each frame of base, links and tool is displaced. A kinematic
+calibration estimates the deviations that are drawn here for a scan.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ S_PER_MS = 1e-3
 
 
 class Spread(NamedTuple):
-    """How far frames of a kind are off: independent along and about each of their own axes.
+    """Spread of frame displacements, independent along and about each of the frame's axes.
 
     Attributes:
-        term: what it is called.
-        frame: which frames.
+        term: name of the cause.
+        frame: kind of the displaced frames.
         sigma: standard deviations of the twist (v, w), (6,), mm and rad.
     """
 
@@ -38,12 +38,12 @@ class Spread(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What arms do at some instants.
+    """Motion of an arm at some instants.
 
     Attributes:
-        joints: what the encoders stand for, (views, joints), rad.
-        speeds: (views, joints), rad/s.
-        time_s: since the scan began, (views,).
+        joints: joint positions by the encoders, (views, joints), rad.
+        speeds: joint speeds, (views, joints), rad/s.
+        time_s: time since the scan began, (views,).
     """
 
     joints: Floats
@@ -53,14 +53,14 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ArmDeviation:
-    """How arms differ from their nominal model; the first axis is that of the draws.
+    """Deviations of arms from their nominal model; draws are the first axis.
 
     Attributes:
-        misfit: of the frames, (draws, ...).
-        growth: of each link from cold to warm, along its axes, (draws, joints, 3), mm.
-        compliance: of each joint behind its encoder, (draws, joints), rad/(N m).
-        gear: gear error of each joint, of the cosine and the sine of the periods of its angle,
-            (draws, joints, 2), rad.
+        misfit: displacements of the frames, (draws, ...).
+        growth: growth of each link from cold to warm, along its axes, (draws, joints, 3), mm.
+        compliance: compliance of each joint behind its encoder, (draws, joints), rad/(N m).
+        gear: gear error of each joint: amplitudes of cosine and sine of the joint angle times
+            ``gear_periods``, (draws, joints, 2), rad.
     """
 
     misfit: Misfit
@@ -70,7 +70,7 @@ class ArmDeviation:
 
 
 def spreads(section: ArmErrors) -> Iterator[Spread]:
-    """All that displaces frames for a whole scan."""
+    """Yield the spread of each cause that displaces frames for a whole scan."""
 
     def both(mm: float, deg: float) -> Floats:
         return np.array([mm] * 3 + [np.radians(deg)] * 3)
@@ -85,25 +85,25 @@ def spreads(section: ArmErrors) -> Iterator[Spread]:
 
 
 def coldness(section: ArmErrors, time_s: Floats) -> Floats:
-    """Share of the way from cold to warm that is still to go at each time."""
+    """Return the remaining share of the warm-up at each time."""
     minutes = section.running_min + time_s / S_PER_MIN
     return np.exp(-minutes / section.warm_up_min)
 
 
 def mean_compliance(section: ArmErrors, chain: Chain) -> Floats:
-    """Of each joint behind its encoder, (joints,), rad/(N m)."""
+    """Return the mean compliance of each joint behind its encoder, (joints,), rad/(N m)."""
     return np.radians(section.windup_deg) / chain.torque_limits
 
 
 def drawn(section: ArmErrors, chain: Chain, seed: int, side: str, draws: int = 1) -> ArmDeviation:
-    """Arms of a scenario; the first of many draws is the one of a scan with this seed.
+    """Draw the deviations of arms; the first draw equals the arms of a scan with this seed.
 
     Args:
-        section: how large their errors are.
-        chain: the nominal arm.
-        seed: of all draws.
+        section: sizes of the errors.
+        chain: nominal arm.
+        seed: seed of all draws.
         side: ``source`` or ``detector``.
-        draws: how many arms.
+        draws: number of arms.
     """
     joints = len(chain)
 
@@ -127,14 +127,14 @@ def drawn(section: ArmErrors, chain: Chain, seed: int, side: str, draws: int = 1
 def true_tools(
     section: ArmErrors, chain: Chain, deviation: ArmDeviation, moment: Moment, late_s: Floats
 ) -> Floats:
-    """Where tools really are while the encoders stand as they do, ``world_from_tool``.
+    """Compute the executed poses of tools from encoder readings, ``world_from_tool``.
 
     Args:
-        section: periods of the gear and how the arms warm up.
-        chain: the nominal arm.
-        deviation: the arms that are meant.
-        moment: at which instants.
-        late_s: from the encoders' reading to the image, (draws, views).
+        section: gear periods and warm-up of the arms.
+        chain: nominal arm.
+        deviation: deviations of the arms.
+        moment: motion at some instants.
+        late_s: delay from the encoder reading to the image, (draws, views).
 
     Returns:
         (draws, views, 4, 4), mm.

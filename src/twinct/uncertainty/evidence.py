@@ -1,4 +1,4 @@
-"""What a scan leaves of the arms: all that a model of the believed poses may look at."""
+"""Records of the arms in a scan: the only input of a model of the believed poses."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from twinct.views import PosePairs
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The arms at each exposure.
+    """Records of the arms at each exposure.
 
     Attributes:
-        cell: the room, as the controllers know it.
+        cell: section of the cell, as the controllers know it.
         joint_names: source arm first; none with a gantry.
-        encoders: what the encoders read, (views, joints), rad.
-        told: what the controllers make of that by their nominal model.
+        encoders: encoder readings, (views, joints), rad.
+        told: poses that the controllers compute from them with their nominal model.
     """
 
     cell: AnyCell

@@ -1,4 +1,4 @@
-"""Where source, specimen and panel really are, by what the controllers take them to be."""
+"""Executed poses of source, specimen and panel, computed from the poses the controllers believe."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SIDES = ("source", "detector")
 
 
 def view_sigmas(section: ViewErrors) -> tuple[Floats, Floats]:
-    """Standard deviations of the twists (v, w) of source and panel in their own axes, (6,) each."""
+    """Return standard deviations of the twists (v, w) of source and panel in their axes, (6,)."""
     tilt, turn = np.radians([section.detector_tilt_deg, section.detector_turn_deg])
     plane, normal = section.detector_in_plane_mm, section.detector_normal_mm
     source = np.array([section.source_mm] * 3 + [0.0] * 3)
@@ -24,10 +24,10 @@ def view_sigmas(section: ViewErrors) -> tuple[Floats, Floats]:
 
 
 class TrueCell:
-    """What is real in a scan whose controllers know only the nominal.
+    """True geometry of a scan whose controllers know only the nominal geometry.
 
-    A function of the scenario, the view, and what the controllers have at an instant: it keeps
-    nothing, so that a resumed scan finds the same.
+    The executed poses are a function of the scenario, the view, and the controllers' values at an
+    instant. No state is stored, so that a resumed scan gets equal poses.
     """
 
     def __init__(
@@ -37,13 +37,13 @@ class TrueCell:
         arms_seed: int,
         chains: tuple[Chain, Chain] | None = None,
     ) -> None:
-        """Draw what stays the same for a whole scan.
+        """Draw the errors that are constant over a scan.
 
         Args:
-            uncertainty: the scenario's.
-            seed: of what changes from view to view.
-            arms_seed: of what does not.
-            chains: the nominal arms; None with a gantry.
+            uncertainty: section of the scenario.
+            seed: seed of errors that change from view to view.
+            arms_seed: seed of errors that are constant over a scan.
+            chains: nominal arms; None with a gantry.
         """
         self._section, self._seed, self._arms_seed = uncertainty, seed, arms_seed
         self._arms = None
@@ -61,14 +61,14 @@ class TrueCell:
         joints: Floats | None = None,
         speeds: Floats | None = None,
     ) -> Instant:
-        """Where everything really is at an instant.
+        """Return the executed poses at an instant.
 
         Args:
-            told: where the controllers take it to be.
-            view: that is exposed; None: of no scan, whose poses lack what is a view's own.
+            told: poses that the controllers believe.
+            view: exposed view; None outside a scan, without the random errors of a view.
             time_s: simulated time.
-            joints: rad, both arms, source first; None with a gantry.
-            speeds: of them, rad/s.
+            joints: joint positions of both arms, source first, rad; None with a gantry.
+            speeds: joint speeds, rad/s.
         """
         source, detector = told.source_m, told.detector_m
         if self._arms is not None and joints is not None and speeds is not None:

@@ -1,4 +1,4 @@
-"""How a patient moves: nods slowly, and jerks once."""
+"""Patient motion: a slow nod, and a single jerk."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ JERK_S = 0.2
 
 
 def directions(seed: int, draws: int = 1) -> Floats:
-    """Unit vectors of a nod's way and axis, and of a jerk's, (draws, 4, 3)."""
+    """Draw unit vectors: direction and axis of the nod, then of the jerk, (draws, 4, 3)."""
     found = scan_rng(seed, "patient").normal(size=(draws, 4, 3))
     return found / np.linalg.norm(found, axis=-1, keepdims=True)
 
 
 def amplitudes(section: PatientMotion, time_s: Floats) -> Floats:
-    """Of nod (way, turn) and jerk (way, turn) at each time, (times, 4), mm and rad."""
+    """Return shift and rotation of the nod, then of the jerk, (times, 4), mm and rad."""
     nod = (1 - np.cos(2 * np.pi * time_s / section.nod_period_s)) / 2
     share = np.clip((time_s - section.jerk_at_s) / JERK_S, 0, 1)
     jerk = share**2 * (3 - 2 * share)
@@ -32,15 +32,15 @@ def amplitudes(section: PatientMotion, time_s: Floats) -> Floats:
 
 
 def patient_twists(section: PatientMotion, towards: Floats, time_s: Floats) -> Floats:
-    """The motion since the scan began, as a twist (v, w) of the pivot's frame, mm and rad.
+    """Return the motion since the scan began as twists (v, w) of the pivot's frame, mm and rad.
 
     Args:
-        section: how far.
-        towards: (draws, 4, 3).
+        section: size of the motion.
+        towards: unit vectors from ``directions``, (draws, 4, 3).
         time_s: (times,).
 
     Returns:
-        (draws, times, 6); axes of the world.
+        (draws, times, 6), in world axes.
     """
     parts = amplitudes(section, time_s)[..., None] * towards[:, None]
     way, turn = parts[:, :, 0] + parts[:, :, 2], parts[:, :, 1] + parts[:, :, 3]
@@ -48,7 +48,7 @@ def patient_twists(section: PatientMotion, towards: Floats, time_s: Floats) -> F
 
 
 def world_from_moved(section: PatientMotion, seed: int, time_s: float) -> Pose:
-    """Maps where a point of the specimen was when the scan began to where it is now."""
+    """Return the transform of specimen points from the start of the scan to the present."""
     twist = patient_twists(section, directions(seed), np.array([time_s]))[0, 0]
     pivot = Pose(np.array(section.pivot_mm), Pose.identity().quat)
     return pivot @ Pose.exp(twist) @ pivot.inverse()

@@ -1,13 +1,14 @@
-"""What a scenario's errors do to the geometry of its views, before anything moves.
+"""Effects of a scenario's errors on the geometry of its views, computed before anything moves.
 
-An error is what separates the executed poses from the believed ones: the displacement of a tool's
-origin and its turn, (v, w) in mm and rad, both told in the axes of the world. Those of source and
-panel are stacked, (12,). A specimen that moves counts as both moving against it.
+An error separates an executed pose from a believed pose: displacement and rotation of a tool,
+(v, w) in mm and rad, both in world axes. The errors of source and panel are stacked, (12,). A
+moving specimen counts as the opposite motion of both.
 
-To first order each term makes a zero-mean error that is linear in standard draws: its factor F_v
-of view v gives the covariance r(v, w) F_v F_w' of two views, where r is 1 for what stays the same
-in a scan, exp(-d^2 / 2 length^2) over d views for what is alike, and 0 for what is drawn anew. A
-gear error of any phase is a cosine and a sine of independent amplitudes: that covariance is exact.
+To first order, each term causes a zero-mean error that is linear in standard normal draws. Its
+factor F_v in view v gives the covariance r(v, w) F_v F_w' of two views. Here r is 1 for errors that
+are constant over a scan, exp(-d^2 / 2 length^2) at a distance of d views for correlated errors, and
+0 for errors that are drawn anew. A gear error of random phase is a cosine and a sine of independent
+amplitudes, whose covariance is exact.
 """
 
 from __future__ import annotations
@@ -38,27 +39,27 @@ from twinct.uncertainty.executed import SIDES, view_sigmas
 from twinct.uncertainty.patient import amplitudes, directions, patient_twists
 
 Singles = NDArray[np.float32]
-"""Draws by the million: their rounding is nothing beside their spread."""
+"""Type of millions of draws, whose rounding is negligible against their spread."""
 
 CONSTANT = np.inf
-"""Length over which what stays the same in a scan is alike."""
+"""Correlation length of errors that are constant over a scan."""
 
 CHUNK = 50_000
-"""Poses of each arm that are drawn at a time."""
+"""Number of poses of each arm that are drawn at a time."""
 
 STEP = 1e-3
-"""mm and rad, of the difference quotients of projections."""
+"""Step of the difference quotients of projections, mm and rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class NominalScan:
-    """The views of a scan as the controllers have them.
+    """Views of a scan in the controllers' nominal model.
 
     Attributes:
         poses: ``world_from_source`` and ``world_from_detector``, (2, views, 4, 4), mm.
-        time_s: since the scan began, (views,).
+        time_s: time since the scan began, (views,).
         chains: source and detector arm; none with a gantry.
-        moments: of each arm.
+        moments: motion of each arm.
     """
 
     poses: Floats
@@ -67,14 +68,14 @@ class NominalScan:
     moments: tuple[Moment, ...] = ()
 
     def __post_init__(self) -> None:
-        """Lock the arrays."""
+        """Make the arrays read-only."""
         lock(self, "poses", "time_s")
 
     @classmethod
     def of_arms(
         cls, chains: tuple[Chain, Chain], joints: Floats, speeds: Floats, time_s: Floats
     ) -> NominalScan:
-        """Of what the joints of both arms do, source first, (views, joints), rad and s."""
+        """Build a scan from the joints of both arms, source first, (views, joints), rad and s."""
         first = len(chains[0])
         moments = tuple(
             Moment(joints[:, own], speeds[:, own], time_s)
@@ -85,19 +86,19 @@ class NominalScan:
 
     @classmethod
     def of_gantry(cls, views: ScanGeometry, time_s: Floats) -> NominalScan:
-        """Of views that a gantry takes."""
+        """Build a scan from the views of a gantry."""
         sides = views.source_poses(), views.detector_poses()
         return cls(np.array([[pose.matrix for pose in side] for side in sides]), time_s)
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """What one cause does to all views, to first order.
+    """First-order effect of one cause on all views.
 
     Attributes:
-        name: of the cause.
-        factor: errors by standard draws, (views, 12, draws), mm and rad.
-        length: in views, over which it is alike: ``CONSTANT``, a number, or 0.
+        name: name of the cause.
+        factor: errors per standard draw, (views, 12, draws), mm and rad.
+        length: correlation length in views: ``CONSTANT``, a number, or 0.
     """
 
     name: str
@@ -105,7 +106,7 @@ class Term:
     length: float
 
     def alike(self, apart: Floats) -> Floats:
-        """Correlation of its draws in views so far apart."""
+        """Return the correlation of the draws of two views at a distance of ``apart`` views."""
         if self.length == CONSTANT:
             return np.ones_like(apart, dtype=float)
         if not self.length:
@@ -115,12 +116,12 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class FirstOrder:
-    """Covariances of all views to first order, and the means that they are about.
+    """First-order covariances of all views, and their means.
 
     Attributes:
-        terms: all causes that spread.
-        means: what is the same in all draws, a draw of 1 for each cause.
-        views: how many.
+        terms: all random causes.
+        means: systematic errors that are equal in all draws, each with a draw of 1.
+        views: number of views.
     """
 
     terms: tuple[Term, ...]
@@ -128,7 +129,7 @@ class FirstOrder:
     views: int
 
     def covariance(self, one: int, other: int) -> Floats:
-        """Of the errors of two views, (12, 12): rows of the one, columns of the other."""
+        """Return the covariance of the errors of view ``one`` (rows) and ``other``, (12, 12)."""
         found = np.zeros((12, 12))
         for term in self.terms:
             apart = np.array(float(one - other))
@@ -137,7 +138,7 @@ class FirstOrder:
 
     @cached_property
     def covariances(self) -> Floats:
-        """Of each view with itself, (views, 12, 12)."""
+        """Covariance of the errors within each view, (views, 12, 12)."""
         return sum(
             (term.factor @ np.swapaxes(term.factor, 1, 2) for term in self.terms),
             np.zeros((self.views, 12, 12)),
@@ -145,7 +146,7 @@ class FirstOrder:
 
 
 def first_order(section: Uncertainty, scan: NominalScan) -> FirstOrder:
-    """Covariances of a scenario's errors, without a draw."""
+    """Compute the first-order covariances of a scenario's errors, without draws."""
     found = [
         *(_of_arms(section, scan) if scan.chains else ()),
         *_of_views(section, scan),
@@ -165,19 +166,19 @@ def first_order(section: Uncertainty, scan: NominalScan) -> FirstOrder:
 
 
 def _carried(frames: Floats, tools: Floats) -> Floats:
-    """(..., 6, 6): from twists of frames, in their axes, to errors of tools, in the world's."""
+    """Return matrices from twists of frames, in their axes, to errors of tools, (..., 6, 6)."""
     rotation = frames[..., :3, :3]
     arms = tools[..., :3, 3] - frames[..., :3, 3]
     found = np.zeros((*rotation.shape[:-2], 6, 6))
     found[..., :3, :3] = found[..., 3:, 3:] = rotation
-    # w x r, column by column of the axes.
+    # The columns are w x r for each axis of the frame.
     turned = np.cross(np.swapaxes(rotation, -1, -2), arms[..., None, :])
     found[..., :3, 3:] = np.swapaxes(turned, -1, -2)
     return found
 
 
 def _of_side(side: int, factor: Floats) -> Floats:
-    """A factor of one end-effector, (views, 6, draws), as one of both."""
+    """Extend a factor of one end-effector, (views, 6, draws), to both, (views, 12, draws)."""
     both = np.zeros((len(factor), 12, factor.shape[2]))
     both[:, 6 * side : 6 * side + 6] = factor
     return both
@@ -189,7 +190,7 @@ def _of_arms(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
     for side, (chain, moment) in enumerate(zip(scan.chains, scan.moments, strict=True)):
         tools = scan.poses[side]
         frames = chain.frames(moment.joints)[:, :-1]
-        # Before its turn a joint's frame has other axes across the hinge.
+        # A link's errors refer to the axes of its frame before the rotation of the joint.
         still = frames @ np.linalg.inv(exp_matrices(_about_z(moment.joints)))
         places = {
             "base": _carried(np.broadcast_to(chain.base, tools.shape), tools)[:, None],
@@ -213,7 +214,7 @@ def _of_arms(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
         for wave in (np.cos(periods), np.sin(periods)):
             gear = np.radians(arms.gear_deg) / np.sqrt(2) * wave
             yield Term("gear", _of_side(side, by_joint(gear)), CONSTANT)
-        # A step of the encoder leaves an even distribution over its width.
+        # Quantisation leaves an error that is uniform over one encoder step.
         step = np.radians(section.encoder_step_deg) / np.sqrt(12)
         step = np.broadcast_to(step, moment.joints.shape)
         yield Term("encoder", _of_side(side, by_joint(step)), 0.0)
@@ -223,7 +224,7 @@ def _of_arms(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
 
 
 def _means(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
-    """What all gears wind up alike, and the delay of all triggers."""
+    """Yield the effects of the mean wind-up of all gears and the mean delay of the triggers."""
     wound, late = np.zeros((2, len(scan.time_s), 12, 1))
     for side, (chain, moment) in enumerate(zip(scan.chains, scan.moments, strict=True)):
         frames = chain.frames(moment.joints)[:, :-1]
@@ -244,7 +245,7 @@ def _about_z(angles: Floats) -> Floats:
 
 
 def _columns(factor: Floats) -> Floats:
-    """(views, frames, 6, draws) as (views, 6, frames x draws), those that do nothing left out."""
+    """Reshape (views, frames, 6, draws) to (views, 6, frames x draws), without zero columns."""
     flat = np.moveaxis(factor, 1, 2).reshape(len(factor), 6, -1)
     return flat[:, :, flat.any(axis=(0, 1))]
 
@@ -255,7 +256,7 @@ def _of_views(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
         factor = _carried(tools, tools) * sigma
         yield Term("views", _of_side(side, factor), section.views.correlation_views)
     patient = section.patient
-    sizes = amplitudes(patient, scan.time_s)  # a direction has 1/3 of its square along each axis
+    sizes = amplitudes(patient, scan.time_s)  # a random direction has a mean square of 1/3 per axis
     pivot = np.eye(4)
     pivot[:3, 3] = patient.pivot_mm
     both = np.concatenate(
@@ -274,10 +275,10 @@ def _reported(section: Uncertainty) -> Iterator[Term]:
 
 
 def _cut_sigma(noise: PoseNoise) -> float:
-    """Standard deviation of an axis after what lies beyond the cut-off is drawn again."""
+    """Return the standard deviation of an axis after redraws beyond the cut-off."""
     if noise.cutoff_mm is None or not noise.sigma_mm:
         return noise.sigma_mm
-    # Half a second to import: no other work waits for it.
+    # Imported here because the import takes half a second.
     from scipy.stats import truncnorm
 
     cut = noise.cutoff_mm / noise.sigma_mm
@@ -286,12 +287,12 @@ def _cut_sigma(noise: PoseNoise) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Errors as they are drawn.
+    """Random draws of the errors.
 
     Attributes:
-        errors: (draws, views, 12), mm and rad, as told above.
-        true: executed poses as the specimen sees them, (2, draws, views, 4, 4), mm.
-        believed: (2, draws, views, 4, 4), mm.
+        errors: (draws, views, 12), mm and rad, as defined above.
+        true: executed poses relative to the specimen, (2, draws, views, 4, 4), mm.
+        believed: believed poses, (2, draws, views, 4, 4), mm.
     """
 
     errors: Floats
@@ -300,7 +301,7 @@ class Draws:
 
 
 Told = Callable[[int, Floats], Floats]
-"""Where the controllers take a tool to be, ``world_from_tool``, by the side and its encoders."""
+"""Pose of a tool that the controllers believe, ``world_from_tool``, from side and encoders."""
 
 
 def draw(
@@ -311,21 +312,21 @@ def draw(
     arms_seed: int,
     told_by: Told | None = None,
 ) -> Iterator[tuple[slice, Draws]]:
-    """Draw a scenario's errors, some views after the other.
+    """Draw a scenario's errors in chunks of views.
 
-    What stays the same in a scan is in the first draw as in the scan with these seeds.
+    In the first draw, errors that are constant over a scan match a scan with these seeds.
 
     Args:
-        section: how large the errors are.
-        scan: the views.
-        draws: how many scans.
-        seed: of what changes from scan to scan.
-        arms_seed: of what does not.
-        told_by: a model of the pair of arms with this seed, which was calibrated: all scans are
-            theirs. None: other arms in each, taken to be nominal.
+        section: sizes of the errors.
+        scan: views.
+        draws: number of scans.
+        seed: seed of errors that change from view to view.
+        arms_seed: seed of errors that are constant over a scan.
+        told_by: calibrated model of the pair of arms with this seed, which then makes all scans.
+            None: each scan has other arms, which the controllers believe to be nominal.
 
     Yields:
-        the views, and their draws.
+        a slice of views, and their draws.
     """
     views = len(scan.time_s)
     deviations = [
@@ -398,7 +399,7 @@ def _encoded(
     draws: int,
     told_by: Told | None,
 ) -> Floats:
-    """What a model makes of encoders whose joints are anywhere within their steps."""
+    """Return the poses that a model computes from encoders with random errors within a step."""
     joints = scan.moments[side].joints[part][None]
     if step := np.radians(section.encoder_step_deg):
         joints = joints + step * rng.uniform(-0.5, 0.5, (draws, *joints.shape[1:]))
@@ -408,7 +409,7 @@ def _encoded(
 
 
 def _patient(section: Uncertainty, towards: Floats, time_s: Floats) -> Floats | None:
-    """``place_from_moved``, (draws, views, 4, 4); None where the specimen keeps its place."""
+    """Return ``place_from_moved``, (draws, views, 4, 4), or None if the specimen rests."""
     if not any(section.patient.sizes):
         return None
     pivot = np.eye(4)
@@ -418,12 +419,12 @@ def _patient(section: Uncertainty, towards: Floats, time_s: Floats) -> Floats | 
 
 
 def _alike(seed: int, purpose: str, draws: int, views: int, length: float) -> Singles:
-    """Standard draws that are alike over a length, (draws, views, 6), float32."""
+    """Draw standard normal values with a correlation length, (draws, views, 6), float32."""
     rng, own = scan_rng(seed, purpose), weights(length)
     white = rng.standard_normal((draws, views + len(own) - 1, 6), dtype=np.float32)
     if not length:
         return white
-    # Half a second to import: no other work waits for it.
+    # Imported here because the import takes half a second.
     from scipy.signal import oaconvolve
 
     return oaconvolve(white, own[None, :, None].astype(np.float32), mode="valid", axes=1)
@@ -440,15 +441,15 @@ def _reported_draws(noise: PoseNoise, seed: int, side: str, draws: int, views: i
 
 
 def pixel_jacobian(scan: NominalScan, panel: Panel, points: Floats) -> Floats:
-    """What small errors do to the images of points: executed less believed, pixels.
+    """Return the derivatives of points' images with respect to errors: executed minus believed.
 
     Args:
-        scan: the views.
-        panel: the pixel lattice.
+        scan: views.
+        panel: pixel lattice.
         points: (points, 3), mm.
 
     Returns:
-        (views, points, 2, 12), pixels by mm and rad.
+        (views, points, 2, 12), pixels per mm and rad.
     """
     found = []
     for column in range(12):
@@ -472,15 +473,15 @@ def _displaced(poses: Floats, error: Floats) -> Floats:
 
 
 def project(poses: Floats, panel: Panel, points: Floats) -> Floats:
-    """Images of points by many geometries.
+    """Project points with many geometries.
 
     Args:
         poses: source and panel, (2, draws, views, 4, 4), mm.
-        panel: the pixel lattice.
+        panel: pixel lattice.
         points: (points, 3), mm.
 
     Returns:
-        (draws, views, points, 2): fractional (column, row).
+        fractional (column, row), (draws, views, points, 2).
     """
     source, detector = poses[0][..., None, :3, 3], poses[1][..., :3, 3][..., None, :]
     u, v, normal = np.moveaxis(poses[1][..., :3, :3], -1, 0)[..., None, :]
@@ -494,15 +495,15 @@ def project(poses: Floats, panel: Panel, points: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Propagation:
-    """What a scenario's errors do to the geometry of its views.
+    """Effects of a scenario's errors on the geometry of its views.
 
     Attributes:
-        analytic: covariances to first order.
-        errors: as drawn, (draws, views, 12), mm and rad.
-        points: in whose images errors are told, the isocentre first, (points, 3), mm.
-        pixels: distance of a point's image where it was and where it is believed to be,
+        analytic: first-order covariances.
+        errors: drawn errors, (draws, views, 12), mm and rad.
+        points: points for errors in the image, the isocentre first, (points, 3), mm.
+        pixels: distance between the executed and the believed image of a point,
             (draws, views, points), pixels.
-        jacobian: of the images, (views, points, 2, 12), pixels by mm and rad.
+        jacobian: derivatives of the images, (views, points, 2, 12), pixels per mm and rad.
     """
 
     analytic: FirstOrder
@@ -512,10 +513,10 @@ class Propagation:
     jacobian: Floats
 
     def shares(self) -> list[dict[str, float | str]]:
-        """What each cause does alone, to first order, over all views: the largest first.
+        """Return the first-order effect of each cause alone over all views, largest first.
 
-        Root mean squares: of the displacement and turn of source and panel, and of the distance of
-        images of all points.
+        Values are root mean squares: displacement and rotation of source and panel, and distances
+        in the image of the isocentre and of the other points.
         """
         rows: list[dict[str, float | str]] = []
         for term in (*self.analytic.terms, *self.analytic.means):
@@ -536,7 +537,7 @@ class Propagation:
 
 
 def _rms_px(image: Floats) -> float:
-    """Of the distances in images by standard draws, (views, points, 2, draws)."""
+    """Return the RMS distance in the image from shifts per draw, (views, points, 2, draws)."""
     return float(np.sqrt((image**2).sum(axis=(2, 3)).mean())) if image.size else float("nan")
 
 
@@ -550,16 +551,16 @@ def propagate(
     seed: int,
     arms_seed: int,
 ) -> Propagation:
-    """Draw a scenario's errors, and give their covariances to first order beside them.
+    """Draw a scenario's errors, and compute their first-order covariances.
 
     Args:
-        section: the scenario's errors.
-        scan: its views.
-        panel: the pixel lattice.
-        points: whose images are looked at, the isocentre first, (points, 3), mm.
-        draws: how many scans.
-        seed: of what changes from view to view.
-        arms_seed: of what does not.
+        section: errors of the scenario.
+        scan: views of the scenario.
+        panel: pixel lattice.
+        points: points for errors in the image, the isocentre first, (points, 3), mm.
+        draws: number of scans.
+        seed: seed of errors that change from view to view.
+        arms_seed: seed of errors that are constant over a scan.
     """
     where = np.asarray(points, dtype=np.float64)
     errors = np.zeros((draws, len(scan.time_s), 12))

@@ -1,9 +1,9 @@
-"""The noise of the poses that are reported.
+"""Noise of the reported poses.
 
-The paper's model: the positions that a system reports carry normal noise for each axis, redrawn
-beyond a cut-off; orientations stay exact. Beyond it: noise of the orientation too, and noise that
-is alike over neighbouring views. A draw depends on (seed, purpose, view) alone, so that a resumed
-scan believes what an undisturbed one believes.
+In the paper's model, reported positions carry normal noise on each axis, redrawn beyond a cut-off,
+and orientations are exact. In addition, orientations may carry noise, and noise may be correlated
+over neighbouring views. A draw depends on (seed, purpose, view) alone, so that a resumed scan
+believes the poses of an undisturbed scan.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from twinct.uncertainty.alike import view_normals
 
 
 def truncated_normal(rng: np.random.Generator, noise: PoseNoise, count: int = 3) -> Floats:
-    """Draws from N(0, sigma^2), each redrawn until it lies within the cut-off, mm, (count,)."""
+    """Draw from N(0, sigma^2), again for each value beyond the cut-off, mm, (count,)."""
     draws = rng.normal(0.0, noise.sigma_mm, count)
     cutoff = np.inf if noise.cutoff_mm is None else noise.cutoff_mm
     while (beyond := np.abs(draws) > cutoff).any():
@@ -28,7 +28,7 @@ def truncated_normal(rng: np.random.Generator, noise: PoseNoise, count: int = 3)
 def believed_poses(
     source: Pose, detector: Pose, uncertainty: Uncertainty, seed: int, view: int
 ) -> tuple[Pose, Pose]:
-    """What the system reports of the two poses of a view."""
+    """Return the poses of source and panel that the system reports for a view."""
 
     def believed(name: str, told: Pose, noise: PoseNoise) -> Pose:
         purpose, length = f"believed {name}", noise.correlation_views

@@ -1,4 +1,4 @@
-"""The poses that the robots report of a scan."""
+"""Poses of a scan as the robots report them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from twinct.views import PosePairs
 
 
 def reported_poses(evidence: Evidence, uncertainty: Uncertainty, seed: int) -> PosePairs:
-    """What was told, with the noise of each view; other seeds are other reports of one scan."""
+    """Return the controllers' poses with the noise of each view; each seed is another report."""
     told = evidence.told
     pairs = [believed_poses(*told[view], uncertainty, seed, view) for view in range(len(told))]
     return PosePairs(tuple(source for source, _ in pairs), tuple(panel for _, panel in pairs))
