@@ -1,4 +1,4 @@
-"""What all sections of settings share: their base, and the types of their numbers."""
+"""Base class of all settings sections, and the types of their numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
 
 
 def _sane(least: float, most: float) -> AfterValidator:
-    """Refuses numbers whose squares and quotients no arithmetic holds, nor anybody means."""
+    """Return a validator that refuses magnitudes that are implausible or unsafe in arithmetic."""
 
     def sane(value: float) -> float:
         if abs(value) > most:
@@ -32,11 +32,11 @@ Pair = tuple[Length, Length]
 
 
 def facts(*, unit: str = "", source: str = "") -> dict[str, JsonValue]:
-    """What the scenario reference and the JSON Schema say of a key beside its meaning.
+    """Return the facts on a key that the scenario reference and the JSON Schema add to its meaning.
 
     Args:
-        unit: where the key's name does not end with it.
-        source: where its default or its definition comes from.
+        unit: unit of the key, unless its name ends with it.
+        source: origin of its default or its definition.
     """
     return {f"x-{name}": text for name, text in (("unit", unit), ("source", source)) if text}
 
@@ -44,17 +44,21 @@ def facts(*, unit: str = "", source: str = "") -> dict[str, JsonValue]:
 def setting(
     default: Any, description: str, *, unit: str = "", source: str = "", **limits: Any
 ) -> Any:
-    """A key that has a default; ``unit`` and ``source`` as for ``facts``, limits as pydantic's."""
+    """Return the field of a key that has a default.
+
+    ``unit`` and ``source`` go to ``facts``, the limits to pydantic.
+    """
     extra = facts(unit=unit, source=source)
     return Field(default, description=description, json_schema_extra=extra, **limits)
 
 
 class Conflict(NamedTuple):
-    """Keys that do not go together.
+    """Keys whose values do not go together.
 
     Attributes:
-        message: what is wrong.
-        keys: dotted, below the section that says so; the last one that was set is to blame.
+        message: description of the problem.
+        keys: dotted names below the section that reports them; the last key that was set is to
+            blame.
     """
 
     message: str
@@ -62,19 +66,19 @@ class Conflict(NamedTuple):
 
 
 class ConflictError(ValueError):
-    """Raised by a section's validator: each conflict gets the place of its keys."""
+    """Error of a section's validator; each conflict is reported at its keys."""
 
     def __init__(self, *conflicts: Conflict) -> None:
-        """Keep all of them."""
+        """Store the conflicts."""
         super().__init__("; ".join(conflict.message for conflict in conflicts))
         self.conflicts = conflicts
 
 
 FILE_KEYS = ("path", "file", "plan")
-"""Keys that name an input file: it is made absolute, must exist, and counts by its content."""
+"""Keys of input files: paths are made absolute, files must exist, and their content counts."""
 
 
 class Section(BaseModel):
-    """Frozen; an unknown key is an error, and so is a number that is not finite."""
+    """Frozen settings; unknown keys and numbers that are not finite are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

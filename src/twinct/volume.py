@@ -1,4 +1,4 @@
-"""Volumes: voxels with their grid, shown in notebooks, and on disk as NIfTI.
+"""Volumes: voxels with their grid, shown in notebooks and stored as NIfTI files.
 
 World axes are written as RAS, so that 3D Slicer opens a volume upright and in place.
 """
@@ -23,12 +23,12 @@ from twinct.geometry import Floats, Pose, VolumeGrid
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Volume:
-    """Voxels and where they are; numpy takes it for its array.
+    """Voxels and their grid; numpy accepts a volume as an array.
 
     Attributes:
         array: (z, y, x), float32, read-only.
-        grid: the lattice of the voxels.
-        extras: what else an algorithm found out, by name.
+        grid: the voxel lattice.
+        extras: further results of the algorithm, by name.
     """
 
     array: NDArray[np.float32]
@@ -39,7 +39,7 @@ class Volume:
         """Lock the array.
 
         Raises:
-            InputError: an array of another shape than the grid.
+            InputError: the shapes of array and grid differ.
         """
         array = np.ascontiguousarray(self.array, dtype=np.float32).view()
         if array.shape != self.grid.shape:
@@ -51,11 +51,11 @@ class Volume:
         object.__setattr__(self, "extras", MappingProxyType(dict(self.extras)))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """The array, for numpy's functions."""
+        """Return the array, for numpy's functions."""
         return np.array(self.array, dtype=dtype, copy=copy)
 
     def __repr__(self) -> str:
-        """One line: voxels, their edges and their values."""
+        """Return one line with the numbers of voxels, their edges and the range of their values."""
         voxels = " x ".join(map(str, self.grid.shape_xyz))
         edges = " x ".join(f"{edge:g}" for edge in self.grid.voxel)
         values = f"{self.array.min():.4g} to {self.array.max():.4g}"
@@ -63,7 +63,7 @@ class Volume:
         return f"Volume({voxels} voxels of {edges} mm, {values}{extras})"
 
     def _repr_png_(self) -> bytes:
-        """The three sections through the grid's middle, for a notebook."""
+        """Return a PNG image of the three sections through the grid's middle, for a notebook."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
@@ -95,7 +95,7 @@ class Volume:
     def write(self, path: Path, note: str = "") -> None:
         """Write a NIfTI file, which appears under its name only when it is complete.
 
-        Of the note, at most 79 characters are for the header's description.
+        The header's description holds at most 79 bytes of the note.
         """
         import nibabel
 
@@ -110,13 +110,13 @@ class Volume:
 
     @classmethod
     def read(cls, path: Path) -> Volume:
-        """Read what ``write`` wrote; the header holds the grid to float32.
+        """Read a file written by ``write``; its header stores the grid in float32.
 
         Returns:
-            The volume, with the ``note`` of its header among the extras.
+            The volume; its extras hold the ``note`` of the header.
 
         Raises:
-            InputError: no readable NIfTI file, or one without a grid of voxels.
+            InputError: the file is not readable as NIfTI, or has no voxel grid.
         """
         voxels, image = read_nifti(path, f"{path}: not a readable NIfTI volume: it")
         try:
@@ -134,7 +134,7 @@ def _borders(centres: Floats) -> tuple[float, float]:
 
 
 def _grid_of(shape: tuple[int, ...], affine: Floats) -> VolumeGrid:
-    """The grid whose ``affine`` this is; raises ValueError where there is none."""
+    """Return the grid with a given ``affine``; raise ValueError if there is none."""
     linear, edges = affine[:3, :3], np.linalg.norm(affine[:3, :3], axis=0)
     if len(shape) != 3 or not np.linalg.det(linear) > 0 or not np.isfinite(affine).all():
         raise ValueError(f"{len(shape)} axes with the matrix {linear.tolist()}")

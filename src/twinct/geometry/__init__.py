@@ -1,4 +1,4 @@
-"""Poses, scan geometries and voxel grids: the only vocabulary in which modules speak of space.
+"""Poses, scan geometries and voxel grids: the only spatial types that modules share.
 
 Points are (x, y, z) in mm, right-handed, world origin at the isocentre, z up. A view is four
 vectors: source S, panel centre D, and the unit vectors u (along +column) and v (along +row) with
@@ -7,7 +7,7 @@ u x v pointing to the source. Pixel (r, c) has its centre at
     D + (c - (columns - 1) / 2) pitch_u u + (r - (rows - 1) / 2) pitch_v v.
 
 Frames: the detector frame has axes (u, v, u x v); the source frame has z towards the panel centre
-and its x the nearest to u. Only ``to_*`` and ``from_*`` may reorder axes or change units.
+and x as near to u as possible. Only ``to_*`` and ``from_*`` may reorder axes or change units.
 """
 
 from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, lock

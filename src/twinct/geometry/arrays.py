@@ -1,4 +1,4 @@
-"""Arrays that cannot be changed, and the tolerances and types that geometry shares."""
+"""Read-only arrays, and the tolerances and types that the geometry modules share."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 UNIT_TOLERANCE = 1e-6
-"""Largest departure of u and v from unit length and right angle: float32 input still passes."""
+"""Largest deviation of u and v from unit length and from a right angle; float32 input passes."""
 
 
 def lock(of: object, *names: str) -> None:
-    """Let the arrays in these fields of a frozen dataclass be read only."""
+    """Make the arrays in these fields of a frozen dataclass read-only."""
     for name in names:
         array = np.asarray(getattr(of, name)).view()
         array.setflags(write=False)
@@ -20,10 +20,10 @@ def lock(of: object, *names: str) -> None:
 
 
 def frozen(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
-    """A read-only float64 copy.
+    """Return a read-only float64 copy.
 
     Raises:
-        ValueError: another shape, or a value that is not finite.
+        ValueError: the shape is not as given, or a value is not finite.
     """
     array = np.array(values, dtype=np.float64)
     if array.shape != shape:

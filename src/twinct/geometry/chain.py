@@ -1,4 +1,4 @@
-"""A serial arm: forward kinematics of many configurations, and of many arms much like it."""
+"""Serial arm: forward kinematics of many joint configurations, and of many similar arms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ N_M_PER_N_MM = 1e-3
 
 
 def exp_matrices(twists: Floats) -> Floats:
-    """``Pose.exp`` of many twists (v, w), (..., 6), mm and rad, as matrices (..., 4, 4)."""
+    """Return ``Pose.exp`` of many twists (v, w), (..., 6), mm and rad, as matrices (..., 4, 4)."""
     flat = np.roll(twists.reshape(-1, 6), 3, axis=1)
     moved = scipy.spatial.transform.RigidTransform.from_exp_coords(flat)
     return moved.as_matrix().reshape(*twists.shape[:-1], 4, 4)
@@ -22,15 +22,15 @@ def exp_matrices(twists: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """How arms differ from the one that a chain describes, first axes as those of the joints.
+    """Deviations of arms from a chain; leading axes match the joint angles.
 
-    Each twist (v, w), mm and rad, moves all that comes after its frame, in the frame's own axes.
-    That of a joint comes before its turn; its last number is what is added to the joint's angle.
+    Each twist (v, w), mm and rad, moves everything after its frame, in the frame's own axes. The
+    twist of a joint precedes its rotation; its last component adds to the joint angle.
 
     Attributes:
-        base: of the frame of the base, (..., 6).
-        links: of each joint's frame, (..., joints, 6).
-        tool: of the frame of the tool, (..., 6).
+        base: twist of the base frame, (..., 6).
+        links: twists of the joint frames, (..., joints, 6).
+        tool: twist of the tool frame, (..., 6).
     """
 
     base: Floats
@@ -40,15 +40,15 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A serial arm of hinges, all frames in the world with the joints at zero.
+    """Serial arm of hinges; all frames are in the world, with the joints at zero.
 
     Attributes:
         base: ``world_from_base``, (4, 4), mm.
         joints: ``world_from_joint``, the z axis along the hinge, (joints, 4, 4), mm.
         tool: ``world_from_tool``, (4, 4), mm.
-        masses: of all that follows one joint up to the next, the tool included, kg, (joints,).
-        centres: of these masses in the world, (joints, 3), mm.
-        torque_limits: published ones, N m, (joints,).
+        masses: mass between each joint and the next, with the tool at the end, kg, (joints,).
+        centres: centres of these masses in the world, (joints, 3), mm.
+        torque_limits: published limits, N m, (joints,).
     """
 
     base: Floats
@@ -60,22 +60,22 @@ class Chain:
     _steps: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Lock the arrays; each step leads from one joint's frame to the next, and to the tool."""
+        """Lock the arrays, and compute the steps from joint to joint and to the tool."""
         before = np.concatenate([np.eye(4)[None], self.joints])
         after = np.concatenate([self.joints, self.tool[None]])
         object.__setattr__(self, "_steps", np.linalg.solve(before, after))
         lock(self, "base", "joints", "tool", "masses", "centres", "torque_limits", "_steps")
 
     def __len__(self) -> int:
-        """Number of joints."""
+        """Return the number of joints."""
         return len(self.joints)
 
     def tools(self, joints: Floats, misfit: Misfit | None = None) -> Floats:
-        """``world_from_tool``.
+        """Return ``world_from_tool`` of many joint configurations.
 
         Args:
             joints: rad, (..., joints).
-            misfit: of the arms that are meant; None: of this one.
+            misfit: deviations of the arms; None: no deviations.
 
         Returns:
             (..., 4, 4), mm.
@@ -83,7 +83,7 @@ class Chain:
         return self._walk(joints, misfit)[-1]
 
     def frames(self, joints: Floats) -> Floats:
-        """``world_from_joint`` of each joint after its turn, and ``world_from_tool`` at the end.
+        """Return ``world_from_joint`` of each joint after its rotation, then ``world_from_tool``.
 
         Args:
             joints: rad, (..., joints).
@@ -112,7 +112,7 @@ class Chain:
         return [*found, here]
 
     def gravity_torques(self, joints: Floats) -> Floats:
-        """What gravity turns each joint with, about its axis, N m.
+        """Return the torque of gravity about each joint's axis, N m.
 
         Args:
             joints: rad, (..., joints).
@@ -131,7 +131,7 @@ class Chain:
 
 
 def _turned(frames: Floats, angles: Floats) -> Floats:
-    """Frames turned about their own z axes; those of the two broadcast."""
+    """Rotate frames about their own z axes; frames and angles broadcast."""
     shape = np.broadcast_shapes(frames.shape[:-2], angles.shape)
     found = np.empty((*shape, 4, 4))
     found[...] = frames

@@ -8,7 +8,10 @@ from twinct.geometry.arrays import Floats
 
 
 def fibonacci_directions(count: int) -> Floats:
-    """Unit vectors of about equal density, on a spiral in steps of the golden angle, (count, 3)."""
+    """Return unit vectors of about equal density, (count, 3).
+
+    They lie on a spiral, one golden angle apart.
+    """
     k = np.arange(count)
     z = 1 - (2 * k + 1) / count
     longitude = np.pi * (3 - np.sqrt(5)) * k

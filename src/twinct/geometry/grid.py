@@ -14,10 +14,10 @@ from twinct.geometry.pose import Pose
 
 @dataclass(frozen=True, eq=False)
 class VolumeGrid:
-    """A voxel lattice centred on the origin of its own frame.
+    """Voxel lattice centred on the origin of its own frame.
 
-    Arrays on it have shape ``shape`` = (nz, ny, nx); ``voxel`` has the edges along (x, y, z) in mm.
-    Voxel (k, j, i) has its centre at ``world_from_grid`` applied to
+    Arrays on the grid have shape ``shape`` = (nz, ny, nx); ``voxel`` holds the edges along
+    (x, y, z) in mm. Voxel (k, j, i) has its centre at ``world_from_grid`` applied to
     ((i, j, k) - (n - 1) / 2) * voxel.
     """
 
@@ -28,10 +28,10 @@ class VolumeGrid:
     def __init__(
         self, shape: Sequence[int], voxel: float | ArrayLike, world_from_grid: Pose | None = None
     ) -> None:
-        """Take one voxel edge for a cubic voxel, or three (x, y, z).
+        """Take one edge for cubic voxels, or three along (x, y, z).
 
         Raises:
-            ValueError: no voxels, or an edge that is not positive.
+            ValueError: there are no voxels, or an edge is not positive.
         """
         shape = tuple(int(n) for n in shape)
         edges = frozen(np.broadcast_to(np.asarray(voxel, dtype=np.float64), (3,)), (3,), "voxel")
@@ -43,7 +43,7 @@ class VolumeGrid:
 
     @property
     def shape_xyz(self) -> tuple[int, int, int]:
-        """Voxels along (x, y, z)."""
+        """Numbers of voxels along (x, y, z)."""
         return self.shape[2], self.shape[1], self.shape[0]
 
     @property
@@ -57,21 +57,21 @@ class VolumeGrid:
         return -(np.array(self.shape_xyz) - 1) / 2 * self.voxel
 
     def axes(self) -> tuple[Floats, Floats, Floats]:
-        """Voxel centres along x, y and z of the grid's own frame, mm."""
+        """Return the voxel centres along x, y and z of the grid's own frame, mm."""
         sizes = zip(self.shape_xyz, self.voxel, strict=True)
         x, y, z = ((np.arange(n) - (n - 1) / 2) * edge for n, edge in sizes)
         return x, y, z
 
     @property
     def affine(self) -> Floats:
-        """(4, 4): voxel index (i, j, k) along (x, y, z) to world mm, as in NIfTI."""
+        """Matrix (4, 4) from voxel index (i, j, k) along (x, y, z) to world mm, as in NIfTI."""
         local = np.eye(4)
         local[:3, :3] = np.diag(self.voxel)
         local[:3, 3] = self.first_voxel_mm
         return self.world_from_grid.matrix @ local
 
     def __eq__(self, other: object) -> bool:
-        """Same lattice, to the last bit."""
+        """Compare two lattices, to the last bit."""
         return (
             isinstance(other, VolumeGrid)
             and self.shape == other.shape
@@ -82,5 +82,5 @@ class VolumeGrid:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        """Evaluates to an equal grid."""
+        """Return an expression that evaluates to an equal grid."""
         return f"VolumeGrid({self.shape}, {self.voxel.tolist()}, {self.world_from_grid!r})"

@@ -1,4 +1,4 @@
-"""The pixel lattice of a flat panel."""
+"""Pixel lattice of a flat panel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twinct.geometry.arrays import Floats
 
 @dataclass(frozen=True)
 class Panel:
-    """The pixel lattice of a flat panel: rows along v, columns along u, pitches in mm."""
+    """Pixel lattice of a flat panel: rows along v, columns along u, pitches in mm."""
 
     rows: int
     columns: int
@@ -35,29 +35,29 @@ class Panel:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """(column, row) of the panel's centre."""
+        """Centre of the panel, (column, row)."""
         return (self.columns - 1) / 2, (self.rows - 1) / 2
 
     @property
     def first_pixel_mm(self) -> tuple[float, float]:
-        """Centre of pixel (0, 0) along u and v from the panel's centre, mm."""
+        """Centre of pixel (0, 0) along u and v, relative to the panel's centre, mm."""
         return -(self.columns - 1) / 2 * self.pitch_u, -(self.rows - 1) / 2 * self.pitch_v
 
     @property
     def mm_from_pixel(self) -> Floats:
-        """(3, 3): (column, row, 1) to (along u, along v, 1) from the panel's centre, mm."""
+        """Matrix (3, 3) from (column, row, 1) to (u, v, 1) relative to the panel's centre, mm."""
         u, v = self.first_pixel_mm
         return np.array([[self.pitch_u, 0.0, u], [0.0, self.pitch_v, v], [0.0, 0.0, 1.0]])
 
     def divided(self, parts: int) -> Panel:
-        """The same area with each pixel cut into ``parts`` x ``parts``."""
+        """Return a panel of the same area, with each pixel divided into ``parts`` x ``parts``."""
         rows, columns = self.rows * parts, self.columns * parts
         return Panel(rows, columns, self.pitch_u / parts, self.pitch_v / parts)
 
     def binned(self, rows: int, columns: int) -> Panel:
-        """``rows`` x ``columns`` pixels taken as one, from pixel (0, 0) on.
+        """Return a panel with ``rows`` x ``columns`` pixels binned into one, from pixel (0, 0) on.
 
-        The last rows and columns that fill no such pixel are left out.
+        Last rows and columns that do not fill a pixel are left out.
 
         Raises:
             ValueError: no pixel is left.

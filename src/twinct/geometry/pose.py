@@ -15,11 +15,11 @@ MM_PER_M = 1000.0
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A rigid transform, written ``world_from_tool``: it maps tool coordinates to world ones.
+    """Rigid transform; ``world_from_tool`` maps tool coordinates to world coordinates.
 
-    A twist is (v, w) in se(3), as in mink: v in mm, w in rad. One on the right is told in the
-    tool's own axes, ``world_from_tool @ Pose.exp(twist)``; one on the left in the world's,
-    ``Pose.exp(twist) @ world_from_tool``. ``adjoint`` turns the first into the second.
+    A twist is (v, w) in se(3), as in mink: v in mm, w in rad. A twist on the right is in the tool's
+    own axes, ``world_from_tool @ Pose.exp(twist)``; a twist on the left is in the world's axes,
+    ``Pose.exp(twist) @ world_from_tool``. ``adjoint`` converts the first into the second.
 
     Attributes:
         position: origin of the inner frame in the outer one, (3,), mm.
@@ -39,7 +39,7 @@ class Pose:
 
     @classmethod
     def identity(cls) -> Pose:
-        """Outer and inner frame coincide."""
+        """Return the identity: outer and inner frame coincide."""
         return cls(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
 
     @classmethod
@@ -57,24 +57,24 @@ class Pose:
 
     @classmethod
     def from_metres(cls, position_m: ArrayLike, quat: ArrayLike) -> Pose:
-        """Build from what MuJoCo and ROS 2 speak: metres, and a quaternion (x, y, z, w)."""
+        """Build from the units of MuJoCo and ROS 2: metres, and a quaternion (x, y, z, w)."""
         return cls(np.asarray(position_m, dtype=np.float64) * MM_PER_M, np.asarray(quat))
 
     @classmethod
     def exp(cls, twist: ArrayLike) -> Pose:
-        """Where a frame is after a unit of time along a twist (v, w), (6,), mm and rad."""
+        """Return the motion along a twist (v, w), (6,), mm and rad, in a unit of time."""
         v, w = np.split(frozen(twist, (6,), "twist"), 2)
         motion = scipy.spatial.transform.RigidTransform.from_exp_coords(np.concatenate([w, v]))
         return cls(motion.translation, motion.rotation.as_quat())
 
     def log(self) -> Floats:
-        """The twist (v, w) whose ``exp`` this is, (6,), mm and rad, with w at most pi long."""
+        """Return the twist (v, w) whose ``exp`` is this pose, (6,), mm and rad, with |w| <= pi."""
         place = self.position.copy()
         motion = scipy.spatial.transform.RigidTransform.from_components(place, self._turn)
         return np.roll(motion.as_exp_coords(), 3)
 
     def adjoint(self) -> Floats:
-        """(6, 6): from twists told in the inner frame to the same motions told in the outer one."""
+        """Return the matrix (6, 6) that converts twists from the inner to the outer frame."""
         rotation = self.rotation
         matrix = np.zeros((6, 6))
         matrix[:3, :3] = matrix[3:, 3:] = rotation
@@ -82,11 +82,11 @@ class Pose:
         return matrix
 
     def to_euler(self) -> tuple[Floats, Floats]:
-        """Origin in mm, and extrinsic x, y, z rotations in degrees: of ``from_euler``."""
+        """Return origin in mm and extrinsic x, y, z rotations in degrees, as for ``from_euler``."""
         return self.position, self._turn.as_euler("xyz", degrees=True)
 
     def to_metres(self) -> tuple[Floats, Floats]:
-        """Position in metres and quaternion (x, y, z, w)."""
+        """Return the position in metres and the quaternion (x, y, z, w)."""
         return self.position / MM_PER_M, self.quat
 
     @property
@@ -114,7 +114,7 @@ class Pose:
         return Pose(self.apply(other.position), turned.as_quat())
 
     def inverse(self) -> Pose:
-        """The transform back."""
+        """Return the inverse transform."""
         back = self._turn.inv()
         return Pose(-back.apply(self.position.copy()), back.as_quat())
 
@@ -123,20 +123,20 @@ class Pose:
         return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.position
 
     def rotate(self, vectors: ArrayLike) -> Floats:
-        """Turn vectors (..., 3) from the inner to the outer frame."""
+        """Rotate vectors (..., 3) from the inner to the outer frame."""
         return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
 
     def angle_deg(self, other: Pose) -> float:
-        """Angle of the relative rotation, degrees."""
+        """Return the angle of the relative rotation, degrees."""
         relative = self._turn.inv() * other._turn
         return float(np.degrees(relative.magnitude()))
 
     def distance_mm(self, other: Pose) -> float:
-        """Distance of the two origins, mm."""
+        """Return the distance between the two origins, mm."""
         return float(np.linalg.norm(self.position - other.position))
 
     def __eq__(self, other: object) -> bool:
-        """Same numbers, to the last bit."""
+        """Compare two poses, to the last bit."""
         return (
             isinstance(other, Pose)
             and np.array_equal(self.position, other.position)
@@ -146,5 +146,5 @@ class Pose:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        """Evaluates to an equal pose."""
+        """Return an expression that evaluates to an equal pose."""
         return f"Pose({self.position.tolist()}, {self.quat.tolist()})"

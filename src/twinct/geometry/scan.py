@@ -1,4 +1,4 @@
-"""Where source and panel are in each view of a scan."""
+"""Scan geometry: source and panel in each view."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from twinct.geometry.pose import Pose
 _VECTORS = ("source", "detector", "u", "v")
 
 FARTHEST_MM = 1e9
-"""Nothing is farther from the origin; squares of much larger numbers have no end."""
+"""Largest coordinate in the world; the squares of much larger numbers overflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScanGeometry:
-    """Where source and panel are in each view.
+    """Source positions and panel poses of all views.
 
     Attributes:
         source: focal spots S, (views, 3), mm.
         detector: panel centres D, (views, 3), mm.
         u: unit vectors along +column, (views, 3).
-        v: unit vectors along +row, (views, 3), orthogonal to u, u x v towards the source.
+        v: unit vectors along +row, (views, 3), orthogonal to u, with u x v towards the source.
         panel: the pixel lattice.
     """
 
@@ -69,7 +69,7 @@ class ScanGeometry:
 
     @classmethod
     def joined(cls, parts: Sequence[ScanGeometry]) -> ScanGeometry:
-        """The views of several geometries with one panel, one after the other."""
+        """Concatenate the views of several geometries with the same panel."""
         source, detector, u, v = (
             np.concatenate([getattr(part, name) for part in parts]) for name in _VECTORS
         )
@@ -87,11 +87,14 @@ class ScanGeometry:
 
     @property
     def sdd_to_centre(self) -> Floats:
-        """Distance from the source to the panel's centre, (views,), mm; ``sdd`` or more."""
+        """Distance from the source to the panel's centre, (views,), mm; at least ``sdd``."""
         return np.linalg.norm(self.source - self.detector, axis=1)
 
     def depth(self, points: ArrayLike) -> Floats:
-        """How far points, (3,) or (views, 3), lie in front of the source along the panel's normal.
+        """Return the depth of points in front of the source, along the panel's normal.
+
+        Args:
+            points: (3,) or (views, 3), mm.
 
         Returns:
             (views,), mm; negative behind the plane through the source parallel to the panel.
@@ -100,21 +103,21 @@ class ScanGeometry:
 
     @property
     def piercing_points(self) -> Floats:
-        """(column, row) at which the perpendicular from the source meets the panel, (views, 2)."""
+        """Piercing points (column, row) of the perpendiculars from source to panel, (views, 2)."""
         to_panel = self.detector - self.source
         (column, row), panel = self.panel.middle, self.panel
         across, up = _dot(to_panel, self.u) / panel.pitch_u, _dot(to_panel, self.v) / panel.pitch_v
         return np.stack([column - across, row - up], axis=1)
 
     def matrices(self, origin: ArrayLike = (0, 0, 0), step: ArrayLike = (1, 1, 1)) -> Floats:
-        """The projection matrix of each view, (views, 3, 4).
+        """Return the projection matrix of each view, (views, 3, 4).
 
         It maps (i, j, k, 1) to (column w, row w, w), where w is the ``depth`` in mm of the point
-        ``origin`` + ``step`` (i, j, k): coordinates in mm unless those two say otherwise.
+        ``origin`` + ``step`` (i, j, k). By default (i, j, k) are coordinates in mm.
 
         Args:
-            origin: place of (0, 0, 0), (3,), mm.
-            step: along x, y and z for a step of one, (3,), mm.
+            origin: position of (0, 0, 0), (3,), mm.
+            step: distance per index along x, y and z, (3,), mm.
         """
         origin, step = np.asarray(origin, np.float64), np.asarray(step, np.float64)
         ahead, reach = -self.normal, self.sdd[:, None]
@@ -129,22 +132,22 @@ class ScanGeometry:
         return np.concatenate([linear * step, constant[:, :, None]], axis=2)
 
     def source_poses(self) -> list[Pose]:
-        """``world_from_source`` of each view: z towards the panel centre, x the nearest to u."""
+        """Return ``world_from_source`` of each view: z towards the panel centre, x nearest to u."""
         return list(map(_source_pose, self.source, self.detector, self.u))
 
     def detector_poses(self) -> list[Pose]:
-        """``world_from_detector`` of each view: axes (u, v, u x v)."""
+        """Return ``world_from_detector`` of each view: axes (u, v, u x v)."""
         return [
             Pose.from_matrix(d, np.stack([u, v, n], axis=1))
             for d, u, v, n in zip(self.detector, self.u, self.v, self.normal, strict=True)
         ]
 
     def __len__(self) -> int:
-        """Number of views."""
+        """Return the number of views."""
         return len(self.source)
 
     def __getitem__(self, views: Any) -> ScanGeometry:
-        """The geometry of a slice, a list of indices, a mask, or one view."""
+        """Return the geometry of a slice, a list of indices, a mask, or one view."""
         if isinstance(views, (int, np.integer)):
             views = [views]
         return ScanGeometry(
@@ -152,11 +155,11 @@ class ScanGeometry:
         )
 
     def __iter__(self) -> Iterator[ScanGeometry]:
-        """One geometry of one view after the other."""
+        """Iterate over the views, each as a geometry of one view."""
         return (self[i] for i in range(len(self)))
 
     def __eq__(self, other: object) -> bool:
-        """Same numbers, to the last bit."""
+        """Compare two geometries, to the last bit."""
         if not isinstance(other, ScanGeometry) or self.panel != other.panel:
             return False
         return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in _VECTORS)
@@ -164,13 +167,13 @@ class ScanGeometry:
     __hash__ = None  # type: ignore[assignment]
 
     def __rmatmul__(self, outer_from_inner: Pose) -> ScanGeometry:
-        """``object_from_world @ geometry``: the same views in another frame."""
+        """Return the same views in another frame: ``object_from_world @ geometry``."""
         source, detector = map(outer_from_inner.apply, (self.source, self.detector))
         u, v = map(outer_from_inner.rotate, (self.u, self.v))
         return ScanGeometry(source, detector, u, v, self.panel)
 
     def project(self, points: ArrayLike) -> Floats:
-        """Pixel coordinates of points.
+        """Return the pixel coordinates of points.
 
         Args:
             points: (points, 3), mm.
@@ -191,7 +194,7 @@ class ScanGeometry:
         return np.stack([column, row], axis=-1) + self.panel.middle
 
     def pixel_centres(self, view: int) -> Floats:
-        """Pixel centres of one view, (rows, columns, 3), mm."""
+        """Return the pixel centres of one view, (rows, columns, 3), mm."""
         panel = self.panel
         along_u = (np.arange(panel.columns) - panel.middle[0]) * panel.pitch_u
         along_v = (np.arange(panel.rows) - panel.middle[1]) * panel.pitch_v
@@ -199,7 +202,7 @@ class ScanGeometry:
         return self.detector[view] + across + up
 
     def to_astra(self) -> dict[str, Any]:
-        """ASTRA's ``cone_vec``, as a plain dict: (S, D, pitch_u u, pitch_v v) per row."""
+        """Return ASTRA's ``cone_vec`` as a plain dict: (S, D, pitch_u u, pitch_v v) per row."""
         panel = self.panel
         steps = panel.pitch_u * self.u, panel.pitch_v * self.v
         return {
@@ -210,7 +213,7 @@ class ScanGeometry:
         }
 
     def to_rtk(self) -> dict[str, Any]:
-        """What RTK's ``AddProjection(S, D, row, column)`` and its projection image need.
+        """Return the inputs of RTK's ``AddProjection(S, D, row, column)`` and projection image.
 
         Returns:
             ``source``, ``detector``, ``row`` (= u), ``column`` (= v), each (views, 3); ``origin``
@@ -227,7 +230,7 @@ class ScanGeometry:
         }
 
     def binned(self, rows: int, columns: int) -> ScanGeometry:
-        """The same views with pixels taken together, as in ``Panel.binned``."""
+        """Return the same views with binned pixels, as in ``Panel.binned``."""
         panel, binned = self.panel, self.panel.binned(rows, columns)
         left_u = (panel.columns - binned.columns * columns) * panel.pitch_u
         left_v = (panel.rows - binned.rows * rows) * panel.pitch_v
@@ -235,13 +238,13 @@ class ScanGeometry:
         return replace(self, detector=centre, panel=binned)
 
     def __repr__(self) -> str:
-        """Evaluates to an equal geometry."""
+        """Return an expression that evaluates to an equal geometry."""
         vectors = ", ".join(f"{name}={getattr(self, name).tolist()}" for name in _VECTORS)
         return f"ScanGeometry({vectors}, panel={self.panel!r})"
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
-    """Of each view, (views,)."""
+    """Return the dot product of each view, (views,)."""
     return np.einsum("vk,vk->v", a, b)
 
 

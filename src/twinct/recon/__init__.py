@@ -1,4 +1,4 @@
-"""Reconstruction: projector, algorithms, and RTK's SART to compare with."""
+"""Reconstruction: projector, algorithms, and RTK's SART for comparison."""
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.cgls import cgls

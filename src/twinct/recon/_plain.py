@@ -1,10 +1,10 @@
-"""The plain engine: every kernel as its formula says it, one sample at a time, rays in float64.
+"""Plain engine: every kernel as in its formula, one sample at a time, rays in float64.
 
-The reference for the vector engine, and the engine where that one does not compile. What it does is
-said in ``engine``; the forward model is Joseph's, see ``projector``.
+It is the reference for the vector engine, and the fallback where that engine does not compile. The
+operations are described in ``engine``; the forward model is Joseph's, see ``projector``.
 """
 
-# numba cannot be typed: what is compiled takes whatever is numeric.
+# numba cannot be typed: compiled functions take any numeric type.
 # pyright: basic
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ import numpy as np
 from numba import njit, prange
 
 OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
-"""For all kernels. No fast mathematics: sums keep their order."""
+"""Options of all kernels, without fast mathematics: sums keep their order."""
 
 OTHERS = ((1, 2), (0, 2), (0, 1))
-"""The two axes beside each of x, y, z."""
+"""The two other axes for each of x, y, z."""
 
 
 @njit(**OPTIONS)
 def _ray(rays, row, column):
-    """Source and way to a pixel, in voxel indices (x, y, z); its fastest axis; mm a plane."""
+    """Return a ray's source, vector to its pixel, fastest axis, and mm per plane.
+
+    Source and vector are in voxel indices (x, y, z).
+    """
     source = rays[0, 0], rays[0, 1], rays[0, 2]
     pixel = rays[1] + row * rays[3] + column * rays[2]
     way = pixel[0] - source[0], pixel[1] - source[1], pixel[2] - source[2]
@@ -36,9 +39,9 @@ def _ray(rays, row, column):
 
 @njit(**OPTIONS)
 def _cell(source, way, axis, plane, other, size):
-    """Along another axis, where a ray crosses a plane: the lower voxel and the upper one's weight.
+    """Return a ray's lower voxel in a plane along another axis, and the upper voxel's weight.
 
-    The outermost voxels are held over their outer half; beyond it the voxel is -1.
+    The outermost voxels extend over their outer half; beyond it the voxel is -1.
     """
     at = source[other] + (plane - source[axis]) / way[axis] * way[other]
     if not -0.5 <= at <= size - 0.5:
@@ -50,7 +53,7 @@ def _cell(source, way, axis, plane, other, size):
 
 @njit(parallel=True, **OPTIONS)
 def forward(x, rays, out):
-    """Line integrals: bilinear samples in each plane that a ray crosses, times mm per plane."""
+    """Write line integrals: bilinear samples in each plane along a ray, times mm per plane."""
     nz, ny, nx = x.shape
     sizes, strides, voxels = (nx, ny, nz), (1, nx, nx * ny), x.reshape(-1)
     for row in prange(out.shape[0]):
@@ -73,7 +76,7 @@ def forward(x, rays, out):
 
 @njit(**OPTIONS)
 def adjoint(y, rays, out):
-    """The same samples with the same weights, the other way."""
+    """Add the transpose: the same samples with the same weights, in the other direction."""
     nz, ny, nx = out.shape
     sizes, strides, voxels = (nx, ny, nz), (1, nx, nx * ny), out.reshape(-1)
     for row in range(y.shape[0]):
@@ -96,7 +99,7 @@ def adjoint(y, rays, out):
 
 @njit(parallel=True, **OPTIONS)
 def chords(rays, shape, out):
-    """Length of each ray inside the grid: where it is between all six faces."""
+    """Write the length of each ray in the grid, where it is between all six faces."""
     sizes = shape[2], shape[1], shape[0]
     for row in prange(out.shape[0]):
         for column in range(out.shape[1]):
@@ -114,7 +117,7 @@ def chords(rays, shape, out):
 
 @njit(**OPTIONS)
 def ratio(measured, estimate, length, relaxation, shortest, image, counts, missing):
-    """The residual over the length of the rays that count, with a border of one pixel."""
+    """Write residual over path length for the rays that count, with a border of one pixel."""
     rows, columns = measured.shape
     missing[0] = 0
     for row in range(rows + 2):
@@ -143,7 +146,7 @@ def _bilinear(image, row, column):
 
 @njit(parallel=True, **OPTIONS)
 def update(x, matrix, image, counts, missing, floor):
-    """See ``engine``; ``missing`` is for engines that look which weights they need."""
+    """Update the voxels, see ``engine``; ``missing`` is for engines that skip weights."""
     nz, ny, nx = x.shape
     rows, columns = image.shape[0] - 2, image.shape[1] - 2
     for k in prange(nz):
@@ -154,7 +157,7 @@ def update(x, matrix, image, counts, missing, floor):
                 column = (m[0, 0] * i + m[0, 1] * j + m[0, 2] * k + m[0, 3]) / depth
                 row = (m[1, 0] * i + m[1, 1] * j + m[1, 2] * k + m[1, 3]) / depth
                 if -0.5 <= column <= columns - 0.5 and -0.5 <= row <= rows - 0.5:
-                    # With the border, columns and rows count from one.
+                    # Columns and rows of the image count from one because of its border.
                     change = _bilinear(image, row + 1, column + 1)
                     weight = _bilinear(counts, row + 1, column + 1)
                     mean = change / weight if weight > 1e-3 else 0.0
@@ -163,7 +166,7 @@ def update(x, matrix, image, counts, missing, floor):
 
 @njit(parallel=True, **OPTIONS)
 def back_project(images, matrices, scales, out):
-    """Bilinear; border pixels are held over their outer half, beside the panel is nothing."""
+    """Back-project bilinearly; border pixels extend over their outer half, with 0 beyond."""
     nz, ny, nx = out.shape
     views, rows, columns = images.shape
     half, zero = np.float32(0.5), np.float32(0.0)
@@ -203,7 +206,7 @@ def back_project(images, matrices, scales, out):
 
 @njit(parallel=True, **OPTIONS)
 def primal(z, q, dual, inverse, floor, out):
-    """max(z - (gradient^T dual) / q, floor), gradients by forward differences."""
+    """Write max(z - (gradient^T dual) / q, floor), with gradients as forward differences."""
     nz, ny, nx = z.shape
     wx, wy, wz = np.float32(inverse[0]), np.float32(inverse[1]), np.float32(inverse[2])
     for k in prange(nz):
@@ -226,7 +229,7 @@ def primal(z, q, dual, inverse, floor, out):
 
 @njit(parallel=True, **OPTIONS)
 def ascend(x, q, inverse, radius, step, dual):
-    """Along the gradient of x, with a step for each voxel, then into the ball of the radius."""
+    """Step along the gradient of x, with a step for each voxel, then project into the ball."""
     nz, ny, nx = x.shape
     wx, wy, wz = np.float32(inverse[0]), np.float32(inverse[1]), np.float32(inverse[2])
     zero, one = np.float32(0.0), np.float32(1.0)

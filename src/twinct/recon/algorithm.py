@@ -1,7 +1,7 @@
-"""What an algorithm is: its settings, its function, what it takes of memory, whether it resumes.
+"""Algorithms: settings, function, memory needs, and support for resuming.
 
-Each algorithm's file ends with its ``Algorithm``; those from outside the package are found by the
-entry points of the group ``twinct.algorithms``.
+Each algorithm's file ends with its ``Algorithm``. Algorithms from outside the package come from
+the entry points of the group ``twinct.algorithms``.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from twinct.volume import Volume
 
 
 class AlgorithmSettings(Section):
-    """Keys of one algorithm, among them ``algorithm``, a Literal of its name and its default.
+    """Keys of one algorithm; ``algorithm`` is a Literal of its name, and defaults to it.
 
-    A key named ``path`` or ``file`` is an input file: it is made absolute, must exist, and counts
-    by content.
+    A key named ``path`` or ``file`` is an input file: its path is made absolute, it must exist, and
+    its content counts.
     """
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What there is to reconstruct from.
+    """Input of a reconstruction.
 
     Attributes:
         projector: A, with the geometry and the grid.
         line_integrals: p, (views, rows, columns), corrected.
         transmission: I/I0 as measured, same shape; see ``counts``.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
-        x0: volume to start from, (z, y, x).
-        rng: for what is drawn.
-        callback: to be called after each update; see ``Step``.
-        exposures: mAs of each view, (views,), in one unit for all; None: equal ones.
+        x0: initial volume, (z, y, x).
+        rng: generator or seed for random draws.
+        callback: called after each update; see ``Step``.
+        exposures: mAs of each view, (views,), in one unit for all; None: equal exposures.
     """
 
     projector: Projector
@@ -57,7 +57,7 @@ class Problem:
 
     @property
     def counts(self) -> NDArray[np.float32]:
-        """What each pixel received, for weights: transmission times the view's exposure."""
+        """Signal of each pixel, for weights: transmission times the view's exposure."""
         if self.exposures is None:
             return self.transmission
         return self.transmission * self.exposures[:, None, None].astype(np.float32)
@@ -68,21 +68,21 @@ SettingsT = TypeVar("SettingsT", bound=AlgorithmSettings)
 
 @dataclass(frozen=True, eq=False)
 class Algorithm(Generic[SettingsT]):
-    """An algorithm as the scenario can name it.
+    """Algorithm that a scenario can name.
 
     Attributes:
-        settings: its keys; ``iterations`` is the number of passes, one where there is no such key.
+        settings: class of its keys; ``iterations`` is the number of passes, 1 without this key.
         solve: reconstructs a problem with these settings.
-        volumes: at the peak, float32, beside ``x0``.
-        projections: at the peak, float32, beside those given.
-        resumes: n iterations and then m from their result, as ``x0``, are n + m, to the last bit.
-        masks: leaves pixels out; with a mask it is refused otherwise.
-        updates: in each pass, of these settings and so many views; for the progress.
-        check: raises InputError for keys, files that they name, views or a grid that it cannot
-            work with, before any work.
-        extra_volumes: beside ``volumes``, of these settings.
-        expects: of A, p, the mask and these settings: what the volume will be like, (z, y, x), if
-            the algorithm knows of it beforehand; what lies around the grid is then found better.
+        volumes: peak memory in float32 volumes, besides ``x0``.
+        projections: peak memory in float32 copies of the projections, besides the input.
+        resumes: n iterations, then m from their result as ``x0``, equal n + m, to the last bit.
+        masks: the algorithm can leave pixels out; otherwise a mask is refused.
+        updates: updates per pass, from settings and number of views, for the progress.
+        check: raises InputError, before any work, for keys, their files, views or a grid that the
+            algorithm cannot work with.
+        extra_volumes: memory in addition to ``volumes``, from the settings.
+        expects: expected volume, (z, y, x), from A, p, the mask and the settings, if the algorithm
+            knows it beforehand; it improves the estimate of the grid's surroundings.
     """
 
     settings: type[SettingsT]
@@ -100,14 +100,14 @@ class Algorithm(Generic[SettingsT]):
 
     @property
     def name(self) -> str:
-        """What the key ``algorithm`` calls it."""
+        """Name of the algorithm, the value of the key ``algorithm``."""
         return str(self.settings.model_fields["algorithm"].default)
 
 
 def solve_by(
     function: Callable[..., Volume], problem: Problem, settings: AlgorithmSettings, **others: Any
 ) -> Volume:
-    """Call an algorithm's function: its arguments are named as the keys, or as what there is."""
+    """Call an algorithm's function with arguments from problem and settings, by name."""
     A = problem.projector
     given = {**vars(problem), **vars(settings), "A": A, "geometry": A.geometry, "grid": A.grid}
     given |= others

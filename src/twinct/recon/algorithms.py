@@ -1,4 +1,4 @@
-"""All algorithms by name: those of this package, and those of others."""
+"""All algorithms by name, built in or from extensions."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ BUILT_IN: dict[str, Algorithm[Any]] = {
 
 @cache
 def algorithms() -> Offers[Algorithm[Any]]:
-    """Those that a scenario can name; looked up once in each process."""
+    """Return the algorithms that a scenario can name; they are looked up once per process."""
     return offers("twinct.algorithms", Algorithm, BUILT_IN)

@@ -37,26 +37,26 @@ def cgls(
     """Minimise |A x - p|^2 over the rays that count (Hestenes, Stiefel 1952).
 
     Iterate n is the best one in x0 + span{g, A^T A g, ..., (A^T A)^(n-1) g} with
-    g = A^T (p - A x0). The residual falls fastest of all algorithms here; noise comes back after
-    some iterations, so that their number is what regularises. All rays have the same weight; those
+    g = A^T (p - A x0). The residual falls fastest of all algorithms here. Noise returns after some
+    iterations, so that their number acts as the regularisation. All rays have the same weight; rays
     that do not count in ``sart`` do not count here.
 
-    There is no ``nonnegative``: clipping would undo what makes the directions conjugate. n steps
-    and then m from their result are not n + m steps: the directions start afresh, and converge more
+    There is no ``nonnegative``: clipping would make the directions lose their conjugacy. n steps,
+    then m from their result, are not n + m steps: the directions start afresh and converge more
     slowly.
 
-    Memory at its peak: 3 volumes and 2.25 times the projections, beside the projections.
+    Peak memory: 3 volumes and 2.25 times the projections, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: steps, at least 1.
-        x0: start, (z, y, x); zero if not given.
+        x0: initial volume, (z, y, x); by default zero.
         mask: as in ``sart``.
         callback: called after each step; see ``Step``. True stops.
 
     Returns:
-        The volume. Fewer steps are taken where the gradient vanishes before.
+        The volume. The steps end early if the gradient vanishes.
 
     Raises:
         InputError: as in ``sart``.
@@ -101,7 +101,7 @@ def cgls(
 
 
 def _add(to: Singles, factor: np.float32, values: Singles) -> None:
-    """Add factor * values, without a third array of their size."""
+    """Add factor * values, without a third array of this size."""
     for part, other in zip(to, values, strict=True):
         part += factor * other
 

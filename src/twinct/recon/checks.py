@@ -1,4 +1,4 @@
-"""What every algorithm checks before it starts; all problems are reported together."""
+"""Checks that every algorithm makes before it starts; all problems are reported together."""
 
 from __future__ import annotations
 
@@ -17,23 +17,27 @@ Mask = NDArray[np.bool_]
 
 
 class Checks:
-    """Collects problems of the arguments; ``done`` raises them.
+    """Collector of problems with the arguments; ``done`` raises them.
 
-    Each check returns the argument in the form that the kernels take, or anything if it is wrong.
+    Each check returns the argument in the form that the kernels take, or any value if it is wrong.
     """
 
     def __init__(self, range_shape: tuple[int, ...]) -> None:
-        """Args: range_shape: (views, rows, columns) of the geometry."""
+        """Start without problems.
+
+        Args:
+            range_shape: (views, rows, columns) of the geometry.
+        """
         self.range_shape = range_shape
         self.problems: list[str] = []
 
     def done(self) -> None:
-        """Raise InputError with one sentence for each problem that was found."""
+        """Raise InputError with one sentence per problem unless there is none."""
         if self.problems:
             raise InputError(self.problems)
 
     def _mask(self, mask: ArrayLike | None) -> Mask | None:
-        """True where a pixel counts, (rows, columns) or (views, rows, columns)."""
+        """Return the mask, True where a pixel counts, (rows, columns) or (views, rows, columns)."""
         if mask is None:
             return None
         array = np.asarray(mask)
@@ -55,7 +59,7 @@ class Checks:
     def projections(
         self, line_integrals: ArrayLike, mask: ArrayLike | None
     ) -> tuple[NDArray[Any], Mask | None]:
-        """Line integrals, finite wherever a pixel counts, and the mask that says where."""
+        """Return the line integrals, finite wherever a pixel counts, and the mask of pixels."""
         pixels, p = self._mask(mask), np.asarray(line_integrals)
         if p.shape != self.range_shape:
             self.problems.append(
@@ -76,7 +80,7 @@ class Checks:
         return p, pixels
 
     def weights(self, weights: ArrayLike | None, mask: Mask | None) -> NDArray[Any] | None:
-        """Weights of the pixels, 0 or more, finite wherever a pixel counts."""
+        """Return the weights of the pixels, 0 or more, finite in all pixels that count."""
         if weights is None:
             return None
         before = len(self.problems)
@@ -88,7 +92,7 @@ class Checks:
         return w
 
     def count(self, name: str, value: int, at_most: float = math.inf) -> int:
-        """A whole number from 1."""
+        """Return a whole number of at least 1."""
         limit = "" if math.isinf(at_most) else f" and at most {at_most}"
         try:
             good = not isinstance(value, bool) and int(value) == value and 1 <= value <= at_most
@@ -100,19 +104,19 @@ class Checks:
         return int(value)
 
     def relaxation(self, value: float) -> float:
-        """Between 0 and 2, both excluded."""
+        """Return the relaxation, between 0 and 2, both excluded."""
         if not 0 < value < 2:
             self.problems.append(f"relaxation is {value!r}: above 0 and below 2 needed")
         return float(value)
 
     def not_negative(self, name: str, value: float) -> float:
-        """A finite number from 0."""
+        """Return a finite number of at least 0."""
         if not (value >= 0 and math.isfinite(value)):
             self.problems.append(f"{name} is {value!r}: a finite number of at least 0 needed")
         return float(value)
 
     def huber(self, value: float | None) -> float | None:
-        """A finite number above 0, or none."""
+        """Return a finite number above 0, or None."""
         if value is not None and not (value > 0 and math.isfinite(value)):
             self.problems.append(f"huber is {value!r}: a finite number above 0 needed, or None")
         return value
@@ -120,7 +124,7 @@ class Checks:
     def start(
         self, x0: ArrayLike | None, domain_shape: tuple[int, ...], name: str = "x0"
     ) -> ArrayLike | None:
-        """A volume to start from, finite."""
+        """Return an initial volume with finite voxels, or None."""
         if x0 is None:
             return None
         x = np.asarray(x0)
@@ -134,7 +138,7 @@ class Checks:
 
 
 def start_volume(A: Projector, x0: ArrayLike | None, nonnegative: bool) -> Singles:
-    """A copy of ``x0``, or zero."""
+    """Return a copy of ``x0``, or zeros."""
     if x0 is None:
         return np.zeros(A.domain_shape, np.float32)
     x = np.array(x0, dtype=np.float32, order="C")
@@ -148,12 +152,12 @@ def mask_of(mask: None, view: int) -> None: ...
 @overload
 def mask_of(mask: Mask | None, view: int) -> Mask | None: ...
 def mask_of(mask: Mask | None, view: int) -> Mask | None:
-    """The mask of one view, (rows, columns)."""
+    """Return the mask of one view, (rows, columns)."""
     return mask if mask is None or mask.ndim == 2 else mask[view]
 
 
 def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Singles:
-    """Line integrals of one view, float32, 0 where a pixel does not count."""
+    """Return the line integrals of one view, float32, 0 where a pixel does not count."""
     image = np.ascontiguousarray(p[view], dtype=np.float32)
     return image if mask is None else np.where(mask_of(mask, view), image, np.float32(0.0))
 
@@ -161,7 +165,7 @@ def masked_image(p: NDArray[Any], view: int, mask: Mask | None) -> Singles:
 def remainder(
     A: Projector, x: Singles, p: NDArray[Any], views: Iterable[int], mask: Mask | None
 ) -> Singles:
-    """The line integrals of some views less A x, the operator of these views."""
+    """Return the line integrals of some views less A x; A is the operator of these views."""
     rest = A(x)
     for view, image in zip(views, rest, strict=True):
         np.subtract(masked_image(p, view, mask), image, out=image)
@@ -169,7 +173,7 @@ def remainder(
 
 
 def counting_rays(A: Projector, mask: Mask | None) -> tuple[Mask, Singles]:
-    """Which rays count, not shorter than a voxel, and their length in the grid, mm; 0 if not."""
+    """Return the mask of rays not shorter than a voxel, and their path lengths, mm, else 0."""
     lengths = A.chords()
     counts = lengths >= np.float32(A.grid.voxel.min())
     if mask is not None:

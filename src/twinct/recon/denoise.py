@@ -1,4 +1,4 @@
-"""Total variation of a volume lowered, by as much as the volume's own noise asks for."""
+"""Total variation denoising of a volume, as strong as the volume's own noise requires."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from twinct.recon.engine import Kernels, Singles
 from twinct.threads import threads
 
 STEPS = 15
-"""Of the dual iteration: they bring the objective within 2 % of the way to its minimum."""
+"""Steps of the dual iteration; they bring the objective within 2 % of the way to its minimum."""
 
 STEP = 1.8
-"""Of the dual iteration, which ceases to converge at 2."""
+"""Step size of the dual iteration, which no longer converges at 2."""
 
 FEWEST_PLANES, SLAB_SHARE = 32, 0.3
-"""Planes denoised at a time: so many at least, and such a share of the volume with those around
-them, of which the iteration holds six."""
+"""Smallest number of planes denoised at a time, and their share of the volume.
+
+The share includes the planes around them; the iteration holds six slabs of this size.
+"""
 
 SHARE = 0.75
-"""Strength per noise and voxel edge; from skulls with 0 to 1e3 photons a pixel, 25 to 399 views."""
+"""Strength per noise and voxel edge, from skulls with 0 to 1e3 photons a pixel, 25 to 399 views."""
 
 
 BLOCK = 3
-"""Voxels along each axis whose deviation is taken together."""
+"""Edge of the blocks in which the deviation is computed, in voxels."""
 
 
 def lower_variation(
@@ -35,15 +37,15 @@ def lower_variation(
 ) -> None:
     """Replace x by the minimiser of 0.5 |x' - x|^2 + strength * TV(x'), x' >= floor.
 
-    Chambolle's dual iteration (2004), slab by slab, with as many planes around each as its result
-    depends on: it is that of the whole volume, to the last bit.
+    Chambolle's dual iteration (2004) works slab by slab, with as many planes around each slab as
+    its result depends on: the result is as for the whole volume, to the last bit.
 
     Args:
         x: (z, y, x), changed in place.
-        grid: its voxels.
-        kernels: of a projector.
+        grid: grid of ``x``.
+        kernels: kernels of a projector.
         strength: per voxel, in mm times the unit of ``x``.
-        floor: no voxel falls below it.
+        floor: lower bound of all voxels.
     """
     around = STEPS + 2
     inverse = 1.0 / grid.voxel
@@ -62,21 +64,21 @@ def lower_variation(
         own = slice(len(below), len(below) + last - first)
         below = slab[max(own.stop - around, 0) : own.stop].copy()
         x[first:last] = lowered[own]
-        del slab, lowered, weight, dual  # before the next ones are made
+        del slab, lowered, weight, dual  # free memory for the next slab
 
 
 def noise(x: Singles) -> float:
-    """Standard deviation of a volume where it is even, in its unit.
+    """Return the standard deviation of a volume in its homogeneous parts, in its unit.
 
-    The lower quartile of the deviation in blocks of 3^3 voxels, among those of the specimen: their
-    mean is above Otsu's threshold (1979). Unlike the finest wavelet's (Donoho and Johnstone, 1994)
-    it has what is correlated over two or three voxels, as the noise of reconstructions is. Only
-    the middle three quarters along each axis count, which most views see.
+    It is the lower quartile of the deviation in blocks of 3^3 voxels of the specimen, whose means
+    are above Otsu's threshold (1979). Unlike the noise in the finest wavelet (Donoho and Johnstone,
+    1994), it includes noise that is correlated over two or three voxels, as in reconstructions.
+    Only the middle three quarters along each axis count, which most views see.
     """
     middle = x[tuple(slice(n // 8, n - n // 8) for n in x.shape)]
     middle = middle[tuple(slice(n - n % min(BLOCK, n)) for n in middle.shape)]
     slabs = [middle[k : k + BLOCK] for k in range(0, len(middle), BLOCK)]
-    # numpy lets go of the interpreter lock.
+    # numpy releases the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
         mean, variance = np.array(list(pool.map(_mean_and_variance, slabs))).swapaxes(0, 1)
     from skimage import filters as skimage_filters
@@ -87,7 +89,7 @@ def noise(x: Singles) -> float:
 
 
 def _mean_and_variance(slab: Singles) -> tuple[Singles, Singles]:
-    """Of the blocks of a slab as thick as they are."""
+    """Return the means and variances of the blocks in a slab one block thick."""
     mean, square = (_block_means(values) for values in (slab, np.square(slab)))
     return mean, square - np.square(mean)
 

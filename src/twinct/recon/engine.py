@@ -1,8 +1,9 @@
-"""Engines: the kernels behind a projector, fast or plain.
+"""Engines: the kernels behind a projector, vector or plain.
 
-``vector`` is written for speed, eight samples at a time; ``plain`` says the same in readable loops.
-They agree to float32 rounding. Which one is taken: the argument of ``Projector``, else the
-environment variable ``TWINCT_ENGINE``, else ``vector``, or ``plain`` where that does not compile.
+``vector`` is written for speed, eight samples at a time; ``plain`` computes the same in readable
+loops. They agree to float32 rounding. The argument of ``Projector`` selects the engine, otherwise
+the environment variable ``TWINCT_ENGINE``. The default is ``vector``, or ``plain`` where ``vector``
+does not compile.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from twinct.geometry import Floats
 log = logging.getLogger(__name__)
 
 Singles = NDArray[np.float32]
-"""Float32, as all images and voxels are."""
+"""Float32, the type of all images and voxels."""
 
 EngineName = Literal["vector", "plain"]
 ENGINE_VARIABLE = "TWINCT_ENGINE"
 
 
 class Ratio(NamedTuple):
-    """What a view asks of the voxels it sees: relaxation (p - A x) / L of its rays.
+    """Residual image of a view: relaxation (p - A x) / L of its rays.
 
-    A border of one pixel repeats the outermost ones, which so are held over their outer half.
+    A border of one pixel repeats the outermost pixels, which extends them over their outer half.
 
     Attributes:
         image: (rows + 2, columns + 2), 0 where a ray does not count.
@@ -46,26 +47,26 @@ class Ratio(NamedTuple):
 
     @classmethod
     def room(cls, rows: int, columns: int) -> Ratio:
-        """Arrays to be overwritten."""
+        """Allocate arrays that are to be overwritten."""
         image = np.empty((rows + 2, columns + 2), np.float32)
         return cls(image, np.empty_like(image), np.empty((rows + 3, columns + 3), np.int32))
 
 
 class Kernels(Protocol):
-    """What an engine does, for one view where nothing else is said; arrays C-ordered and writable.
+    """Operations of an engine, for one view unless stated; arrays C-ordered and writable.
 
-    ``rays`` and ``pixels`` are the view as ``projector`` states it, in voxel indices. No result
+    ``rays`` and ``pixels`` describe the view in voxel indices, as in ``projector``. No result
     depends on the number of threads.
     """
 
     def forward(self, x: Singles, rays: Floats, out: Singles) -> None:
-        """Line integrals of ``x`` (z, y, x) into ``out`` (rows, columns), overwritten."""
+        """Write the line integrals of ``x`` (z, y, x) to ``out`` (rows, columns)."""
 
     def adjoint(self, y: Singles, rays: Floats, out: Singles) -> None:
         """Add the exact transpose of ``forward`` applied to ``y`` (rows, columns) to ``out``."""
 
     def chords(self, rays: Floats, shape: tuple[int, ...], out: Singles) -> None:
-        """Length of each ray inside a volume of a shape into ``out`` (rows, columns), mm."""
+        """Write each ray's path length in a volume of this shape to ``out`` (rows, columns), mm."""
 
     def ratio(
         self,
@@ -78,7 +79,7 @@ class Kernels(Protocol):
         counts: Singles,
         missing: NDArray[np.int32],
     ) -> None:
-        """Overwrite the last three, see ``Ratio``; rays of a length below ``shortest`` are out."""
+        """Overwrite the last three arrays, see ``Ratio``; rays below ``shortest`` do not count."""
 
     def update(
         self,
@@ -89,14 +90,15 @@ class Kernels(Protocol):
         missing: NDArray[np.int32],
         floor: np.float32,
     ) -> None:
-        """Add to each voxel of ``x`` the image where it projects, but leave none below ``floor``.
+        """Add the image at its projection to each voxel of ``x``, with ``floor`` as lower bound.
 
-        Bilinear between pixel centres, a mean of the pixels that count; voxels whose pixels count
-        less than 0.001, or that project beside the panel, are left alone.
+        The image is interpolated bilinearly between pixel centres, as a mean of the pixels that
+        count. It adds nothing to voxels whose pixels count less than 0.001, or that project beside
+        the panel.
         """
 
     def back_project(self, images: Singles, pixels: Floats, scales: Floats, out: Singles) -> None:
-        """Add scale / depth^2 times each image (views, rows, columns), where a voxel projects."""
+        """Add scale / depth^2 times each image (views, rows, columns) at the voxel's projection."""
 
     def primal(
         self,
@@ -116,33 +118,33 @@ class Kernels(Protocol):
     def ascend(
         self, x: Singles, q: Singles, inverse: Floats, radius: float, step: float, dual: Singles
     ) -> None:
-        """One projected gradient step of ``primal``'s dual: along the gradient of x, into a ball.
+        """Take a projected gradient step on ``primal``'s dual, along the gradient of x.
 
-        The ball of ``radius`` is for each voxel's vector; ``step``, below 2, is a factor on the
-        inverse of the dual Hessian's largest row sum.
+        Each voxel's vector is projected into a ball of ``radius``. ``step``, below 2, is a factor
+        on the inverse of the dual Hessian's largest row sum.
         """
 
 
 def kernels(name: str | None = None) -> Kernels:
-    """The kernels of an engine by name, or of the environment's; the first call compiles them.
+    """Return the kernels of an engine named here or by the environment; compile them if needed.
 
     Raises:
-        InputError: no such engine; or ``vector`` was asked for and does not compile.
+        InputError: the engine does not exist, or ``vector`` was requested and does not compile.
     """
     chosen = asked_for(name)
     if chosen is None:
         return _best()
     try:
         return _imported(chosen)
-    except Exception as error:  # a compiler may fail in whatever way it likes
+    except Exception as error:  # a compiler may raise anything
         raise InputError(f"engine {chosen} does not compile here: {error}: use plain") from error
 
 
 def asked_for(name: str | None = None) -> str | None:
-    """The engine that an argument or the environment names; None leaves the choice.
+    """Return the engine that the argument or the environment names; None leaves the choice open.
 
     Raises:
-        InputError: no such engine.
+        InputError: the engine does not exist.
     """
     chosen = name or os.environ.get(ENGINE_VARIABLE)
     if chosen and chosen not in get_args(EngineName):
@@ -155,7 +157,7 @@ def asked_for(name: str | None = None) -> str | None:
 def _best() -> Kernels:
     try:
         return _imported("vector")
-    except Exception as error:  # a compiler may fail in whatever way it likes
+    except Exception as error:  # a compiler may raise anything
         log.warning("the vector engine does not compile here, the plain one is used: %s", error)
         return _imported("plain")
 

@@ -27,7 +27,7 @@ from twinct.settings import NonNegative
 from twinct.volume import Volume
 
 SMALLEST = 8
-"""Voxels and pixels along an axis that a coarser level has at least."""
+"""Smallest number of voxels and pixels along an axis of a coarser level."""
 
 
 class Fast(AlgorithmSettings):
@@ -84,45 +84,47 @@ def fast(
     stop: StopName | None = None,
     callback: Callback | None = None,
 ) -> Volume:
-    """Reconstruct a volume from line integrals, most of the way in larger voxels and pixels.
+    """Reconstruct a volume from line integrals, mostly in larger voxels and pixels.
 
-    The updates are those of ``sart``, view after view in golden-angle order. Level by level voxels
-    and pixels become half as large, so that a pass takes an eighth of the next one's time; each
-    level starts from the interpolated volume of the one before, and a pass at full resolution
-    adds but the details. On the coarsest level the grid is larger, and what lies in its margin is
-    projected and subtracted from then on, as ``without_surroundings`` does.
+    The updates are as in ``sart``, view after view in golden-angle order. From level to level,
+    voxels and pixels become half as large, so that a pass takes an eighth of the next level's time.
+    Each level starts from the interpolated volume of the previous one, and a pass at full
+    resolution only adds details. The coarsest grid is larger, and the contents of its margin are
+    projected and subtracted from then on, as in ``without_surroundings``.
 
-    An update of relaxation 1 to 2 makes details in one pass, and noise where several views tell of
-    each voxel. So the relaxation falls from its first value, in geometric steps over a level, to
-    that value times voxels along an axis over views, where views are more than these. What noise
-    is left goes with the total variation (``lower_variation``), as strong as the volume's
-    ``noise`` asks for. Why these numbers: docs/reconstruction.md.
+    An update with a relaxation of 1 to 2 makes details in one pass, but also noise where several
+    views see each voxel. If views outnumber the voxels along an axis, the relaxation therefore
+    falls over a level, in geometric steps, from its first value to that value times voxels along an
+    axis over views. The remaining noise is reduced by total variation (``lower_variation``), as
+    strong as the volume's ``noise`` requires. docs/reconstruction.md gives the reasons for these
+    numbers.
 
-    Memory at its peak: 3 volumes, and half of the projections, beside those.
+    Peak memory: 3 volumes and half of the projections, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        passes: at full resolution, at least 1.
-        coarse_passes: at half the resolution, at least 1; twice as many at each coarser level.
-        levels: at least 1; fewer where the coarsest would have less than 8 voxels or pixels.
-        first_relaxation: of the first update of a level, between 0 and 2, both excluded.
+        passes: passes at full resolution, at least 1.
+        coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
+            level.
+        levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
+        first_relaxation: relaxation of the first update of a level, between 0 and 2, both excluded.
         denoising: strength of the total variation in voxel edges times the unit of the result;
-            0 for none; from the noise if not given.
-        margin: share of the grid's size along each axis by which the coarsest grid is larger, on
-            each side.
+            0 for none; by default estimated from the noise.
+        margin: margin of the coarsest grid on each side, as a share of the grid's size along each
+            axis.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
-        stop: ``auto``: after the last pass at full resolution that makes the volume better; see
-            ``BestPass``. As any may be the last, the relaxation falls anew in each of these.
+        stop: ``auto``: end with the last pass at full resolution that improves the volume; see
+            ``BestPass``. As any pass may be the last, the relaxation falls anew in each of them.
         callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
             stops.
 
     Returns:
-        The volume; with ``stop``, among the extras the number of ``passes`` at full resolution.
+        The volume; with ``stop``, its extras hold the number of ``passes`` at full resolution.
 
     Raises:
-        InputError: as in ``sart``; or with its margin the grid reaches behind a source.
+        InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
@@ -166,7 +168,7 @@ def fast(
 
 
 def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> list[int]:
-    """By how much voxels and pixels are larger, level by level."""
+    """Return the factors by which voxels and pixels are larger, level by level."""
     least = min(*voxels, *pixels)
     factors = [2**n for n in reversed(range(levels))]
     return [factor for factor in factors if factor == 1 or least // factor >= SMALLEST]
@@ -174,13 +176,13 @@ def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> l
 
 @dataclass(frozen=True, eq=False)
 class _Outside:
-    """Line integrals of what lies around the grid, in pixels that are larger by a factor."""
+    """Line integrals of the grid's surroundings, in pixels that are larger by a factor."""
 
     images: Singles
     factor: int
 
     def at(self, view: int, shape: tuple[int, ...], factor: int) -> Singles:
-        """In pixels larger by another factor, bilinear."""
+        """Return one view in pixels larger by another factor, bilinear."""
         image, ratio = self.images[view], self.factor / factor
         for axis, pixels in enumerate(shape):
             middles = np.arange(0.5, pixels) / ratio - 0.5
@@ -190,7 +192,7 @@ class _Outside:
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """The scan in voxels and pixels that are larger by a factor."""
+    """Scan in voxels and pixels that are larger by a factor."""
 
     A: Projector
     p: NDArray[Any]
@@ -201,7 +203,10 @@ class _Level:
     def update(
         self, x: Singles, view: int, relaxation: float, floor: float, wanted: bool
     ) -> tuple[float, int]:
-        """SART's, in place; sum of squared residuals before it and number of rays, if wanted."""
+        """Apply SART's update in place; return the previous sum of squared residuals, and the rays.
+
+        Both are 0 unless ``wanted``.
+        """
         measured, mask = masked_image(self.p, view, self.pixels), mask_of(self.pixels, view)
         if self.outside is not None:
             measured = measured - self.outside.at(view, measured.shape, self.factor)
@@ -229,7 +234,7 @@ def _level(
 
 
 def _with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: float) -> VolumeGrid:
-    """The grid of a level; refused where it does not lie before all sources."""
+    """Return the grid of a level; raise InputError unless it lies in front of all sources."""
     size = margin * grid.size_mm
     wide = coarse_grid(grid, size, factor * grid.voxel)
     try:
@@ -241,7 +246,7 @@ def _with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: flo
 
 
 def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
-    """Look at the coarsest grid."""
+    """Check the coarsest grid."""
     factor = _factors(grid.shape, views.panel.shape, settings.levels)[0]
     if factor == 1:
         return
@@ -252,7 +257,7 @@ def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
 
 
 def _outside(A: Projector, level: _Level, x: Singles, factor: int) -> _Outside:
-    """What the margin of the coarsest level adds to the line integrals."""
+    """Return the contribution of the coarsest level's margin to the line integrals."""
     inner = level.A.on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel))
     images = level.A(x)
     middle = [

@@ -27,7 +27,7 @@ from twinct.volume import Volume
 Window = Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"]
 
 BLOCK = 16
-"""Views that are filtered, and then back-projected, at a time."""
+"""Number of views that are filtered and back-projected at a time."""
 
 
 class Fdk(AlgorithmSettings):
@@ -51,38 +51,39 @@ def fdk(
 ) -> Volume:
     """Reconstruct a circular scan, a whole turn or a short scan (Feldkamp, Davis, Kress 1984).
 
-    Circle, axis and spacing are found from the views (``orbit``); the back projection uses each
-    view as it is, so that small deviations cost nothing but the filter's direction. A scan that
-    leaves a circle by more than the bounds stated there is refused. An arc must cover 180 degrees
-    and the fan; its rays are weighted after Parker (1982), with the angle beyond 180 degrees in
-    place of the fan angle where the arc is longer. Each view counts by the arc it stands for.
+    Circle, axis and spacing are estimated from the views (``orbit``). The back projection uses each
+    view's own geometry, so that small deviations only affect the direction of the filter. A scan
+    that deviates from a circle by more than the bounds in ``orbit`` is refused. An arc must cover
+    180 degrees and the fan; its rays are weighted after Parker (1982), and in a longer arc the
+    angle beyond 180 degrees replaces the fan angle. Each view is weighted by its arc.
 
-    Rows that do not end at zero, as those of a truncated specimen, are led there by half a cosine
-    over half the panel's width before they are filtered. Voxels beside the panel in a view get
-    nothing from it. Away from the circle's plane the values fall: a circle does not hold all data.
+    Rows that do not end at zero, as of a truncated specimen, are extended to zero by half a cosine
+    over half the panel's width before they are filtered. A view adds nothing to voxels that project
+    beside its panel. Values fall with the distance from the circle's plane: a circle does not
+    measure all data.
 
     There is no ``x0`` and there are no ``iterations``.
 
-    Memory at its peak: 1 volume, and some images, beside the projections.
+    Peak memory: 1 volume and some images, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        window: of the ramp filter: ``ramp`` (none), ``shepp_logan``, ``cosine``, ``hamming`` or
-            ``hann``, from sharp to smooth.
+        window: window of the ramp filter: ``ramp`` (none), ``shepp_logan``, ``cosine``, ``hamming``
+            or ``hann``, from sharp to smooth.
         nonnegative: clip the result at zero.
-        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool. The others
-            are interpolated along their row (a row without any from the rows beside it), since the
-            filter needs every pixel: this invents data, where the iterative algorithms leave the
-            rays out.
-        callback: called after each ``BLOCK`` of views, with NaN for the residual, and half-done
-            volumes. True stops.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool. Other
+            pixels are interpolated along their row (rows without counting pixels from the rows
+            beside them), since the filter needs every pixel: this invents data, while the iterative
+            algorithms leave the rays out.
+        callback: called after each ``BLOCK`` of views, with NaN for the residual and an unfinished
+            volume. True stops.
 
     Returns:
-        The volume; among the extras the ``circle`` that was found.
+        The volume; its extras hold the estimated ``circle``.
 
     Raises:
-        InputError: no circle, too short an arc; or as in ``sart``.
+        InputError: the scan is no circle, the arc is too short, or as in ``sart``.
     """
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
@@ -128,7 +129,7 @@ def fdk(
 
 
 def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats]:
-    """Distances of columns and rows from the centre's projection, (views, n) each, mm."""
+    """Return the distances of columns and rows from the centre's projection, (views, n), mm."""
     panel = geometry.panel
     column, row = geometry.project(circle.centre)[:, 0].T
     across = (np.arange(panel.columns) - column[:, None]) * panel.pitch_u
@@ -136,17 +137,18 @@ def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats
 
 
 def _fan(geometry: ScanGeometry, circle: Circle) -> Floats:
-    """Fan angle of each column, (views, columns), rad, right-handed about the axis."""
+    """Return the fan angle of each column, (views, columns), rad, right-handed about the axis."""
     ahead = np.cross(circle.axis, geometry.source - circle.centre)
     sign = -np.sign(np.einsum("vk,vk->v", geometry.u, ahead))
     return np.arctan(sign[:, None] * _coordinates(geometry, circle)[0] / geometry.sdd[:, None])
 
 
 def circular(geometry: ScanGeometry) -> Circle:
-    """The circle of a scan that fdk can reconstruct.
+    """Return the circle of a scan, unless fdk cannot reconstruct the scan.
 
     Raises:
-        InputError: it leaves a circle by more than the bounds, or the arc is too short.
+        InputError: the scan deviates from a circle by more than the bounds, or its arc is too
+            short.
     """
     circle = fit_circle(geometry)
     needed = math.pi + 2 * float(np.abs(_fan(geometry, circle)).max())
@@ -159,10 +161,9 @@ def circular(geometry: ScanGeometry) -> Circle:
 
 
 def _redundancy(circle: Circle, view: int, fan: Floats) -> Floats | float:
-    """Share of a ray among those along the same line: they add up to 1, (columns,).
+    """Return the share of each ray among all rays along its line, (columns,); shares add up to 1.
 
-    A ray at angle b of the source, turned by g from the central one, comes again at b + pi + 2 g
-    with -g.
+    A ray at angle b of the source, at g from the central ray, recurs at b + pi + 2 g with -g.
     """
     if circle.full:
         return 0.5
@@ -175,10 +176,10 @@ def _redundancy(circle: Circle, view: int, fan: Floats) -> Floats | float:
 
 
 def _response(columns: int, window: str) -> Singles:
-    """Ramp filter of pixels of width 1 at the frequencies of a padded row.
+    """Return the ramp filter for pixels of width 1, at the frequencies of a padded row.
 
-    The transform of the band-limited kernel (Ramachandran, Lakshminarayanan 1971) rather than |f|
-    itself: sampling |f| would lower the mean of the image.
+    It is the transform of the band-limited kernel (Ramachandran, Lakshminarayanan 1971) rather than
+    |f| itself: sampling |f| would lower the mean of the image.
     """
     size = _padded(columns)
     n = np.concatenate([np.arange(size // 2 + 1), np.arange(size // 2 + 1 - size, 0)])
@@ -198,12 +199,12 @@ def _response(columns: int, window: str) -> Singles:
 
 
 def _padded(columns: int) -> int:
-    """Length at which no end of a row, led to zero, reaches the other."""
+    """Return the length at which the two extended ends of a row do not overlap."""
     return int(scipy.fft.next_fast_len(4 * columns, real=True))
 
 
 def _filtered(image: Singles, response: Singles) -> Singles:
-    """Rows led to zero at both ends, filtered, and cut again."""
+    """Extend the rows to zero at both ends, filter them, and crop them again."""
     columns = image.shape[1]
     reach = columns // 2
     angle = math.pi * np.arange(1.0, reach + 1) / (reach + 1)
@@ -217,7 +218,7 @@ def _filtered(image: Singles, response: Singles) -> Singles:
 
 
 def _complete(image: Singles, mask: Mask | None, view: int) -> Singles:
-    """Masked pixels interpolated along their row; whole rows from the rows beside them."""
+    """Interpolate masked pixels along their row, and whole rows from the rows beside them."""
     if mask is None:
         return image
     good = mask_of(mask, view)

@@ -1,4 +1,4 @@
-"""What regularised algorithms share: FISTA, its data terms and its proximal step."""
+"""FISTA, its data terms and its proximal step, for all regularised algorithms."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ from twinct.settings import NonNegative, Positive, facts
 from twinct.volume import Volume
 
 LEAST_WEIGHT = 0.05
-"""Smallest curvature taken for a voxel, share of the mean: larger ones make smaller, safe steps."""
+"""Smallest curvature of a voxel, as a share of the mean; larger values make smaller, safe steps."""
 
 DUAL_STEP = 1.8
-"""Step of the dual iteration, which ceases to converge at 2."""
+"""Step size of the dual iteration, which no longer converges at 2."""
 
 LOOSE = 2.0
-"""Huber's bound is at least this times the mean residual of a view in the first half of the
-iterations: from far away it would take as many more to come near."""
+"""Smallest ratio of Huber's bound to the mean residual of a view, in the first half of iterations.
+
+With a tighter bound, a start far from the solution would need as many iterations again.
+"""
 
 
 class Regularised(AlgorithmSettings):
@@ -77,13 +79,13 @@ class Regularised(AlgorithmSettings):
 
 @dataclass(frozen=True, eq=False)
 class KnownBefore:
-    """What a volume is expected to resemble.
+    """Expected values of a volume.
 
     Attributes:
         array: (z, y, x), 0 where nothing is known.
-        seams: voxels next to the border of what is known, flat indices: differences across it mean
-            nothing.
-        share: of the total variation that is taken of the difference to it, 0 to 1.
+        seams: flat indices of the voxels next to the border of the known region; differences across
+            the border mean nothing.
+        share: share of the total variation that applies to the difference from ``array``, 0 to 1.
     """
 
     array: Singles
@@ -93,10 +95,10 @@ class KnownBefore:
 
 @dataclass(eq=False)
 class Variation:
-    """strength * TV(x), or shares of it of x and of its difference to what is known; x >= floor.
+    """Term strength * TV(x), or shares for x and for x less its expected values; x >= floor.
 
     The proximal step solves the dual problem (Chambolle 2004) in the metric of the data term, from
-    the dual of the step before. Two terms have a dual each, and steps of half the size.
+    the dual of the previous step. Two terms have a dual each, and steps of half the size.
     """
 
     A: Projector
@@ -108,7 +110,7 @@ class Variation:
     other: Singles = field(init=False)
 
     def __post_init__(self) -> None:
-        """Start from zero."""
+        """Set the duals to zero."""
         shape = 3, *self.A.domain_shape
         self.dual = np.zeros(shape, np.float32)
         self.other = np.zeros(shape if self.known else (3, 0, 0, 0), np.float32)
@@ -129,7 +131,7 @@ class Variation:
             kernels.primal(room, curvature, self.other, inverse, self.floor, x)
             if last == self.steps:
                 return
-            if own > 0:  # else it divides by zero
+            if own > 0:  # avoids a division by zero
                 kernels.ascend(x, curvature, inverse, own, DUAL_STEP / 2, self.dual)
             np.subtract(x, known.array, out=room)
             kernels.ascend(room, curvature, inverse, share, DUAL_STEP / 2, self.other)
@@ -150,7 +152,7 @@ def minimised(
     mask: Mask | None,
     callback: Callback | None,
 ) -> Volume:
-    """FISTA from ``x``, which is worked on; see ``fista_tv``, which checks its arguments."""
+    """Run FISTA from ``x``, which is overwritten; see ``fista_tv``, which checks the arguments."""
     parts = [(A[views], views) for views in subsets_of(A.geometry, subsets)]
     trust = _trust(A, weights, mask)
     curvature = _curvature(parts, trust)
@@ -203,7 +205,7 @@ def minimised(
 
 
 def _trust(A: Projector, weights: NDArray[Any] | None, mask: Mask | None) -> Singles:
-    """W of the rays that count, 0 of the others."""
+    """Return W for the rays that count, and 0 for the others."""
     counts, trust = counting_rays(A, mask)
     for view, image in enumerate(trust):
         image[:] = counts[view] if weights is None else np.where(counts[view], weights[view], 0)
@@ -211,7 +213,7 @@ def _trust(A: Projector, weights: NDArray[Any] | None, mask: Mask | None) -> Sin
 
 
 def _curvature(parts: list[tuple[Projector, list[int]]], trust: Singles) -> Singles:
-    """Row sums of A^T W A, the largest over the subsets times their number."""
+    """Return the row sums of A^T W A, the largest over the subsets times their number."""
     largest = np.zeros(parts[0][0].domain_shape, np.float32)
     ones = np.ones_like(largest)
     for part, views in parts:

@@ -1,4 +1,4 @@
-"""FISTA with total variation: few views, or few photons."""
+"""FISTA with total variation, for few views or few photons."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from twinct.volume import Volume
 
 
 class FistaTv(Regularised):
-    """FISTA with total variation: few views, or few photons."""
+    """FISTA with total variation, for few views or few photons."""
 
     algorithm: Literal["fista_tv"] = "fista_tv"
 
@@ -43,31 +43,32 @@ def fista_tv(
 
         0.5 |A x - p|_W^2 / d + regularisation * TV(x),   TV(x) = integral of |grad x| over mm^3
 
-    d is the mean over the grid of A^T W A 1, for each mm^3. It makes the regularisation a pure
-    number that means the same for any number of views, pixels or voxels.
+    d is the mean over the grid of A^T W A 1 per mm^3. It makes the regularisation a pure number
+    that means the same for any number of views, pixels or voxels.
 
-    FISTA (Beck, Teboulle 2009) with ordered subsets of views and a momentum that goes on from
-    subset to subset (Kim, Ramani, Fessler 2015); the step of each voxel is the inverse of the row
-    sums of A^T W A, the largest over the subsets (a separable quadratic surrogate). The proximal
-    step solves the dual problem (Chambolle 2004) in that metric, starting from the dual of the
-    update before. With one subset the objective converges to its minimum; with more, the volume
-    comes near it much sooner and then moves about it, the less the more views are in a subset.
+    The method is FISTA (Beck, Teboulle 2009) with ordered subsets of views, and a momentum that
+    continues from subset to subset (Kim, Ramani, Fessler 2015). The step of each voxel is the
+    inverse of the row sums of A^T W A, the largest over the subsets (a separable quadratic
+    surrogate). The proximal step solves the dual problem (Chambolle 2004) in that metric, starting
+    from the dual of the previous update. With one subset the objective converges to its minimum;
+    with more, the volume comes near the minimum much sooner and then moves about it, less so with
+    more views per subset.
 
-    With ``huber`` a residual beyond it counts by its size: its square is replaced by
-    2 huber |r| - huber^2 (Huber 1964), which is bounded by the same surrogate. In the first half of
-    the iterations the bound is at least twice the mean residual of a view.
+    With ``huber`` a residual beyond this bound counts by its size: 2 huber |r| - huber^2 (Huber
+    1964) replaces its square, and is bounded by the same surrogate. In the first half of the
+    iterations the bound is at least twice the mean residual of a view.
 
-    Total variation takes contrast: of a ball as much as 3 regularisation over its radius, times d
-    over its own curvature, which is many times smaller in a large grid. With ``rounds`` the
-    iterations are done in as many parts; after each, p - A x is added to p (Osher et al.,
-    Multiscale Model. Simul. 4 (2005) 460). Contrast comes back, of what is large first, and of
-    noise last: few rounds leave it.
+    Total variation lowers contrast. The contrast of a ball falls by up to 3 regularisation over its
+    radius, times d over the ball's own curvature, which is many times smaller in a large grid. With
+    ``rounds`` the iterations are split into as many parts; after each part, p - A x is added to p
+    (Osher et al., Multiscale Model. Simul. 4 (2005) 460). Contrast returns first in large
+    structures, and noise returns last: few rounds leave it out.
 
-    n iterations and then m from their result are not n + m iterations: momentum and dual start
+    n iterations, then m from their result, are not n + m iterations: momentum and dual start
     afresh.
 
-    Memory at its peak: 8 volumes and twice the projections (hardly more than once with many
-    subsets; once more with several rounds), beside the projections and weights.
+    Peak memory: 8 volumes and twice the projections (hardly more than once with many subsets; once
+    more with several rounds), besides the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.
@@ -75,14 +76,14 @@ def fista_tv(
         iterations: passes over all views, at least 1.
         regularisation: 0 or more; about 0.0001 for bone (0.04/mm) and 1e4 photons a pixel, in
             proportion to the contrast.
-        rounds: from 1 to the number of iterations; 1 if not given.
-        subsets: from 1 to the number of views; one for each 10 views if not given.
+        rounds: from 1 to the number of iterations; by default 1.
+        subsets: from 1 to the number of views; by default one for each 10 views.
         tv_steps: dual steps after each update, at least 1.
         weights: W, of the shape of the projections, 0 or more; for Poisson noise the expected
-            counts, such as the transmission. 1 if not given.
-        huber: residual of a line integral beyond which it counts by its size, above 0; never if
-            not given.
-        x0: start, (z, y, x); zero if not given.
+            counts, such as the transmission. By default 1.
+        huber: residual of a line integral beyond which it counts by its size, above 0; by default
+            none.
+        x0: initial volume, (z, y, x); by default zero.
         nonnegative: x >= 0.
         mask: as in ``sart``.
         callback: called after each update; see ``Step``. True stops.

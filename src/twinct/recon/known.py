@@ -1,4 +1,4 @@
-"""Implants of known shape: found in the projections, and taken out of the line integrals."""
+"""Implants of known shape: pose estimation from projections, and removal from line integrals."""
 
 from __future__ import annotations
 
@@ -22,62 +22,63 @@ from twinct.recon.steps import Callback
 from twinct.shadow import Body, Box, Rays
 
 STARVED = 7.0
-"""Line integral from which a ray through metal says less than what is expected of it: at 1e5
-photons a pixel, 90 of them are left."""
+"""Line integral above which a ray through metal is less reliable than its expected value.
+
+At 1e5 photons a pixel, 90 of them are left.
+"""
 FINEST_PX = 0.7
-"""Residuals and their derivatives are blurred by as much, for shadows have steep edges."""
+"""Smallest blur of residuals and derivatives, in pixels, since shadows have steep edges."""
 STEEPEST = 10.0
-"""Most that a path length changes by with the body's position, mm by mm: at an edge it has no
-bound."""
+"""Largest derivative of a path length by the body's position, mm per mm; unbounded at an edge."""
 SOME_VIEWS = 50
-"""As many, evenly spread, are enough to find roughly where an implant is."""
+"""Number of evenly spread views that suffice for a rough pose of an implant."""
 DENSITY_SIGMA = 0.3
-"""Standard deviation of a density's logarithm before anything is measured."""
+"""Standard deviation of a density's logarithm before any measurement."""
 OUTLIER = 2.0
-"""Residuals larger than this many times their scale count in proportion (Huber)."""
+"""Multiple of their scale beyond which residuals count in proportion to their size (Huber)."""
 ALIKE_PX = 10.0
-"""Pixels near one another that err alike, because of the background's error, count as one."""
+"""Number of neighbouring pixels that count as one, since they share the background's error."""
 
 
 class Behind(Protocol):
-    """Line integrals of a scan that know how metal and what surrounds it attenuate together."""
+    """Line integrals of a scan, with the joint attenuation of metal and its surroundings."""
 
     @property
     def measured(self) -> Singles:
-        """-ln of the transmission, (views, rows, columns)."""
+        """Negative logarithm of the transmission, (views, rows, columns)."""
         ...
 
     @property
     def line_integrals(self) -> Singles:
-        """The same, corrected as if there were no metal."""
+        """Line integrals corrected as if there were no metal, (views, rows, columns)."""
         ...
 
     def without(self, view: int, rays: NDArray[np.intp], lengths: Floats) -> tuple[Floats, Floats]:
-        """What is left of rays behind paths through implants.
+        """Return the line integrals of rays without the implants, and their derivatives.
 
         Args:
-            view: its number.
+            view: number of the view.
             rays: flat indices of pixels.
-            lengths: in each implant, (implants, rays), mm.
+            lengths: path lengths in each implant, (implants, rays), mm.
 
         Returns:
-            Line integrals without the implants, (rays,), and their derivatives with each length,
+            Line integrals without the implants, (rays,), and their derivatives by each path length,
             (implants, rays), 1/mm.
         """
         ...
 
 
 Beam = Callable[[Singles], Behind]
-"""Makes of a volume without metal, (z, y, x), what is ``Behind`` it."""
+"""Function from a volume without metal, (z, y, x), to the line integrals ``Behind`` it."""
 
 
 @dataclass(frozen=True, eq=False)
 class OneEnergy:
-    """The beam of one energy: attenuations add up, whatever the background.
+    """Beam of one energy: attenuations add up, regardless of the background.
 
     Attributes:
         measured: line integrals, (views, rows, columns).
-        attenuations: of each implant, 1/mm.
+        attenuations: attenuation of each implant, 1/mm.
     """
 
     measured: Singles
@@ -85,26 +86,26 @@ class OneEnergy:
 
     @property
     def line_integrals(self) -> Singles:
-        """Nothing to correct."""
+        """Line integrals as measured, which need no correction."""
         return self.measured
 
     def __call__(self, background: Singles) -> Behind:
-        """The same for all."""
+        """Return the beam itself, whatever the background."""
         return self
 
     def without(self, view: int, rays: NDArray[np.intp], lengths: Floats) -> tuple[Floats, Floats]:
-        """See ``Behind``."""
+        """Return the line integrals without the implants; see ``Behind``."""
         slopes = np.broadcast_to(-np.asarray(self.attenuations)[:, None], lengths.shape)
         return self.measured[view].flat[rays] + (slopes * lengths).sum(axis=0), slopes
 
 
 @dataclass(frozen=True, eq=False)
 class Implant:
-    """A body, and where it is believed to be.
+    """Body with its believed pose.
 
     Attributes:
-        body: its shape.
-        world_from_implant: its pose.
+        body: shape of the implant.
+        world_from_implant: pose of the implant.
     """
 
     body: Body
@@ -113,16 +114,15 @@ class Implant:
 
 @dataclass(frozen=True, eq=False)
 class FoundImplant:
-    """Where an implant is.
+    """Estimated pose and density of an implant.
 
     Attributes:
-        world_from_implant: its pose.
-        covariance: of a twist (v, w) in its own axes, (6, 6), mm and rad; where nothing tells, such
-            as of a rod's roll, what was allowed beforehand.
-        density: factor on its attenuation that explains the line integrals, over what lies about
-            it: 1 less the share of the background there.
-        slack: by how much it seems to be displaced in each view beside that, in its own axes,
-            (views, 3), mm.
+        world_from_implant: pose of the implant.
+        covariance: covariance of a twist (v, w) in its own axes, (6, 6), mm and rad; the a-priori
+            covariance where the scan holds no information, such as on a rod's roll.
+        density: factor on the attenuation that explains the line integrals, in excess of the
+            surroundings: 1 less the share of the background there.
+        slack: additional apparent displacement in each view, in its own axes, (views, 3), mm.
     """
 
     world_from_implant: Pose
@@ -133,12 +133,12 @@ class FoundImplant:
 
 @dataclass(frozen=True, eq=False)
 class WithoutImplants:
-    """Line integrals as if what surrounds the implants filled their places, and the implants.
+    """Line integrals with the implants replaced by their surroundings, and the implants.
 
     Attributes:
         line_integrals: (views, rows, columns), float32.
-        background: the last volume of them, (z, y, x), float32.
-        found: the implants, in the order in which they were given.
+        background: last volume without the implants, (z, y, x), float32.
+        found: estimated implants, in the given order.
     """
 
     line_integrals: Singles
@@ -162,45 +162,47 @@ def without_implants(
     mask: ArrayLike | None = None,
     callback: Callback | None = None,
 ) -> WithoutImplants:
-    """Find implants of known shape and material, and take them out (known components).
+    """Find implants of known shape and material, and remove them (known components).
 
-    In turns, as Stayman, Otake, Prince, Khanna and Siewerdsen (IEEE Trans Med Imaging 31, 2012) do:
-    with the background held, the implants' poses and densities follow from the residuals about
-    their shadows by Gauss-Newton steps, whose derivatives are exact (``twinct.shadow``); with these
-    held, the background is reconstructed from line integrals without the implants, by ``sart``.
-    Unlike theirs the background is not part of one objective function, so that any algorithm can go
-    on with the line integrals afterwards.
+    Two steps alternate, as in Stayman, Otake, Prince, Khanna and Siewerdsen (IEEE Trans Med Imaging
+    31, 2012). With the background fixed, Gauss-Newton steps with exact derivatives
+    (``twinct.shadow``) estimate the implants' poses and densities from the residuals about their
+    shadows. With the implants fixed, ``sart`` reconstructs the background from line integrals
+    without the implants. Unlike in the paper, the background is not part of one objective function,
+    so that any algorithm can continue with the line integrals afterwards.
 
-    The steps go from coarse to fine: residual and derivatives are blurred by as much as the implant
-    may be off, then by less. Believed poses of source and panel err in every view alone; an implant
-    may therefore be displaced in each view a little, along the panel, as a random effect of
-    standard deviation ``slack_mm`` that is eliminated from the normal equations of its pose.
+    The steps go from coarse to fine: residuals and derivatives are blurred by the possible error of
+    the implant's position, then by less. The believed poses of source and panel have independent
+    errors in every view. An implant may therefore be displaced a little along the panel in each
+    view, as a random effect of standard deviation ``slack_mm`` that is eliminated from the normal
+    equations of its pose.
 
-    What the implants' places hold in the background cannot be told from their density: their
-    shadows are taken out as far as they exceed it. Rays that hardly come through are set to what
-    the background lets expect.
+    The background in the implants' place cannot be separated from their density: shadows are
+    removed as far as they exceed the background. Rays with hardly any transmission are set to the
+    values expected from the background.
 
-    Memory at its peak: 2 volumes and 3 times the projections, beside those given.
+    Peak memory: 2 volumes and 3 times the projections, besides the input.
 
     Args:
         A: the projector, with the believed geometry.
-        beam: makes of a background the line integrals behind it.
-        implants: shapes, and poses to start from.
-        background: a volume without metal to start from, (z, y, x), such as that of the line
-            integrals of ``without_metal``.
-        surroundings: line integrals of what lies around the grid, (views, rows, columns).
+        beam: function from a background to the line integrals behind it.
+        implants: shapes and initial poses.
+        background: initial volume without metal, (z, y, x), such as from the line integrals of
+            ``without_metal``.
+        surroundings: line integrals of the grid's surroundings, (views, rows, columns).
         position_sigma_mm: standard deviation of the believed position along each axis, mm.
-        rotation_sigma_deg: the same about each axis of the implant, deg.
-        slack_mm: see above; 0 for exact poses.
-        rounds: of poses and background; the poses are gone over once more at the end.
-        iterations: of each ``sart``.
-        relaxation: of each ``sart``.
+        rotation_sigma_deg: standard deviation of the believed rotation about each axis of the
+            implant, deg.
+        slack_mm: standard deviation of the displacement in each view; 0 for exact poses.
+        rounds: rounds of poses and background; the poses are refined once more at the end.
+        iterations: iterations of each ``sart``.
+        relaxation: relaxation of each ``sart``.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
-        callback: of each ``sart``.
+        callback: callback of each ``sart``.
 
     Raises:
-        InputError: numbers out of range; an implant outside of the grid, or behind a source; a view
-            whose every ray passes an implant; or as in ``sart``.
+        InputError: a number is out of range, an implant is outside the grid or behind a source,
+            every ray of a view passes an implant, or as in ``sart``.
     """
     checks = Checks(A.range_shape)
     rounds = checks.count("rounds", rounds)
@@ -244,14 +246,14 @@ def without_implants(
 
 
 def implant_bytes(voxels: int, pixels: int) -> int:
-    """Bytes that ``without_implants`` takes beside what it is given; pixels of all views."""
+    """Return the bytes that ``without_implants`` needs besides its input; pixels of all views."""
     return 4 * (2 * voxels + 3 * pixels) + SPARE_BYTES
 
 
 def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()) -> list[str]:
-    """What is wrong with where implants are believed to be, one sentence each.
+    """Return one sentence for each problem with the believed poses of implants.
 
-    They must lie in the grid and in front of all sources, and leave some rays of each view.
+    Implants must lie in the grid and in front of all sources, and leave some rays of each view.
     """
     problems: list[str] = []
     local, rays = A.grid.world_from_grid.inverse(), Rays(A.geometry)
@@ -277,7 +279,7 @@ def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()
 
 
 class _Sought:
-    """An implant whose pose is worked on."""
+    """Implant whose pose is being estimated."""
 
     def __init__(self, implant: Implant, views: int) -> None:
         self.body, self.start = implant.body, implant.world_from_implant
@@ -290,7 +292,7 @@ class _Sought:
         return math.exp(self.logarithm)
 
     def at(self, view: int) -> Pose:
-        """Where it seems to be in a view."""
+        """Return the apparent pose in a view."""
         return self.pose @ Pose(self.slack[view], np.array([0.0, 0.0, 0.0, 1.0]))
 
     def found(self) -> FoundImplant:
@@ -300,14 +302,14 @@ class _Sought:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Poses of implants from residuals about their shadows.
+    """Estimation of implant poses from residuals about their shadows.
 
     Attributes:
-        rays: of the believed views.
+        rays: rays of the believed views.
         sought: the implants.
-        allowed: standard deviations of a twist (v, w) from where they are believed, (6,).
+        allowed: standard deviations of a twist (v, w) from the believed poses, (6,).
         slack_mm: standard deviation of the displacement in each view.
-        mask: where pixels count.
+        mask: True where pixels count.
     """
 
     rays: Rays
@@ -322,7 +324,7 @@ class _Fit:
         return self.rays.geometry
 
     def go_on(self, behind: Behind, expected: Singles, *, coarse: bool) -> None:
-        """Improve all poses, from as coarse as they may be off if that is asked for."""
+        """Improve all poses; if ``coarse``, start with a blur as large as their possible error."""
         for i, one in enumerate(self.sought):
             magnification = self.geometry.sdd / self.geometry.depth(one.start.position)
             pixels = float(magnification.mean()) / self.geometry.panel.pitch_u
@@ -332,7 +334,7 @@ class _Fit:
                 self._descend(i, behind, expected, blur)
 
     def _descend(self, i: int, behind: Behind, expected: Singles, blur: float) -> None:
-        """A few Gauss-Newton steps of one implant at one blur, px."""
+        """Take a few Gauss-Newton steps for one implant at one blur, px."""
         fine, views = blur <= FINEST_PX, len(self.geometry)
         some = range(0, views, 1 if fine else max(views // SOME_VIEWS, 1))
         enough = 1e-3 if fine else 0.02 * blur
@@ -343,7 +345,7 @@ class _Fit:
     def _step(
         self, i: int, behind: Behind, expected: Singles, blur: float, views: range, fine: bool
     ) -> float:
-        """One step, how long it was at the implant's ends, mm."""
+        """Take one step, and return its length at the implant's ends, mm."""
         one, free = self.sought[i], 7 if fine else 6
         weight = np.diag([*(1 / self.allowed**2), 1 / DENSITY_SIGMA**2])
         off = np.array([*(one.start.inverse() @ one.pose).log(), one.logarithm])
@@ -360,7 +362,7 @@ class _Fit:
             normal = (slopes * robust[:, None]).T @ slopes
             pulled = -slopes.T @ (robust * rest)
             if slack:
-                # The view's own displacement along the panel is eliminated (Schur complement).
+                # Eliminate the view's own displacement along the panel (Schur complement).
                 along = one.pose.inverse().rotate([self.geometry.u[view], self.geometry.v[view]])
                 both = normal[:, :3] @ along.T
                 own = np.linalg.inv(along @ both[:3] + np.eye(2) / slack**2)
@@ -385,7 +387,7 @@ class _Fit:
     def _residual(
         self, i: int, view: int, behind: Behind, expected: Singles, blur: float
     ) -> tuple[Floats, Floats]:
-        """Residuals about a shadow, (rays,), and their derivatives, (rays, 7), blurred."""
+        """Return blurred residuals about a shadow, (rays,), and their derivatives, (rays, 7)."""
         one = self.sought[i]
         box = self.rays.box(one.body, one.at(view), view, 3 * blur + 2)
         if 0 in box.shape:
@@ -415,7 +417,10 @@ class _Fit:
     def _behind(
         self, behind: Behind, view: int, box: Box
     ) -> tuple[NDArray[np.intp], Floats, Floats]:
-        """Rays of a box through any implant, flat in it; what is left of them; derivatives."""
+        """Return the rays of a box through any implant, their line integrals, and derivatives.
+
+        The rays are flat indices into the box.
+        """
         lengths = np.stack(
             [
                 one.density * self.rays.shadow(one.body, one.at(view), view, box=box).lengths
@@ -428,7 +433,7 @@ class _Fit:
         return rays, *behind.without(view, panel, lengths[:, rays])
 
     def taken_out(self, behind: Behind, expected: Singles) -> Singles:
-        """Line integrals without the implants."""
+        """Return the line integrals without the implants."""
         rest = behind.line_integrals.copy()
         rows, columns = self.geometry.panel.shape
         whole = Box(slice(0, rows), slice(0, columns))
@@ -440,5 +445,5 @@ class _Fit:
 
 
 def _trust(measured: NDArray[Any]) -> Floats:
-    """From 1 where rays are bright to 0 where noise is all that they hold."""
+    """Return weights from 1 for bright rays to 0 for rays that hold only noise."""
     return 1 / (1 + np.exp(np.asarray(measured, dtype=np.float64) - STARVED))

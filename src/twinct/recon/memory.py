@@ -1,4 +1,4 @@
-"""What each algorithm needs in memory, against what this process may use."""
+"""Memory needs of the algorithms, compared with the memory available to this process."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from twinct.recon.algorithm import Algorithm
 from twinct.recon.projector import Projector
 
 SPARE_BYTES = 96 * 2**20
-"""Images, threads, compiled code."""
+"""Allowance for images, threads and compiled code."""
 
 
 def peak_bytes(
     algorithm: Algorithm[Any], voxels: int, pixels: int, extra_volumes: float = 0.0
 ) -> int:
-    """Bytes that an algorithm takes beside what it is given; pixels of all views together."""
+    """Return the bytes that an algorithm needs besides its input; pixels of all views together."""
     volumes = algorithm.volumes + extra_volumes
     return int(4 * (volumes * voxels + algorithm.projections * pixels)) + SPARE_BYTES
 
 
 def refuse_if_short(needed: int, what: str, advice: str) -> None:
-    """Raise MemoryShortageError, with what is needed and there and what to change."""
+    """Raise MemoryShortageError, with need, available memory and advice, unless there is enough."""
     available, limit = available_bytes()
     if needed > available:
         raise MemoryShortageError(
@@ -33,7 +33,7 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
 
 
 def require_memory(algorithm: Algorithm[Any], A: Projector, extra_volumes: float = 0.0) -> None:
-    """Refuse to start what cannot fit, beside what is in memory already."""
+    """Raise MemoryShortageError unless the algorithm fits into the available memory."""
     voxels, pixels = math.prod(A.domain_shape), math.prod(A.range_shape)
     parts = f"{algorithm.volumes + extra_volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
     if algorithm.projections:
@@ -47,7 +47,7 @@ def require_memory(algorithm: Algorithm[Any], A: Projector, extra_volumes: float
 
 
 def advice(algorithm: Algorithm[Any] | None = None) -> str:
-    """What to change where memory is short."""
+    """Return advice on saving memory."""
     text = "use fewer or larger voxels, or fewer views or pixels"
     if algorithm is not None and (algorithm.volumes > 1 or algorithm.projections):
         text += ", or sart, which needs 1 volume"

@@ -1,4 +1,4 @@
-"""Metal: what rays through it say is replaced beforehand by what a prior image lets expect."""
+"""Metal artefact reduction: a prior image replaces the line integrals of rays through metal."""
 
 from __future__ import annotations
 
@@ -20,8 +20,11 @@ from twinct.recon.steps import Callback
 from twinct.volume import Volume
 
 OFFSET_MM = 20.0
-"""Path in tissue that is added to both before they are divided: a ray that misses the prior would
-have no ratio. From 2 mm to 10 m of it changed the errors by 3 % of theirs."""
+"""Path in tissue that is added to both line integrals before their division.
+
+A ray that misses the prior would have no ratio otherwise. Between 2 mm and 10 m of path, the errors
+changed by 3 % of their size.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +33,10 @@ class WithoutMetal:
 
     Attributes:
         line_integrals: (views, rows, columns), float32; the given ones where no ray passes metal.
-        voxels: which ones are metal, flat indices into (z, y, x).
-        values: of these in the first volume, float32.
-        threshold: from which on a voxel is metal, unit of the volume.
-        densest: the largest value of the first volume.
+        voxels: flat indices of the metal voxels in (z, y, x).
+        values: values of these voxels in the first volume, float32.
+        threshold: smallest value of a metal voxel, unit of the volume.
+        densest: largest value of the first volume.
     """
 
     line_integrals: NDArray[Any]
@@ -43,7 +46,7 @@ class WithoutMetal:
     densest: float
 
     def put_back(self, volume: Volume) -> Volume:
-        """A volume of these line integrals with the metal in it; how much is among its extras."""
+        """Return a volume with the metal put back; its extras hold ``metal_voxels``."""
         array = volume.array
         if self.voxels.size:
             array = np.array(array)
@@ -64,40 +67,41 @@ def without_metal(
     mask: ArrayLike | None = None,
     callback: Callback | None = None,
 ) -> WithoutMetal:
-    """Normalised metal artefact reduction, for any algorithm (Meyer et al., Med Phys 37, 2010).
+    """Replace the line integrals of rays through metal (Meyer et al., Med Phys 37, 2010).
 
-    A first volume, by ``sart`` of all line integrals, says where metal is and what the rest is: the
-    prior has air, tissue and bone, each with its own attenuation, and tissue where there is metal.
-    A voxel counts by its share of the step from air to tissue, and from tissue to bone: below a
-    quarter as the former, above three quarters as the latter, in between in proportion. What is
-    measured is divided by the prior's line integrals; the ratio is close to 1 and smooth, so that
-    it can be carried over from the rays beside the metal to those through it, and multiplied by
-    the prior's again. It is carried over in both directions of the panel, by Laplace's equation.
+    This is normalised metal artefact reduction, for any algorithm. A first volume, by ``sart`` of
+    all line integrals, locates the metal and classifies the rest. The prior contains air, tissue
+    and bone, each with its own attenuation, and tissue in place of metal. A voxel is classified by
+    its share of the step from air to tissue, or from tissue to bone: below a quarter as the lower
+    material, above three quarters as the higher, in between in proportion. The measured line
+    integrals are divided by the prior's. The ratio is smooth and close to 1. It is interpolated
+    from the rays beside the metal into the rays through metal, in both directions of the panel, by
+    Laplace's equation, and multiplied by the prior's line integrals again.
 
-    Where something lies around the grid, take it out first (``without_surroundings``): the prior
-    knows nothing of it.
+    If something lies around the grid, remove it first (``without_surroundings``): the prior does
+    not contain it.
 
-    Memory at its peak: 2.25 volumes and the projections once, beside those given.
+    Peak memory: 2.25 volumes and the projections once, besides the input.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         tissue: attenuation of soft tissue, 1/mm.
-        bone: attenuation of bone, more than that.
-        metal: attenuation of the metal, more than that.
-        threshold: what attenuates as much in the first volume is metal; the geometric mean of bone
-            and metal if not given.
-        first_iterations: of the first ``sart``.
-        relaxation: of the first ``sart``.
+        bone: attenuation of bone, above tissue.
+        metal: attenuation of the metal, above bone.
+        threshold: smallest attenuation of metal in the first volume; by default the geometric mean
+            of bone and metal.
+        first_iterations: iterations of the first ``sart``.
+        relaxation: relaxation of the first ``sart``.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
-        callback: of the first ``sart``.
+        callback: callback of the first ``sart``.
 
     Returns:
-        The line integrals, and the metal to be put into the volume that is made of them. Without
-        metal the line integrals are those given.
+        The line integrals, and the metal for the volume that is reconstructed from them. Without
+        metal the line integrals are the given ones.
 
     Raises:
-        InputError: attenuations that do not rise; every ray of a view passes metal; or as in
+        InputError: the attenuations do not rise, every ray of a view passes metal, or as in
             ``sart``.
     """
     checks = Checks(A.range_shape)
@@ -141,21 +145,21 @@ def without_metal(
 
 
 def metal_bytes(voxels: int, pixels: int) -> int:
-    """Bytes that ``without_metal`` takes beside the line integrals; pixels of all views."""
+    """Return the bytes that ``without_metal`` needs besides its input; pixels of all views."""
     return int(4 * (2.25 * voxels + pixels)) + SPARE_BYTES
 
 
 def _share(values: Singles, low: float, high: float) -> Singles:
-    """From 0 at a quarter of the step to 1 at three quarters: noise counts as neither."""
+    """Return the share of a step: 0 up to a quarter, 1 from three quarters, to ignore noise."""
     return np.clip(2 * (values - low) / (high - low) - 0.5, 0, 1).astype(np.float32)
 
 
 def _replaced(
     A: Projector, p: NDArray[Any], mask: Mask | None, prior: Singles, solid: Singles, offset: float
 ) -> tuple[Singles, list[int]]:
-    """The line integrals, those of rays through ``solid`` from the prior's and their neighbours.
+    """Return the line integrals with rays through ``solid`` replaced, and the lost views.
 
-    And the views of which no ray is left.
+    Replacements come from the prior and the neighbouring rays. A lost view has no ray left.
     """
     neighbours = _laplacian(A.range_shape[1:])
     replaced = np.array(p, dtype=np.float32)
@@ -176,7 +180,7 @@ def _replaced(
 
 
 def _laplacian(shape: tuple[int, ...]) -> Any:
-    """(pixels, pixels): neighbours of each pixel less the pixel itself, negative, sparse."""
+    """Return the negative Laplacian of an image as a sparse matrix, (pixels, pixels)."""
     rows, columns = (scipy.sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in shape)
     down, right = (
         scipy.sparse.kron(rows, scipy.sparse.eye(shape[1])),
@@ -187,7 +191,7 @@ def _laplacian(shape: tuple[int, ...]) -> Any:
 
 
 def _filled(image: Singles, unknown: Mask, neighbours: Any) -> Singles:
-    """The image whose unknown pixels are the mean of their neighbours (Laplace's equation).
+    """Return the image with each unknown pixel as the mean of its neighbours (Laplace's equation).
 
     Nothing flows over the border of the panel.
     """

@@ -1,4 +1,4 @@
-"""Whether a scan is a circle, and which: fitted to the views, nothing assumed."""
+"""Fit of a circle to the views of a scan, without assumptions."""
 
 from __future__ import annotations
 
@@ -11,31 +11,36 @@ from twinct.errors import InputError
 from twinct.geometry import Floats, ScanGeometry
 
 OFF_CIRCLE = 0.01
-"""Largest distance of a source from the circle, and spread of the panel's distance: shares of
-radius and SDD. Arms that trigger within 1 mm are at 0.003 on the paper's radius."""
+"""Largest distance of a source from the circle, and largest spread of the panel's distance.
+
+They are shares of the radius and the SDD. Arms that trigger within 1 mm are at 0.003 on the paper's
+radius.
+"""
 
 TILT_DEG = 1.0
 """Largest angle between the panel's normal and the radius, and between its v and the axis."""
 
 OFF_CENTRE = 0.05
-"""Largest distance of the centre's projection from the panel's middle column, share of its width: a
-displaced panel needs other weights."""
+"""Largest distance of the centre's projection from the panel's middle column.
+
+It is a share of the panel's width; a displaced panel needs other weights.
+"""
 
 UNEVEN = 0.5
-"""Largest deviation of a step from the mean step, share of it."""
+"""Largest deviation of a step from the mean step, as a share of the mean step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """A circular scan.
+    """Circular scan.
 
     Attributes:
-        centre: in the world, (3,), mm.
+        centre: centre in the world, (3,), mm.
         axis: unit vector of the rotation, right-handed from view to view, (3,).
-        radius: mean distance of the sources, mm.
-        angles: of the sources about the axis, increasing from 0, (views,), rad.
+        radius: radius of the fitted circle, mm.
+        angles: angles of the sources about the axis, increasing from 0, (views,), rad.
         steps: arc that each view stands for, (views,), rad.
-        full: a whole turn; otherwise an arc.
+        full: True for a whole turn, False for an arc.
     """
 
     centre: Floats
@@ -52,13 +57,13 @@ class Circle:
 
 
 def fit_circle(geometry: ScanGeometry) -> Circle:
-    """The circle of a scan.
+    """Fit the circle of a scan.
 
-    The plane is the one of least squares; in it the circle is fitted algebraically (Kasa 1976).
+    The plane is a least-squares fit; the circle in the plane is fitted algebraically (Kasa 1976).
 
     Raises:
-        InputError: every way in which the scan leaves a circle by more than the bounds above, with
-            the deviation and the bound.
+        InputError: the scan deviates from a circle by more than the bounds above; the error lists
+            every deviation with its bound.
     """
     if len(geometry) < 3:
         raise InputError(f"{len(geometry)} views do not make a circle: at least 3 needed")
@@ -93,7 +98,10 @@ def fit_circle(geometry: ScanGeometry) -> Circle:
 
 
 def _steps(angles: Floats) -> tuple[Floats, bool]:
-    """Half the way to both neighbours; at the ends of an arc the inner half counts twice."""
+    """Return the arc of each view, halfway to both neighbours, rad, and True for a full turn.
+
+    At the ends of an arc the inner half counts twice.
+    """
     gaps = np.diff(angles)
     mean = float(gaps.mean())
     full = abs(2 * np.pi - angles[-1] - mean) <= 0.5 * mean
@@ -108,7 +116,7 @@ def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
     found: list[str] = []
 
     def bound(values: Floats, limit: float, unit: str, what: str) -> None:
-        """``what`` has a place for the view's number."""
+        """Report the worst value if it exceeds the limit; ``what`` has a place for its view."""
         worst = int(np.abs(values).argmax())
         if not abs(values[worst]) <= limit:
             found.append(

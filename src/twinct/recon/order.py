@@ -1,7 +1,7 @@
-"""Orders in which SART takes the views: each should tell something new after the ones before it.
+"""Orders of the views for SART, in which each view adds information to the previous views.
 
-Neighbouring views are nearly the same equations: used one after the other they converge more slowly
-and leave streaks.
+Neighbouring views are nearly the same equations: used in sequence, they converge more slowly and
+leave streaks.
 """
 
 from __future__ import annotations
@@ -20,38 +20,39 @@ Order = OrderName | Sequence[int] | NDArray[np.integer]
 Rng = np.random.Generator | int
 
 CLEARLY = 0.8
-"""Share of the distance to subsets in given order below which a chain of neighbours is better."""
+"""Largest ratio of distances to subsets, chain to given order, at which the chain is better."""
 
 
 def spread_order(views: int) -> NDArray[np.int64]:
-    """Golden-angle order: each view far from the ones just used, (views,).
+    """Return the golden-angle order: each view is far from the recent ones, (views,).
 
     View i takes the rank of the fractional part of i times the golden ratio, so that consecutive
-    updates lie 0.38 of the path apart.
+    updates are 0.38 of the path apart.
     """
     ratio = (np.sqrt(5.0) - 1.0) / 2.0
     return np.argsort(np.argsort((np.arange(views) * ratio) % 1.0))
 
 
 def random_order(views: int, rng: Rng) -> NDArray[np.int64]:
-    """A permutation drawn from a generator, or from a seed, (views,)."""
+    """Return a random permutation of the views, (views,), from a generator or a seed."""
     return np.random.default_rng(rng).permutation(views)
 
 
 def weighted_distance(geometry: ScanGeometry, memory: int | None = None) -> NDArray[np.int64]:
-    """The weighted distance scheme of Mueller, Yagel and Cornhill (IEEE TMI 16, 1997), (views,).
+    """Return the order of the weighted distance scheme, (views,).
 
-    The next view is the one that is least repelled by the views in a queue of the latest ones, the
-    newest with the largest weight, and at nearly the same distance from all of them: it minimises
+    The scheme is by Mueller, Yagel and Cornhill (IEEE TMI 16, 1997). A queue holds the latest
+    views. The next view is the one that the queue repels least, the newest view with the largest
+    weight, and that is at nearly the same distance from all views of the queue. It minimises
     m^2 + 0.5 s^2, where m is the weighted mean of the repulsion and s the weighted variance of the
-    distances, both scaled to 0..1 over the views that are left. The scheme was made for equal steps
-    on a half circle; here the distance is the angle between central beams as lines, at most 90
+    distances, both scaled to 0..1 over the remaining views. The scheme was made for equal steps on
+    a half circle; here the distance is the angle between central beams as lines, at most 90
     degrees, because views from opposite sides are nearly the same. It costs views^2 x memory steps.
 
     Args:
-        geometry: source directions are seen from the mean of the points halfway between source and
-            panel.
-        memory: length of the queue; half of the views, at most 64, if not given.
+        geometry: the views; source directions are relative to the mean of the midpoints between
+            source and panel.
+        memory: length of the queue; by default half of the views, at most 64.
     """
     beam = geometry.source - (geometry.source + geometry.detector).mean(axis=0) / 2
     beam /= np.linalg.norm(beam, axis=1, keepdims=True)
@@ -81,7 +82,7 @@ def _scaled(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def view_order(checks: Checks, geometry: ScanGeometry, order: Order, rng: Rng | None) -> list[int]:
-    """The order as a list of views; problems go to ``checks``."""
+    """Return the order as a list of views; report problems to ``checks``."""
     views = len(geometry)
     named: dict[str, Callable[[], NDArray[np.int64]]] = {
         "golden": lambda: spread_order(views),
@@ -106,12 +107,12 @@ def view_order(checks: Checks, geometry: ScanGeometry, order: Order, rng: Rng | 
 
 
 def subsets_of(geometry: ScanGeometry, subsets: int) -> list[list[int]]:
-    """Views split into subsets that each run along the whole path, in golden-angle order.
+    """Return subsets of views that each run along the whole path, in golden-angle order.
 
-    Along the path means in the given order, unless that is none: views all over a sphere may be
-    counted so that every eighth lies on the same side, and updates from one side after the other
-    diverge. They are dealt out along a chain of neighbours if that leaves none as far from another
-    subset.
+    The given order is the path, unless the views do not follow one: views all over a sphere may be
+    numbered so that every eighth is on the same side, and updates from one side after the other
+    diverge. The views are distributed along a chain of neighbours instead if that clearly reduces
+    their distance from the subsets.
     """
     views = len(geometry)
     firsts = [int(first) for first in spread_order(subsets)]
@@ -126,14 +127,14 @@ def subsets_of(geometry: ScanGeometry, subsets: int) -> list[list[int]]:
 
 
 def _angles(geometry: ScanGeometry) -> NDArray[np.float64]:
-    """Angles between sources as seen from the middle of the beams, (views, views)."""
+    """Return the angles between sources, seen from the middle of the beams, (views, views)."""
     seen = geometry.source - (geometry.source + geometry.detector).mean(axis=0) / 2
     seen /= np.linalg.norm(seen, axis=1, keepdims=True)
     return np.arccos(np.clip(seen @ seen.T, -1, 1))
 
 
 def _chain(between: NDArray[np.float64]) -> list[int]:
-    """All views, each the nearest of those left to the one before."""
+    """Return a chain of all views, in which the nearest remaining view comes next."""
     left = between.copy()
     chain = [0]
     for _ in range(len(between) - 1):
@@ -143,13 +144,14 @@ def _chain(between: NDArray[np.float64]) -> list[int]:
 
 
 def _farthest(between: NDArray[np.float64], parts: list[list[int]]) -> float:
-    """How far the views are from their nearest in each subset: root mean square."""
+    """Return the distance of the views from the nearest view of each subset: root mean square."""
     return float(np.sqrt(np.mean([between[:, part].min(axis=1) ** 2 for part in parts])))
 
 
 def subset_number(given: int | None, views: int) -> int:
-    """Number of subsets: what is given, else one for each 10 views.
+    """Return the number of subsets: as given, or one for each 10 views.
 
-    Of 100 views, ``fista_tv`` converges twice as fast in subsets of 5; of 3, not any more.
+    For 100 views, ``fista_tv`` converges twice as fast in subsets of 5 views, but no longer
+    converges in subsets of 3.
     """
     return max(views // 10, 1) if given is None else given

@@ -46,12 +46,12 @@ def os_sart(
         x <- x + relaxation * mean over the views i of S that see the voxel of
                               B_i[(p_i - A_i x) / L_i] / B_i[1]
 
-    Subset k holds the views k, k + subsets, k + 2 subsets, ...; subsets take turns in golden-angle
-    order. With as many subsets as views it is ``sart`` in that order; with one subset all views
-    count alike, as in ``sirt`` but with the voxel-driven back projection. Fewer subsets average out
-    more noise and converge more slowly.
+    Subset k holds the views k, k + subsets, k + 2 subsets, ... (but see ``subsets_of``), and the
+    subsets are used in golden-angle order. With as many subsets as views this is ``sart`` in that
+    order; with one subset all views count alike, as in ``sirt`` but with the voxel-driven back
+    projection. Fewer subsets average out more noise and converge more slowly.
 
-    Memory at its peak: 3 volumes, and a few images, beside the projections.
+    Peak memory: 3 volumes and a few images, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
@@ -59,7 +59,7 @@ def os_sart(
         iterations: passes over all views, at least 1.
         relaxation: between 0 and 2, both excluded; stable as in ``sart``.
         subsets: from 1 to the number of views.
-        x0: start, as in ``sart``; n iterations and then m from their result are n + m.
+        x0: initial volume, as in ``sart``; n iterations, then m from their result, equal n + m.
         nonnegative: clip at zero after every update (and ``x0`` before the first).
         mask: as in ``sart``.
         callback: called after each update; see ``Step``. True stops.

@@ -1,4 +1,4 @@
-"""Total variation and an earlier volume: few views of what was scanned before."""
+"""Total variation with an earlier volume, for few views of an object that was scanned before."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ from twinct.settings import Section, Vector, setting
 from twinct.volume import Volume
 
 DENSEST = 20.0
-"""What attenuates more than this per mm is in another unit; gold has 10 at 80 keV."""
+"""Largest plausible attenuation, 1/mm, above which the unit is wrong; gold has 10 at 80 keV."""
 
 
 ROUND, MOST_ROUNDS = 6, 4
-"""Iterations of a round, and rounds, by default: what is new in ``bench_prior`` has 70 % of its
-contrast after the first and 97 % after the fourth."""
+"""Iterations per round and largest number of rounds, by default.
+
+New structures in ``bench_prior`` have 70 % of their contrast after the first round and 97 % after
+the fourth.
+"""
 
 
 class Prior(Section):
@@ -53,16 +56,16 @@ class Prior(Section):
 
     @property
     def start(self) -> Pose:
-        """Where the prior's world lies in the scan's."""
+        """Initial pose of the prior's world in the scan's world."""
         return Pose.from_euler(self.position_mm, self.rotation_deg)
 
     def __str__(self) -> str:
-        """For the scenario in words."""
+        """Return a phrase for the scenario in words."""
         return f"{self.path.name} with a share of {self.share:g}"
 
 
 class PriorTv(Regularised):
-    """FISTA with total variation, also of the difference to an earlier volume: few views."""
+    """FISTA with total variation, also of the difference from an earlier volume, for few views."""
 
     algorithm: Literal["prior_tv"] = "prior_tv"
     iterations: Iterations = 24
@@ -88,18 +91,18 @@ def prior_tv(
     mask: ArrayLike | None = None,
     callback: Callback | None = None,
 ) -> Volume:
-    """``fista_tv``, with a share of the total variation taken of the difference to a prior.
+    """Reconstruct as ``fista_tv``, with total variation also of the difference from a prior.
 
         0.5 |A x - p|_W^2 / d + regularisation * ((1 - share) TV(x) + share TV(x - prior))
 
-    as in prior image constrained compressed sensing (Chen, Tang, Leng 2008); the prior is first
-    registered by the projections (``registered``) and taken to the grid's voxels by cubic splines.
-    Both terms grow with the size of edges, not with its square: where the views tell of something
-    new, its edges cost no more than they would without a prior. Where the prior has no values its
-    share is that of the volume itself.
+    The objective is as in prior image constrained compressed sensing (Chen, Tang, Leng 2008). The
+    prior is first registered by the projections (``registered``) and resampled at the grid's voxels
+    by cubic splines. Both terms grow with the size of edges, not with its square: edges of new
+    structures cost no more than without a prior. Where the prior has no values, its share applies
+    to the volume itself.
 
-    Memory at its peak: 15 volumes (12 where the grid is large: the registration stays coarse) and
-    three times the projections, beside the prior as it is given, the projections and weights.
+    Peak memory: 15 volumes (12 if the grid is large: the registration stays coarse) and three times
+    the projections, besides the given prior, the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.
@@ -107,23 +110,23 @@ def prior_tv(
         prior: the earlier volume, on any grid, in that unit.
         iterations: passes over all views, at least 1.
         regularisation: 0 or more.
-        share: of the difference, 0 to 1.
-        start: first guess of where the prior's world lies in the scan's; the identity if not given.
-        rounds: as in ``fista_tv``; one for each 6 iterations, at most 4, if not given.
+        share: share of the difference, 0 to 1.
+        start: initial pose of the prior's world in the scan's world; by default the identity.
+        rounds: as in ``fista_tv``; by default one for each 6 iterations, at most 4.
         subsets: as in ``fista_tv``.
         tv_steps: dual steps after each update, at least 1.
         weights: as in ``fista_tv``.
         huber: as in ``fista_tv``.
-        x0: start, (z, y, x); the registered prior if not given.
+        x0: initial volume, (z, y, x); by default the registered prior.
         nonnegative: x >= 0.
         mask: as in ``sart``.
         callback: called after each update; see ``Step``. True stops.
 
     Returns:
-        The volume; among the extras ``world_from_prior``, where the prior was found.
+        The volume; its extras hold ``world_from_prior``, the registered pose.
 
     Raises:
-        InputError: a prior that cannot be used (``check_prior``) or registered; or as in ``sart``.
+        InputError: the prior cannot be used (``prior_problems``) or registered; or as in ``sart``.
     """
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
@@ -163,7 +166,7 @@ def prior_tv(
 
 
 def prior_problems(prior: Volume, grid: VolumeGrid, start: Pose) -> list[str]:
-    """What makes a volume useless as a prior for a grid, in words."""
+    """Return the reasons why a volume cannot be used as a prior for a grid."""
     values = prior.array
     if not all(np.isfinite(plane).all() for plane in values):
         return ["the prior holds NaN or infinite voxels: all must be finite"]
@@ -187,7 +190,7 @@ def prior_problems(prior: Volume, grid: VolumeGrid, start: Pose) -> list[str]:
 
 
 def _in_place(prior: Volume, pose: Pose, grid: VolumeGrid) -> tuple[Singles, Mask]:
-    """The prior at the voxels of a grid, 0 where it has no values, and where it has some."""
+    """Return the prior at a grid's voxels, 0 where it has no values, and the mask of its values."""
     there = moved(prior.grid, pose)
     inside = covered(there, grid)
     known = resampled(prior.array, there, grid, order=3)
@@ -196,7 +199,7 @@ def _in_place(prior: Volume, pose: Pose, grid: VolumeGrid) -> tuple[Singles, Mas
 
 
 def _seams(inside: Mask) -> NDArray[np.intp]:
-    """Voxels of which a neighbour ahead is on the other side of the border."""
+    """Return flat indices of voxels whose next neighbour is on the other side of the border."""
     seam = np.zeros_like(inside)
     for axis in range(3):
         along, border = np.moveaxis(inside, axis, 0), np.moveaxis(seam, axis, 0)
@@ -207,7 +210,7 @@ def _seams(inside: Mask) -> NDArray[np.intp]:
 def _expected(
     A: Projector, line_integrals: Singles, mask: Mask | None, settings: PriorTv
 ) -> Singles:
-    """The registered prior."""
+    """Return the registered prior."""
     prior = Volume.read(settings.prior.path)
     pose = registered(A, line_integrals, prior, start=settings.prior.start, mask=mask)
     return _in_place(prior, pose, A.grid)[0]
@@ -236,7 +239,7 @@ def _solve(problem: Problem, settings: PriorTv) -> Volume:
 
 
 def _check(settings: PriorTv, views: ScanGeometry, grid: VolumeGrid) -> None:
-    """Look at the file."""
+    """Check the file of the prior."""
     path = settings.prior.path
     if problems := prior_problems(Volume.read(path), grid, settings.prior.start):
         raise InputError([f"reconstruction.prior.path: {path}: {one}" for one in problems])

@@ -13,29 +13,30 @@ from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.recon.engine import Ratio, Singles, kernels
 
 LOWEST = float(np.finfo(np.float32).min)
-"""No floor."""
+"""Floor that has no effect."""
 
 
 class Projector:
-    """The linear operator from a volume to its projections.
+    """Linear operator from a volume to its projections.
 
-    ``A(x)`` samples each ray once per plane of voxel centres along the axis it crosses fastest,
-    bilinearly within the plane (Joseph). The grid's outermost voxels are held over their outer
-    half, and outside of the grid there is nothing. Rays run on behind the panel.
+    ``A(x)`` samples each ray once per plane of voxel centres along the axis that it crosses
+    fastest, bilinearly in the plane (Joseph). The outermost voxels extend over their outer half,
+    and outside the grid the volume is zero. Rays continue behind the panel.
 
     Attributes:
         geometry: the views, in the world.
         grid: the voxels, anywhere in the world.
         domain_shape: (nz, ny, nx).
         range_shape: (views, rows, columns).
-        engine: ``vector`` or ``plain``, where one was asked for; ``kernels``: what it does.
+        engine: ``vector`` or ``plain``, if one was requested.
+        kernels: kernels of the engine.
     """
 
     def __init__(self, geometry: ScanGeometry, grid: VolumeGrid, engine: str | None = None) -> None:
         """Express the views in voxel indices of the grid.
 
         Raises:
-            InputError: the grid cannot be projected, see ``check_grid``; or an unknown engine.
+            InputError: the grid cannot be projected, see ``check_grid``; or the engine is unknown.
         """
         check_grid(geometry, grid)
         self.geometry, self.grid = geometry, grid
@@ -47,7 +48,7 @@ class Projector:
         self.engine, self.kernels = engine, kernels(engine)
 
     def __call__(self, x: ArrayLike, out: Singles | None = None) -> Singles:
-        """Line integrals (views, rows, columns), mm times the unit of ``x`` (z, y, x).
+        """Return the line integrals (views, rows, columns) of ``x`` (z, y, x), mm times its unit.
 
         They are written to ``out``, float32 in C order, if it is given.
         """
@@ -58,9 +59,10 @@ class Projector:
         return y
 
     def T(self, y: ArrayLike, out: Singles | None = None) -> Singles:  # noqa: N802 - its usual name
-        """The exact adjoint: <A(x), y> = <x, A.T(y)>, (z, y, x), of ``y`` (views, rows, columns).
+        """Return the exact adjoint of ``y`` (views, rows, columns), (z, y, x).
 
-        It is written to ``out``, float32 in C order, if it is given.
+        <A(x), y> = <x, A.T(y)>. The adjoint is written to ``out``, float32 in C order, if it is
+        given.
         """
         y = _readable(y, self.range_shape, "the projections")
         x = _writable(out, self.domain_shape)
@@ -70,7 +72,7 @@ class Projector:
         return x
 
     def __getitem__(self, views: Any) -> Projector:
-        """The operator of a slice, a list of indices, a mask, or one view."""
+        """Return the operator of a slice, a list of indices, a mask, or one view."""
         if np.ndim(views) == 0 and not isinstance(views, slice):
             views = [int(views)]
         part = copy(self)
@@ -80,21 +82,21 @@ class Projector:
         return part
 
     def on(self, grid: VolumeGrid, geometry: ScanGeometry | None = None) -> Projector:
-        """The operator of another grid, and other views if given, by the same engine."""
+        """Return the operator of another grid and, if given, other views, with the same engine."""
         return Projector(geometry or self.geometry, grid, self.engine)
 
     def __len__(self) -> int:
-        """Number of views."""
+        """Return the number of views."""
         return self.range_shape[0]
 
     def __repr__(self) -> str:
-        """One line: views, pixels and voxels."""
+        """Return one line with the numbers of views, pixels and voxels."""
         views, rows, columns = self.range_shape
         voxels = " x ".join(map(str, self.grid.shape_xyz))
         return f"Projector({views} views, {columns} x {rows} px, {voxels} voxels)"
 
     def chords(self) -> Singles:
-        """Length of each ray inside the grid, (views, rows, columns), mm; 0 where it misses."""
+        """Return each ray's path length in the grid, (views, rows, columns), mm; 0 if it misses."""
         lengths = np.empty(self.range_shape, np.float32)
         for rays, image in zip(self._rays, lengths, strict=True):
             self.kernels.chords(rays, self.domain_shape, image)
@@ -112,29 +114,29 @@ class Projector:
         change: Singles | None = None,
         seen: Singles | None = None,
     ) -> tuple[Singles, Singles]:
-        """SART's update from one view, voxel-driven.
+        """Apply SART's update from one view, voxel-driven.
 
             x <- max(x + relaxation * B[(p - A x) / L] / B[1], floor)
 
-        A x are the view's line integrals and L each ray's length inside the grid; rays shorter than
-        the smallest voxel edge do not count. B is not the adjoint of A but what the image holds
-        where a voxel's centre projects, bilinear between pixel centres, border pixels held over
-        their outer half. Voxels that project beside the panel are left alone.
+        A x are the view's line integrals and L each ray's path length in the grid; rays shorter
+        than the smallest voxel edge do not count. B is not the adjoint of A but the image value at
+        the projection of a voxel's centre, bilinear between pixel centres, with border pixels
+        extended over their outer half. Voxels that project beside the panel are left alone.
 
-        It works in arrays that the projector keeps: not for two threads at once.
+        The update uses buffers of the projector: two threads must not call it at once.
 
         Args:
             x: volume (z, y, x), float32 in C order.
-            view: its number.
+            view: number of the view.
             measured: p, (rows, columns), float32; finite, also where the mask is False.
-            relaxation: factor.
+            relaxation: relaxation factor.
             mask: True where a pixel counts, (rows, columns).
-            floor: voxels that the view sees do not fall below it.
-            change: volume that the change is added to; ``x`` itself if not given.
-            seen: volume that 1 is added to where the view sees a voxel.
+            floor: lower bound of the voxels that the view sees.
+            change: volume to which the change is added; by default ``x`` itself.
+            seen: volume to which 1 is added where the view sees a voxel.
 
         Returns:
-            A x, and 1 where a ray counts, else 0, (rows, columns) each; until the next call.
+            A x, and 1 where a ray counts, else 0, (rows, columns) each; valid until the next call.
         """
         rows, columns = self.range_shape[1:]
         if self._room is None:
@@ -150,15 +152,15 @@ class Projector:
         to, pixels = (x if change is None else change), self._pixels[view]
         self.kernels.update(to, pixels, *ratio, np.float32(floor))
         if seen is not None:
-            # What the counting pixels hold is 1: so is their mean where a view sees the voxel.
+            # The counting pixels hold 1, and so does their mean where a view sees the voxel.
             counts = ratio._replace(image=ratio.counts)
             self.kernels.update(seen, pixels, *counts, np.float32(LOWEST))
         return estimate, ratio.counts[1:-1, 1:-1]
 
     def back_project(self, images: Singles, scales: Floats, out: Singles) -> None:
-        """Add scale / depth^2 times what each view's image holds where a voxel projects.
+        """Add scale / depth^2 times each view's image value at a voxel's projection.
 
-        Voxel-driven as in ``update``, but beside the panel there is nothing. A voxel takes the
+        It is voxel-driven as in ``update``, and adds nothing beside the panel. A voxel takes the
         views in their order.
 
         Args:
@@ -171,11 +173,11 @@ class Projector:
 
 
 def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:
-    """Look at what a projector needs, without one.
+    """Check that a grid can be projected, without a projector.
 
     Raises:
-        InputError: a grid of less than two voxels along an axis, or one that reaches the plane
-            through the source of a view parallel to its panel, or lies behind it.
+        InputError: the grid has less than two voxels along an axis or at least 2^31 in all, reaches
+            the plane through the source of a view parallel to its panel, or lies behind it.
     """
     if min(grid.shape) < 2:
         raise InputError(
@@ -198,7 +200,7 @@ def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:
 
 
 def _readable(values: ArrayLike, shape: tuple[int, ...], name: str) -> Singles:
-    """Float32 in C order, writable for the kernels' sake."""
+    """Return a float32 array in C order that is writable, as the kernels require."""
     array = np.ascontiguousarray(values, dtype=np.float32)
     if array.shape != shape:
         raise InputError(f"{name} has shape {array.shape}: {shape} needed")
@@ -206,7 +208,7 @@ def _readable(values: ArrayLike, shape: tuple[int, ...], name: str) -> Singles:
 
 
 class _Unlocked:
-    """The same memory: kernels are compiled for arrays that may be written."""
+    """The same memory, flagged as writable: kernels are compiled for writable arrays."""
 
     def __init__(self, array: Singles) -> None:
         self.array = array
@@ -230,7 +232,10 @@ def _writable(out: Singles | None, shape: tuple[int, ...]) -> Singles:
 
 
 def _index_rays(local: ScanGeometry, grid: VolumeGrid) -> NDArray[np.float64]:
-    """(views, 5, 3): source, pixel (0, 0), steps per column and row as indices; voxel edges, mm."""
+    """Return the rays of each view in voxel indices, and voxel edges, (views, 5, 3).
+
+    Rows: source, pixel (0, 0), step per column, step per row, and the voxel edges in mm.
+    """
     panel, voxel = local.panel, grid.voxel
     centre = (np.array(grid.shape_xyz) - 1) / 2
     across, up = local.u * panel.pitch_u, local.v * panel.pitch_v

@@ -1,4 +1,4 @@
-"""Where an earlier volume lies in a scan: rigid registration by the scan's own projections."""
+"""Rigid registration of an earlier volume to a scan, by the scan's own projections."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from twinct.volume import Volume
 log = logging.getLogger(__name__)
 
 FACTORS = (8, 4, 2, 1)
-"""Voxels and pixels are larger by these, one after the other."""
+"""Factors by which voxels and pixels are larger, level by level."""
 
 FEWEST, MOST = 12, 150
-"""Voxels or pixels along the shortest axis that a level has."""
+"""Smallest and largest number of voxels or pixels along the shortest axis of a level."""
 
 SMOOTH_PX = 3.0
-"""Pixels of a level over which images are smooth: what is smoother does not count."""
+"""Blur of the background that is subtracted from images, in pixels of a level."""
 
 STEPS = 20
-"""At each level, at most."""
+"""Largest number of steps at each level."""
 
 CLOSE = 0.01
-"""Voxels of a level that the grid's corners may still move by in its last step."""
+"""Largest movement of the grid's corners in the last step of a level, in voxels of the level."""
 
 DIFFERENT = 2.0
-"""A prior that attenuates more or less by this factor is in another unit, or of something else."""
+"""Ratio of line integrals beyond which the prior is in another unit, or of another object."""
 
 
 def registered(
@@ -48,28 +48,29 @@ def registered(
     start: Pose | None = None,
     mask: ArrayLike | None = None,
 ) -> Pose:
-    """Find where an earlier volume lies in a scan, so that its line integrals are those measured.
+    """Find the pose of an earlier volume in a scan, at which its line integrals match the scan.
 
-    Gauss-Newton from coarse to fine, on robust weights (Huber 1964) of p - A x. x is the prior at
-    the grid's voxels, moved, and where it has no values a few iterations of ``sart``; derivatives
-    of A x are projections of the gradient of x. Images less their means over a few pixels are
-    compared: what lies around the grid or is hardened is smooth, and moved the head of
-    ``bench_prior`` by a millimetre. What is new counts little by its weight.
+    Gauss-Newton steps go from coarse to fine, with robust weights (Huber 1964) of p - A x. x is the
+    moved prior at the grid's voxels, and the result of a few iterations of ``sart`` where the prior
+    has no values; derivatives of A x are projections of the gradient of x. Images are compared
+    less their means over a few pixels: the contributions of the grid's surroundings and of beam
+    hardening are smooth, and moved the head of ``bench_prior`` by a millimetre when they were
+    included. New structures count little because of their weights.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the prior.
         prior: the earlier volume, on any grid.
-        start: first guess of the result; the identity if not given. It has to be near: within some
-            centimetres and degrees.
+        start: initial guess of the result, within some centimetres and degrees; by default the
+            identity.
         mask: as in ``sart``.
 
     Returns:
-        Where the prior's world lies in the scan's.
+        Pose of the prior's world in the scan's world.
 
     Raises:
-        InputError: the prior does not reach into the grid, or has other line integrals than those
-            measured by a factor of 2; or as in ``sart``.
+        InputError: the prior does not reach into the grid, its line integrals differ from the
+            measured ones by a factor of 2, or as in ``sart``.
     """
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
@@ -92,12 +93,12 @@ def registered(
 
 
 def moved(grid: VolumeGrid, world_from_world: Pose) -> VolumeGrid:
-    """The same lattice somewhere else."""
+    """Return the same lattice at another pose."""
     return VolumeGrid(grid.shape, grid.voxel, world_from_world @ grid.world_from_grid)
 
 
 def covered(by: VolumeGrid, grid: VolumeGrid) -> Mask:
-    """Which voxels of a grid have their centre in another, (z, y, x)."""
+    """Return the mask of a grid's voxels that have their centre in another grid, (z, y, x)."""
     z, y, x = np.ogrid[tuple(map(slice, grid.shape))]
     inside = np.ones(grid.shape, np.bool_)
     for (i, j, k, first), n in zip(_index(by, grid)[:3], by.shape_xyz, strict=True):
@@ -107,9 +108,9 @@ def covered(by: VolumeGrid, grid: VolumeGrid) -> Mask:
 
 
 def resampled(volume: Singles, of: VolumeGrid, at: VolumeGrid, order: int = 1) -> Singles:
-    """A volume at the voxels of any other grid, (z, y, x), by splines of an order.
+    """Return a volume at the voxels of any other grid, (z, y, x), by splines of an order.
 
-    Beside the volume its outermost voxels go on.
+    Beyond the volume its outermost voxels continue.
     """
     to = _index(of, at)
     ndimage: Any = scipy.ndimage  # its types take no order that is not a literal
@@ -119,7 +120,7 @@ def resampled(volume: Singles, of: VolumeGrid, at: VolumeGrid, order: int = 1) -
 
 
 def _index(of: VolumeGrid, at: VolumeGrid) -> Floats:
-    """(4, 4): from indices (i, j, k) in one grid to those in the other."""
+    """Return the matrix (4, 4) from indices (i, j, k) in grid ``at`` to indices in grid ``of``."""
     return np.linalg.inv(of.affine) @ at.affine
 
 
@@ -158,7 +159,7 @@ def _refuse_other_units(estimate: Singles, measured: Singles, counts: Mask) -> N
 def _step(
     A: Projector, x: Singles, inside: Mask, rest: Singles, counts: Mask, reach: float
 ) -> Floats:
-    """The twist of the grid's frame that explains most of what is left, (6,), mm and rad."""
+    """Return the twist of the grid's frame that best explains the residual, (6,), mm and rad."""
     for image in rest:
         image[:] = _edges(image)
     sizes = rest[counts]
@@ -179,12 +180,12 @@ def _step(
 
 
 def _edges(image: Singles) -> Singles:
-    """An image less its means over some pixels: what is truncated or hardened is smooth."""
+    """Subtract local means from an image: effects of truncation and beam hardening are smooth."""
     return image - scipy.ndimage.gaussian_filter(image, SMOOTH_PX)
 
 
 def _slopes(grid: VolumeGrid, x: Singles, inside: Mask, reach: float) -> list[Singles]:
-    """Changes of a volume that moves by 1 mm along an axis, or turns by 1 mm at the corners."""
+    """Return a volume's changes by 1 mm of motion along each axis, and of turn at the corners."""
     gz, gy, gx = (np.where(inside, g, 0) for g in np.gradient(x, *grid.voxel[::-1]))
     ax, ay, az = (axis.astype(np.float32) / np.float32(reach) for axis in grid.axes())
     ay, az = ay[:, None], az[:, None, None]

@@ -1,4 +1,4 @@
-"""The same scan and the same volume in larger pixels and voxels, and back."""
+"""Conversion of projections and volumes to larger pixels and voxels, and back."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from twinct.threads import threads
 def binned(
     p: NDArray[Any], pixels: Mask | None, factors: tuple[int, int]
 ) -> tuple[Singles, Mask | None]:
-    """Projections in larger pixels: the mean of those that count.
+    """Return the projections in larger pixels: the mean of the pixels that count.
 
     Args:
-        p: (views, rows, columns).
+        p: projections, (views, rows, columns).
         pixels: True where a pixel counts, (rows, columns) or (views, rows, columns).
-        factors: pixels taken as one along rows and columns; what fills no such pixel is left out.
+        factors: numbers of rows and columns in a larger pixel; incomplete pixels are left out.
 
     Returns:
-        The larger pixels, and which of them count: those of which half of the pixels do.
+        The larger pixels, and the mask of those in which at least half of the pixels count.
     """
     views, rows, columns = p.shape
     shape = rows // factors[0], columns // factors[1]
@@ -51,9 +51,9 @@ def _blocks(
 
 
 def interpolated(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:
-    """A volume at the voxels of another grid with the same axes, (z, y, x), trilinear.
+    """Return a volume at the voxels of another grid with the same axes, (z, y, x), trilinear.
 
-    Beside the volume its outermost voxels go on.
+    Beyond the volume its outermost voxels continue.
     """
     away = at.world_from_grid.position - of.world_from_grid.position
     shift = of.world_from_grid.rotation.T @ away
@@ -70,19 +70,19 @@ def interpolated(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:
         plane = resampled(volume[below : below + 2], z[k : k + 1] - below, 0)[0]
         fine[k] = resampled(resampled(plane, y, 0), x, 1)
 
-    # numpy lets go of the interpreter lock.
+    # numpy releases the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
         list(pool.map(fill, range(len(fine))))
     return fine
 
 
 def resampled(values: Singles, places: Floats, axis: int) -> Singles:
-    """Linear between values along an axis; beside them the outermost go on.
+    """Interpolate linearly between values along an axis; beyond them the outermost continue.
 
     Args:
-        values: of any number of axes.
-        places: in steps from the first value.
-        axis: along which they lie.
+        values: array with any number of axes.
+        places: positions, in steps from the first value.
+        axis: axis of the interpolation.
     """
     last = values.shape[axis] - 1
     place = np.clip(places, 0, last)

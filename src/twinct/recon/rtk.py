@@ -1,4 +1,4 @@
-"""RTK's SART on the CPU, an independent implementation to compare with."""
+"""RTK's SART on the CPU, an independent implementation for comparison."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def rtk_sart(
 ) -> Volume:
     """Reconstruct with RTK's SART filter: Joseph forward, voxel-based back projection.
 
-    RTK shuffles the views it is given, so it gets one at a time, in the same order as ``sart``. Its
-    displaced detector weighting, made for circular orbits, is off. It knows no mask.
+    RTK shuffles its views, so it gets one view at a time, in the same order as ``sart``. Its
+    displaced-detector weighting, made for circular orbits, is off. It supports no mask.
 
     Args:
         line_integrals: (views, rows, columns), mm times the unit of the result.
@@ -54,7 +54,7 @@ def rtk_sart(
         grid: the voxels, anywhere in the world.
         iterations: passes over all views, at least 1.
         relaxation: RTK's lambda, between 0 and 2, both excluded.
-        x0: start, (z, y, x); zero if not given.
+        x0: initial volume, (z, y, x); by default zero.
         nonnegative: clip at zero after every update.
         order: as in ``sart``.
         rng: generator or seed of the random order.
@@ -72,7 +72,7 @@ def rtk_sart(
     views = view_order(checks, geometry, order, rng)
     checks.done()
     try:
-        # It makes its names when it is imported, so the type checker would find none of them.
+        # itk creates its names at import, so the type checker cannot find them.
         itk: Any = import_module("itk")
         RTK: Any = itk.RTK
     except (ImportError, AttributeError) as error:

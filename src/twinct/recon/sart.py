@@ -43,44 +43,44 @@ def sart(
     stop: StopName | None = None,
     callback: Callback | None = None,
 ) -> Volume:
-    """Reconstruct a volume from line integrals.
+    """Reconstruct a volume from line integrals, one view per update.
 
-    One view per update, in ``order``, the same in every iteration:
+    The views are used in ``order``, the same in every iteration:
 
         x <- x + relaxation * B_i[(p_i - A_i x) / L_i] / B_i[1]
 
-    L_i is each ray's length inside the grid; rays shorter than the smallest voxel edge inside of it
-    count as missing it and are left out. B_i is not the adjoint of A_i but the voxel-driven back
-    projection: what the image holds where the voxel's centre projects, bilinear between pixel
-    centres, border pixels held over their outer half. It is faster, and its B_i[1] is 1 wherever
-    all rays count. A voxel that projects beside the panel is not updated.
+    L_i is each ray's path length in the grid; rays shorter than the smallest voxel edge count as
+    missing the grid and are left out. B_i is not the adjoint of A_i but the voxel-driven back
+    projection: the image value at the projection of the voxel's centre, bilinear between pixel
+    centres, with border pixels extended over their outer half. It is faster, and its B_i[1] is 1
+    wherever all rays count. A voxel that projects beside the panel is not updated.
 
-    Where every voxel is seen by many views, errors fall with any relaxation below 2. A single ray
-    through a corner of the grid, whose samples exceed its length (A 1 / L, below 2 for cubic
-    voxels), is stable below 2 / (A 1 / L): up to 1 always. With one or two views alone, B_i and A_i
-    not being adjoint lets some errors grow, by 1 to 3 % a pass: stop early.
+    Where many views see every voxel, errors fall with any relaxation below 2. A single ray through
+    a corner of the grid, whose samples exceed its length (A 1 / L, below 2 for cubic voxels), is
+    stable below 2 / (A 1 / L), and so always up to 1. With one or two views alone, some errors grow
+    by 1 to 3 % per pass, because B_i and A_i are not adjoint: stop early.
 
-    Memory at its peak: 1 volume, and a few images, beside the projections; 2.3 with ``stop``.
+    Peak memory: 1 volume and a few images, besides the projections; 2.3 volumes with ``stop``.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: passes over all views, at least 1.
         relaxation: between 0 and 2, both excluded.
-        x0: start, (z, y, x); zero if not given. n iterations and then m from their result are, to
-            the last bit, n + m iterations (in random order: with the same seed for both).
+        x0: initial volume, (z, y, x); by default zero. n iterations, then m from their result,
+            equal n + m, to the last bit (in random order: with the same seed for both).
         nonnegative: clip at zero after every update (and ``x0`` before the first).
-        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool; what the
-            others hold, even NaN, has no influence.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool; the values
+            of the other pixels, even NaN, have no influence.
         order: ``golden`` (``spread_order``), ``sequential``, ``random``, ``weighted_distance``, or
             a permutation of the views.
         rng: generator or seed of the random order.
-        stop: ``auto``: after the last pass that makes the volume better, and ``x0`` where none
-            does; see ``BestPass``. The pass after it is not told to its end.
+        stop: ``auto``: end with the last pass that improves the volume, or with ``x0`` if none
+            does; see ``BestPass``. The last update of the pass after it is not reported.
         callback: called after each update; see ``Step``. True stops.
 
     Returns:
-        The volume; with ``stop``, among the extras the number of ``passes`` that made it.
+        The volume; with ``stop``, its extras hold the number of ``passes`` that made it.
 
     Raises:
         InputError: an argument is out of range, has another shape, or is not finite; or the memory

@@ -1,4 +1,4 @@
-"""Keys that several algorithms have, each with its meaning and its limits."""
+"""Keys that several algorithms share, with their meanings and limits."""
 
 from __future__ import annotations
 

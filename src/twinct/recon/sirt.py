@@ -41,21 +41,21 @@ def sirt(
 
         x <- x + relaxation * C A^T R (p - A x)
 
-    R divides by each ray's length inside the grid and leaves out rays that do not count, as in
-    ``sart``; C divides by A^T 1 over the rays that count. The transpose is exact, so the iteration
-    converges to a minimum of the residual weighted by R where the relaxation is below 2 / q, with q
+    R divides by each ray's path length in the grid and leaves out rays that do not count, as in
+    ``sart``; C divides by A^T 1 over the rays that count. The transpose is exact. The iteration
+    converges to a minimum of the residual weighted by R if the relaxation is below 2 / q, with q
     the largest eigenvalue of C A^T R A. q is at most the largest A 1 / L of a ray: samples at whole
-    planes against the exact length. That is below 2 for cubic voxels, so that any relaxation up to
-    1 is stable; only rays through corners come near it, and with many rays q was 1.003 to 1.014.
+    planes over the exact length. For cubic voxels this is below 2, so that any relaxation up to 1
+    is stable; only rays through corners come near 2, and with many rays q was 1.003 to 1.014.
 
-    Memory at its peak: 3 volumes and 2.25 times the projections, beside the projections.
+    Peak memory: 3 volumes and 2.25 times the projections, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         iterations: passes over all views, at least 1.
         relaxation: between 0 and 2, both excluded.
-        x0: start, as in ``sart``; n iterations and then m from their result are n + m.
+        x0: initial volume, as in ``sart``; n iterations, then m from their result, equal n + m.
         nonnegative: clip at zero after every update (and ``x0`` before the first).
         mask: as in ``sart``.
         callback: called after each iteration; see ``Step``. True stops.
@@ -76,7 +76,7 @@ def sirt(
     rays = int(counts.sum())
     columns = A.T(counts)
     del counts
-    # A voxel hardly touched by any ray would take the noise of that ray: it is left as it is.
+    # A voxel that rays hardly touch would take up the noise of one ray: it is left as it is.
     touched = columns > np.float32(1e-3 * A.grid.voxel.min())
     np.divide(relaxation, columns, out=columns, where=touched)
     columns[~touched] = 0.0

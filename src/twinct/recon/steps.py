@@ -1,4 +1,4 @@
-"""What an iterative algorithm tells while it works."""
+"""Progress reports of iterative algorithms."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from twinct.recon.engine import Singles
 
 
 class Step(NamedTuple):
-    """One update of the volume.
+    """Report on one update of the volume.
 
     Attributes:
-        iteration: passes over all views that were complete before, counted from 0.
-        update: updates of this iteration that were complete before, counted from 0.
-        updates: updates in each iteration; 1 where all views are used at once.
-        residual: root mean square of p - A x over the rays that count in this update, before it.
+        iteration: number of passes over all views that were complete before.
+        update: number of updates of this iteration that were complete before.
+        updates: updates per iteration; 1 if all views are used at once.
+        residual: root mean square of p - A x before the update, over the rays that count in it.
         rays: number of these rays.
-        volume: the volume after the update, (z, y, x): read-only, and worked on further.
+        volume: volume after the update, (z, y, x): read-only, and changed by later updates.
     """
 
     iteration: int
@@ -33,19 +33,22 @@ class Step(NamedTuple):
 
 
 Callback = Callable[[Step], bool | None]
-"""Called after each update; True ends the reconstruction with the volume as it is."""
+"""Function called after each update; True ends the reconstruction with the current volume."""
 
 
 class Listener:
-    """Calls a callback, if there is one, with what it needs."""
+    """Caller of an optional callback."""
 
     def __init__(self, callback: Callback | None, updates: int = 1) -> None:
-        """Residuals need not be worked out where none are ``wanted``; ``updates``: see ``Step``."""
+        """Store the callback; ``wanted`` is False if no residuals are needed.
+
+        ``updates`` is as in ``Step``.
+        """
         self.callback, self.updates = callback, updates
         self.wanted = callback is not None
 
     def __call__(self, iteration: int, update: int, square: float, rays: int, x: Singles) -> bool:
-        """Tell of an update with the sum of squared residuals; whether to stop."""
+        """Report an update with its sum of squared residuals; return True to stop."""
         if self.callback is None:
             return False
         view = x.view()
@@ -55,11 +58,14 @@ class Listener:
 
 
 def sum_of_squares(values: NDArray[Any]) -> float:
-    """In float64, one part along the first axis at a time; without BLAS and its threads."""
+    """Return the sum of squares in float64, part by part along the first axis, without BLAS."""
     return float(sum(np.square(part, dtype=np.float64).sum() for part in values))
 
 
 def residual_of(measured: Singles, estimate: Singles, counts: Singles) -> tuple[float, int]:
-    """Of one view: sum of squares of p - A x over the rays with 1 in ``counts``; how many."""
+    """Return the sum of squares of p - A x over one view's counting rays, and their number.
+
+    ``counts`` is 1 where a ray counts, else 0.
+    """
     rest = (measured - estimate) * counts
     return sum_of_squares(rest[None]), int(np.count_nonzero(counts))

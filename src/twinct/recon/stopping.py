@@ -1,11 +1,11 @@
-"""A stopping rule that needs no truth: passes end with the volume nearest to a sharper one.
+"""Stopping rule without ground truth: passes end with the volume nearest to a sharper version.
 
-Errors of ``sart`` fall while edges are made, then rise with what voxels take up that is not in the
-specimen: noise, errors of the poses, and above all what no volume explains, ringing at edges and
-truncation. All views have the latter in common, so that neither views left out nor the
-difference of two halves of a scan see it. What does is the volume itself, held against what it
-would be of few materials with sharp borders: there are no rings and no noise in that, and its edges
-are those that passes still have to make.
+Errors of ``sart`` fall while edges form. They then rise as voxels take up signals from outside the
+specimen: noise, errors of the poses and, above all, effects that no volume explains, such as
+ringing at edges and truncation. All views share these effects, so that neither omitted views nor
+the difference between two halves of a scan reveal them. The volume itself reveals them, compared
+with its version of a few materials with sharp borders: this version has no rings and no noise, and
+its edges are the edges that passes still have to form.
 """
 
 from __future__ import annotations
@@ -26,62 +26,67 @@ from twinct.threads import threads
 StopName = Literal["auto"]
 
 WINDOW = 25
-"""Voxels along an axis over which values of a side are averaged. More than the rings at edges are
-wide, and less than values drift over: hardening, truncation, tissues beside bone."""
+"""Edge of the window in which values of one side are averaged, in voxels.
+
+It is wider than the rings at edges, and narrower than the drifts of values: hardening, truncation,
+tissues beside bone.
+"""
 
 NEAR = 2
-"""Voxels about the denser side within which passes are judged: edges lie there."""
+"""Distance from the denser side within which passes are judged, in voxels: edges lie there."""
 
 BLOCK, MOST_THREADS = 64, 2
-"""Voxels along each axis that are judged at a time, beside those around them, and by how many
-threads: what these take is 60 MB at most, whatever the volume."""
+"""Edge of the blocks that are judged at a time, in voxels, and number of threads.
+
+The threads need 60 MB at most, whatever the volume, with the voxels around their blocks.
+"""
 
 VOLUMES = 1.3
-"""What ``BestPass`` holds at its peak: the volume before, and every eighth voxel."""
+"""Peak memory of ``BestPass`` in volumes: the previous volume, and every eighth voxel."""
 
 Box = tuple[slice, ...]
 
 
 class BestPass:
-    """Watches the volumes that passes make, for as long as they get better.
+    """Monitor of the volumes after each pass, for as long as they improve.
 
     Attributes:
-        passes: those that made the best volume so far.
+        passes: number of passes that made the best volume so far.
     """
 
     def __init__(self, stop: StopName | None) -> None:
-        """With None it watches nothing, and is never over."""
+        """Start with no passes; if ``stop`` is None, monitor nothing and never end."""
         self.passes = 0
         self._watches = stop is not None
         self._best: Singles | None = None
 
     @classmethod
     def checked(cls, checks: Checks, stop: StopName | None) -> BestPass:
-        """Of an argument; a problem goes to ``checks``."""
+        """Build from an argument; report a problem to ``checks``."""
         if stop is not None and stop not in get_args(StopName):
             checks.problems.append(f"stop is {stop!r}: auto or None needed")
         return cls(stop)
 
     @property
     def volumes(self) -> float:
-        """Memory that it takes at its peak, in volumes."""
+        """Peak memory, in volumes."""
         return VOLUMES if self._watches else 0.0
 
     @property
     def told(self) -> dict[str, int]:
-        """What a volume's extras say of it."""
+        """Extras of a volume: the number of passes, if monitored."""
         return {"passes": self.passes} if self._watches else {}
 
     def start(self, x: Singles) -> None:
-        """Take a volume for the first pass to be held against."""
+        """Store the volume with which the first pass is compared."""
         if self._watches:
             self._best = x.copy()
 
     def is_over(self, x: Singles) -> bool:
-        """Whether a pass has made the volume worse than it was; ``x`` is then as it was.
+        """Return True if a pass made the volume worse, and restore the previous volume in ``x``.
 
         Args:
-            x: after the pass, (z, y, x).
+            x: volume after the pass, (z, y, x).
         """
         if not self._watches:
             return False
@@ -97,20 +102,20 @@ class BestPass:
 
 
 def error_change(before: Singles, after: Singles) -> float:
-    """By how much the sum of squared errors near edges grew from one volume to another, estimated.
+    """Estimate the growth of the sum of squared errors near edges from one volume to another.
 
-    With d = after - before and m their mean, the sum of squared differences to any truth t changes
-    by 2 <d, m - t>. For t stands what m would be with sharp borders (``_from_sharper``): borders
-    made of m are as near to the one volume as to the other. Judged is within ``NEAR`` voxels of
-    what is denser than Otsu's threshold (1979), in the middle three quarters along each axis, which
-    most views see. 0 where nothing stands out.
+    With d = after - before and m their mean, the sum of squared differences from any truth t
+    changes by 2 <d, m - t>. The version of m with sharp borders (``_from_sharper``) stands for t:
+    borders made of m are equally near to both volumes. The estimate covers voxels within ``NEAR``
+    voxels of material denser than Otsu's threshold (1979), in the middle three quarters along each
+    axis, which most views see. It is 0 where nothing stands out.
 
     Args:
         before: a volume, (z, y, x).
-        after: another of this shape.
+        after: another volume of this shape.
 
     Returns:
-        In the unit of the volumes, squared, times voxels.
+        Growth in the unit of the volumes, squared, times voxels.
     """
     inner = tuple(slice(n // 8, n - n // 8) for n in before.shape)
     few = tuple(slice(one.start, one.stop, 2) for one in inner)
@@ -130,14 +135,14 @@ def error_change(before: Singles, after: Singles) -> float:
         change = (after[part] - before[part])[counts]
         return 2 * float(np.sum(change * off[own][counts], dtype=np.float64))
 
-    # scipy's filters let go of the interpreter lock. The sums are added in the order of the blocks:
-    # the number of threads does not change the last bit.
+    # scipy's filters release the interpreter lock. The sums are added in the order of the
+    # blocks: the number of threads does not change the last bit.
     with ThreadPoolExecutor(min(MOST_THREADS, threads())) as pool:
         return sum(pool.map(judged, _blocks(inner)))
 
 
 def _blocks(box: Box) -> Iterator[Box]:
-    """A box in parts."""
+    """Yield the blocks of a box."""
     yield from product(
         *(
             [slice(i, min(i + BLOCK, one.stop)) for i in range(one.start, one.stop, BLOCK)]
@@ -147,7 +152,7 @@ def _blocks(box: Box) -> Iterator[Box]:
 
 
 def _widened(part: Box, shape: tuple[int, ...]) -> tuple[Box, Box]:
-    """A box with all around it that its judgement looks at, and the box within that."""
+    """Return a box with all voxels around it that affect it, and the place of the box in there."""
     reach = WINDOW // 2 + 1
     around = tuple(
         slice(max(one.start - reach, 0), min(one.stop + reach, n))
@@ -163,12 +168,12 @@ def _widened(part: Box, shape: tuple[int, ...]) -> tuple[Box, Box]:
 def _from_sharper(
     m: Singles, after: Singles, threshold: float
 ) -> tuple[Singles, NDArray[np.bool_]]:
-    """How far a volume is from what it would be with sharp borders, and where that counts.
+    """Return the difference of a volume from its version with sharp borders, and its mask.
 
-    A border lies where the volume crosses the threshold: at (m - threshold) / g voxels from a
-    voxel's middle, with g the slope. So much, and half, of the voxel is of the denser side. Either
-    side has the mean value of the voxels about that are of it alone, that of the later volume:
-    values on their way are not told from right ones by themselves.
+    A border lies where the volume crosses the threshold, at (m - threshold) / g voxels from a
+    voxel's centre, with g the slope. This distance plus one half is the share of the denser side in
+    the voxel. Each side has the mean value of the later volume over the surrounding voxels that
+    are entirely on this side: single values that still change look like correct ones.
     """
     dense = (m - np.float32(threshold)) / _slope(m)
     dense += np.float32(0.5)
@@ -189,9 +194,9 @@ def _from_sharper(
 
 
 def _slope(m: Singles) -> Singles:
-    """The steeper of both differences to the neighbours, along all axes, per voxel; above 0.
+    """Return the slope of each voxel from the steeper difference along each axis; above 0.
 
-    The steeper, so that a border which is sharp already stays as it is.
+    The steeper difference leaves a border that is already sharp as it is.
     """
     square = np.full_like(m, np.finfo(np.float32).tiny)
     for axis in range(3):

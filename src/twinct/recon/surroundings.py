@@ -1,4 +1,4 @@
-"""Truncation: what lies outside of the grid is taken out of the line integrals beforehand."""
+"""Truncation: removal of the grid's surroundings from the line integrals."""
 
 from __future__ import annotations
 
@@ -31,43 +31,43 @@ def without_surroundings(
     mask: ArrayLike | None = None,
     callback: Callback | None = None,
 ) -> Singles:
-    """Line integrals less what lies around the grid, for any algorithm.
+    """Subtract the surroundings of the grid from the line integrals, for any algorithm.
 
-    A specimen that reaches out of the grid adds to the line integrals what no voxel can take; the
-    algorithms press it into the voxels at the edge, and some of it into the middle. Two steps
-    (Ziegler, Nielsen, Grass, Med Phys 35, 2008): a coarse grid that is larger by a margin on every
-    side is reconstructed first, from binned projections with ``sart``; what of it lies outside of
-    the grid is projected at full resolution and subtracted. That is the coarse volume's line
-    integrals less those of the same volume, interpolated, on the grid itself, so that nothing is
-    blurred across the border.
+    A specimen that extends beyond the grid adds to the line integrals, but no voxel can take up the
+    addition; the algorithms press it into the voxels at the edge, and some of it into the middle.
+    Two steps remove it (Ziegler, Nielsen, Grass, Med Phys 35, 2008). A coarse grid that is larger
+    by a margin on every side is reconstructed from binned projections with ``sart``. Its part
+    outside the grid is projected at full resolution and subtracted. That part is computed as the
+    coarse volume's line integrals less the line integrals of the same volume interpolated on the
+    grid, so that nothing is blurred across the border.
 
-    Why not one grid with coarse voxels around fine ones: every projector and algorithm would have
-    to know both lattices, a border inside the volume brings artefacts of its own, and the coarse
-    voxels would be updated in every iteration. This way costs two projections and, where the coarse
-    voxels are many times larger, part of an iteration; and any algorithm may come after it.
+    One grid with coarse voxels around fine ones would be worse: every projector and algorithm would
+    have to support both lattices, a border inside the volume causes artefacts, and the coarse
+    voxels would be updated in every iteration. This method costs two projections and, if the coarse
+    voxels are many times larger, part of an iteration; and any algorithm may follow.
 
-    From few views the coarse volume is poor, and what it lacks around the grid harms the grid. With
-    ``expected`` its line integrals are left out first, so that the coarse volume has little but
-    the surroundings to explain.
+    From few views the coarse volume is poor, and its deficits around the grid harm the grid. With
+    ``expected``, the line integrals of these values are left out first, so that the coarse volume
+    has to explain little but the surroundings.
 
-    What lies beyond the margin stays unexplained: let the specimen end inside of it.
+    Contents beyond the margin stay unexplained: the specimen should end within the margin.
 
-    Memory at its peak: 1.1 volumes and 1.5 times the projections, beside those given (with coarse
-    voxels of four times the edge or more); with ``expected`` the projections once more.
+    Peak memory: 1.1 volumes and 1.5 times the projections, besides the input (with coarse voxels of
+    four times the edge or more); with ``expected`` the projections once more.
 
     Args:
         A: the projector, with the believed geometry and the grid that will be reconstructed.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        margin_mm: by how much the coarse grid is larger, on each side; or for each axis; or
+        margin_mm: margin of the coarse grid on each side; or for each axis; or
             ((x, y, z), (x, y, z)) on the lower and on the upper sides.
-        voxel_mm: coarse voxel edge; changed a little so that a whole number of them spans the grid.
-        iterations: of the coarse ``sart``; what it leaves undone stays in the line integrals, and
+        voxel_mm: coarse voxel edge, adjusted so that a whole number of them spans the grid.
+        iterations: iterations of the coarse ``sart``; the rest stays in the line integrals, and
             makes the grid's values too high or too low over wide areas.
-        relaxation: of the coarse ``sart``.
-        nonnegative: of the coarse ``sart``.
-        expected: what the grid holds, as far as it is known beforehand, (z, y, x).
+        relaxation: relaxation of the coarse ``sart``.
+        nonnegative: clip the coarse ``sart`` at zero.
+        expected: expected values of the grid, as far as they are known, (z, y, x).
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
-        callback: of the coarse ``sart``.
+        callback: callback of the coarse ``sart``.
 
     Returns:
         (views, rows, columns), float32; 0 where the mask is False.
@@ -122,10 +122,10 @@ def without_surroundings(
 def check_margin(
     geometry: ScanGeometry, grid: VolumeGrid, margin_mm: float | ArrayLike, voxel_mm: float
 ) -> None:
-    """Look at whether the coarse grid lies before all sources, without a projector.
+    """Check that the coarse grid lies in front of all sources, without a projector.
 
     Raises:
-        InputError: it reaches behind one.
+        InputError: the coarse grid reaches behind a source.
     """
     try:
         check_grid(geometry, coarse_grid(grid, margin_mm, voxel_mm))
@@ -139,7 +139,7 @@ def check_margin(
 def surroundings_bytes(
     geometry: ScanGeometry, grid: VolumeGrid, *, margin_mm: float | ArrayLike, voxel_mm: float
 ) -> int:
-    """Bytes that ``without_surroundings`` takes beside the line integrals that it is given."""
+    """Return the bytes that ``without_surroundings`` needs besides the given line integrals."""
     coarse = coarse_grid(grid, margin_mm, voxel_mm)
     across, up = _binning(geometry, coarse)
     coarser = geometry.panel.rows // across * (geometry.panel.columns // up)
@@ -150,7 +150,7 @@ def surroundings_bytes(
 def coarse_grid(
     grid: VolumeGrid, margin_mm: float | ArrayLike, voxel_mm: float | Floats
 ) -> VolumeGrid:
-    """A grid larger by a margin, as in ``without_surroundings``, with planes on all its borders."""
+    """Return a grid larger by a margin, with voxel borders along the borders of the given grid."""
     across = np.maximum(np.round(grid.size_mm / voxel_mm), 1).astype(int)
     edges = grid.size_mm / across
     margins = np.broadcast_to(np.asarray(margin_mm, dtype=np.float64), (2, 3))
@@ -162,7 +162,7 @@ def coarse_grid(
 
 
 def _binning(geometry: ScanGeometry, coarse: VolumeGrid) -> tuple[int, int]:
-    """Pixels along v and u that are averaged: at the middle of the grid at most a coarse voxel."""
+    """Return the pixels to average along v and u: at the grid's middle at most a coarse voxel."""
     panel = geometry.panel
     to_middle = geometry.depth(coarse.world_from_grid.position)
     shadow = float((coarse.voxel.min() * geometry.sdd / np.maximum(to_middle, 1e-9)).min())

@@ -1,4 +1,4 @@
-"""Shadows of closed bodies: how far each ray runs inside, and what a motion of the body changes."""
+"""Shadows of closed bodies: path lengths of the rays inside, and their derivatives by motion."""
 
 from twinct.shadow.body import Body, Box, Rays, Shadow
 

@@ -1,17 +1,17 @@
 """Numba kernel: crossings of one view's rays with the triangles of a mesh."""
 
-# numba cannot be typed: what is compiled takes whatever is numeric.
+# numba cannot be typed: compiled functions take any numeric type.
 # pyright: basic
 import numpy as np
 from numba import njit
 
 ASIDE = 0.5127, 0.3891, 0.7653
-"""Where a ray goes that meets an edge exactly, by an infinitesimal step: any direction will do."""
+"""Infinitesimal step of a ray that meets an edge exactly; any direction will do."""
 
 
 @njit(cache=True, nogil=True)
 def _cross(a, b):
-    """The negative, to the last bit, of what the exchanged vectors give."""
+    """Return the cross product, with exact negation when the vectors are exchanged."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -22,26 +22,30 @@ def _dot(a, b):
 
 @njit(cache=True, nogil=True)
 def _side(way, edge):
-    """On which side of an edge a ray passes; both triangles of the edge hear opposite answers."""
+    """Return a number whose sign is the side of an edge on which a ray passes.
+
+    The two triangles of the edge get opposite signs.
+    """
     side = _dot(way, edge)
     return side if side != 0.0 else _dot(ASIDE, edge)
 
 
 @njit(cache=True, nogil=True)
 def crossings(points, triangles, places, source, pixel, across, up, corner, lengths, slopes):
-    """Add the lengths inside a closed mesh, and their derivatives with its motion.
+    """Add the path lengths inside a closed mesh, and their derivatives by its motion.
 
     Args:
-        points: (points, 3), the mesh's corners less the source, mm.
-        triangles: (triangles, 3), counter-clockwise seen from outside.
-        places: (points, 2), (column, row) where a corner projects, in pixels of the whole panel.
+        points: corners of the mesh relative to the source, (points, 3), mm.
+        triangles: indices of corners, (triangles, 3), counter-clockwise seen from outside.
+        places: projections of the corners, (points, 2), (column, row) in pixels of the whole panel.
         source: (3,), in the mesh's frame, mm.
-        pixel: (3,), from the source to pixel (0, 0), mm.
-        across: (3,), to the next column, mm.
-        up: (3,), to the next row, mm.
+        pixel: vector from the source to pixel (0, 0), (3,), mm.
+        across: step to the next column, (3,), mm.
+        up: step to the next row, (3,), mm.
         corner: (row, column) of the first pixel of the arrays below.
-        lengths: (rows, columns), mm.
-        slopes: (rows, columns, 6), mm by (v, w) in the mesh's axes; no columns: left out.
+        lengths: path lengths, (rows, columns), mm.
+        slopes: derivatives by (v, w) in the mesh's axes, (rows, columns, 6), mm per mm and rad;
+            not computed if the last axis is empty.
     """
     rows, columns = lengths.shape
     for t in range(len(triangles)):

@@ -14,26 +14,26 @@ from twinct.geometry.arrays import frozen
 
 
 class Box(NamedTuple):
-    """A rectangle of pixels: rows and columns of a panel."""
+    """Rectangle of pixels: rows and columns of a panel."""
 
     rows: slice
     columns: slice
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns; 0 where the rectangle is empty."""
+        """Numbers of rows and columns; 0 if the rectangle is empty."""
         down, across = self
         return max(down.stop - down.start, 0), max(across.stop - across.start, 0)
 
 
 class Shadow(NamedTuple):
-    """What a view sees of a body.
+    """Shadow of a body in one view.
 
     Attributes:
-        box: the pixels of the arrays; rays beside it miss the body.
-        lengths: of each ray inside the body, (rows, columns), mm.
-        slopes: their derivatives with a motion of the body along a twist (v, w) in its own axes,
-            ``world_from_body @ Pose.exp(twist)``, (rows, columns, 6), mm by mm and rad.
+        box: the pixels of the arrays; rays outside it miss the body.
+        lengths: path length of each ray inside the body, (rows, columns), mm.
+        slopes: derivatives of the path lengths by a motion of the body along a twist (v, w) in its
+            own axes, ``world_from_body @ Pose.exp(twist)``, (rows, columns, 6), mm per mm and rad.
     """
 
     box: Box
@@ -43,7 +43,7 @@ class Shadow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A closed body of triangles, in its own frame.
+    """Closed body of triangles, in its own frame.
 
     Attributes:
         vertices: (vertices, 3), mm.
@@ -57,7 +57,7 @@ class Body:
         """Copy and freeze the arrays.
 
         Raises:
-            InputError: the surface is open, or turned inside out.
+            InputError: the surface is open or inside out.
         """
         triangles = np.array(faces, dtype=np.int64)
         triangles.setflags(write=False)
@@ -74,19 +74,19 @@ class Body:
 
     @property
     def radius_mm(self) -> float:
-        """Of the sphere about the origin of its frame that just holds it, mm."""
+        """Radius of the smallest sphere about the frame's origin that contains the body, mm."""
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
 
 class Rays:
-    """The rays of a scan to its pixel centres, ready to be crossed with bodies.
+    """Rays of a scan to its pixel centres, for intersection with bodies.
 
     Attributes:
         geometry: the views.
     """
 
     def __init__(self, geometry: ScanGeometry) -> None:
-        """Work out what all shadows of a view share."""
+        """Compute the quantities that all shadows of a view share."""
         self.geometry, panel = geometry, geometry.panel
         column, row = panel.middle
         self._steps = np.stack([geometry.u * panel.pitch_u, geometry.v * panel.pitch_v], axis=1)
@@ -95,7 +95,7 @@ class Rays:
         self._matrices = geometry.matrices()
 
     def box(self, body: Body, world_from_body: Pose, view: int, margin: float = 0) -> Box:
-        """The pixels that a body may shade in a view, with a margin, within the panel.
+        """Return the pixels that a body may shade in a view, with a margin, within the panel.
 
         Raises:
             InputError: the body reaches the plane through the source parallel to the panel.
@@ -115,19 +115,19 @@ class Rays:
         slopes: bool = False,
         box: Box | None = None,
     ) -> Shadow:
-        """Path lengths of the rays of a view inside a body, and their derivatives.
+        """Return the path lengths of a view's rays inside a body, and their derivatives.
 
-        A ray's length inside is the sum of where it leaves less where it enters. If a facet with
-        normal n is moved by u where a ray along d meets it, the crossing moves along the ray by
-        n u / (n d): with u = v + w x x for a twist, the derivatives are exact, but for rays that
-        touch an edge.
+        A path length is the sum of the distances at which the ray leaves the body, less the sum at
+        which it enters. If a facet with normal n moves by u where a ray along d meets it, the
+        crossing moves along the ray by n u / (n d). With u = v + w x x for a twist, the derivatives
+        are exact, except for rays that touch an edge.
 
         Args:
-            body: its shape.
-            world_from_body: its pose.
+            body: shape of the body.
+            world_from_body: pose of the body.
             view: number of the view.
-            slopes: also the derivatives; else they have no columns.
-            box: the pixels wanted; all that the body may shade if not given.
+            slopes: also compute the derivatives; otherwise they have no columns.
+            box: requested pixels; by default all that the body may shade.
 
         Raises:
             InputError: as for ``box``.
@@ -136,10 +136,10 @@ class Rays:
         lengths = np.zeros(box.shape)
         derivatives = np.zeros((*box.shape, 6 if slopes else 0))
         if lengths.size:
-            # The settings of algorithms are read without a compiler.
+            # Imported late: reading the settings of algorithms must not need a compiler.
             from twinct.shadow._kernel import crossings
 
-            turned = world_from_body.rotation  # from the world to the body by its transpose
+            turned = world_from_body.rotation  # its transpose maps the world to the body
             source = (self.geometry.source[view] - world_from_body.position) @ turned
             first, (across, up) = self._first[view] @ turned, self._steps[view] @ turned
             crossings(
@@ -157,7 +157,7 @@ class Rays:
         return Shadow(box, lengths, derivatives)
 
     def _places(self, body: Body, world_from_body: Pose, view: int) -> Floats:
-        """(column, row) where the body's corners project, (vertices, 2)."""
+        """Return the projections of the body's corners, (column, row), (vertices, 2)."""
         matrix = self._matrices[view] @ world_from_body.matrix
         column, row, depth = matrix[:, :3] @ body.vertices.T + matrix[:, 3:]
         if depth.min() <= 0:

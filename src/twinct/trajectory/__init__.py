@@ -1,4 +1,4 @@
-"""Trajectories: the views a scan shall take, by families; others may add their own."""
+"""Trajectories: families of views for a scan, built in or from extensions."""
 
 from twinct.trajectory.arc import ArcTrajectory
 from twinct.trajectory.circle import CircleTrajectory

@@ -1,4 +1,4 @@
-"""All families of trajectories by name: those of this package, and those of others."""
+"""All trajectory families by name, built in or from extensions."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ BUILT_IN = {family.name: family for family in _ALL}
 
 @cache
 def families() -> Offers[Family]:
-    """Those that a scenario can name; looked up once in each process."""
+    """Return the families that a scenario can name; they are looked up once per process."""
     return offers("twinct.trajectories", Family, BUILT_IN)
 
 
 def commanded_views(section: TrajectorySettings, panel: Panel) -> ScanGeometry:
-    """The geometry a trajectory commands.
+    """Return the geometry that a trajectory commands.
 
     Raises:
-        TrajectoryError: a file of views that cannot be read, or a view that is none.
+        TrajectoryError: a file of views cannot be read, or contains an invalid view.
     """
     return families()[name_in(type(section))].views(section, panel)
 
 
 def leaves_roll(section: TrajectorySettings) -> bool:
-    """Whether a trajectory says nothing of the panel's turn about its normal.
+    """Return True if a trajectory leaves the panel's rotation about its normal open.
 
     Raises:
-        TrajectoryError: a file of views that cannot be read.
+        TrajectoryError: a file of views cannot be read.
     """
     return families()[name_in(type(section))].leaves_roll(section)
 
 
 def commanded_mas(section: TrajectorySettings) -> Floats | None:
-    """Tube load of each view that a trajectory commands, (views,), mAs; None: it says none.
+    """Return the tube load that a trajectory commands for each view, (views,), mAs, or None.
 
     Raises:
-        TrajectoryError: a file of views that cannot be read.
+        TrajectoryError: a file of views cannot be read.
     """
     return families()[name_in(type(section))].mas(section)

@@ -1,7 +1,7 @@
-"""What a family of trajectories is: its settings and its views.
+"""Trajectory families: their settings and their views.
 
-Each family's file ends with its ``Family``; those from outside the package are found by the entry
-points of the group ``twinct.trajectories``.
+Each family's file ends with its ``Family``. Families from outside the package come from the
+entry points of the group ``twinct.trajectories``.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from twinct.settings import Section
 
 
 class TrajectorySettings(Section):
-    """Keys of one family, among them ``kind``, a Literal of its name.
+    """Keys of one family; ``kind`` is a Literal of its name.
 
-    A key named ``path`` or ``file`` is an input file: it is made absolute, must exist, and counts
-    by content.
+    A key named ``path`` or ``file`` is an input file: its path is made absolute, it must exist, and
+    its content counts.
     """
 
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """A family as the scenario can name it.
+    """Trajectory family that a scenario can name.
 
     Attributes:
-        settings: its keys.
-        views: the geometry that these settings command, for a panel.
-        leaves_roll: whether these settings say nothing of the panel's turn about its normal.
-        mas: tube load of each view, (views,), mAs; None: these settings say nothing of it.
+        settings: class of its keys.
+        views: commanded geometry, from settings and panel.
+        leaves_roll: True if the settings leave the panel's rotation about its normal open.
+        mas: tube load of each view, (views,), mAs, in the settings; None if not stated.
     """
 
     settings: type[TrajectorySettings]
@@ -41,10 +41,10 @@ class Family:
 
     @property
     def name(self) -> str:
-        """What the key ``kind`` calls it."""
+        """Name of the family, the value of the key ``kind``."""
         return name_in(self.settings)
 
 
 def name_in(settings: type[TrajectorySettings]) -> str:
-    """The name that the key ``kind`` of some settings takes."""
+    """Return the value of the key ``kind`` of a settings class."""
     return str(typing.get_args(settings.model_fields["kind"].annotation)[0])

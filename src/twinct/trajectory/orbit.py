@@ -1,4 +1,4 @@
-"""What the families about an isocentre share: keys, positions on a sphere, an upright panel."""
+"""Keys, positions and panel axes that the families about an isocentre share."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from twinct.settings import Conflict, ConflictError, Finite, Length, Vector, set
 from twinct.trajectory.family import TrajectorySettings
 
 _STEEPEST_BEAM = 1e-9
-"""Smallest horizontal share of a beam that still tells which way is horizontal."""
+"""Smallest horizontal component of a beam's direction that still defines the horizontal axis."""
 
 
 Course = Annotated[tuple[Length, ...], Field(min_length=2, max_length=10_000)]
-"""A distance that changes along the path: values at equal shares of it, linear between them."""
+"""Distance that varies along the path: values at equal shares of the path, linear in between."""
 
 
 class OrbitSettings(TrajectorySettings):
@@ -53,11 +53,11 @@ class OrbitSettings(TrajectorySettings):
         return self
 
     def sod_at(self, share: ArrayLike) -> Floats:
-        """Distances from source to isocentre at shares of the path, 0 to 1, mm."""
+        """Return the SOD at shares of the path, 0 to 1, mm."""
         return _course(self.sod_mm, share)
 
     def sdd_at(self, share: ArrayLike) -> Floats:
-        """Distances from source to panel centre at shares of the path, 0 to 1, mm."""
+        """Return the distances from source to panel centre at shares of the path, 0 to 1, mm."""
         return _course(self.sdd_mm, share)
 
 
@@ -68,17 +68,17 @@ def orbit_views(
     centres: Floats | None = None,
     share: Floats | None = None,
 ) -> ScanGeometry:
-    """The views of a path of the source.
+    """Return the views along a path of the source.
 
-    The panel stands orthogonal to the beam through the isocentre, u horizontal, v upwards.
+    The panel is orthogonal to the beam through the isocentre, u horizontal, v upwards.
 
     Args:
-        section: distances, and where the isocentre is.
+        section: distances and isocentre.
         panel: the pixel lattice.
         sources: positions at ``sod_at(share)`` from their centres, (views, 3), mm.
-        centres: what the beams go through, (views, 3), mm; without them the isocentre. Both are
-            moved by ``isocentre_mm``.
-        share: of the path at which each view is, 0 to 1, (views,); without it ``stops``.
+        centres: points on the beams, (views, 3), mm; by default the isocentre. Sources and centres
+            are both shifted by ``isocentre_mm``.
+        share: share of the path at each view, 0 to 1, (views,); by default ``stops``.
     """
     centres = np.zeros_like(sources) if centres is None else centres
     share = stops(len(sources)) if share is None else share
@@ -91,7 +91,7 @@ def orbit_views(
 
 
 def panel_axes(towards_source: Floats) -> tuple[Floats, Floats]:
-    """Axes of a panel that faces the source: u horizontal, v = n x u, which points up.
+    """Return the axes of a panel that faces the source: u horizontal, v = n x u upwards.
 
     Args:
         towards_source: unit normals n, (views, 3).
@@ -112,14 +112,14 @@ def panel_axes(towards_source: Floats) -> tuple[Floats, Floats]:
 
 
 def on_sphere(longitude: Floats, latitude: Floats, radius: ArrayLike = 1.0) -> Floats:
-    """Points (..., 3) of longitudes and latitudes in rad, at one radius or one each."""
+    """Return points (..., 3) at longitudes and latitudes in rad, with one radius or one each."""
     cos = np.cos(latitude)
     points = [cos * np.cos(longitude), cos * np.sin(longitude), np.sin(latitude)]
     return np.asarray(radius)[..., None] * np.stack(points, axis=-1)
 
 
 def stops(views: int) -> Floats:
-    """Shares of the path at which views are taken; a single view stands in the middle."""
+    """Return the shares of the path at which views are taken; a single view is in the middle."""
     return np.linspace(0.0, 1.0, views) if views > 1 else np.array([0.5])
 
 

@@ -1,4 +1,4 @@
-"""A saddle: once round, twice up and down."""
+"""A saddle: one turn with two rises and two falls."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views
 class SaddleTrajectory(OrbitSettings):
     """A saddle on the sphere (after Pack, Noo, Kudo 2004): latitude = a cos(2 longitude).
 
-    Closed: every plane that meets the middle of the object meets it. The first view is at the
-    highest latitude.
+    The path is closed: every plane through the middle of the object intersects it. The first view
+    is at the highest latitude.
     """
 
     kind: Literal["saddle"]

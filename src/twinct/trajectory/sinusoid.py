@@ -16,7 +16,7 @@ from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views
 class SinusoidTrajectory(OrbitSettings):
     """The paper's path: a sine of latitude over an arc of longitude, on a sphere.
 
-    Over more than 360 degrees it goes round several times.
+    An arc of more than 360 degrees makes several turns.
     """
 
     kind: Literal["sinusoid"]
@@ -37,7 +37,7 @@ class SinusoidTrajectory(OrbitSettings):
 
 
 def _views(section: SinusoidTrajectory, panel: Panel) -> ScanGeometry:
-    """Longitude over its range, latitude a sine of it (Freiling et al.); both ends included."""
+    """Return the views: latitude is a sine of longitude (Freiling et al.), both ends included."""
     phase = np.radians(section.phase_deg)
 
     def position(t: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""A table of views: every view as it is, from a CSV file."""
+"""Views from a CSV file, each exactly as stated."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from twinct.trajectory.orbit import panel_axes
 
 LARGEST_BYTES = 64 * 2**20
 MOST_VIEWS = 100_000
-"""As of all other trajectories."""
+"""Largest number of views, as for all other trajectories."""
 MOST_PROBLEMS = 20
-"""That are told of a file."""
+"""Largest number of problems reported for a file."""
 
 _COLUMNS = [f"{name}_{axis}" for name in ("source", "detector", "u", "v") for axis in "xyz"]
 _MAS = "mas"
 _FORMS = (6, 7, 12, 13)
-"""Numbers of a line: with 7 and 13 the last is mAs."""
+"""Allowed numbers of values per line; in lines of 7 and 13 the last value is mAs."""
 
 
 class FileTrajectory(TrajectorySettings):
@@ -40,9 +40,9 @@ def write_views(path: Path, geometry: ScanGeometry, mas: Floats | None = None) -
     """Write a file of views that ``kind: file`` reads back to the same numbers.
 
     Args:
-        path: of the file.
+        path: path of the file.
         geometry: the views.
-        mas: tube load of each, (views,), mAs; None: the file says nothing of it.
+        mas: tube load of each view, (views,), mAs; None: the file does not state it.
     """
     rows = np.hstack([geometry.source, geometry.detector, geometry.u, geometry.v])
     columns = list(_COLUMNS)
@@ -55,9 +55,10 @@ def write_views(path: Path, geometry: ScanGeometry, mas: Floats | None = None) -
 
 
 def _table(path: Path) -> tuple[Floats, list[int]]:
-    """Rows of 6 numbers (S, D) or 12 (S, D, u, v), mm, or one more (mAs), and their lines.
+    """Return the rows of the file and their line numbers.
 
-    Names may come first.
+    A row has 6 numbers (S, D) or 12 (S, D, u, v), mm, and one more with mAs. A line of names may
+    come first.
     """
     problems: list[str] = []
     rows: list[list[float]] = []
@@ -115,7 +116,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
-    """What the file says; u and v upright where it gives none."""
+    """Return the geometry in the file; the panel is upright if the file does not state u and v."""
     table, lines = _table(section.path)
     try:
         return _geometry(table, panel)

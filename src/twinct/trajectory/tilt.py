@@ -1,4 +1,4 @@
-"""A path turned about a horizontal axis."""
+"""Paths rotated about a horizontal axis."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Tilted(Section):
 
 
 def tilted(points: Floats, section: Tilted) -> Floats:
-    """Points (n, 3) about the isocentre, turned by the right hand about the axis."""
+    """Rotate points (n, 3) about the isocentre by the tilt, right-handed about its axis."""
     axis, tilt = np.radians([section.tilt_axis_deg, section.tilt_deg])
     cos, sin = np.cos(tilt), np.sin(tilt)
     about_x = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])

@@ -14,13 +14,13 @@ from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views
 from twinct.trajectory.zone import Zone
 
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""Step of a Fibonacci lattice, share of the range of longitude."""
+"""Step of a Fibonacci lattice, as a share of the range of longitude."""
 
 
 class UniformTrajectory(OrbitSettings, Zone):
     """Views of equal density over a zone of the sphere: a Fibonacci lattice (Gonzalez 2010).
 
-    Upwards, neighbours far apart: motion.order: shortest makes a tour of it.
+    The views go upwards and neighbours are far apart: ``motion.order: shortest`` makes a tour.
     """
 
     kind: Literal["uniform"]

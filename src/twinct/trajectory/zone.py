@@ -1,4 +1,4 @@
-"""A zone of the sphere: between two latitudes, over an arc of longitude."""
+"""Zone of the sphere: between two latitudes, over an arc of longitude."""
 
 from __future__ import annotations
 
@@ -28,6 +28,6 @@ class Zone(Section):
         return self
 
     def heights(self, share: Floats) -> Floats:
-        """Latitudes at which shares of the zone's area lie below, rad (Archimedes' hat box)."""
+        """Return latitudes that have shares of the zone's area below, rad (Archimedes' hat box)."""
         low, high = np.sin(np.radians(self.latitude_range_deg))
         return np.arcsin(low + (high - low) * share)

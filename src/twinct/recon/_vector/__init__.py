@@ -1,7 +1,7 @@
-"""The vector engine: kernels written eight samples at a time, in LLVM's own words.
+"""Vector engine: kernels written eight samples at a time, in LLVM instructions.
 
-Why they are fast: eight samples are read and blended by one piece of vector code (``march``,
-``sample``); tiles of rays go through the volume slab by slab, in copies of just the voxels they
+It is fast because one piece of vector code reads and blends eight samples (``march``, ``sample``),
+and because tiles of rays go through the volume slab by slab, in copies of only the voxels that they
 cross (``brick``). No result depends on the number of threads.
 """
 
@@ -18,7 +18,7 @@ with kernels_from_disk():
     from twinct.recon._vector.update import update
     from twinct.recon._vector.variation import ascend
 
-    # Fast as the plain engine has them: here with fast mathematics.
+    # The plain engine's code is fast already; here it gets fast mathematics.
     ratio = kernel(
         f"({IMAGE}, {IMAGE}, {IMAGE}, f4, f4, {IMAGE}, {IMAGE}, i4[:, ::1])", parallel=False
     )(_plain.ratio.py_func)
@@ -31,5 +31,5 @@ __all__ = ["adjoint", "ascend", "back_project", "chords", "forward", "primal", "
 
 
 def adjoint(y, rays, out):
-    """Add the exact transpose of ``forward`` applied to ``y`` to ``out``."""
+    """Add the exact transpose of ``forward``, applied to ``y``, to ``out``."""
     _adjoint.adjoint(y, rays, out, get_num_threads())

@@ -16,7 +16,7 @@ PLANES = 16
 
 @njit(**OPTIONS)
 def _weigh(y, rays, pixels, steps, groups):
-    """Give each ray its measured value times its mm per plane."""
+    """Set the value of each ray to its measured value times its mm per plane."""
     for slot in range(groups * LANES):
         pixel = pixels[slot]
         if pixel >= 0:
@@ -25,12 +25,12 @@ def _weigh(y, rays, pixels, steps, groups):
 
 
 _add_slab = slab_of(add_along, add_pairs_along, add_guarded)
-"""Spread the rays' values over the voxels of the planes from start to end."""
+"""Function that adds the rays' values to the voxels of the planes from start to end."""
 
 
 @njit(inline="always", **OPTIONS)
 def _slab(number, stop):
-    """First and last plane of a slab; none follow after ``stop``."""
+    """Return the first and last plane of a slab; no slab goes beyond ``stop``."""
     return number * PLANES, min((number + 1) * PLANES - 1, stop)
 
 
@@ -38,9 +38,9 @@ def _slab(number, stop):
 def adjoint(y, view, out, parts):
     """Add the exact transpose of ``forward`` applied to ``y`` (rows, columns) to ``out`` (z, y, x).
 
-    Slabs of planes across the axis that a ray crosses fastest are shared out in ``parts``, one for
-    each thread, so that no two of them write to one voxel. The order of the sums does not depend on
-    their number.
+    Slabs of planes across the axis that a ray crosses fastest are divided into ``parts``, one for
+    each thread, so that no two threads write to one voxel. The order of the sums does not depend on
+    the number of parts.
     """
     rows, columns = y.shape
     shape, flat = out.shape, out.reshape(-1)

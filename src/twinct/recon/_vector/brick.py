@@ -1,11 +1,12 @@
-"""Bricks of voxels, copied to where a core reads and writes them fast.
+"""Bricks of voxels, copied to memory that a core reads and writes fast.
 
-Voxels that lie side by side in a plane across x or y are a power of two apart in memory in most
-grids, and so fall onto the same few places of a cache; across x, no two of them share a cache line.
-So the voxels that a tile of rays crosses in a slab of planes are copied once, plane by plane, with
-the first of the two other axes along a line.
+In most grids, adjacent voxels of a plane across x or y are a power of two apart in memory, and so
+compete for the same few lines of a cache; across x, no two of them share a cache line. The voxels
+that a tile of rays crosses in a slab of planes are therefore copied once, plane by plane, with the
+first of the two other axes along a line.
 
-A box is six numbers: first plane, planes, first c, cs, first b, bs; see ``groups.cells_of``.
+A box is six numbers: first plane, number of planes, first c, number of c, first b, number of b; see
+``groups.cells_of``.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from twinct.recon._vector.vectors import (
 )
 
 ROOM = 131072
-"""Voxels that a brick can hold: half a MB. Most are half as large, and stay in the L2 cache."""
+"""Largest number of voxels in a brick, half a MB; most are half as large, and stay in L2."""
 
 
 @intrinsic
 def _transpose(typingctx, source, at, step, target, to, stride):
-    """target.flat[to + n stride + m] = source.flat[at + m step + n] for m and n from 0 to 7."""
+    """Set target.flat[to + n stride + m] = source.flat[at + m step + n] for m and n from 0 to 7."""
     n, void = types.int64, types.void
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -55,7 +56,7 @@ def _transpose(typingctx, source, at, step, target, to, stride):
 
 @intrinsic
 def _copy_line(typingctx, source, at, target, to, count):
-    """target.flat[to + n] = source.flat[at + n] for n below count."""
+    """Set target.flat[to + n] = source.flat[at + n] for n below count."""
     n, void = types.int64, types.void
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -69,7 +70,7 @@ def _copy_line(typingctx, source, at, target, to, count):
 
 @njit(inline="always", **OPTIONS)
 def _copy(source, source_at, source_stride, target, target_at, target_stride, rows, columns):
-    """target[n, m] = source[m, n], of rows m and columns n, each at its place in a flat array."""
+    """Set target[n, m] = source[m, n] for all rows m and columns n, at their flat positions."""
     for m in range(0, rows - LANES + 1, LANES):
         for n in range(0, columns - LANES + 1, LANES):
             at, to = source_at + m * source_stride + n, target_at + n * target_stride + m
@@ -82,7 +83,7 @@ def _copy(source, source_at, source_stride, target, target_at, target_stride, ro
 
 @njit(**OPTIONS)
 def move(x, shape, axis, box, brick, back):
-    """Copy a box of the volume ``x`` (flat) into the brick (flat): (plane, c, b); or back."""
+    """Copy a box of the volume ``x`` (flat) into the brick (flat), (plane, c, b), or back."""
     _, ny, nx = shape
     start, planes, c0, nc, b0, nb = box
     if axis == 0:
@@ -105,21 +106,21 @@ def move(x, shape, axis, box, brick, back):
 
 @njit(inline="always", **OPTIONS)
 def fits(box):
-    """Whether a brick holds the box, and not mostly voxels between rays that are far apart."""
+    """Return True if a brick can hold the box; a box of rays far apart is too large."""
     return box[1] * box[3] * box[5] <= ROOM
 
 
 @njit(inline="always", **OPTIONS)
 def ask_for_box(ahead, part, parts):
-    """Have a part of a box brought near, so that ``move`` need not wait for memory.
+    """Prefetch a part of a box, so that ``move`` need not wait for memory.
 
-    ``ahead`` is what ``move`` will take: the volume (flat), its shape, the axis and the box.
+    ``ahead`` holds the arguments of ``move``: the volume (flat), its shape, the axis and the box.
     """
     x, (_, ny, nx), axis, box = ahead
     start, planes, c0, nc, b0, nb = box
     if not fits(box):
         return
-    # Lines of voxels along x, of one cache line or of nb: those of an outer and an inner axis.
+    # Lines of voxels along x, of one cache line or of nb voxels, over an outer and an inner axis.
     outer, inner, length = (nc, nb, 1) if axis == 0 else (planes, nc, nb)
     if axis == 0:
         at, outward, inward = (c0 * ny + b0) * nx + start, ny * nx, nx
@@ -143,7 +144,7 @@ def ask_for_box(ahead, part, parts):
 
 @njit(inline="always", **OPTIONS)
 def in_brick(box, axis, shape):
-    """The lattice (see ``march``) of a brick."""
+    """Return the lattice (see ``march``) of a brick."""
     start, _, c0, nc, b0, nb = box
     middle, stride = np.float32(0.5 * (shape[2 - axis] - 1)), nc * nb
     return middle, np.float32(b0), np.float32(c0), -start * stride, nb - 1, nc - 1, 1, nb, stride
@@ -151,7 +152,7 @@ def in_brick(box, axis, shape):
 
 @njit(inline="always", **OPTIONS)
 def in_volume(axis, shape):
-    """The lattice (see ``march``) of the volume itself."""
+    """Return the lattice (see ``march``) of the volume itself."""
     nz, ny, nx = shape
     middle, zero = np.float32(0.5 * (shape[2 - axis] - 1)), np.float32(0.0)
     if axis == 0:

@@ -1,10 +1,10 @@
-"""Compiled kernels on disk, one folder for all that they are made of.
+"""Disk cache of compiled kernels, one folder for all their sources.
 
-numba looks at the file of a kernel alone, not at those that it is made of, and what it compiled
-itself in a process differs in the last bits from what it finds on disk later: there, LLVM has
-optimised inner loops once more, and fast mathematics reorders sums. So kernels are compiled in a
-process of their own, into a folder named after their sources and the compiler, and always come from
-there. What others left on disk is neither read nor removed.
+numba checks the file of a kernel alone, not the files of functions that it calls. Code that numba
+compiled in the running process also differs in the last bits from code that it later loads from
+disk: there, LLVM has optimised inner loops once more, and fast mathematics reorders sums. Kernels
+are therefore compiled in a separate process, into a folder named after their sources and the
+compiler, and always loaded from there. Other cached kernels are neither read nor removed.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from numba.core import config as numba_config
 
 log = logging.getLogger(__name__)
 
-config: Any = numba_config  # its names are made when it is imported
+config: Any = numba_config  # its names are created at import
 
 _HERE = Path(__file__).parent
 _COMPILING = "TWINCT_COMPILING"
-"""Set for the process that compiles: its folder."""
+"""Environment variable of the process that compiles: its folder."""
 
 
 @contextlib.contextmanager
 def kernels_from_disk() -> Iterator[None]:
-    """Kernels that are imported in this block are read from their folder, compiled if need be.
+    """Load kernels that are imported in this block from their folder, compiled if necessary.
 
     Raises:
-        RuntimeError: they do not compile; with the compiler's last line.
+        RuntimeError: the kernels do not compile; with the compiler's last line.
     """
     before = config.CACHE_DIR
     config.CACHE_DIR = os.environ.get(_COMPILING) or str(_folder())
@@ -52,7 +52,7 @@ def kernels_from_disk() -> Iterator[None]:
 
 
 def _folder() -> Path:
-    """Where the kernels are; afterwards they are there."""
+    """Return the folder of the kernels, and compile them first if necessary."""
     name = f"kernels-{_digest()}"
     if config.CACHE_DIR:
         places = [Path(config.CACHE_DIR)]
@@ -73,10 +73,10 @@ def _folder() -> Path:
 
 
 def _digest() -> str:
-    """Digest of everything that compiled kernels depend on."""
+    """Return the digest of everything that compiled kernels depend on."""
     sources = sorted([*_HERE.glob("*.py"), _HERE.parent / "_plain.py"])
     parts = [source.read_bytes() for source in sources]
-    # numba tells sources apart by their place too.
+    # numba also distinguishes sources by their location.
     machine = (str(_HERE), sys.version, numba.__version__, llvmlite.__version__, config.OPT)
     processor = (get_host_cpu_name(), get_host_cpu_features().flatten())
     chosen = (config.CPU_NAME, config.CPU_FEATURES)
@@ -85,8 +85,8 @@ def _digest() -> str:
 
 
 def _compiled(draft: Path, folder: Path) -> Path:
-    """Compile into a draft and give it its name."""
-    # A warning: a terminal is silent meanwhile.
+    """Compile into a draft folder, and rename it."""
+    # A warning, because the terminal is silent meanwhile.
     log.warning(
         "compiling the kernels of reconstruction, once, into %s: half a minute",
         folder,

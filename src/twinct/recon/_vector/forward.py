@@ -11,16 +11,16 @@ from twinct.recon._vector.options import CUBE, IMAGE, RAYS, kernel
 from twinct.recon._vector.vectors import LANES
 
 PLANES = 16
-"""Planes of a slab, through which all rays of a tile go before any goes on."""
+"""Planes of a slab; all rays of a tile go through one slab before the next."""
 
 
 _sum_slab = slab_of(read_along, read_pairs_along, read_guarded)
-"""Add up the samples of the planes from start to end."""
+"""Function that adds up the samples of the planes from start to end."""
 
 
 @kernel(f"({CUBE}, {RAYS}, {IMAGE})")
 def forward(x, view, out):
-    """Line integrals of ``x`` (z, y, x) along each ray of one view into ``out`` (rows, columns)."""
+    """Write the line integrals of ``x`` (z, y, x) in one view to ``out`` (rows, columns)."""
     rows, columns = out.shape
     shape, flat = x.shape, x.reshape(-1)
     across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS

@@ -1,4 +1,4 @@
-"""Rays sorted by the axis they cross fastest, in groups of eight, as ``march`` takes them."""
+"""Rays sorted by the axis that they cross fastest, in groups of eight for ``march``."""
 
 from __future__ import annotations
 
@@ -18,22 +18,25 @@ from twinct.recon._vector.vectors import LANES
 
 TILE_ROWS = 32
 TILE_COLUMNS = 64
-"""Rays of a tile: they go through the volume together, so that voxels are read once from memory."""
+"""Rays of a tile, which go through the volume together so that voxels are read only once."""
 
 TILE_GROUPS = TILE_ROWS * (TILE_COLUMNS // LANES)
-"""Groups of one axis that a tile can have; none reaches beyond its row."""
+"""Largest number of groups of one axis in a tile; no group reaches beyond its row."""
 
 EDGE = 10
-"""Numbers of a group's edges: first and last plane, then place and slope of two lines along b (see
-``_edge``), and of two along c."""
+"""Number of values for a group's edges.
+
+The values are first and last plane, then position and slope of two lines along b (see ``_edge``),
+and of two along c.
+"""
 
 _MARGIN = 1e-2
-"""Voxels by which unguarded samples keep away from the border: float32 rounding is far smaller."""
+"""Distance of unguarded samples from the border, in voxels; float32 rounding is far smaller."""
 
 
 @njit(**OPTIONS)
 def room():
-    """Scratch arrays for a tile: what ``load`` fills, one row of rays, and a brick."""
+    """Allocate scratch arrays for a tile: the output of ``load``, one row of rays, and a brick."""
     groups = TILE_GROUPS
     return (
         np.empty((3, groups * BLOCK), np.float32),
@@ -49,14 +52,17 @@ def room():
 
 @njit(inline="always", **OPTIONS)
 def cells_of(axis, shape):
-    """Cells between voxel centres in a plane along b and c, the other axes in the order x, y, z."""
+    """Return the numbers of cells between voxel centres along b and c.
+
+    These are the other axes in the order x, y, z.
+    """
     nz, ny, nx = shape
     return (ny if axis == 0 else nx) - 1, (ny if axis == 2 else nz) - 1
 
 
 @njit(inline="always", **OPTIONS)
 def _clear(lo, hi, at_middle, slope, middle, cells):
-    """Part of lo <= n <= hi where at_middle + (n - middle) slope is inside by the margin."""
+    """Return the part of lo <= n <= hi where at_middle + (n - middle) slope is within margins."""
     below = _MARGIN - at_middle
     above = cells - _MARGIN - at_middle
     if slope > 1e-9:
@@ -72,10 +78,11 @@ def _clear(lo, hi, at_middle, slope, middle, cells):
 
 @njit(inline="always", **OPTIONS)
 def _edge(block, kind, near, far, edge):
-    """Two straight lines that eight rays lie between, from plane to plane counted from the middle.
+    """Write two straight lines that enclose eight rays between two planes.
 
-    The least place of some straight lines is a concave function of the plane: never below the line
-    that joins its ends; and the greatest one alike. Kept as place in the middle and slope.
+    Planes count from the middle. The lowest position among straight lines is a concave function of
+    the plane, never below the line between its ends; the highest position is convex and never
+    above. A line is stored as its position in the middle plane and its slope.
     """
     low = high = block[kind] + near * block[kind + LANES]
     low_far = high_far = block[kind] + far * block[kind + LANES]
@@ -90,14 +97,14 @@ def _edge(block, kind, near, far, edge):
 
 @njit(**OPTIONS)
 def load(view, shape, rows, columns, apart, room):
-    """Sort the rays of a tile; rays that miss the volume are left out.
+    """Sort the rays of a tile by axis, without the rays that miss the volume.
 
-    ``rows`` and ``columns`` are the first and the one after the last. The rays of a group are
-    neighbours in their row or, if ``apart``, so far from each other that they share no voxels.
-    ``room`` receives, for each axis: blocks with value 0; ranges, the first and last plane that any
-    ray of a group crosses and the first and last in which all are clear of the border; pixels
-    (row * 65536 + column, -1 where a lane is empty); mm per plane; the number of groups; and the
-    groups' edges, see ``_edge``.
+    ``rows`` and ``columns`` are half-open ranges. The rays of a group are neighbours in their row
+    or, if ``apart``, so far from each other that they share no voxels. ``room`` receives, for each
+    axis: blocks with value 0; ranges, the first and last plane that any ray of a group crosses and
+    the first and last plane in which all rays are clear of the border; pixels (row * 65536 +
+    column, -1 for an empty lane); mm per plane; the number of groups; and the groups' edges, see
+    ``_edge``.
     """
     blocks, ranges, pixels, steps, groups, found, edges, _ = room
     nz, ny, nx = shape
@@ -148,9 +155,9 @@ def load(view, shape, rows, columns, apart, room):
 
 @njit(**OPTIONS)
 def box_of(edges, groups, axis, shape, start, end):
-    """The box of voxels (see ``brick``) that the groups read in the planes from start to end.
+    """Return the box of voxels (see ``brick``) that the groups read in planes start to end.
 
-    It has no planes where they read none.
+    It has no planes if the groups read nothing.
     """
     b_cells, c_cells = cells_of(axis, shape)
     middle = np.float32(0.5 * (shape[2 - axis] - 1))
@@ -160,7 +167,7 @@ def box_of(edges, groups, axis, shape, start, end):
     for group in range(groups):
         first, last = max(edges[0, group], begin), min(edges[1, group], stop)
         m, n = first - middle, last - middle
-        apart = far if first > last else np.float32(0.0)  # of a group that reads nothing
+        apart = far if first > last else np.float32(0.0)  # excludes groups that read nothing
         at, slope = edges[2, group] + apart, edges[3, group]
         b_low = min(b_low, at + m * slope, at + n * slope)
         at, slope = edges[4, group] - apart, edges[5, group]
@@ -172,11 +179,11 @@ def box_of(edges, groups, axis, shape, start, end):
     if b_low > b_high:
         return start, 0, 0, 0, 0, 0
     b0, c0 = _below(b_low, b_cells), _below(c_low, c_cells)
-    # The cell of the highest sample, and one more against rounding.
+    # The cell of the highest sample, and one more against rounding errors.
     nb = min(int(max(b_high, np.float32(0.0))) + 2, b_cells) - b0 + 1
     nc = min(int(max(c_high, np.float32(0.0))) + 2, c_cells) - c0 + 1
     if axis == 0:
-        # Whole eights are copied faster.
+        # Multiples of eight are copied faster.
         nb = min((nb + LANES - 1) // LANES * LANES, b_cells + 1 - b0)
     return start, end - start + 1, c0, nc, b0, nb
 
@@ -187,9 +194,9 @@ def _below(lowest, cells):
 
 
 def slab_of(along, pairs_along, guarded):
-    """Takes groups through the planes of a slab, from start to end, by functions of ``march``.
+    """Build a function that takes groups through the planes of a slab, with functions of ``march``.
 
-    Meanwhile it asks for what comes next: ``ahead``, see ``ask_for_box``.
+    The function also prefetches the next box: ``ahead``, see ``ask_for_box``.
     """
 
     @njit(**OPTIONS)
@@ -200,7 +207,7 @@ def slab_of(along, pairs_along, guarded):
             first, last = max(start, bounds[0]), min(end, bounds[1])
             if first > last:
                 continue
-            # Those in which all rays are clear of the border.
+            # The planes in which all rays are clear of the border.
             lo, hi = max(first, bounds[2]), min(last, bounds[3])
             if lo > hi:
                 lo, hi = last + 1, last

@@ -1,15 +1,15 @@
 """Eight rays through planes of voxels, read or written, as explicit vector code.
 
-LLVM makes no good vector code of scattered reads in a loop, and does not know that the two
-neighbours along x lie side by side: written out, a plane takes a third to a quarter of the time.
+LLVM does not vectorise scattered reads in a loop well, and does not know that the two neighbours
+along x are adjacent in memory. With explicit code, a plane takes a third to a quarter of the time.
 Sums stay in a register, and a pair of neighbours moves as one 64-bit word.
 
-All functions here take the same arguments: the voxels, the rays and where the block of eight begins
-in them, first and last plane, and the lattice (middle, b_from, c_from as float32; offset, b_cells,
+All functions have the same arguments: the voxels, the rays and the start of the block of eight in
+them, first and last plane, and the lattice (middle, b_from, c_from as float32; offset, b_cells,
 c_cells, near, far, stride). In plane n a ray is at b = b_middle - b_from + (n - middle) b_slope,
-and c alike; its four voxels are x.flat at offset + n stride + b near + c far and the next ones in b
-and c, with bilinear weights. Nothing is checked: but in the guarded functions all samples must lie
-inside, 0 <= b < b_cells, 0 <= c < c_cells.
+and likewise for c. Its four voxels are x.flat at offset + n stride + b near + c far and the next
+voxels in b and c, with bilinear weights. Nothing is checked: except in the guarded functions, all
+samples must lie inside, 0 <= b < b_cells, 0 <= c < c_cells.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numba import types
 from twinct.recon._vector import vectors as vec
 
 B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE = (n * vec.LANES for n in range(7))
-"""Places of the eight numbers of each kind in a block; FIRST and LAST are planes."""
+"""Offsets of the eight numbers of each kind in a block; FIRST and LAST are planes."""
 
 BLOCK = 7 * vec.LANES
 """Length of a block."""
@@ -33,10 +33,11 @@ _ONES = ir.Constant(vec.VECTOR, [1.0] * vec.LANES)
 _FAST = ["fast"]
 
 _KINDS = (False, False), (True, False), (False, True)
-"""Adjacent and guarded, see ``_emit``."""
+"""Combinations of adjacent and guarded, see ``_emit``."""
 
-# Takes the builder, the two lines of voxels (one in c, the next), the distance to the next in b,
-# the places in them, the weights of the next in b and c, and what the rays carry; returns that.
+# Takes the builder, the two lines of voxels (one in c, and the next), the distance to the next
+# voxel in b, the positions in the lines, the weights of the next voxels in b and c, and the value
+# that the rays carry. Returns the new value.
 _Body = Callable[[Any, tuple[Any, Any], Any, list[Any], Any, Any, Any], Any]
 
 
@@ -46,13 +47,13 @@ def _clamp(builder: Any, value: Any, top: Any) -> Any:
 
 
 def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
-    """The loop over the planes.
+    """Return the code generator of the loop over the planes.
 
     Args:
-        adjacent: neighbours in b lie side by side.
-        guarded: hold b and c at the border, and let FIRST and LAST count.
+        adjacent: neighbours in b are adjacent in memory.
+        guarded: clamp b and c at the border, and respect FIRST and LAST.
         adds_up: the rays' values are sums that the body adds to, else factors that it uses.
-        body: what happens in one plane.
+        body: code generator for one plane.
     """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -180,7 +181,7 @@ def _along(adjacent: bool, guarded: bool, adds_up: bool) -> Any:
 
 
 read_along, read_pairs_along, read_guarded = (_along(*kind, True) for kind in _KINDS)
-"""Add to the eight values the samples of the planes; pairs: where ``near`` is 1."""
+"""Functions that add the samples of the planes to the eight values; pairs: ``near`` is 1."""
 
 add_along, add_pairs_along, add_guarded = (_along(*kind, False) for kind in _KINDS)
-"""Add the eight values, weighted, to the voxels of the planes; guarded: for any ray."""
+"""Functions that add the eight values, weighted, to the planes' voxels; guarded: for any ray."""

@@ -1,7 +1,7 @@
-"""Rays through voxels: what the forward model and its adjoint share.
+"""Rays through voxels, for the forward model and its adjoint.
 
-The forward model is Joseph's: a ray is sampled once per plane of voxel centres along the axis it
-crosses fastest, bilinearly within the plane, and held constant over the outer half voxel. The axis
+The forward model is Joseph's: a ray is sampled once per plane of voxel centres along the axis that
+it crosses fastest, bilinearly in the plane, and values extend over the outer half voxel. The axis
 is chosen per ray. All kernels compute in voxel indices (x, y, z) and take one view as numbers (see
 ``projector``): the source, the first pixel and the steps from pixel to pixel.
 """
@@ -16,7 +16,7 @@ from twinct.recon._vector.options import IMAGE, OPTIONS, RAYS, kernel
 
 @njit(inline="always", **OPTIONS)
 def _narrow(lo, hi, middle, slope, size):
-    """Part of lo <= m <= hi where -0.5 <= middle + m slope <= size - 0.5 (float64)."""
+    """Return the part of lo <= m <= hi where -0.5 <= middle + m slope <= size - 0.5 (float64)."""
     below = -0.5 - middle
     above = size - 0.5 - middle
     if slope > 0.0:
@@ -32,12 +32,12 @@ def _narrow(lo, hi, middle, slope, size):
 
 @njit(inline="always", **OPTIONS)
 def ray_of(view, row, column, nx, ny, nz):
-    """One ray: its axis, sample line and range of planes.
+    """Return the axis, sample line and range of planes of one ray.
 
     Returns:
-        axis (0, 1, 2 for x, y, z); then, of the two other axes in the order (x, y, z), the
+        axis (0, 1, 2 for x, y, z); then, for each of the two other axes in the order (x, y, z), the
         coordinate in the middle plane and its slope per plane; first and last plane; mm per plane;
-        mm inside.
+        path length in the grid, mm.
     """
     sx, sy, sz = view[0, 0], view[0, 1], view[0, 2]
     dx = view[1, 0] + row * view[3, 0] + column * view[2, 0] - sx
@@ -77,7 +77,7 @@ def ray_of(view, row, column, nx, ny, nz):
 
 @kernel(f"({RAYS}, UniTuple(i8, 3), {IMAGE})")
 def chords(view, shape, out):
-    """Length of each ray inside the grid, mm, into ``out`` (rows, columns)."""
+    """Write the path length of each ray in the grid, mm, to ``out`` (rows, columns)."""
     nz, ny, nx = shape
     rows, columns = out.shape
     for row in prange(rows):

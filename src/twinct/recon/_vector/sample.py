@@ -1,4 +1,4 @@
-"""What an image holds where a line of voxels projects, as explicit vector code."""
+"""Bilinear samples of an image along the projection of a line of voxels, as vector code."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from twinct.recon._vector import vectors as vec
 
 @vec.intrinsic
 def sample_line(typingctx, out, image, width, first, count, a, e, d, a1, e1, d1):
-    """Bilinear samples of an image along a line of voxels, unchecked.
+    """Write bilinear samples of an image along a line of voxels, unchecked.
 
-    ``image`` holds each pixel and the one below it, (rows, columns, 2) of float32: the four pixels
-    around a place then lie side by side. ``width`` is its number of columns.
+    ``image`` holds each pixel and the pixel below it, (rows, columns, 2) of float32, so that the
+    four pixels around a position are adjacent in memory. ``width`` is the number of columns.
 
-    Voxel first + p projects to column (a + t a1) / (d + t d1) and row (e + t e1) / (d + t d1),
-    t = first + p, which must not be negative. ``out`` must hold ``count`` rounded up to ``LANES``.
+    Voxel t = first + p projects to column (a + t a1) / (d + t d1) and row (e + t e1) / (d + t d1),
+    at least 0 each. ``out`` must hold ``count`` rounded up to ``LANES``.
     """
     n, real, void = types.int64, types.float32, types.void
     signature = void(out, image, n, n, n, real, real, real, real, real, real)
@@ -42,7 +42,7 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     builder.cbranch(builder.icmp_signed(">", count, ir.Constant(vec.I64, 0)), loop, after)
     builder.position_at_end(loop)
     done, t = builder.phi(vec.I64), builder.phi(vec.VECTOR)
-    # The lanes after the last voxel repeat it.
+    # The lanes behind the last voxel repeat this voxel.
     at = builder.select(builder.fcmp_ordered("<", t, last), t, last)
 
     def along(value: Any, slope: Any) -> Any:

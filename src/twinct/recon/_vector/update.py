@@ -1,4 +1,4 @@
-"""Kernel of SART's update: voxel-driven back projection of what a view's rays ask for."""
+"""Kernel of SART's update: voxel-driven back projection of a view's residual image."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from twinct.recon._vector.sample import sample_line
 from twinct.recon._vector.vectors import CACHE_LINE, LANES, ask_for
 
 CHUNK = 128
-"""Voxels of a line that are worked on together."""
+"""Voxels of a line that are processed together."""
 
 AHEAD = 2
-"""Lines after which one is worked on that was asked for: memory is slower than the work."""
+"""Lines between prefetch and use, since memory is slower than the computation."""
 
 
 @njit(inline="always", **OPTIONS)
 def _span(lo, hi, at_start, slope):
-    """Part of lo <= i <= hi where at_start + i slope >= 0 (float64)."""
+    """Return the part of lo <= i <= hi where at_start + i slope >= 0 (float64)."""
     if slope > 0.0:
         lo = max(lo, -at_start / slope)
     elif slope < 0.0:
@@ -30,7 +30,7 @@ def _span(lo, hi, at_start, slope):
 
 @njit(inline="always", **OPTIONS)
 def _shadow(a, e, d, a1, e1, d1, columns, rows, nx):
-    """Range of i in which a line of voxels along x projects onto the panel."""
+    """Return the range of i in which a line of voxels along x projects onto the panel."""
     lo, hi = 0.0, nx - 1.0
     lo, hi = _span(lo, hi, a + 0.5 * d, a1 + 0.5 * d1)
     lo, hi = _span(lo, hi, (columns - 0.5) * d - a, (columns - 0.5) * d1 - a1)
@@ -43,7 +43,7 @@ def _shadow(a, e, d, a1, e1, d1, columns, rows, nx):
 
 @njit(inline="always", **OPTIONS)
 def _missing(missing, first_column, last_column, first_row, last_row):
-    """Number of pixels that do not count in a box of the framed image."""
+    """Return the number of pixels that do not count in a box of the framed image."""
     rows, columns = missing.shape[0] - 1, missing.shape[1] - 1
     left = min(max(int(min(first_column, last_column)) - 1, 0), columns)
     right = min(max(int(max(first_column, last_column)) + 3, 0), columns)
@@ -54,13 +54,13 @@ def _missing(missing, first_column, last_column, first_row, last_row):
 
 @njit(**OPTIONS)
 def _update_line(line, first, last, images, missing, starts, slopes, floor, values, weights):
-    """line[i] <- max(line[i] + mean of the counting pixels around the voxel's, bilinear, floor)."""
+    """Set line[i] to max(line[i] + m, floor), with m the bilinear mean of the pixels that count."""
     (image, mask), (a, e, d), (a1, e1, d1) = images, starts, slopes
     width = image.shape[1]
     one, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
     for start in range(first, last + 1, CHUNK):
         end = min(start + CHUNK, last + 1)
-        # The line's shadow is straight: the box of its ends holds every pixel it reads.
+        # The projection of the line is straight: the box of its ends holds every pixel it reads.
         from_scale, to_scale = one / (d + start * d1), one / (d + (end - 1) * d1)
         hidden = _missing(
             missing,
@@ -76,14 +76,14 @@ def _update_line(line, first, last, images, missing, starts, slopes, floor, valu
             for p in range(count):
                 change = values[p] / max(weights[p], least)
                 values[p] = change if weights[p] > least else zero
-        part = line[start:end]  # places in it cannot be negative: the loop becomes vector code
+        part = line[start:end]  # indices in it cannot be negative: the loop is vectorised
         for p in range(count):
             part[p] = max(part[p] + values[p], floor)
 
 
 @njit(inline="always", **OPTIONS)
 def _with_next_row(image, row, out):
-    """Fill a row of ``out`` (rows, columns, 2): each pixel and the one below it."""
+    """Fill a row of ``out`` (rows, columns, 2) with each pixel and the pixel below."""
     below = image[min(row + 1, len(image) - 1)]
     for column in range(image.shape[1]):
         out[row, column, 0] = image[row, column]
@@ -92,7 +92,7 @@ def _with_next_row(image, row, out):
 
 @kernel(f"({CUBE}, {MATRIX}, {IMAGE}, {IMAGE}, i4[:, ::1], f4)")
 def update(x, matrix, image, mask, missing, floor):
-    """See ``engine``."""
+    """Update the voxels, see ``engine``."""
     nz, ny, nx = x.shape
     flat = x.reshape(-1)
     rows, columns = image.shape[0] - 2, image.shape[1] - 2

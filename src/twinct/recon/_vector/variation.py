@@ -1,4 +1,4 @@
-"""Kernel of total variation's dual: loops over few arrays, which LLVM makes vectors of."""
+"""Kernel of total variation's dual: loops over few arrays, which LLVM vectorises."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from twinct.recon._vector.options import CUBE, OPTIONS, kernel
 
 @njit(**OPTIONS)
 def _steps(own, beside, above, scale, out):
-    """Step of each voxel: by the smallest weight that its differences have a part in."""
+    """Write the step of each voxel, from the smallest weight in its differences."""
     last = len(own) - 1
     for i in range(last):
         out[i] = scale * min(min(own[i], own[i + 1]), min(beside[i], above[i]))
@@ -19,14 +19,14 @@ def _steps(own, beside, above, scale, out):
 
 @njit(**OPTIONS)
 def _along(dual, steps, slope, here, there):
-    """dual[i] += steps[i] slope (there[i] - here[i])."""
+    """Add steps[i] slope (there[i] - here[i]) to dual[i]."""
     for i in range(len(there)):
         dual[i] += steps[i] * slope * (there[i] - here[i])
 
 
 @njit(**OPTIONS)
 def _into_ball(px, py, pz, radius):
-    """Shorten vectors that are longer than the radius to it."""
+    """Shorten vectors that are longer than the radius to the radius."""
     square, one = radius * radius, np.float32(1.0)
     for i in range(len(px)):
         length = px[i] * px[i] + py[i] * py[i] + pz[i] * pz[i]
@@ -38,7 +38,7 @@ def _into_ball(px, py, pz, radius):
 
 @kernel(f"({CUBE}, {CUBE}, f8[::1], f8, f8, f4[:, :, :, ::1])")
 def ascend(x, q, inverse, radius, step, dual):
-    """See ``engine``."""
+    """Take a projected gradient step, see ``engine``."""
     nz, ny, nx = x.shape
     wx, wy, wz = np.float32(inverse[0]), np.float32(inverse[1]), np.float32(inverse[2])
     scale = np.float32(step) / (np.float32(4.0) * max(wx, wy, wz) * (wx + wy + wz))

@@ -1,4 +1,4 @@
-"""Words of LLVM for eight float32 at a time, that the kernels' vector code is made of."""
+"""LLVM building blocks for eight float32 at a time, for the kernels' vector code."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic as numba_intrinsic
 
-# A call leaves out the typing context that the function takes, so the type checker may not look.
+# Calls omit the typing context that the function takes, so the type checker must not look.
 intrinsic: Any = numba_intrinsic
 
 LANES = 8
 """Samples that one call blends."""
 
 CACHE_LINE = 16
-"""Float32 that memory gives at once."""
+"""Number of float32 in a cache line."""
 
 F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
 VECTOR, INTS = ir.VectorType(F32, LANES), ir.VectorType(I32, LANES)
 _PAIR, _FOUR = ir.VectorType(F32, 2), ir.VectorType(F32, 4)
-# Pairs in this order let one in-lane shuffle separate lower from upper neighbours.
+# This order of pairs lets one in-lane shuffle separate lower from upper neighbours.
 _HALVES = ((0, 1, 4, 5), (2, 3, 6, 7))
 _LOWER = (0, 2, 8, 10, 4, 6, 12, 14)
 _UPPER = (1, 3, 9, 11, 5, 7, 13, 15)
-# One in-lane interleave gives lanes 0, 1, 4, 5 or 2, 3, 6, 7 of two vectors, as ``_HALVES`` says.
+# One in-lane interleave gives lanes 0, 1, 4, 5 or 2, 3, 6, 7 of two vectors, as in ``_HALVES``.
 _INTERLEAVED = ((0, 8, 1, 9, 4, 12, 5, 13), (2, 10, 3, 11, 6, 14, 7, 15))
 _PAIRED = ((0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15))
 _HALVED = ((0, 1, 2, 3, 8, 9, 10, 11), (4, 5, 6, 7, 12, 13, 14, 15))
@@ -35,7 +35,7 @@ def _mask(lanes: Any) -> ir.Constant:
 
 
 def arguments(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-    """What an intrinsic is called with; of an array, the pointer to its first element."""
+    """Yield the arguments of an intrinsic, arrays as pointers to their first elements."""
     for kind, value in zip(signature.args, args, strict=True):
         is_array = isinstance(kind, types.Array)
         yield context.make_array(kind)(context, builder, value).data if is_array else value
@@ -43,7 +43,7 @@ def arguments(context: Any, builder: Any, signature: Any, args: Any) -> Any:
 
 @intrinsic
 def ask_for(typingctx, source, at):
-    """Have source.flat[at] brought near while other work goes on."""
+    """Prefetch source.flat[at] while other work goes on."""
     n, void = types.int64, types.void
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -60,25 +60,25 @@ def ask_for(typingctx, source, at):
 
 
 def vector_at(builder: Any, data: Any, first: Any) -> Any:
-    """Pointer to eight elements from ``first`` on."""
+    """Return a pointer to eight elements from ``first`` on."""
     return builder.bitcast(builder.gep(data, [first]), VECTOR.as_pointer())
 
 
 def splat(builder: Any, value: Any) -> Any:
-    """The same number, eight times."""
+    """Return a vector that holds a number eight times."""
     undefined = ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined)
     one = builder.insert_element(undefined, value, ir.Constant(I32, 0))
     return builder.shuffle_vector(one, undefined, _mask([0] * LANES))
 
 
 def lanes_of(builder: Any, vector: Any) -> list[Any]:
-    """Eight non-negative 32-bit integers, widened to 64 bits."""
+    """Return eight non-negative 32-bit integers, widened to 64 bits."""
     lanes = (builder.extract_element(vector, ir.Constant(I32, lane)) for lane in range(LANES))
     return [builder.zext(lane, I64) for lane in lanes]
 
 
 def read_pairs(builder: Any, base: Any, places: list[Any]) -> tuple[Any, Any]:
-    """Vectors of base[i] and of base[i + 1], by one 64-bit load a pair."""
+    """Return vectors of base[i] and of base[i + 1], with one 64-bit load per pair."""
     pairs = []
     for place in places:
         pair = builder.bitcast(builder.gep(base, [place]), _PAIR.as_pointer())
@@ -93,7 +93,7 @@ def read_pairs(builder: Any, base: Any, places: list[Any]) -> tuple[Any, Any]:
 
 
 def read_fours(builder: Any, base: Any, places: list[Any]) -> list[Any]:
-    """Vectors of base[2 i], base[2 i + 1], base[2 i + 2] and base[2 i + 3], by one load each."""
+    """Return vectors of base[2 i], base[2 i + 1], base[2 i + 2], base[2 i + 3], one load each."""
     fours = []
     for place in places:
         at = builder.shl(place, ir.Constant(I64, 1))
@@ -114,7 +114,7 @@ def read_fours(builder: Any, base: Any, places: list[Any]) -> list[Any]:
 
 
 def read_single(builder: Any, base: Any, places: list[Any]) -> Any:
-    """Vector of base[i]."""
+    """Return a vector of base[i]."""
     vector: Any = ir.Constant(VECTOR, ir.Undefined)
     for lane, place in enumerate(places):
         value = builder.load(builder.gep(base, [place]))
@@ -123,14 +123,14 @@ def read_single(builder: Any, base: Any, places: list[Any]) -> Any:
 
 
 def mix(builder: Any, low: Any, high: Any, share: Any) -> Any:
-    """Low + share * (high - low)."""
+    """Return low + share * (high - low)."""
     fast = ["fast"]
     step = builder.fmul(share, builder.fsub(high, low, flags=fast), flags=fast)
     return builder.fadd(low, step, flags=fast)
 
 
 def add_pairs(builder: Any, base: Any, places: list[Any], left: Any, right: Any) -> None:
-    """base[i] += left, base[i + 1] += right, one lane after the other."""
+    """Add left to base[i] and right to base[i + 1], one lane after the other."""
     for half, order in enumerate(_INTERLEAVED):
         pairs = builder.shuffle_vector(left, right, _mask(order))
         for n, lane in enumerate(_HALVES[half]):
@@ -141,7 +141,7 @@ def add_pairs(builder: Any, base: Any, places: list[Any], left: Any, right: Any)
 
 
 def add_single(builder: Any, base: Any, places: list[Any], values: Any) -> None:
-    """base[i] += values, one lane after the other."""
+    """Add values to base[i], one lane after the other."""
     for lane, place in enumerate(places):
         voxel = builder.gep(base, [place])
         value = builder.extract_element(values, ir.Constant(I32, lane))
@@ -149,7 +149,7 @@ def add_single(builder: Any, base: Any, places: list[Any], values: Any) -> None:
 
 
 def transposed(builder: Any, lines: list[Any]) -> list[Any]:
-    """Eight vectors, of which the n-th holds lane n of each of the given ones."""
+    """Return eight vectors, of which the n-th holds lane n of each given vector."""
 
     def stage(order: list[tuple[int, int]], masks: Any, given: list[Any]) -> list[Any]:
         pairs = ((given[a], given[b], _mask(mask)) for a, b in order for mask in masks)
