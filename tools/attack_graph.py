@@ -1,15 +1,16 @@
-"""Let a stranger attack running scans in many ways; nothing wrong may be stored.
+"""Attack running scans from a foreign ROS 2 node; no wrong data may reach the store.
 
 python tools/attack_graph.py --attacks 200 --seed 1
 python tools/attack_graph.py --attacks 12 --engines real
 
-During a scan over ROS 2 with tiny engines (``--engines real``: MuJoCo and gVXR), a second process
-on its domain, which knows the stamps of all targets and answers beforehand, attacks for three views
-each in twenty ways, in any order: forged answers, wrong shapes, NaN, other types on the same
-topics, floods, targets repeated, early, late and changed, forged plans, clocks and refusals, calls
-of the service, readers who take nothing. In every other scan it has the name of one of the scan's
-own nodes. The store must equal an undisturbed one in files and bytes, or the scan must have ended
-with the stranger's name. Whoever answers must be named, once a topic. Ends with 1 otherwise.
+The scans run over ROS 2 with tiny engines (``--engines real``: MuJoCo and gVXR). The attacker is a
+second process in the same domain that knows the stamps of all targets and answers in advance. It
+attacks in twenty ways for three views each, in random order: forged answers, wrong shapes, NaN,
+other types on the same topics, floods, repeated, early, late and changed targets, forged plans,
+clocks and refusals, service calls, and readers that take no messages. In every second scan it bears
+the name of one of the scan's own nodes. The store must equal an undisturbed store in files and
+bytes, or the scan must end with a message that names the stranger. A stranger that answers must be
+named once per topic. The exit code is 1 otherwise.
 """
 
 import argparse
@@ -74,7 +75,7 @@ OWN_NAMES = ("twinct_robots", "twinct_xray", "twinct_scan", "twinct_scan_tap")
 
 
 class Attacker:
-    """A node that knows the scan, and does not belong to it."""
+    """A node that knows the scan but does not belong to it."""
 
     def __init__(self, told):
         self.told, self.rng = told, random.Random(told["seed"])
@@ -96,23 +97,23 @@ class Attacker:
 
     @staticmethod
     def poses(numbers):
-        """Two poses as a message."""
+        """Return the two poses of a target as a message."""
         return messages.target_message(Stamp(0, 0), Target(*map(tuple, numbers)))
 
     def say(self, topic, message):
-        """Publish."""
+        """Publish a message on a topic."""
         key = topic.name, topic.kind
         if key not in self.publishers:
             self.publishers[key] = self.node.create_publisher(topic.kind, topic.name, LATCHED)
         self.publishers[key].publish(message)
 
     def stamps(self):
-        """When some views are reached, and which: all of them in turn."""
+        """Return the answer stamp and the number of a view: the three attacked views in turn."""
         view = min(self.view + self.step % 3, len(self.targets) - 1)
         return Stamp.at(self.told["taken_s"][view]), view
 
     def answer(self, shape=None, value=None, numbers=4):
-        """Everything that answers a target, wrong."""
+        """Publish wrong messages on all topics that answer a target."""
         stamp, view = self.stamps()
         rows, columns = shape or self.scenario.detector.panel.shape
         filled = self.rng.random() if value is None else value
@@ -138,18 +139,18 @@ class Attacker:
         self.say(IMAGE, messages.image_message(stamp, np.full((rows, columns), filled, np.float32)))
 
     def target(self, view, *, moved=0.0):
-        """A target of the scan's."""
+        """Publish a target of the scan, shifted along x by ``moved``, m."""
         target = self.targets[view]
         x, *rest = target.source_m
         other = Target((x + moved, *rest), target.detector_m)
         self.say(TARGET, messages.target_message(self.epoch.at(view), other))
 
     def forged(self):
-        """Whole answers with other numbers."""
+        """Publish complete answers with wrong numbers."""
         self.answer()
 
     def shapes(self):
-        """Answers of other sizes."""
+        """Publish answers of wrong sizes."""
         rows, columns = self.scenario.detector.panel.shape
         one = self.rng.choice(
             [(1, 1), (1, columns), (rows, 1), (columns, rows), (0, 0), (500, 500)]
@@ -157,17 +158,17 @@ class Attacker:
         self.answer(shape=one, numbers=self.rng.choice([0, 1, 4, 12, 1000]))
 
     def nans(self):
-        """Answers of numbers that are not finite."""
+        """Publish answers with numbers that are not finite."""
         self.answer(value=self.rng.choice([np.nan, np.inf, -np.inf]))
 
     def empty(self):
-        """An empty message on every topic."""
+        """Publish an empty message on every topic."""
         for topic in TOPICS:
             self.say(topic, topic.kind())
 
     def types(self):
-        """Messages of another type on every topic."""
-        if self.second is None:  # a participant may not have two types on one topic
+        """Publish messages of another type on every topic."""
+        if self.second is None:  # a participant cannot have two types on one topic
             context = Context()
             rclpy.init(
                 context=context,
@@ -183,7 +184,7 @@ class Attacker:
             publisher.publish(kind())
 
     def lies(self):
-        """Messages whose sizes are not what they say."""
+        """Publish messages that misstate their sizes."""
         stamp, _ = self.stamps()
         image = messages.image_message(stamp, np.ones(self.scenario.detector.panel.shape, "f4"))
         what = self.rng.randrange(4)
@@ -202,39 +203,39 @@ class Attacker:
         self.say(JOINTS, JointState(name=["a"] * 5000, position=[float("nan")]))
 
     def flood(self):
-        """Hundreds of messages at once on one topic."""
+        """Publish hundreds of messages at once on one topic."""
         topic = self.rng.choice((*ANSWERS, TARGET, DIAGNOSTICS))
         for _ in range(300):
             self.say(topic, topic.kind())
 
     def flood_plan(self):
-        """The same on those of the plan."""
+        """Publish dozens of messages at once on each topic of the plan."""
         for topic in (PLAN, PLAN_VIEWS, COMMANDED):
             for _ in range(30):
                 self.say(topic, topic.kind())
 
     def big(self):
-        """An image of 9 MB."""
+        """Publish an image of 9 MB."""
         self.say(IMAGE, messages.image_message(self.stamps()[0], np.ones((1500, 1500), "f4")))
 
     def repeated(self):
-        """Targets again."""
+        """Publish targets a second time."""
         self.target(self.stamps()[1])
 
     def early(self):
-        """Targets before their turn."""
+        """Publish targets before their turn."""
         self.target(min(len(self.targets) - 1, self.view + 1 + self.step % 9))
 
     def late(self):
-        """The first target again."""
+        """Publish the first target again."""
         self.target(0)
 
     def changed(self):
-        """Targets with the right stamps and other poses."""
+        """Publish targets with correct stamps and wrong poses."""
         self.target(self.stamps()[1], moved=self.rng.choice([1e-9, 0.1, 1e300]))
 
     def foreign_target(self):
-        """Targets of no view, some of them malformed."""
+        """Publish targets that belong to no view, some of them malformed."""
         message = self.poses(self.told["targets"][0])
         message.header.stamp.sec = self.rng.randrange(2**31)
         if self.rng.random() < 0.5:
@@ -244,7 +245,7 @@ class Attacker:
         self.say(TARGET, message)
 
     def refusals(self):
-        """Refusals and readiness in the nodes' names."""
+        """Publish refusals and readiness under the names of the nodes."""
         _, view = self.stamps()
         for name in OWN_NAMES[:2]:
             for level in (messages.ERROR, messages.OK):
@@ -255,7 +256,7 @@ class Attacker:
                 )
 
     def plans(self):
-        """Empty plans with the right stamp."""
+        """Publish empty plans with the correct stamp."""
         stamp = self.epoch.at(0)
         for topic in (PLAN, PLAN_VIEWS, COMMANDED):
             message = topic.kind()
@@ -263,19 +264,19 @@ class Attacker:
             self.say(topic, message)
 
     def clocks(self):
-        """Other times."""
+        """Publish wrong times."""
         for time_s in (0.0, 1e9, self.rng.random() * 100):
             self.say(CLOCK, messages.clock_message(time_s))
 
     def homes(self):
-        """Calls of the service, and another server of it."""
+        """Call the service, and offer a second server for it."""
         if not hasattr(self, "client"):
             self.client = self.node.create_client(Trigger, "/scan/home")
             self.node.create_service(Trigger, "/scan/home", lambda _, answer: answer)
         self.client.call_async(Trigger.Request())
 
     def deaf(self):
-        """Subscribe to everything, reliably, and take nothing."""
+        """Subscribe reliably to all topics without taking messages."""
         if not hasattr(self, "deaf_readers"):
             self.deaf_readers = True
             for topic in TOPICS:
@@ -283,12 +284,12 @@ class Attacker:
         time.sleep(0.5)
 
     def own_name(self):
-        """Answers and refusals."""
+        """Publish answers and refusals."""
         self.answer()
         self.refusals()
 
     def run(self):
-        """Do the attack that a line of stdin names, until the next one; say when it has begun."""
+        """Run the attack that a line of stdin names until the next line; report its start."""
         for topic in TOPICS:
             self.publishers[topic.name, topic.kind] = self.node.create_publisher(
                 topic.kind, topic.name, LATCHED
@@ -312,7 +313,7 @@ class Attacker:
             self.executor.spin_once(timeout_sec=0.02)
 
     def found(self):
-        """Whether the scan's topics, those that it uses of others, are heard by the scan."""
+        """Return True if the scan subscribes to all topics that answer a target."""
         return all(self.publishers[t.name, t.kind].get_subscription_count() for t in ANSWERS)
 
 
@@ -328,7 +329,7 @@ KINDS = {
 
 
 class Log(logging.Handler):
-    """Keeps what the scan's log says of strangers."""
+    """Collect the log messages about strangers."""
 
     def __init__(self):
         super().__init__()
@@ -341,7 +342,7 @@ class Log(logging.Handler):
 
 
 def scan(scenario, path, command, domain=None, before=None):
-    """A scan into a store; ``before`` is called with each view before it is asked for."""
+    """Run a scan into a store; call ``before(view)`` before each view is requested."""
 
     def rigs(workshop, first, state):
         rig = RosRig(
@@ -370,9 +371,9 @@ class Attacked:
     """A scan under attack.
 
     Attributes:
-        ended: how.
-        faults: what should not be.
-        done: attacks, each with the first of the views that it was aimed at.
+        ended: outcome of the scan, such as "equal".
+        faults: descriptions of all faults.
+        done: first attacked view of each attack that began.
     """
 
     def __init__(self, name, seed, kinds, every, scenario, folder, command, store):
@@ -412,7 +413,7 @@ class Attacked:
         self.judge(path, store.path)
 
     def before(self, view):
-        """Let the next attack begin, where its turn has come."""
+        """Start the next attack if it is due."""
         if view % self.every or view // self.every >= len(self.kinds):
             return
         if self.stranger is None:
@@ -431,14 +432,14 @@ class Attacked:
         self.heard("begun")
 
     def heard(self, word):
-        """What the attacker says."""
+        """Raise RuntimeError unless the attacker's next line equals a word."""
         assert self.stranger is not None and self.stranger.stdout is not None
         line = self.stranger.stdout.readline().strip()
         if line != word:
             raise RuntimeError(f"the attacker said {line!r}")
 
     def judge(self, path, whole):
-        """Compare with the undisturbed store."""
+        """Compare the store and the log with those of an undisturbed scan."""
         expected, found = contents(whole), contents(path) if path.exists() else {}
         if self.ended == "equal" and found != expected:
             names = [n for n in expected.keys() | found.keys() if expected.get(n) != found.get(n)]
@@ -479,7 +480,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         store = scan(scenario, Path(folder) / "whole.zarr", command)
         print("scan  stranger's name   attacks  ended         named on  faults")
-        while total < options.attacks:  # a scan that ends early leaves some out
+        while total < options.attacks:  # a scan that ends early omits some attacks
             rng = random.Random(f"{options.seed} {number}")
             kinds = rng.sample(options.kinds, len(options.kinds))[: options.attacks - total]
             name = rng.choice(OWN_NAMES) if number % 2 else "stranger"

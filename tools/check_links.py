@@ -1,4 +1,4 @@
-"""Checks that the relative links and pictures in the Markdown pages lead somewhere."""
+"""Check that relative links and pictures in the Markdown pages have a target."""
 
 import re
 import sys
@@ -9,13 +9,13 @@ FENCE = re.compile(r"^(```|~~~).*?^\1", re.MULTILINE | re.DOTALL)
 
 
 def anchors(page: Path) -> set[str]:
-    """Returns the anchors that a page's headings make."""
+    """Return the anchors of all headings of a page."""
     headings = re.findall(r"^#+\s+(.+?)\s*$", FENCE.sub("", page.read_text()), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 def broken_links(page: Path) -> list[str]:
-    """Returns the links of one page that lead nowhere."""
+    """Return the broken links of a page."""
     broken = []
     for groups in LINK.findall(FENCE.sub("", page.read_text())):
         link = groups[0] or groups[1]
@@ -31,7 +31,7 @@ def broken_links(page: Path) -> list[str]:
 
 
 def main() -> int:
-    """Checks the pages of the repository and returns the exit status."""
+    """Check all pages of the repository and return the exit status."""
     root = Path(__file__).resolve().parent.parent
     pages = sorted([*root.glob("*.md"), *root.glob("docs/**/*.md"), *root.glob("examples/**/*.md")])
     failures = [(page, link) for page in pages for link in broken_links(page)]

@@ -1,9 +1,9 @@
-"""Compile every kernel of twinct into its cache, so that neither a test nor a first run compiles.
+"""Compile every kernel of twinct into its cache, so that tests and first runs need not compile.
 
     python tools/compile_kernels.py
 
-``make setup`` calls it. Two processes work side by side: a kernel of the plain engine has one cache
-beside its source, and another one below the vector engine's.
+``make setup`` calls this script. Two processes compile in parallel: each kernel of the plain engine
+has one cache beside its source and another one below the cache of the vector engine.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ PARTS = ("vector", "rest")
 
 
 def main() -> int:
-    """Compile one part, or all of them in processes of their own; return the exit code."""
-    logging.getLogger("twinct").setLevel(logging.ERROR)  # make setup has said that it compiles
+    """Compile one part, or each part in its own process, and return the exit code."""
+    logging.getLogger("twinct").setLevel(logging.ERROR)  # make setup has announced the compilation
     if len(sys.argv) > 1:
         {"vector": compile_vector, "rest": compile_rest}[sys.argv[1]]()
         return 0
@@ -29,13 +29,13 @@ def main() -> int:
 
 
 def compile_vector() -> None:
-    """Compile the vector engine, then the plain one from within its process."""
+    """Compile the vector engine, then the plain engine in the same process."""
     _reconstruct("vector")
     _reconstruct("plain")
 
 
 def compile_rest() -> None:
-    """Compile the plain engine in its own place, and the kernels that belong to no engine."""
+    """Compile the plain engine into its own cache, and all kernels outside the engines."""
     os.environ["TWINCT_ENGINE"] = "plain"
     _reconstruct("plain")
     _voxelise()
@@ -44,7 +44,7 @@ def compile_rest() -> None:
 
 
 def _reconstruct(engine: str) -> None:
-    """Call every kernel of an engine through the algorithms that need it."""
+    """Call every kernel of an engine through the algorithms that use it."""
     from twinct.geometry import Panel, VolumeGrid
     from twinct.recon import Projector, fdk, fista_tv, sart
     from twinct.trajectory import CircleTrajectory, commanded_views
@@ -60,7 +60,7 @@ def _reconstruct(engine: str) -> None:
 
 
 def _specimen():
-    """Build a ball of bone with a ball of titanium."""
+    """Return a specimen of a bone ball and a titanium ball."""
     from twinct.scenario import Specimen
     from twinct.specimen import build_specimen
 
@@ -77,7 +77,7 @@ def _voxelise() -> None:
     specimen, grid = _specimen(), VolumeGrid((4, 5, 6), 10.0)
     specimen.truth(grid, 80.0)
     mesh = specimen.parts[0].mesh
-    for writable in (True, False):  # two types for numba
+    for writable in (True, False):  # numba compiles each as its own type
         faces = np.array(mesh.faces, np.int64)
         faces.setflags(write=writable)
         volume_fractions(mesh.vertices, faces, grid, Pose.identity())

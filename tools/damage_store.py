@@ -1,23 +1,22 @@
-"""Damage a finished scan in hundreds of ways; each must be named, and mended or refused.
+"""Damage a finished scan in hundreds of ways; each must be named, and repaired or refused.
 
 python tools/damage_store.py --damages 500 --seed 1
 python tools/damage_store.py --kinds resealed --seed 2 --unvouched
 
-Bits, bytes, cut and grown files, files and folders that are missing, exchanged, copied over others
-or of another kind (a folder, a link, a pipe), metadata with other values, files that are added; and
-``resealed``: metadata with other values whose digests were made anew, which only a look at the
-values can find. After each
+Damages: changed bits and bytes; truncated and extended files; files and folders that are missing,
+exchanged, copied over others or replaced with another kind (folder, link, pipe); changed values in
+metadata; added files; and ``resealed``: changed metadata with recomputed digests, which only a
+check of the values can detect. After each damage
 
-- ``twinct verify`` names the file, if a file of the store has other bytes or is gone, and lists
-  what was added;
-- reading the scan gives what was there, or ends with a message;
-- ``twinct run --resume`` gives the undisturbed store, what was added left alone, or ends with a
-  message and exit code 2, nothing changed.
+- ``twinct verify`` names each file of the store that is changed or missing, and lists added files;
+- reading the scan gives the original data or ends with a message;
+- ``twinct run --resume`` restores the undisturbed store and leaves added files alone, or ends with
+  a message and exit code 2 and changes nothing.
 
-With ``--unvouched`` the store is one of version 0.1, which has no digests: then no more is asked
-than a message. Anything else than a message is printed with the damage's number, and ends this with
-1; ``--only`` does one again. One damage in five is to a scan of arms, which follow a plan that the
-store keeps, the others to one of a gantry.
+With ``--unvouched`` the store is of version 0.1, which has no digests; then only messages are
+required. Every fault is printed with the number of its damage, and the exit code is 1; ``--only``
+repeats one damage. One damage in five is to a scan of arms with a plan in its store, the others are
+to a scan of a gantry.
 """
 
 import argparse
@@ -52,10 +51,10 @@ SCENARIOS = {"gantry": "circle_gantry.yaml", "arms": "demo.yaml"}
 
 
 class Trials:
-    """A finished run that is damaged again and again."""
+    """A finished run that is damaged repeatedly."""
 
     def __init__(self, folder, scenario, *, vouched=True):
-        """Make the run, or unpack one of version 0.1."""
+        """Make the run, or unpack a run of version 0.1."""
         self.folder, self.vouched, self.path = folder, vouched, folder / "scan.zarr"
         if vouched:
             self.scenario = load_scenario(ROOT / "scenarios" / scenario, KEYS)
@@ -64,13 +63,13 @@ class Trials:
             shutil.unpack_archive(ROOT / "tests" / "version_0_1" / "local.tar.xz", folder)
             file = folder / "scenario.yaml"
             self.scenario = load_scenario(file, ["motion.scheme=reactive"])
-            run(self.scenario, folder, link="local", resume=True)  # so that a report is there
+            run(self.scenario, folder, link="local", resume=True)  # adds the report
         self.kept = contents(self.path)
         self.beside = {p.name for p in folder.iterdir()}
         self.read = self.digest()
 
     def digest(self):
-        """Of everything that a scan is asked for."""
+        """Return a digest of all data of the scan."""
         scan = ScanStore(self.path).read()
         told = hashlib.sha256(scan.transmission.tobytes() + scan.joints.tobytes())
         for pairs in (scan.commanded, scan.executed, scan.believed):
@@ -80,7 +79,7 @@ class Trials:
         return told.hexdigest() + scan.scenario.resolved() + str(scan.joint_names)
 
     def trial(self, kind, seed):
-        """What came of one damage: faults, and in a word each what verify and resume did."""
+        """Do one damage; return faults, outcomes of verify, read and resume, and seconds."""
         rng = random.Random(seed)
         faults, words, told = [], {}, ""
         KINDS[kind](rng, self.path)
@@ -88,7 +87,7 @@ class Trials:
         changed = {n for n in self.kept if hit.get(n) != self.kept[n] and self.kept[n] != "folder"}
         surplus = {n for n in hit.keys() - self.kept.keys() if hit[n] != "folder"}
         if kind == "resealed":
-            changed = set()  # but to the eye
+            changed = set()  # the digests match
         started = time.monotonic()
         said = self.said(faults, "verify", lambda: verify(self.folder))
         if isinstance(said, InputError):
@@ -130,7 +129,7 @@ class Trials:
         return faults, words, time.monotonic() - started
 
     def said(self, faults, of, act):
-        """What came of it, or the message that it ended with; anything else is a fault."""
+        """Return the result of ``act``, or its InputError; add any other error to the faults."""
         try:
             return act()
         except InputError as error:
@@ -140,7 +139,7 @@ class Trials:
             return None
 
     def put_back(self):
-        """As it was before, store and what is beside it."""
+        """Restore the store, and remove new files beside it."""
         restore(self.path, self.kept)
         for there in self.folder.iterdir():
             if there.name not in self.beside:

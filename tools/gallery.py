@@ -1,7 +1,7 @@
-"""Pictures of the X-ray physics on the skull, for docs/physics.md and docs/scenario.md.
+"""Draw the effects of X-ray physics on the skull, for docs/physics.md and docs/scenario.md.
 
-One for each effect: the ideal image, the image with the effect, and the difference of transmission,
-all in one view of the paper's geometry on a coarser panel. Beam hardening is shown in a volume.
+Each picture shows the ideal image, the image with one effect and their difference in transmission,
+in one view of the paper's geometry with a coarser panel. Beam hardening is shown in a volume.
 
     python tools/gallery.py            # all
     python tools/gallery.py lag noise  # some
@@ -89,18 +89,18 @@ HEAD: dict[str, Any] = {
         "grid": {"voxels": 128, "voxel_mm": 1.24},
     },
 }
-"""A small head: beam hardening asks for two materials, and for a volume without truncation."""
+"""A small head: the beam hardening pictures need two materials and no truncation."""
 CORRECTIONS: dict[str, Any] = {
     "uncorrected": None,
     "one_material": {"kind": "one_material", "material": "bone"},
     "two_materials": {"kind": "two_materials"},
 }
 TURN_DEG = 4.0
-"""Between the last view and this one, for lag, and during the exposure, for motion."""
+"""Rotation during the exposure, for motion; half the rotation since the previous view, for lag."""
 
 
 def scenario(effect: Mapping[str, Mapping[str, Any]]) -> Scenario:
-    """The base with one effect."""
+    """Return the base scenario with one effect."""
     data: dict[str, Any] = dict(BASE)
     for section, keys in effect.items():
         data[section] = {**data.get(section, {}), **keys}
@@ -108,12 +108,12 @@ def scenario(effect: Mapping[str, Mapping[str, Any]]) -> Scenario:
 
 
 def turned(view: ScanGeometry, degrees: float) -> ScanGeometry:
-    """Source and panel turned about z."""
+    """Return the view with source and panel rotated about z."""
     return Pose.from_euler((0, 0, 0), (0, 0, degrees)) @ view
 
 
 def take(workshop: Workshop) -> NDArray[np.float32]:
-    """The middle view, with whatever the scenario asks for."""
+    """Return the image of the middle view, with all effects of the scenario."""
     view = workshop.commanded[1]
     pose = workshop.specimen.world_from_specimen
     samples = workshop.scenario.source.motion_samples
@@ -125,7 +125,7 @@ def take(workshop: Workshop) -> NDArray[np.float32]:
 
 
 def draw(name: str, ideal: NDArray[np.float32], image: NDArray[np.float32]) -> None:
-    """Ideal image, image with the effect, difference."""
+    """Draw the ideal image, the image with the effect and their difference."""
     difference = image - ideal
     limit = max(float(np.quantile(np.abs(difference), 0.995)), 1e-6)
     figure, axes = plt.subplots(1, 3, figsize=(9.6, 2.7), layout="constrained")
@@ -147,7 +147,7 @@ def draw(name: str, ideal: NDArray[np.float32], image: NDArray[np.float32]) -> N
 
 
 def draw_hardening() -> None:
-    """A slice of the truth, and of volumes with each correction less the truth."""
+    """Draw a slice of the ground truth, and the error of the volume with each correction."""
     base = parse_scenario(HEAD)
     workshop = Workshop(base)
     scan = simulate(base, workshop=workshop)
@@ -175,7 +175,7 @@ def draw_hardening() -> None:
 
 
 def main() -> None:
-    """Draw the effects named on the command line, or all."""
+    """Draw the effects given on the command line, or all."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     wanted = sys.argv[1:] or [*EFFECTS, "beam_hardening"]
     ideal = take(Workshop(scenario({})))

@@ -1,18 +1,19 @@
-"""Kill processes of a running study at random moments, resume, compare with one left in peace.
+"""Kill processes of a study at random times, resume it, and compare it with an undisturbed one.
 
 python tools/kill_study.py --workers 20 --nodes 5 --drivers 5
 python tools/kill_study.py --pool local --workers 20 --drivers 5
 
-Five trials for each seed: one with a scan of its own, four that share another. They are run on a
-simulated cluster of two nodes (``ray.cluster_utils``) in a process of its own, or by local
-processes. ``kill -9`` of a worker at work; of all processes of the second node, which comes back
-some seconds later; of the driver, and then ``--resume``. A kill comes a little after a number of
-rows, drawn evenly, is in the journal; one in five of the driver's while it starts. The rows must
-equal the undisturbed ones in all but seconds, none may be lost or there twice, and nothing may be
-left of a driver, nor at the end. Ends with 1 if anything is otherwise.
+Each seed has five trials: one with its own scan, and four that share another scan. The study runs
+on a simulated cluster of two nodes (``ray.cluster_utils``) in a separate process, or on local
+processes. ``kill -9`` hits a busy worker, all processes of the second node (which returns some
+seconds later), or the driver, which is then restarted with ``--resume``. The victim is killed
+shortly after the journal has reached a number of rows, drawn uniformly; one in five drivers is
+killed during its start. All rows must equal the undisturbed rows except in seconds, no row may be
+missing or duplicated, and no process may outlive its driver or the test. The exit code is 1
+otherwise.
 
-A trial is given up when it has killed its worker three times, which a driver counts. No driver here
-lives through more than two kills of workers, so no trial can be blamed for three by chance.
+A driver gives up a trial that has killed its worker three times. Here no driver sees more than two
+killed workers, so no trial can reach three by chance.
 """
 
 import argparse
@@ -57,7 +58,7 @@ PATIENCE_S = 900.0
 
 
 def study(seeds):
-    """Five trials for each seed."""
+    """Return a study with five trials for each seed."""
     relaxations = {"key": "reconstruction.relaxation", "values": [0.1, 0.3, 0.5, 0.7]}
     return STUDY | {
         "axes": [
@@ -69,7 +70,7 @@ def study(seeds):
 
 
 def alive(*marks):
-    """Processes that have all marks in their environment: pid to command line."""
+    """Return the command lines, by pid, of all processes with every mark in their environment."""
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -83,7 +84,7 @@ def alive(*marks):
 
 
 def until_none(processes, patience_s=TO_END_S):
-    """Seconds until a function finds no processes any more, and those that are there still."""
+    """Wait until a function returns no processes; return the seconds and the remaining ones."""
     begun = time.monotonic()
     while (left := processes()) and time.monotonic() - begun < patience_s:
         time.sleep(0.02)
@@ -99,17 +100,17 @@ class LocalProcesses:
         self.mark = mark
 
     def workers(self):
-        """Those that a driver started."""
+        """Return the workers that a driver has started."""
         return {p: line for p, line in alive(self.mark).items() if "twinct.pool.worker" in line}
 
     busy = workers
 
     def close(self):
-        """Nothing is there but the driver's."""
+        """Do nothing: all processes belong to the driver."""
 
 
 class SimulatedCluster:
-    """Two nodes, each with a folder of its own."""
+    """Cluster of two nodes, each with its own folder."""
 
     def __init__(self, mark, folder):
         self.mark, self._second = mark, f"TWINCT_CACHE={folder / 'second'}"
@@ -131,16 +132,16 @@ class SimulatedCluster:
             raise SystemExit((folder / "log").read_text())
 
     def workers(self):
-        """Those that work for a driver, or wait for it."""
+        """Return the busy and idle workers of a driver."""
         titles = alive(self.mark).items()
         return {p: t for p, t in titles if t.startswith("ray::") and "Agent" not in t}
 
     def busy(self):
-        """Those at work."""
+        """Return the busy workers."""
         return {p: title for p, title in self.workers().items() if title.startswith("ray::twinct")}
 
     def lose_node(self, away_s):
-        """Kill the second node, its raylet first as it is the node to all others."""
+        """Kill the second node, starting with its raylet, which represents it to the cluster."""
         processes = alive(self.mark, self._second)
         for pid in sorted(processes, key=lambda pid: "/raylet " not in processes[pid]):
             kill(pid)
@@ -150,13 +151,13 @@ class SimulatedCluster:
             assert self._said.readline().strip() == word
 
     def close(self):
-        """End it in peace."""
+        """Shut the cluster down regularly."""
         self._steer.close()
         self._process.wait(PATIENCE_S)
 
 
 def kill(pid):
-    """As kill -9; whether it was there."""
+    """Send SIGKILL to a process; return False if it no longer exists."""
     try:
         os.kill(pid, signal.SIGKILL)
     except ProcessLookupError:
@@ -165,12 +166,12 @@ def kill(pid):
 
 
 class Trials:
-    """A study that is run again and again.
+    """A study that is run repeatedly.
 
     Attributes:
-        killed: how often, by victim.
-        slowest_s: until the last worker of a driver was gone.
-        left: what outlived its driver.
+        killed: number of kills of each kind of victim.
+        slowest_s: longest time from the end of a driver to the end of its last worker.
+        left: command lines of the processes that outlived their driver.
     """
 
     def __init__(self, folder, seeds, site):
@@ -181,7 +182,7 @@ class Trials:
         self.expected = None
 
     def start(self, out, *more):
-        """A driver."""
+        """Start a driver."""
         words = ["study", str(self.file), "--out", str(out), *self.site.words, *more]
         with out.with_suffix(".log").open("ab") as log:
             return subprocess.Popen(
@@ -189,7 +190,7 @@ class Trials:
             )
 
     def end(self, driver):
-        """Wait for a driver and all that works for it; whether it ended well."""
+        """Wait for a driver and its workers; return True if it succeeded."""
         try:
             code = driver.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -201,7 +202,7 @@ class Trials:
         return code == 0
 
     def run(self, name, plan, moments):
-        """One study with its kills, as a row of the table; whether all is well."""
+        """Run one study with its kills and print its table row; return True if it passes."""
         out, begun, before = self.folder / name, time.monotonic(), Counter(self.killed)
         driver = self.start(out)
         for rows, victim in plan:
@@ -249,7 +250,7 @@ class Trials:
 
 
 def journalled(out):
-    """Rows that a study has."""
+    """Return the number of rows in the journal of a study."""
     try:
         return (out / "journal.jsonl").read_bytes().count(b"\n")
     except FileNotFoundError:
@@ -257,9 +258,9 @@ def journalled(out):
 
 
 def plan_of(left, number, moments):
-    """Kills of one study as (rows, victim): one of the driver, one of the node, some workers.
+    """Return the kills of one study as (rows, victim): driver, node and several workers.
 
-    None comes in the last fifth, which may be over too soon.
+    No kill falls into the last fifth, as the study might end before it.
     """
     late = number - number // 5
     middle = moments.randrange(late + 1) if left["driver"] > 0 else number
@@ -293,7 +294,7 @@ def main():
     mark = f"{MARK}={token}"
     os.environ |= {MARK: token, "TWINCT_THREADS": "1", "RAY_USAGE_STATS_ENABLED": "0"}
     os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
-    os.environ["RAY_worker_niceness"] = "0"  # else whatever runs beside starves Ray's workers
+    os.environ["RAY_worker_niceness"] = "0"  # otherwise other load starves Ray's workers
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         cluster = options.pool == "cluster"
@@ -303,7 +304,7 @@ def main():
         print("study        workers  node  driver  rows equal  lost  twice  seconds")
         good = trials.run("undisturbed", [], moments)
         left = Counter(wanted)
-        for number in range(1, 1 + 10 * max(wanted.values())):  # some come too late
+        for number in range(1, 1 + 10 * max(wanted.values())):  # some kills come too late
             if not any(count > 0 for count in left.values()):
                 break
             good &= trials.run(f"killed {number}", plan_of(left, trials.number, moments), moments)

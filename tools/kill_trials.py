@@ -1,11 +1,12 @@
-"""Kill a process of a running scan at a random moment, resume, compare; many times.
+"""Kill processes of running scans at random times, resume the scans and compare the stores.
 
 python tools/kill_trials.py --trials 20 --jobs 3
 
-For each of the three processes of ``twinct run`` (scan, robots, xray): SIGKILL, then wait for the
-others to end, then ``twinct run --resume``. One kill in five comes at a moment drawn evenly from
-the process's life, the others a little after a number of views, drawn evenly, is on disk. The store
-must equal the one of an undisturbed run in files and bytes. Ends with 1 if anything is otherwise.
+Each of the three processes of ``twinct run`` (scan, robots, xray) is killed by SIGKILL in its own
+trials. When the other processes have ended, ``twinct run --resume`` follows. One kill in five comes
+at a time drawn uniformly from the life of the process, the others come shortly after a number of
+views, drawn uniformly, is on disk. The store must have the same files and bytes as that of an
+undisturbed run. The exit code is 1 otherwise.
 """
 
 import argparse
@@ -38,14 +39,14 @@ PATIENCE_S = 300.0
 
 
 def command(out, *more):
-    """Words of the command that scans into a folder."""
+    """Return the command line of a scan into a folder."""
     keys = [word for key, value in KEYS.items() for word in ("--set", f"{key}={value}")]
     scenario = str(ROOT / "scenarios" / "demo.yaml")
     return [sys.executable, "-m", "twinct", "run", scenario, "--out", str(out), *keys, *more]
 
 
 def start(out, mark, *more):
-    """Start a scan whose processes can be found by a mark."""
+    """Start a scan with a mark in the environment of its processes."""
     return subprocess.Popen(
         command(out, *more),
         env=os.environ | {MARK: mark},
@@ -57,7 +58,7 @@ def start(out, mark, *more):
 
 
 def alive(mark):
-    """Processes of a trial: pid to its command line. All of them inherit the mark."""
+    """Return the command lines, by pid, of all processes of a trial, which inherit its mark."""
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -71,7 +72,7 @@ def alive(mark):
 
 
 def victim_pid(victim, process, mark):
-    """Process to kill; None if it does not live."""
+    """Return the pid of the process to kill, or None if it is not running."""
     if victim == "scan":
         return process.pid
     wanted = f"twinct.ros {victim} "
@@ -79,17 +80,17 @@ def victim_pid(victim, process, mark):
 
 
 def contents(path):
-    """All files below a folder, and their bytes."""
+    """Return the bytes of all files below a folder, by relative path."""
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
 
 
 def views_on_disk(out):
-    """Views that a scan in a folder has finished."""
+    """Return the number of views that a scan in a folder has finished."""
     return len(list(out.glob("scan.zarr/status/c.*")))
 
 
 def lives(folder):
-    """Seconds that each process lives in an undisturbed run."""
+    """Return the lifetime of each process in an undisturbed run, s."""
     process, mark = start(folder / "timed", "timed"), "timed"
     begun, seen = {"scan": time.monotonic()}, {}
     while process.poll() is None:
@@ -103,13 +104,13 @@ def lives(folder):
 
 
 def said(process):
-    """What it wrote to stderr, to its end."""
+    """Return the complete stderr of a process."""
     assert process.stderr is not None
     return process.stderr.read()
 
 
 def trial(folder, victim, number, life, expected):
-    """One kill; a dict of what was seen."""
+    """Kill one process, resume the scan and return the observations."""
     moments = random.Random(f"{victim} {number}")
     for attempt in range(20):
         mark = f"{victim}-{number}-{attempt}"
@@ -125,7 +126,7 @@ def trial(folder, victim, number, life, expected):
                 time.sleep(0.01)
             time.sleep(moments.uniform(0, A_LITTLE_S))
         if pid is None or process.poll() is not None or pid not in alive(mark):
-            process.wait()  # it had ended by then: another moment
+            process.wait()  # already ended: try another time
             shutil.rmtree(out, ignore_errors=True)
             continue
         os.kill(pid, signal.SIGKILL)
@@ -138,7 +139,7 @@ def trial(folder, victim, number, life, expected):
         left = len(alive(mark))
         message = said(process)
         named = victim == "scan" or (victim in message and "Traceback" not in message)
-        if process.wait() == 0:  # the node was killed after its work was done
+        if process.wait() == 0:  # the node was killed after it had finished its work
             named = True
         resumed = start(out, mark, "--resume")
         complaint = said(resumed)

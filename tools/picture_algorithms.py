@@ -1,9 +1,9 @@
-"""Draws docs/images/algorithms.png and truncation.png: the demo's skull, every algorithm.
+"""Draw docs/images/algorithms.png and truncation.png: the demo's skull from every algorithm.
 
     python tools/picture_algorithms.py
 
-Projections are gVXR's from the commanded poses, with Poisson noise of 1e4 photons a pixel in the
-first picture; fdk gets an arc of as many views in their place.
+gVXR renders the projections from the commanded poses. The first picture has Poisson noise of 1e4
+photons per pixel; there, fdk uses an arc with the same number of views.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ mu = workshop.specimen.reference_mu(energy)
 
 
 def line_integrals(geometry: ScanGeometry, noisy: bool = True) -> np.ndarray:
-    """Line integrals of the skull where it stands."""
+    """Return the line integrals of the skull, with Poisson noise unless ``noisy`` is False."""
     stand = workshop.specimen.world_from_specimen
     with workshop.imager() as imager:
         transmission = np.stack([imager.render(view, stand) for view in geometry])
@@ -72,17 +72,17 @@ def line_integrals(geometry: ScanGeometry, noisy: bool = True) -> np.ndarray:
 
 
 def near_bone(volume: np.ndarray, geometry: ScanGeometry) -> tuple[float, float]:
-    """RMSE within 3 mm of bone and over the region, % of mu(bone)."""
+    """Return the RMSE within 3 mm of bone and in the region, % of mu(bone)."""
     figures = image_figures(volume, truth, region_of_interest(geometry, grid), mu, grid)
     return 100 * figures.rmse_bone_rel, 100 * figures.rmse_rel
 
 
 Panels = dict[str, tuple[np.ndarray, np.ndarray]]
-"""Volume and region by title."""
+"""Volume and region of interest by title."""
 
 
 def draw(path: Path, panels: Panels, columns: int) -> None:
-    """Sagittal cross-sections in one grey window, with the region's outline."""
+    """Draw sagittal slices in one grey window, with the outline of the region of interest."""
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(2.5 * columns, 2.95 * rows), layout="constrained", dpi=110)
     middle = grid.shape[2] // 2 + 6
@@ -103,7 +103,7 @@ def draw(path: Path, panels: Panels, columns: int) -> None:
 
 
 def main() -> None:
-    """Reconstruct, print the figures, draw."""
+    """Reconstruct with each algorithm, print the errors and draw both pictures."""
     geometry = workshop.commanded
     region = region_of_interest(geometry, grid)
     p, A = line_integrals(geometry), Projector(geometry, grid)

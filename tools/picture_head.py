@@ -1,4 +1,4 @@
-"""Draws docs/images/head_sections.png: the truth of the head with screws, in five planes.
+"""Draw docs/images/head_sections.png: ground truth of the head with screws, in five planes.
 
 python tools/picture_head.py
 """
@@ -16,11 +16,11 @@ from twinct.specimen import build_specimen, material
 ROOT = Path(__file__).parents[1]
 KEV = 60.0
 PLANES = (("z", 8.0), ("z", -6.5), ("z", -76.8), ("x", -32.2), ("y", 68.3))
-"""The inserts, narrow window; petrous screw; jaw screw; left eye and jaw; both eyes."""
+"""Planes: inserts in a narrow window, petrous screw, jaw screw, left eye and jaw, both eyes."""
 
 
 def main() -> None:
-    """Build, sample, draw."""
+    """Build the specimen, sample its ground truth in each plane and draw the sections."""
     specimen = build_specimen(load_scenario(ROOT / "scenarios" / "head_screws.yaml").specimen)
     brain, bone = (material(name).mu_per_mm(KEV) for name in ("brain", "bone"))
     figure = Figure(figsize=(14, 3.9), facecolor="white", layout="constrained")

@@ -1,10 +1,11 @@
-"""Table and picture of docs/paper_noise.md, from the study examples/studies/paper_noise.yaml.
+"""Make the table and picture of docs/paper_noise.md from examples/studies/paper_noise.yaml.
 
     twinct study examples/studies/paper_noise.yaml --out out/paper_noise
     python tools/picture_paper_noise.py out/paper_noise
 
-Writes the study's figures to benchmarks/results/paper_noise.csv, from which it draws; without a
-folder it draws from there. Prints the table: mean and half the 95 % interval over ten seeds.
+Given the folder of the study, store its figures in benchmarks/results/paper_noise.csv; otherwise
+read them from there. Draw the picture and print the table: mean and half the 95 % interval over ten
+seeds.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ ERROR = "geometries.believed.pose_error.source.position_mm.mean"
 
 
 def kept(folder: Path) -> pd.DataFrame:
-    """The study's figures, written to the project; all trials have to be there."""
+    """Write the figures of a study to the CSV file and return them; all 60 trials must be done."""
     table = load_results(folder)
     if not (done := table.status == "done").all():
         raise SystemExit(f"{folder}: {(~done).sum()} trials failed")
@@ -49,7 +50,7 @@ def kept(folder: Path) -> pd.DataFrame:
 
 
 def combinations(table: pd.DataFrame) -> Iterator[tuple[int, float, pd.DataFrame]]:
-    """Iterations, sigma and the rows of ten seeds."""
+    """Yield iterations, sigma (mm) and the rows of ten seeds of each combination."""
     for iterations in sorted(set(table[ITERATIONS].tolist())):
         for sigma in sorted(set(table[SIGMA].tolist())):
             same = (table[ITERATIONS] == iterations) & (table[SIGMA] == sigma)
@@ -57,7 +58,7 @@ def combinations(table: pd.DataFrame) -> Iterator[tuple[int, float, pd.DataFrame
 
 
 def told(table: pd.DataFrame) -> str:
-    """Mean and interval of each figure, a row for each combination."""
+    """Return a Markdown table with mean and interval of each figure, a row per combination."""
     names = [name for name, _, _ in FIGURES.values()]
     lines = [f"| iterations | sigma / mm | {' | '.join(names)} |", "|---" * (2 + len(names)) + "|"]
     for iterations, sigma, rows in combinations(table):
@@ -71,7 +72,7 @@ def told(table: pd.DataFrame) -> str:
 
 
 def draw(table: pd.DataFrame) -> None:
-    """Each seed as a dot, mean with interval over the noise."""
+    """Draw each figure over the noise: a dot per seed, and the mean with its interval."""
     figure = Figure(figsize=(9, 6.4), layout="constrained")
     shown = [name for name in FIGURES if name != "image.rmse_rel"]
     panels = figure.subplots(2, 3, sharex=True).ravel()
@@ -104,7 +105,7 @@ def draw(table: pd.DataFrame) -> None:
 
 
 def main() -> None:
-    """Keep what a folder has, draw, print."""
+    """Store the figures of a given study, draw the picture and print the table."""
     table = kept(Path(sys.argv[1])) if len(sys.argv) > 1 else pd.read_csv(KEPT)
     draw(table)
     print(told(table))

@@ -1,4 +1,4 @@
-"""Draws docs/images/trajectories.png: where the source stands, for each family of trajectories.
+"""Draw docs/images/trajectories.png: source positions of each family of trajectories.
 
 python tools/picture_trajectories.py
 """
@@ -33,7 +33,7 @@ SHOWN: dict[str, dict[str, Any]] = {
 
 
 def main() -> None:
-    """Draw each as points on its sphere, coloured by view."""
+    """Draw each trajectory as points on its sphere, coloured by view."""
     figure = Figure(figsize=(12, 5.4), layout="constrained")
     dots = None
     for place, (title, keys) in enumerate(SHOWN.items(), 1):

@@ -1,4 +1,4 @@
-"""Writes docs/scenario.md: every key of a scenario, from the models that validate it."""
+"""Write docs/scenario.md: every key of a scenario, from the models that validate it."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ UNITS = {
     "cm3": "cm^3",
     "g_cm3": "g/cm^3",
 }
-"""By the end of a key's name, the longest first."""
+"""Unit by the suffix of a key; the longest matching suffix applies."""
 
 PICTURES = {
     "source": {
@@ -143,11 +143,11 @@ PICTURES = {
         "`{kind: two_materials}`: a small head, less the truth at the mean energy, 1/cm.",
     },
 }
-"""Captions by section, and by what ``tools/gallery.py`` calls its pictures."""
+"""Captions by section and by name of the picture in ``tools/gallery.py``."""
 
 
 def reference() -> str:
-    """The whole page."""
+    """Return the whole page."""
     sections: list[str] = [HEAD]
     seen: set[type[BaseModel]] = set()
     _write(Scenario, "Scenario", sections, seen)

@@ -1,12 +1,12 @@
-"""Stop a process of a running scan (SIGSTOP) at a random moment, resume, compare; many times.
+"""Stop processes of running scans (SIGSTOP) at random times, resume the scans and compare stores.
 
 python tools/stop_processes.py --trials 10 --jobs 2
 
-For each of the three processes of ``twinct run`` (scan, robots, xray), a little after a number of
-views, drawn evenly, is on disk. A stopped node must be noticed, named and ended, and the scan with
-it; of a stopped scan the nodes must end, and the scan must say why when it may go on. Then ``twinct
-run --resume``: the store must equal the one of an undisturbed run in files and bytes. Ends with 1
-if anything is otherwise.
+Each of the three processes of ``twinct run`` (scan, robots, xray) is stopped shortly after a number
+of views, drawn uniformly, is on disk. A stopped node must be detected, named and ended together
+with the scan. If the scan is stopped, its nodes must end, and the scan must report the reason once
+it continues. ``twinct run --resume`` must then give the same files and bytes as an undisturbed run.
+The exit code is 1 otherwise.
 """
 
 import argparse
@@ -38,7 +38,7 @@ MORE = ("--set", f"trajectory.views={VIEWS}")
 
 
 def trial(folder, victim, number, expected, seed):
-    """One process stopped; a dict of what was seen. A scan's stop is noticed when its nodes end."""
+    """Stop one process and return observations; a stopped scan is noticed when its nodes end."""
     moments = random.Random(f"{seed} {victim} {number}")
     for attempt in range(20):
         mark = f"{victim}-{number}-{attempt}"
@@ -52,7 +52,7 @@ def trial(folder, victim, number, expected, seed):
         time.sleep(moments.uniform(0, A_LITTLE_S))
         gone = process.poll() is not None or victim_pid("robots", process, mark) is None
         if pid is None or gone:
-            process.wait()  # it had ended by then: another moment
+            process.wait()  # already ended: try another time
             shutil.rmtree(out, ignore_errors=True)
             continue
         os.kill(pid, signal.SIGSTOP)
@@ -60,7 +60,7 @@ def trial(folder, victim, number, expected, seed):
         others = {pid} if victim == "scan" else set()
         noticed_s = None
         while (there := alive(mark).keys()) - others and time.monotonic() - stopped < PATIENCE_S:
-            if noticed_s is None and pid not in there:  # the stopped node was ended
+            if noticed_s is None and pid not in there:  # the scan has ended the stopped node
                 noticed_s = time.monotonic() - stopped
             process.poll()
             time.sleep(0.02)
@@ -68,7 +68,7 @@ def trial(folder, victim, number, expected, seed):
         if victim == "scan":
             os.kill(pid, signal.SIGCONT)
         message = said(process)
-        finished = process.wait() == 0  # a node that had no more to do was stopped
+        finished = process.wait() == 0  # the stopped node had no work left
         words = "nothing was heard" if victim == "scan" else f"the {victim} node hung, or was stop"
         named = (words in message or finished) and "Traceback" not in message
         resumed = start(out, mark, *MORE, "--resume")

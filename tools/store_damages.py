@@ -1,6 +1,6 @@
-"""Damage to the files of a scan store, in many ways, and what puts them back.
+"""Damage the files of a scan store in many ways, and restore them.
 
-What ``damage_store.py`` and the kind ``stores`` of ``fuzz`` do to a store.
+``damage_store.py`` and the kind ``stores`` of ``fuzz`` use these functions.
 """
 
 import contextlib
@@ -16,12 +16,12 @@ STRANGERS = [".DS_Store", "notes.txt", "zarr.json~", ".zarr.json.swp", "c.10.0.0
 
 
 def contents(path):
-    """Everything below a folder: bytes of files, and of what else there is its kind."""
+    """Return everything below a folder: the bytes of files, the kind of all other entries."""
     return {str(p.relative_to(path)): what(p) for p in sorted(path.rglob("*"))}
 
 
 def what(path):
-    """Bytes of a file, or of the one that it leads to; the name of any other kind."""
+    """Return the bytes of a file or of a link's target; for anything else, the name of its kind."""
     if path.is_file():
         return path.read_bytes()
     if path.is_symlink():
@@ -30,19 +30,19 @@ def what(path):
 
 
 def files(path):
-    """Names of a store's files. Half of all damage goes to the few that are of no view."""
+    """Return the names of all files of a store."""
     return [str(p.relative_to(path)) for p in sorted(path.rglob("*")) if p.is_file()]
 
 
 def drawn(rng, path, of=""):
-    """A file of the store."""
+    """Return a random file of the store, often one of the few that belong to no view."""
     names = [name for name in files(path) if of in name and (path / name).stat().st_size]
     few = [name for name in names if "/c." not in name]
     return path / rng.choice(few if few and rng.random() < 0.5 else names)
 
 
 def bit(rng, path):
-    """One bit of a file."""
+    """Flip one bit of a file."""
     file = drawn(rng, path)
     data = bytearray(file.read_bytes())
     data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
@@ -50,7 +50,7 @@ def bit(rng, path):
 
 
 def bytes_(rng, path):
-    """Some bytes of a file, next to each other."""
+    """Overwrite adjacent bytes of a file."""
     file = drawn(rng, path)
     data = bytearray(file.read_bytes())
     first = rng.randrange(len(data))
@@ -60,29 +60,29 @@ def bytes_(rng, path):
 
 
 def cut(rng, path):
-    """The end of a file lost, or all of it."""
+    """Truncate a file, or empty it."""
     file = drawn(rng, path)
     file.write_bytes(file.read_bytes()[: rng.choice([0, rng.randrange(file.stat().st_size)])])
 
 
 def grown(rng, path):
-    """Bytes behind a file's end."""
+    """Append bytes to a file."""
     file = drawn(rng, path)
     file.write_bytes(file.read_bytes() + rng.choice([b"\0", b" ", b"\n", rng.randbytes(50)]))
 
 
 def missing(rng, path):
-    """A file that is gone."""
+    """Delete a file."""
     drawn(rng, path).unlink()
 
 
 def folder_missing(rng, path):
-    """A folder that is gone, with all in it."""
+    """Delete a folder and its contents."""
     shutil.rmtree(rng.choice([p for p in sorted(path.rglob("*")) if p.is_dir()]))
 
 
 def exchanged(rng, path):
-    """Two files that have each other's place, those of one array more often."""
+    """Exchange two files, more often two of the same array."""
     one = drawn(rng, path)
     alike = [p for p in one.parent.iterdir() if p.is_file() and p != one]
     other = rng.choice(alike) if alike and rng.random() < 0.7 else drawn(rng, path)
@@ -92,13 +92,13 @@ def exchanged(rng, path):
 
 
 def copied(rng, path):
-    """A file over another."""
+    """Copy one file over another."""
     one, other = drawn(rng, path), drawn(rng, path)
     other.write_bytes(one.read_bytes())
 
 
 def other_kind(rng, path):
-    """A folder, a link, a pipe or nothing readable in a file's place; a file in a folder's."""
+    """Replace a file with a folder, link or pipe, or a folder with a file."""
     file = drawn(rng, path)
     kind = rng.choice(["folder", "link", "dangling", "loop", "pipe", "file"])
     if kind == "file":
@@ -117,7 +117,7 @@ def other_kind(rng, path):
 
 
 def metadata(rng, path):
-    """One value in the metadata of the store or an array."""
+    """Change one value in the metadata of the store or of an array."""
     file = rng.choice([path / "zarr.json", drawn(rng, path, "zarr.json")])
     told = json.loads(file.read_text())
     if file.parent == path and rng.random() < 0.3:  # within the scenario
@@ -130,7 +130,7 @@ def metadata(rng, path):
 
 
 def change(rng, told):
-    """Another value in nested mappings and lists: changed, left out or added."""
+    """Change, remove or add one value in nested mappings and lists."""
     place, key = told, rng.choice(sorted(told))
     while isinstance(place[key], dict | list) and place[key] and rng.random() < 0.8:
         place = place[key]
@@ -145,11 +145,11 @@ def change(rng, told):
 
 
 def seal_anew(path):
-    """Make the digests anew of the files as they are: only a look at the values finds damage."""
+    """Recompute the digests of all files, so that only a check of the values can detect damage."""
     for manifest in (path / FRAME_FILE, *sorted((path / VIEWS).glob("c.*"))):
         if not manifest.is_file():
             continue
-        with contextlib.suppress(ValueError):  # the manifest itself was damaged
+        with contextlib.suppress(ValueError):  # the manifest itself is damaged
             text = manifest.read_bytes()
             known = unsealed(text)
             now = {n: d if not (path / n).is_file() else digest(path / n) for n, d in known.items()}
@@ -157,18 +157,18 @@ def seal_anew(path):
 
 
 def digest(file):
-    """SHA-256, in hexadecimal."""
+    """Return the SHA-256 of a file, in hexadecimal."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def resealed(rng, path):
-    """Metadata with another value, and a manifest that knows no better."""
+    """Change one value in the metadata and recompute the digests."""
     metadata(rng, path)
     seal_anew(path)
 
 
 def added(rng, path):
-    """A file, a folder or something else that is none of the store's."""
+    """Add a file, folder, link or pipe that does not belong to the store."""
     folders = [path, *(p for p in sorted(path.rglob("*")) if p.is_dir())]
     file = rng.choice(folders) / rng.choice(STRANGERS)
     if file.exists():
@@ -193,7 +193,7 @@ KINDS = {
 
 
 def restore(path, kept):
-    """Put everything back as it was, with no trust in what is there."""
+    """Restore the store to its former contents, whatever its present state."""
     for link in [p for p in path.rglob("*") if p.is_symlink()]:
         link.unlink()
     now = contents(path) if path.is_dir() and not path.is_symlink() else {}
@@ -214,6 +214,6 @@ def restore(path, kept):
 
 
 def differ(one, other):
-    """Names of what differs."""
+    """Return the names of the first four entries that differ."""
     names = [n for n in sorted(one.keys() | other.keys()) if one.get(n) != other.get(n)]
     return ", ".join(names[:4])

@@ -1,11 +1,12 @@
-"""Start two runs at one folder at nearly the same moment, many times.
+"""Start two runs in one folder at nearly the same time, repeatedly.
 
 python tools/two_runs.py --trials 20 --seed 1
 
-The second starts 0 to 2 s after the first. One must end well, with the store of an undisturbed run
-in files and bytes, and with its report; the other with exit code 2 and a message that says who has
-the folder, or that a scan is there; nothing may be left. One trial in four is of two that resume a
-scan which was killed. Ends with 1 if anything is otherwise.
+The second run starts 0 to 2 s after the first. One must succeed, with a report and with the same
+files and bytes in its store as an undisturbed run. The other must end with exit code 2 and a
+message that names the process in the folder or says that a scan exists. No lock, partial file or
+process may remain. In one trial in four, both runs resume a killed scan, and both may succeed in
+turn. The exit code is 1 otherwise.
 """
 
 import argparse
@@ -25,7 +26,7 @@ A_RESUMED_TRIAL = 4
 
 
 def killed(out, mark, views):
-    """What a scan leaves that is killed after some views."""
+    """Start a scan and kill it after a number of views."""
     process = start(out, mark, *MORE)
     while views_on_disk(out) < views and process.poll() is None:
         time.sleep(0.01)
@@ -37,7 +38,7 @@ def killed(out, mark, views):
 
 
 def trial(folder, number, expected, seed):
-    """One pair; how it came out, and what is wrong with that."""
+    """Run one pair; return its delay (s), whether it resumes, the winner and the faults."""
     moments = random.Random(f"{seed} {number}")
     out, mark = folder / f"pair{number}", f"pair{number}"
     resumed = number % A_RESUMED_TRIAL == A_RESUMED_TRIAL - 1

@@ -1,12 +1,12 @@
-"""Fuzzing: thousands of broken inputs, each of which must give a right result or a clear message.
+"""Fuzz twinct: thousands of broken inputs, each of which must give a correct result or a message.
 
     python tools/fuzz scenarios --minutes 10 --seed 1
     python tools/fuzz files bodies --count 2000 --seed 2
     python tools/fuzz scenarios --seed 1 --only 4711
 
-A case is known by kind, seed and number. It fails by anything else than a result or an
-``InputError``, by taking too much of the processor's time or too much memory; its files are kept
-below --out. Exit code 1: something was found.
+Kind, seed and number identify a case. A case fails if it ends with anything but a result or an
+``InputError``, or uses too much processor time or memory; its files are stored below --out. The
+exit code is 1 if any case failed.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ KINDS = {
     **{"scenarios": "scenario_files", "bodies": "bodies", "files": "input_files"},
     **{"stores": "store_files", "messages": "message_fields"},
 }
-"""Each is a module beside this one, which has a class ``Kind``."""
+"""Name of the module of each kind, which has a class ``Kind``."""
 
 
 def main() -> int:
-    """Parse, run, report."""
+    """Parse the arguments, try the cases and print a summary of each kind."""
     parser = argparse.ArgumentParser(
         prog="tools/fuzz", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

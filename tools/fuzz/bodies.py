@@ -1,4 +1,4 @@
-"""Scenarios whose specimen and room are built: each is built, or refused with its key."""
+"""Fuzzing of specimen and room: each scenario must build, or be refused with its key."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ SECTIONS = (("specimen", "parts", 0, "shape"), ("specimen",), ("cell",), ("detec
 
 
 class Kind(ScenarioFiles):
-    """Scenarios with other bodies and other rooms, built as far as the engines see them."""
+    """Scenarios with changed bodies and rooms, built up to the models that the engines use."""
 
     seconds = 30.0
     memory_bytes = 2 * 2**30
 
     def case(self, rng: random.Random, folder: Path) -> Case:
-        """Sections from the schema, or values of a valid one changed."""
+        """Make a case with a section from the schema, or with changed values in a valid section."""
         key = rng.choice(SECTIONS)
         told = self.valid_with(rng, folder / "mutant.yaml", key)
         return Case(told, lambda: _built(folder / "mutant.yaml"))

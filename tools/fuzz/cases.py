@@ -1,4 +1,4 @@
-"""What a kind of fuzzing is: valid material, and cases that are made of it and tried."""
+"""Interface of a kind of fuzzing: valid material, and cases made from it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Case:
-    """One thing to try.
+    """One input to try.
 
     Attributes:
-        told: what it is, in words, for who looks into it.
-        act: does it and says in a word what came of it; a ``twinct.errors.InputError`` counts as
-            refused, whatever else it raises is a finding.
+        told: description of the case for the reader of a failure.
+        act: runs the case and returns its outcome in a word; a ``twinct.errors.InputError`` counts
+            as refused, any other exception is a failure.
     """
 
     told: str
@@ -24,20 +24,20 @@ class Case:
 
 
 class Kind(Protocol):
-    """A kind of input. Its module has a class ``Kind``, which ``__main__`` finds by its name.
+    """A kind of input; its module has a class of this name.
 
     Attributes:
-        seconds: of the processor that a case may take.
-        memory_bytes: that the process may hold at a case's peak.
+        seconds: limit of the processor time of a case.
+        memory_bytes: limit of the memory peak of the process during a case.
     """
 
     seconds: float
     memory_bytes: int
 
     def __init__(self, material: Path) -> None:
-        """Make what all cases start from, in a folder that cases leave as it is."""
+        """Make the material of all cases in a folder that cases do not change."""
         ...
 
     def case(self, rng: random.Random, folder: Path) -> Case:
-        """Make a case in an empty folder; the same numbers from ``rng`` make the same case."""
+        """Make a case in an empty folder, determined by ``rng`` alone."""
         ...

@@ -1,4 +1,4 @@
-"""Lets a worker try case after case, ends it where it hangs, and keeps what is found."""
+"""Driver of a worker: it ends the worker if it hangs, and stores the failures."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from typing import Any
 from hanging import Limits, Watch
 
 CASES_A_WORKER = 20_000
-"""Then a fresh one: what a library keeps of each case is not of the next."""
+"""Cases per worker; a fresh worker limits the memory that libraries retain from each case."""
 
 
 @dataclass
 class Outcome:
-    """What came of many cases.
+    """Outcome of many cases.
 
     Attributes:
-        words: how often each outcome was.
-        failures: lines that tell of each failure.
-        slowest: seconds, and the case.
-        largest: bytes at the peak, and the case.
+        words: number of cases with each outcome.
+        failures: a line about each failure.
+        slowest: processor seconds of the slowest case, and its number.
+        largest: largest memory peak of a case, bytes, and its number.
     """
 
     words: Counter[str] = field(default_factory=Counter[str])
@@ -39,7 +39,7 @@ class Outcome:
 
 
 class Worker:
-    """A process that tries cases; it is started anew after each that ended it."""
+    """A process that tries cases; it is restarted after each case that ends it."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Worker:
         *,
         any_speed: bool,
     ) -> None:
-        """Files go to ``place``: the material, and the folder of the case that is tried."""
+        """Use ``place`` for the material and for the folder of the current case."""
         self.folder = place / "case"
         self._limits, self._clock = limits, clock
         own = [kind, str(seed), str(place), str(self.folder), *(["any-speed"] * any_speed)]
@@ -63,15 +63,15 @@ class Worker:
         self._left = 0
 
     def __enter__(self) -> Worker:
-        """It is started by the first case."""
+        """Return the worker; the first case starts it."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it."""
+        """End the worker."""
         self._end()
 
     def tried(self, number: int) -> dict[str, Any]:
-        """What the worker says of a case; ``hung`` or ``died`` where it says nothing."""
+        """Return the worker's result of a case; its word is ``hung`` or ``died`` without one."""
         if self._process is None or self._left == 0:
             self._start()
         assert self._process is not None and self._process.stdin is not None
@@ -104,7 +104,7 @@ class Worker:
         self._seconds = json.loads(limits)["seconds"]
 
     def _line(self, processor_s: float) -> bytes:
-        """The next line of the worker; empty where it hangs before, or has ended."""
+        """Return the next line of the worker; empty if it hangs or has ended."""
         assert self._process is not None and self._process.stdout is not None
         watch = Watch(self._process.pid, processor_s, self._limits.idle_s, clock=self._clock)
         while b"\n" not in self._rest:
@@ -138,17 +138,17 @@ def fuzz(
     *,
     any_speed: bool = False,
 ) -> Outcome:
-    """Try cases until they or the time end; each failure is kept.
+    """Try cases until the numbers or the time run out, and store the files of each failure.
 
     Args:
-        kind: name of its module.
-        seed: of the cases.
-        numbers: of the cases.
-        seconds: after which no more are tried.
-        place: for files, a folder named like the kind on the command line.
-        limits: when a worker hangs.
-        clock: that counts while a worker uses no processor time.
-        any_speed: no case is too slow, as long as its worker does not hang.
+        kind: name of the module of the kind.
+        seed: seed of the cases.
+        numbers: numbers of the cases.
+        seconds: time after which no new case starts.
+        place: folder for files, named after the kind on the command line.
+        limits: limits beyond which a worker hangs.
+        clock: clock that runs while a worker uses no processor time.
+        any_speed: if True, no case is too slow as long as its worker does not hang.
     """
     found, end, last = Outcome(), time.monotonic() + seconds, time.monotonic()
     with Worker(kind, seed, place, limits, clock, any_speed=any_speed) as worker:
@@ -180,6 +180,6 @@ def _kept(told: dict[str, Any], seed: int, number: int, folder: Path, place: Pat
 
 
 def _copied(source: str, target: str) -> None:
-    """A copy of what is a file; pipes and the like have no content."""
+    """Copy regular files only; pipes and devices have no content to store."""
     if Path(source).is_file():
         shutil.copy2(source, target)

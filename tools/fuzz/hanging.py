@@ -1,7 +1,7 @@
-"""Whether a process that says nothing hangs: by the processor time that it uses.
+"""Detection of hanging processes by the processor time that they use.
 
-A busy machine makes a process slow, and then it uses no more of the processor. One that turns for
-ever uses more and more; one that is blocked for ever uses none, for which alone the clock counts.
+On a busy machine a process is slow but uses no more processor time. A process in an endless loop
+exceeds its processor time. A blocked process uses none; only this case is timed by the clock.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ _TICKS_S = os.sysconf("SC_CLK_TCK")
 
 @dataclass(frozen=True)
 class Limits:
-    """When a worker that says nothing is ended.
+    """Limits beyond which a silent worker is ended.
 
     Attributes:
-        start_s: of processor time, until it has its libraries and its material: scans to be made.
-        times: as much processor time as a case may take, which it tells itself if it ever ends.
-        idle_s: by the clock, in which it and all its children use no processor time at all.
-        look_s: how often it is looked at.
+        start_s: processor time for loading libraries and making material such as scans.
+        times: limit of processor time as a multiple of that of a case; the worker itself reports
+            slower cases that end.
+        idle_s: time on the clock during which the worker and its children use no processor time.
+        look_s: interval between two checks.
     """
 
     start_s: float = 2000.0
@@ -33,7 +34,7 @@ class Limits:
 
 
 class Watch:
-    """Looks at a process from now on."""
+    """Watch on the processor time of a process."""
 
     def __init__(
         self,
@@ -43,14 +44,14 @@ class Watch:
         used: Callable[[int], float] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Nothing has been used yet.
+        """Start the watch.
 
         Args:
-            pid: of the process.
-            processor_s: that it and its children may use from now on.
-            idle_s: seconds of the clock in which they have to use any.
-            used: processor seconds of a process with its children; ``used_s``.
-            clock: that counts while they use none.
+            pid: pid of the process.
+            processor_s: processor time that it and its descendants may use from now on.
+            idle_s: time on the clock within which they must use any processor time.
+            used: function that returns their processor seconds (default ``used_s``).
+            clock: clock that runs while they use none.
         """
         self._pid, self._idle_s = pid, idle_s
         self._used, self._clock = used or used_s, clock
@@ -58,7 +59,7 @@ class Watch:
         self._end = self._last + processor_s
 
     def hangs(self) -> bool:
-        """Whether it has used more than it may, or nothing for too long."""
+        """Return True if the process has exceeded its processor time or been idle for too long."""
         used, now = self._used(self._pid), self._clock()
         if used != self._last:
             self._last, self._since = used, now
@@ -66,14 +67,14 @@ class Watch:
 
 
 def used_s(pid: int) -> float:
-    """Processor seconds of a process, of its children and theirs, also those that have ended."""
+    """Return the processor seconds of a process and its descendants, including reaped children."""
     ticks: dict[int, int] = {}
     children: dict[int, list[int]] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            # After the name, which may hold anything, field 3 is the first; see proc_pid_stat(5).
+            # The name may contain anything; field 3 follows it, see proc_pid_stat(5).
             told = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
-        except OSError:  # it has just ended
+        except OSError:  # the process has just ended
             continue
         children.setdefault(int(told[1]), []).append(int(folder.name))
         ticks[int(folder.name)] = sum(map(int, told[11:15]))

@@ -1,4 +1,4 @@
-"""Files that scenarios name, of all kinds: what a broken one gives is finite, or it is refused."""
+"""Fuzzing of the files that scenarios name: each must give finite values or be refused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from twinct.trajectory.table import FileTrajectory
 from twinct.volume import Volume
 
 SPECIAL = 0.04
-"""Share of the cases in which a pipe, a device, a folder or a link stands in the file's place."""
+"""Share of cases that replace the file with a pipe, device, folder, link or nothing."""
 
 
 def _mesh(path: Path) -> Any:
@@ -48,7 +48,7 @@ def _views(path: Path) -> Any:
 
 def _image(path: Path) -> Any:
     file = RawImage(path, "<f4", 16, 12, 0) if path.suffix == ".raw" else path
-    read_image(file, "bad pixels", (12, 16))  # what is no number is the image's affair
+    read_image(file, "bad pixels", (12, 16))  # pixels that are not finite are allowed
     return np.zeros(1)
 
 
@@ -79,13 +79,13 @@ READERS: dict[str, Callable[[Path], Any]] = {
 
 
 class Kind:
-    """A file of each kind, broken in many ways, read as a scenario has it read."""
+    """Files of each kind, damaged in many ways and read as a scenario reads them."""
 
     seconds = 30.0
     memory_bytes = 2 * 2**30
 
     def __init__(self, material: Path) -> None:
-        """Write the valid ones, which must be read."""
+        """Write valid files, and check that all can be read."""
         shutil.rmtree(material)
         material.mkdir()
         write_all(material)
@@ -95,7 +95,7 @@ class Kind:
             read(material / ("small.json" if name == "drift.csv" else name))
 
     def case(self, rng: random.Random, folder: Path) -> Case:
-        """One file broken, the others beside it."""
+        """Make a case with one damaged file, beside the files that it needs."""
         name = rng.choice(list(READERS))
         for file in self._material.iterdir():
             if file.is_file() and name in ("small.json", "drift.csv"):
@@ -148,12 +148,12 @@ def _special(rng: random.Random, path: Path) -> str:
 def _damaged(rng: random.Random, path: Path) -> str:
     data = path.read_bytes()
     packed = data[:2] == b"\x1f\x8b" and rng.random() < 0.6
-    if packed:  # damage what is in it, not the packing
+    if packed:  # damage the content, not the compression
         data = gzip.decompress(data)
     is_text = b"\0" not in data
     if is_text and rng.random() < 0.7:
         data, told = _other_words(rng, data)
-    elif rng.random() < 0.35:  # a header that lies
+    elif rng.random() < 0.35:  # a false number in the header
         at = rng.randrange(min(len(data), 400))
         number = rng.choice((0, 1, -1, 2**31 - 1, 2**16 - 1, 2**63 - 1, rng.randrange(2**31)))
         size = rng.choice((1, 2, 4, 8))
@@ -166,7 +166,7 @@ def _damaged(rng: random.Random, path: Path) -> str:
 
 
 def _other_words(rng: random.Random, data: bytes) -> tuple[bytes, str]:
-    """Text of which some words and numbers are others."""
+    """Return text with some changed words and numbers, and a description of the changes."""
     told: list[str] = []
     for _ in range(rng.choice((1, 1, 2, 4))):
         words = list(re.finditer(rb"[-+.\w]+", data))

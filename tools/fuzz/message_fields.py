@@ -1,4 +1,4 @@
-"""Messages of a scan with other fields or bytes: decoded, answered by the nodes, imported."""
+"""Fuzzing of messages: changed fields or bytes are decoded, answered by nodes and imported."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ WHOLE = {
     "uint32": (0, 1, 2, 255, 2**31, 2**32 - 1, 10**9, 999_999_999),
     "uint8": (0, 1, 2, 255),
 }
-"""By type; beyond it, the library that encodes messages is in a state that nobody knows."""
+"""Integers by type, within its range; beyond it, the state of the encoder is undefined."""
 TEXTS = (
     *("", "world", "map", "wörld", "世界", "a\0b", "x" * 70_000, "32FC1", "64FC1", "mono8"),
     *("view 1", "view -1", "view 99999999999999999999", "view \u0661", "view 2 ", "1.5", "nan"),
     *("0.000000000", "1.000000001", "-1.000000000", "9" * 20 + ".000000000"),
-    *("\u0661." + 9 * "\u0660", "1." + 9 * "\u00b2"),  # digits to some
+    *("\u0661." + 9 * "\u0660", "1." + 9 * "\u00b2"),  # digits in the sense of str.isdigit
     *NASTY_TEXTS,
 )
 MEMBERS = {SCAN: "11", ROBOTS: "22", XRAY: "33"}
@@ -69,18 +69,18 @@ STRANGER = "99"
 
 
 class Kind:
-    """A message, or several, that is not what it should be, to whoever takes it."""
+    """One or several faulty messages, given to one of their receivers."""
 
     seconds = 30.0
     memory_bytes = 2 * 2**30
 
     def __init__(self, material: Path) -> None:
-        """Make two scans, unless a worker before did; their messages are what is changed."""
+        """Make the scans whose messages are changed, unless an earlier worker has made them."""
         make_scans(material)
         self._recorded = {name: _Recorded(material / name) for name in SCANS}
 
     def case(self, rng: random.Random, folder: Path) -> Case:
-        """One message to one of those who take it."""
+        """Make a case with one faulty message, or a faulty recording, for a random receiver."""
         of = self._recorded[rng.choice(list(SCANS))]
         make = rng.choice((_decoded, _of_rig, _of_rig, _of_robots, _of_xray, _of_plan, _of_bag))
         told, act = make(rng, folder, of)
@@ -88,7 +88,7 @@ class Kind:
 
 
 class _Recorded:
-    """A scan's messages, as bytes, in their order."""
+    """All messages of a scan as bytes, in order."""
 
     def __init__(self, path: Path) -> None:
         self.store = ScanStore(path / "scan.zarr")
@@ -107,11 +107,11 @@ class _Recorded:
         self.whole = everything(load_scan(path))
 
     def of(self, topic: Topic) -> list[bytes]:
-        """All messages of a topic."""
+        """Return all messages of a topic."""
         return [data for name, _, data, _ in self.said if name == topic.name]
 
     def answers(self, view: int) -> dict[Topic, bytes]:
-        """What was said to the target of a view."""
+        """Return the messages that answered the target of a view, by topic."""
         told = deserialize_message(self.of(VIEWS)[view], VIEWS.kind)
         stamp = Stamp.of(told.header.stamp)
         return {
@@ -131,7 +131,7 @@ def _stamp(message: Any) -> Stamp | None:
 
 
 def _changed(rng: random.Random, topic: Topic, data: bytes) -> tuple[bytes, str]:
-    """Another message of a topic, as bytes, and what was changed."""
+    """Return a changed message as bytes, and a description of the change."""
     if rng.random() < 0.25:
         new, told = broken(rng, data)
         return new, f"{topic.name}: {told}"
@@ -142,7 +142,7 @@ def _changed(rng: random.Random, topic: Topic, data: bytes) -> tuple[bytes, str]
 
 
 def _other_field(rng: random.Random, message: Any) -> str:
-    """Change one field somewhere in a message, within its type."""
+    """Change one field of a message within its type, and return a description."""
     name, kind = rng.choice(list(message.get_fields_and_field_types().items()))
     value = getattr(message, name)
     if hasattr(value, "get_fields_and_field_types"):
@@ -196,7 +196,7 @@ def _finite(*arrays: Any) -> None:
 def _check_reached(reached: Reached, *, arms: bool) -> None:
     for instant in (reached.executed, *reached.path, *([reached.before] if reached.before else [])):
         _finite(*instant)
-        _ = instant.source, instant.object, instant.detector  # they are poses
+        _ = instant.source, instant.object, instant.detector  # raise unless they are poses
     _finite(reached.position, reached.velocity, reached.effort, reached.state, reached.time_s)
     if arms:
         _finite(reached.clearance_mm)
@@ -205,7 +205,7 @@ def _check_reached(reached: Reached, *, arms: bool) -> None:
 
 
 def _decoded(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
-    """What reads a message of one topic, whoever sent it."""
+    """Make a case in which the reader of a topic decodes a changed message."""
     del folder
     arms, panel = of.arms, of.scenario.detector.panel
 
@@ -245,7 +245,7 @@ def _decoded(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
 
 
 class _Out:
-    """A publisher; what it sends can be sent."""
+    """A publisher that checks that its messages can be serialised."""
 
     def __init__(self, topic: Topic) -> None:
         self.topic, self.sent = topic, list[Any]()
@@ -260,7 +260,7 @@ class _Out:
 
 
 class _Station:
-    """One participant without a graph: what it hears is put in by hand."""
+    """A participant without a ROS graph; the test hands it its messages."""
 
     name, participant = "fuzzed", "00"
 
@@ -291,7 +291,7 @@ class _Station:
         return f"{topic} {sender.publisher}"
 
     def hear(self, topic: Topic, data: bytes, sender: str) -> None:
-        """As ``SenderExecutor`` hands a message on."""
+        """Hand a message on as ``SenderExecutor`` does."""
         self._number += 1
         who = Sender(f"{sender * 12}{'00' * 4}", self._number)
         try:
@@ -311,7 +311,7 @@ class _Station:
 
     @property
     def told(self) -> list[Any]:
-        """What was said on ``/diagnostics``."""
+        """Messages sent on ``/diagnostics``."""
         return self.out[DIAGNOSTICS.name].sent
 
 
@@ -324,7 +324,7 @@ def _members(folder: Path) -> Members:
 
 
 def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
-    """The rig, to which a node of its own or a stranger answers."""
+    """Make a case in which one of its nodes, or a stranger, sends the rig a changed message."""
     view = rng.randrange(len(of.targets))
     good, topic = of.answers(view), rng.choice((*ANSWERS, DIAGNOSTICS))
     if topic == DIAGNOSTICS:
@@ -381,7 +381,7 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
 
 
 def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
-    """The robots node, alone or in a scan, gets a target."""
+    """Make a case in which the robots node, alone or in a scan, gets a changed target."""
     workshop, own = of.robots, rng.random() < 0.5
     if workshop is None:
         return _decoded(rng, folder, of)
@@ -409,14 +409,14 @@ def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Ca
 
 
 def _refused(station: _Station) -> str:
-    """Nothing came of it, and somebody was told."""
+    """Return "refused", or raise AssertionError unless a diagnostic message was sent."""
     if not station.told:
         raise AssertionError("dropped without a word")
     return "refused"
 
 
 class _Imager:
-    """Takes what a panel and its noise take."""
+    """Imager that checks the poses and returns random images."""
 
     def expose(self, path: Sequence[Any], view: int = 0, before: Any = None) -> NDArray[np.float32]:
         for geometry, specimen in (*path, *([before] if before else [])):
@@ -428,7 +428,7 @@ class _Imager:
 
 
 def _of_xray(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
-    """The X-ray node, alone or in a scan, hears of a view."""
+    """Make a case in which the X-ray node, alone or in a scan, gets changed messages of a view."""
     good, own, topic = of.answers(0), rng.random() < 0.5, rng.choice((REACHED, REACHED, VIEWS))
     if not own:
         topic = REACHED
@@ -449,7 +449,7 @@ def _of_xray(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
             messages.image_of(images[0], panel.shape)
             return "answered"
         if own and _other_stamp(topic, data, good[topic]):
-            return "waits"  # for the other message of its stamp
+            return "waits"  # for the other message with its stamp
         return _refused(station)
 
     return told, act
@@ -463,7 +463,7 @@ def _other_stamp(topic: Topic, data: bytes, good: bytes) -> bool:
 
 
 def _of_plan(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
-    """A node waits for the plan of its scan."""
+    """Make a case in which a node that waits for its plan gets a changed part."""
     if of.plan is None:
         return _decoded(rng, folder, of)
     plan, good = of.plan, {topic: of.of(topic)[0] for topic in PARTS}
@@ -490,7 +490,7 @@ def _of_plan(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
 
 
 def _of_bag(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
-    """A recording whose bytes, or whose messages, are others, imported."""
+    """Make a case that imports a recording with changed bytes or messages."""
     file, told = folder / "scan.mcap", ""
     if rng.random() < 0.4:
         data, told = broken(rng, of.file.read_bytes(), times=4)

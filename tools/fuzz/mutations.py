@@ -1,4 +1,4 @@
-"""Damage to bytes, and values that break what they stand in."""
+"""Damage to bytes, and values that may break their reader."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ NASTY_TEXTS = (
     *("1e-9", "1e9", "100000", "1000000000", "0.1", "3.5", "[1, 2]", "[1, 2, 3]", "[1e300, 0, 0]"),
     *("[.nan, 0, 0]", "{1: 2}", "{null: 1}", "{[1]: 2}", "{a: 1, a: 2}", "{kind: box}", "%YAML 9"),
 )
-"""Scalars and more as they may stand in YAML."""
+"""Scalars and other texts that may occur in YAML."""
 
 NASTY_VALUES: tuple[Any, ...] = (
     *(
@@ -81,7 +81,7 @@ NASTY_VALUES: tuple[Any, ...] = (
     *([1, 2], [1e-9, 1, 1], ["a", "b"], {"kind": "x"}, {"a": {"b": {"c": 1}}}, {"": 1}, [{}] * 3),
     [1] * 1000,
 )
-"""The same as values."""
+"""Python values that may break their reader."""
 
 _INTERESTING = (
     b"\0",
@@ -97,7 +97,7 @@ _INTERESTING = (
 
 
 def broken(rng: random.Random, data: bytes, times: int = 3) -> tuple[bytes, str]:
-    """Bytes with a few damages, and what these are."""
+    """Return bytes with one to ``times`` damages, and a description of the damages."""
     told: list[str] = []
     for _ in range(rng.randint(1, times)):
         size = len(data)
@@ -144,14 +144,14 @@ def broken(rng: random.Random, data: bytes, times: int = 3) -> tuple[bytes, str]
 
 
 def nasty(rng: random.Random) -> Any:
-    """One of ``NASTY_VALUES``, which stay as they are."""
+    """Return a copy of one of ``NASTY_VALUES``."""
     return copy.deepcopy(rng.choice(NASTY_VALUES))
 
 
 def number_near(rng: random.Random, value: float) -> int | float:
-    """A number that may break what took a valid one."""
+    """Return a number, often near a valid one, that may break its reader."""
     pick = rng.random()
-    if abs(value) > sys.float_info.max:  # an integer that no float can be
+    if abs(value) > sys.float_info.max:  # an integer beyond the range of floats
         return -value if pick < 0.5 else value + 1
     if pick < 0.3:
         return value * rng.choice((-1, 0, 2, 0.5, 10, 1e3, 1e6, 1e12, 1e-3, 1e-9))

@@ -1,4 +1,4 @@
-"""Scenario files and overrides: each a scenario that can be weighed, or a clear message."""
+"""Fuzzing of scenario files and overrides: each must load, or be refused with a clear message."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from twinct.scenario import load_scenario, parse_scenario, scenario_schema
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
 ROUND_TRIPS = 0.1
-"""Share of the cases in which a scenario is written and read again."""
+"""Share of cases that write the scenario and read it again."""
 
 Key = tuple[str | int, ...]
 
@@ -32,13 +32,13 @@ _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 class Kind:
-    """Mutants of the scenarios in the repository, and scenarios made from the schema."""
+    """Mutants of the repository's scenarios, and scenarios generated from the schema."""
 
     seconds = 2.0
     memory_bytes = 2**30
 
     def __init__(self, material: Path) -> None:
-        """Copy the scenarios, and make what they name."""
+        """Copy the scenarios, and make the files that they name."""
         self._material = material
         (material / "data").mkdir(exist_ok=True)
         np.savetxt(material / "data" / "table.csv", np.arange(24).reshape(4, 6), delimiter=",")
@@ -47,7 +47,7 @@ class Kind:
         self._texts: list[str] = []
         self._data: list[dict[str, Any]] = []
         files = sorted(SCENARIOS.glob("*.yaml"))
-        for file in files:  # all of them before any is read: one may extend another
+        for file in files:  # copy all before reading any: one may extend another
             shutil.copy(file, material)
         for file in files:
             self._texts.append(file.read_text(encoding="utf-8"))
@@ -56,14 +56,14 @@ class Kind:
             if "extends" in own:
                 try:
                     whole = load_scenario(material / file.name)
-                except Exception as error:  # its data are not in the repository
+                except Exception as error:  # the repository may lack its data
                     if "no file at" not in str(error):
                         raise
                     continue
                 self._data.append(json.loads(whole.resolved()))
 
     def case(self, rng: random.Random, folder: Path) -> Case:
-        """Bytes, lines, values, overrides, or something from the schema."""
+        """Make a case with changed bytes, lines, values, overrides or sections from the schema."""
         path, overrides = folder / "mutant.yaml", ()
         made = rng.choices(
             (self._bytes, self._lines, self._values, self._of_schema), (15, 20, 45, 20)
@@ -149,13 +149,13 @@ class Kind:
         return _text(data), f"from the schema: {', '.join(chosen)}"
 
     def valid_with(self, rng: random.Random, path: Path, key: Key) -> str:
-        """Write a valid scenario of which a section, or a few values in it, are others."""
+        """Write a valid scenario with one changed section, or a few changed numbers in it."""
         data = copy.deepcopy(rng.choice([d for d in self._data if "specimen" in d]))
         for file in self._material.iterdir():
             (path.parent / file.name).symlink_to(file)
         for part in data["specimen"]["parts"]:
             if part["shape"]["kind"] in ("skull", "head", "brain"):
-                part["shape"]["mesh_resolution_mm"] = 6.0  # quickly built
+                part["shape"]["mesh_resolution_mm"] = 6.0  # faster to build
         here: Any = data
         for step in key[:-1]:
             here = here[step]
@@ -213,7 +213,7 @@ def _weighed(path: Path, overrides: tuple[str, ...], again: bool, by_needs: bool
         if parse_scenario(plain) != scenario:
             raise AssertionError("not the same scenario when it is read again")
     try:
-        needs(scenario) if by_needs else require_memory(scenario)  # both look at all views
+        needs(scenario) if by_needs else require_memory(scenario)  # both compute all views
     except MemoryShortageError:
         return "scenario too large for this process"
     return "scenario"

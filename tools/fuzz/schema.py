@@ -1,4 +1,4 @@
-"""Values from a JSON Schema: at its limits, beyond them, and of other kinds."""
+"""Random values from a JSON Schema: within its limits, beyond them, and of wrong types."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from typing import Any
 from mutations import nasty
 
 WRONG = 0.04
-"""Share of values that are anything."""
+"""Share of values that ignore the schema."""
 
 DEEPEST = 12
 
 
 class Schema:
-    """Values that a JSON Schema allows, or nearly so."""
+    """Source of values that a JSON Schema allows, or nearly allows."""
 
     def __init__(self, schema: dict[str, Any]) -> None:
-        """Keep it."""
+        """Store the schema."""
         self._whole = schema
 
     @property
     def sections(self) -> list[str]:
-        """Names of the keys at the top."""
+        """Names of the top-level keys."""
         return list(self._whole["properties"])
 
     def value_at(self, rng: random.Random, key: tuple[str | int, ...]) -> Any:
-        """A value for a key, as far as the schema knows it."""
+        """Return a value for a key; any value if the schema lacks the key."""
         part = self._whole
         for step in key:
             branches = [self._resolved(branch) for branch in self._branches(part)]
@@ -41,7 +41,7 @@ class Schema:
         return self.value(rng, part)
 
     def value(self, rng: random.Random, part: dict[str, Any], depth: int = 0) -> Any:
-        """A value for a part of the schema."""
+        """Return a value for a part of the schema."""
         if rng.random() < WRONG or depth > DEEPEST:
             return nasty(rng)
         part = self._resolved(rng.choice(self._branches(part)))

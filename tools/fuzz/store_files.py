@@ -1,4 +1,4 @@
-"""Finished scans whose files are damaged, their digests made anew or not, and used as before."""
+"""Fuzzing of finished scans: damaged stores, with or without recomputed digests, in use."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from twinct.scan import Scan, ScanStore
 from twinct.scenario import load_scenario
 
 zarr: Any = _zarr
-"""Typed in part only."""
+"""Zarr, whose types are incomplete."""
 
 NUMBERS = (np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, 1e39, -1.0, 0.0, 2.0)
 LARGE = (0, 1, -1, 2, 10**5, 2**31, 2**40, 2**62, 2**63, 10**30, 1.5, "1", None)
@@ -46,19 +46,19 @@ CODECS: tuple[Any, ...] = (
 
 
 class Kind:
-    """A scan of each kind, damaged and then verified, read, reconstructed and gone on with."""
+    """A scan of each kind, damaged, then verified, read, reconstructed and resumed."""
 
     seconds = 30.0
     memory_bytes = 2 * 2**30
 
     def __init__(self, material: Path) -> None:
-        """Make the scans, unless a worker before did, and read them."""
+        """Make the scans, unless an earlier worker has made them, and read them."""
         make_scans(material, "detector.keep=[raw]")
         self._material = material
         self._whole = {name: everything(load_scan(material / name)) for name in (*SCANS, *OLD)}
 
     def case(self, rng: random.Random, folder: Path) -> Case:
-        """One or two damages to a scan."""
+        """Make a case with one or two damages to a scan."""
         name = rng.choice(list(self._whole))
         run = folder / "run"
         shutil.copytree(self._material / name, run)
@@ -70,18 +70,18 @@ class Kind:
             try:
                 DAMAGES[kind](rng, store)
             except (OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError):
-                told[-1] += " (could not be done)"  # by the damage before
+                told[-1] += " (could not be done)"  # because of the first damage
         sealed = name not in OLD and store.is_dir() and rng.random() < 0.5
         if sealed:
             told.append("digests anew")
             seal_anew(store)
         whole = None if sealed or name in OLD else self._whole[name]
-        mend = name != "arms"  # which would be planned for that
+        mend = name != "arms"  # mending a scan of arms would plan its motion
         return Case(", ".join(told), lambda: _used(run, scenario, whole, mend=mend))
 
 
 def _used(path: Path, scenario_file: Path, whole: bytes | None, *, mend: bool) -> str:
-    """What a user does with a scan; each step may be refused."""
+    """Verify, read, reconstruct and resume a scan as a user does; each step may be refused."""
     words = [
         _word(lambda: verify(path)),
         _word(lambda: _read(path, whole)),
@@ -103,12 +103,12 @@ def _word(act: Callable[[], object]) -> str:
 
 
 def everything(scan: Scan) -> bytes:
-    """All numbers of a scan, which are finite."""
+    """Return all data of a scan as bytes; raise AssertionError unless the numbers are finite."""
     found = [scan.transmission, scan.joints, scan.simulated_s]
     for which in ("commanded", "executed"):
         geometry = scan.poses(which).geometry(scan.scenario.detector.panel)
         found += [geometry.source, geometry.detector, geometry.u, geometry.v]
-    believed = scan.believed  # which may see the panel from behind, if the joints are nonsense
+    believed = scan.believed  # may see the panel from behind if the joints are damaged
     found += [pose.matrix for pose in (*believed.source, *believed.detector)]
     found += [pose.matrix for pose in (*scan.executed_object, scan.stands)]
     found += [np.array(scan.exposure).ravel()]
@@ -160,7 +160,7 @@ def _resumed(path: Path, scenario_file: Path, *, mend: bool) -> None:
 
 
 def _values(rng: random.Random, path: Path) -> None:
-    """Some numbers of an array, or all in a chunk, through Zarr."""
+    """Change one number of an array, or all numbers at one index of its first axis."""
     names = [p.parent for p in sorted(path.rglob("zarr.json")) if "manifest" not in p.parts]
     arrays = [p for p in names if json.loads((p / "zarr.json").read_text())["node_type"] == "array"]
     array = zarr.open_array(str(rng.choice(arrays)), mode="r+")
@@ -175,7 +175,7 @@ def _values(rng: random.Random, path: Path) -> None:
 
 
 def _header(rng: random.Random, path: Path) -> None:
-    """What the metadata of an array or group say of shape, type, chunks or codecs."""
+    """Change shape, type, chunks, codecs or other metadata of arrays and groups."""
     every = [p for p in sorted(path.rglob("zarr.json")) if rng.random() < 0.9] or [path]
     for file in rng.choice(([rng.choice(every)], [rng.choice(every)], every)):
         told = json.loads(file.read_text())
@@ -203,7 +203,7 @@ def _header(rng: random.Random, path: Path) -> None:
 
 
 def _scenario(rng: random.Random, path: Path) -> None:
-    """The scenario in the store."""
+    """Change a value of the scenario in the store."""
     told = json.loads((path / "zarr.json").read_text())
     inner = json.loads(told["attributes"]["scenario"])
     section = rng.choice([inner, *(v for v in inner.values() if isinstance(v, dict) and v)])
@@ -216,7 +216,7 @@ def _scenario(rng: random.Random, path: Path) -> None:
 
 
 def _attributes(rng: random.Random, path: Path) -> None:
-    """Attributes of the store or of its plan."""
+    """Change an attribute of the store or of its plan."""
     file = rng.choice([f for f in (path / "zarr.json", path / "plan" / "zarr.json") if f.exists()])
     told = json.loads(file.read_text())
     told["attributes"][rng.choice(sorted(told["attributes"]))] = nasty(rng)
@@ -224,7 +224,7 @@ def _attributes(rng: random.Random, path: Path) -> None:
 
 
 def _giant(rng: random.Random, path: Path) -> None:
-    """Metadata of many bytes, or nested without end."""
+    """Write very long or very deeply nested metadata."""
     file = drawn(rng, path, "zarr.json")
     depth = rng.choice((1000, 100_000))
     text = file.read_text()
@@ -236,7 +236,7 @@ def _giant(rng: random.Random, path: Path) -> None:
 
 
 def _beside(rng: random.Random, path: Path) -> None:
-    """A file beside the store: its bytes, or what stands in its place."""
+    """Damage a file beside the store, or replace it with a pipe, folder, link or nothing."""
     there = [p for p in sorted(path.parent.rglob("*")) if p.is_file() and path not in p.parents]
     file = rng.choice(there)
     if rng.random() < 0.7:

@@ -1,4 +1,4 @@
-"""A valid file of each kind that a scenario may name, small, and without symmetry."""
+"""Small, asymmetric, valid files of every kind that a scenario may name."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MJCF = """<mujoco model="arm"><worldbody><body name="base"><geom type="box" size
 
 
 def voxels() -> NDArray[np.int16]:
-    """A block in air, HU."""
+    """Return the voxels of a block in air, HU."""
     volume = np.full(VOLUME, -1000, dtype=np.int16)
     volume[3:9, 2:7, 2:6] = 800
     volume[3:5, 2:4, 2:4] = 1200
@@ -35,7 +35,7 @@ def voxels() -> NDArray[np.int16]:
 
 
 def write_meshes(folder: Path) -> None:
-    """One body as STL, PLY and OBJ, binary and text, and OFF."""
+    """Write one body as binary and text STL and PLY, and as OBJ and OFF."""
     box = trimesh.creation.box((4, 5, 6))
     box.apply_translation([30, 5, 2])
     body: Any = trimesh.util.concatenate([trimesh.creation.icosphere(1, 10.0), box])
@@ -50,7 +50,7 @@ def write_meshes(folder: Path) -> None:
 
 
 def write_volumes(folder: Path) -> None:
-    """One volume as NIfTI, plain and packed, and as an InVesalius project."""
+    """Write one volume as NIfTI and as InVesalius project, both plain and compressed."""
     import nibabel
 
     for name in ("head.nii", "head.nii.gz"):
@@ -71,7 +71,7 @@ def write_volumes(folder: Path) -> None:
 
 
 def write_dicom(folder: Path) -> None:
-    """An axial series of the same volume."""
+    """Write an axial DICOM series of the volume."""
     from pydicom.dataset import FileDataset, FileMetaDataset
     from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
@@ -95,7 +95,7 @@ def write_dicom(folder: Path) -> None:
 
 
 def write_tables(folder: Path) -> None:
-    """Views, and a curve."""
+    """Write a table of views and a curve."""
     rows = [
         [300 * np.cos(a), 300 * np.sin(a), 0, -300 * np.cos(a), -300 * np.sin(a), 0]
         for a in range(6)
@@ -107,7 +107,7 @@ def write_tables(folder: Path) -> None:
 
 
 def write_images(folder: Path) -> None:
-    """One image of 12 x 16 pixels in all ways."""
+    """Write one image of 12 x 16 pixels in all formats."""
     from PIL import Image
 
     pixels = (np.arange(192).reshape(12, 16) * 7 % 251).astype(np.uint8)
@@ -120,7 +120,7 @@ def write_images(folder: Path) -> None:
 
 
 def chains() -> tuple[Chain, Chain]:
-    """Two arms of three joints."""
+    """Return two arms of three joints."""
     joints = np.stack(
         [Pose.from_euler((0, 0, 100.0 * k), (90.0 * k, 0, 0)).matrix for k in range(3)]
     )
@@ -129,7 +129,7 @@ def chains() -> tuple[Chain, Chain]:
 
 
 def write_arms(folder: Path) -> None:
-    """Calibrated arms, a plan of three views, a description of an arm."""
+    """Write calibrated arms, a motion plan of three views and a model of an arm."""
     change = Change(np.full((3, 6), 1e-3), np.zeros(6), np.full(3, 1e-6), np.zeros((3, 2)))
     room = Pose.from_euler((1, 2, 3), (4, 5, 6))
     CalibratedArms(chains(), (change, change), 1, room, {"seed": 1}).write(folder / "arms.json")
@@ -152,7 +152,7 @@ def write_arms(folder: Path) -> None:
 
 
 def write_ctsimu(folder: Path) -> None:
-    """A scenario of a cube of aluminium, with a file of drifts and of a spectrum."""
+    """Write a CTSimU scenario of an aluminium body, with a file of drifts."""
     sample = {
         "name": "cube",
         "file": {"value": "body.stl"},
@@ -207,7 +207,7 @@ def write_ctsimu(folder: Path) -> None:
 
 
 def write_all(folder: Path) -> None:
-    """All of them."""
+    """Write the valid files of all kinds."""
     write_meshes(folder)
     write_volumes(folder)
     write_dicom(folder / "dicom")

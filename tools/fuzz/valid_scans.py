@@ -1,4 +1,4 @@
-"""Finished scans, small, recorded: of a gantry, of arms along a plan, and two of version 0.1."""
+"""Small finished scans: recorded ones of a gantry and of planned arms, and two of version 0.1."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ SCANS = {
     "arms": ("demo.yaml", "detector={columns: 16, rows: 12, pixel_pitch_mm: 20}"),
 }
 OLD = {"old": "local", "older": "ros2"}
-"""Of version 0.1, which had no digests."""
+"""Scans of version 0.1, which had no digests."""
 
 
 def make_scans(folder: Path, *more: str) -> None:
-    """Make those that are not there, a folder each; ``more`` keys are for the gantry's."""
+    """Make the missing scans, each in its own folder; ``more`` keys apply to the gantry."""
     for name, (scenario, *keys) in SCANS.items():
         out = folder / name
-        if (out / "report.html").exists():  # comes last
+        if (out / "report.html").exists():  # written last
             continue
         shutil.rmtree(out, ignore_errors=True)
         command = [sys.executable, "-m", "twinct", "run", str(ROOT / "scenarios" / scenario)]
         command += ["--out", str(out), "--link", "local", "--record"]
         keys += more if name == "gantry" else ()
-        # In a process of its own, since gVXR keeps more memory than a case may take.
+        # In a separate process, since gVXR retains more memory than a case may use.
         subprocess.run(
             [*command, *(part for key in (*SMALL, *keys) for part in ("--set", key))], check=True
         )

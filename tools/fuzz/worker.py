@@ -1,7 +1,7 @@
-"""Tries cases, each by its number, in a process of its own with a limit on its memory.
+"""Process that tries cases under a memory limit.
 
-Reads numbers from its input, a line each, and answers each with a line of JSON. With ``any-speed``
-as its last argument no case is too slow.
+It reads the number of a case from each line of stdin, and answers with a line of JSON. With
+``any-speed`` as its last argument, no case is too slow.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from cases import Case, Kind
 from twinct.errors import InputError
 
 FRESH_BYTES = 64 * 2**20
-"""Of address space beside what a case may hold: libraries map more than they touch."""
+"""Address space beyond the memory of a case: libraries map more than they touch."""
 
 
 def main() -> None:
-    """Serve until the input ends."""
+    """Try cases until the input ends."""
     name, seed, place, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]), Path(sys.argv[4])
     any_speed = "any-speed" in sys.argv[5:]
-    sys.path.append(str(Path(__file__).parents[1]))  # what other trials share
+    sys.path.append(str(Path(__file__).parents[1]))  # modules shared with other tools
     answers = _own_output(place / "worker.log")
     material = place / "material"
     material.mkdir(parents=True, exist_ok=True)
-    os.chdir(place)  # where MuJoCo writes its log
+    os.chdir(place)  # MuJoCo writes its log here
     kind: Kind = importlib.import_module(name).Kind(material)
     limit = kind.memory_bytes + FRESH_BYTES + _status("VmSize") - _status("VmRSS")
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -51,11 +51,11 @@ def main() -> None:
 def tried(
     kind: Kind, name: str, seed: int, number: int, folder: Path, *, any_speed: bool
 ) -> dict[str, object]:
-    """What came of a case: its ``word``, ``told``, ``seconds``, ``memory_bytes``, ``trace``."""
+    """Try a case; return ``word``, ``ok``, ``told``, ``trace``, ``seconds``, ``memory_bytes``."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     case, trace = Case("cannot be made", lambda: ""), ""
-    Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+    Path("/proc/self/clear_refs").write_text("5")  # resets the memory peak
     before = time.process_time()
     try:
         case = kind.case(random.Random(f"{name} {seed} {number}"), folder)
@@ -78,7 +78,7 @@ def tried(
 
 
 def _own_output(log: Path) -> TextIO:
-    """A stream to who started this process; what libraries print goes to a log."""
+    """Return a stream to the parent process, and redirect the output of libraries to a log."""
     answers = os.fdopen(os.dup(1), "w")
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a") as stream:
