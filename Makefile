@@ -12,14 +12,13 @@ SEED ?= 0
 VENV := .venv/bin
 # Markers of what test-all runs beside test.
 LONG := browser or cluster or tutorial or package
-# Tests that watch real time, or load ITK, run alone, after the others, and from these files only;
-# PYTEST_ARGS may leave none of either.
-ALONE := clock or itk
-ALONE_FILES = $(shell grep -rlE --include='test_*.py' 'mark\.(clock|itk)' tests)
+# Tests that watch real time run alone, after the others, and from these files only; PYTEST_ARGS may
+# leave none of either.
+CLOCK_FILES = $(shell grep -rl --include='test_*.py' 'mark\.clock' tests)
 define run_tests
-@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "($(1)) and not ($(ALONE))" $(PYTEST_ARGS) \
+@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "($(1)) and not clock" $(PYTEST_ARGS) \
 	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
-@$(VENV)/python -m pytest -q -n 0 -m "($(1)) and ($(ALONE))" $(or $(PYTEST_ARGS),$(ALONE_FILES)) \
+@$(VENV)/python -m pytest -q -n 0 -m "($(1)) and clock" $(or $(PYTEST_ARGS),$(CLOCK_FILES)) \
 	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
 endef
 

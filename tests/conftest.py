@@ -78,6 +78,9 @@ numba_event.register("numba:compile", _compilations)
 TOGETHER = {"cluster": "pools", "pool": "pools", "study": "pools"}
 """Folders that share a worker: of pools of processes, one at a time is enough for a machine."""
 
+LAST = "test_rtk.py"
+"""Files that load ITK: they come last in one worker, as gVXR aborted once after them."""
+
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling:
@@ -90,7 +93,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadSco
     class Scopes(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
+            if Path(file).name == LAST:
+                return LAST
             return next((TOGETHER[part] for part in Path(file).parts if part in TOGETHER), file)
+
+        def schedule(self) -> None:
+            super().schedule()
+            if (last := self.workqueue.pop(LAST, None)) is not None:
+                self.workqueue[LAST] = last
 
     return Scopes(config, log)
 

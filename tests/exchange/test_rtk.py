@@ -14,8 +14,6 @@ from twinct.recon import Projector, sart
 
 itk = pytest.importorskip("itk", reason="needs the extra rtk")
 
-pytestmark = pytest.mark.itk
-
 POINT_PX = 1e-9
 """Float64 on both sides; measured 1e-13."""
 PROJECTION = 1e-5

@@ -9,8 +9,6 @@ from twinct.errors import MissingExtraError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, rtk_sart, sart, spread_order
 
-pytestmark = pytest.mark.itk
-
 AGREEMENT = 0.005
 """RMS difference relative to the ball's value, near the ball; measured 0.0029. Red beyond it: views
 in reverse order 0.0065, relaxation 10 % higher 0.0070, images shifted by half a pixel 0.032,
