@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import operator
+import pickle
+
 import nibabel
 import numpy as np
 import pytest
@@ -85,3 +89,74 @@ def test_a_notebook_shows_three_sections(monkeypatch) -> None:
         "y / mmz / mm",
     ]
     assert labels[2]["title"] == "x = 0.5 mm"
+
+
+@pytest.fixture
+def pair() -> tuple[Volume, Volume]:
+    grid = VolumeGrid((2, 3, 4), (1.0, 2.0, 3.0), Pose.from_euler([1, 2, 3], [0, 0, 30]))
+    rng = np.random.default_rng(0)
+    return Volume(rng.random((2, 3, 4)), grid, {"circle": 7}), Volume(rng.random((2, 3, 4)), grid)
+
+
+def test_a_volume_is_used_like_an_array(pair) -> None:
+    v, w = pair
+    assert (v.shape, v.ndim, v.dtype, len(v)) == ((2, 3, 4), 3, np.float32, 2)
+    assert v[1, 2, 3] == v.array[1, 2, 3]
+    np.testing.assert_array_equal(v[:, 1], v.array[:, 1])
+    for apply in (operator.sub, operator.add, operator.mul, operator.truediv, np.maximum):
+        made = apply(v, w)
+        assert isinstance(made, Volume) and made.grid == v.grid and not made.extras
+        np.testing.assert_array_equal(made, apply(v.array, w.array))
+    for made in (2 * v, v * w.array, w.array * v, -v, np.exp(v)):
+        assert isinstance(made, Volume)
+    np.testing.assert_array_equal(1 - v, 1 - v.array)
+    assert type(v > 0.5) is np.ndarray and (v > 0.5).dtype == bool
+    assert type(v + np.zeros((5, 1, 1, 1))) is np.ndarray
+    assert np.sum(v) == v.array.sum() and np.add.reduce(v, axis=0).shape == (3, 4)
+    assert v == v and v != w and len({v, w}) == 2
+    with pytest.raises(TypeError):
+        np.add(v, 1, out=w)
+
+
+def test_volumes_on_different_grids_do_not_mix(pair, tmp_path) -> None:
+    v, w = pair
+    v.write(tmp_path / "v.nii")
+    assert isinstance(v - Volume.read(tmp_path / "v.nii"), Volume), "its grid was stored in float32"
+    place = w.grid.world_from_grid
+    for grid in (
+        VolumeGrid((2, 3, 4), (1.0, 2.0, 3.1), place),
+        VolumeGrid((2, 3, 4), (1.0, 2.0, 3.0), Pose.from_euler([0, 0, 0.01], [0, 0, 0]) @ place),
+        VolumeGrid((2, 3, 4), (1.0, 2.0, 3.0), place @ Pose.from_euler([0, 0, 0], [180, 0, 0])),
+    ):
+        with pytest.raises(InputError, match="different grids"):
+            v - Volume(w.array, grid)
+
+
+def test_copies_are_whole_and_locked(pair) -> None:
+    v, _ = pair
+    for made in (pickle.loads(pickle.dumps(v)), copy.copy(v), copy.deepcopy(v)):
+        np.testing.assert_array_equal(made, v)
+        assert made.grid == v.grid and made.extras == {"circle": 7}
+        assert not made.array.flags.writeable
+
+
+def test_files_are_named_by_text_and_end_as_nifti_does(pair, tmp_path) -> None:
+    v, _ = pair
+    for name in ("v.nii", "v.nii.gz"):
+        v.write(str(tmp_path / name))
+        np.testing.assert_array_equal(Volume.read(str(tmp_path / name)), v)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["v.nii", "v.nii.gz"]
+    for name in ("v.dcm", "v", "v.gz"):
+        with pytest.raises(InputError, match=rf"{name}: .* ends in \.nii, \.nii\.gz"):
+            v.write(tmp_path / name)
+
+
+def test_a_volume_is_shown_in_a_file(pair, tmp_path) -> None:
+    v, _ = pair
+    v.show(str(tmp_path / "v.png"))
+    assert (tmp_path / "v.png").read_bytes().startswith(b"\x89PNG")
+    assert v._repr_png_().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match=r"v\.xyz: a picture ends in one of .*\.png"):
+        v.show(tmp_path / "v.xyz")
+    with pytest.raises(InputError, match="no window .* name a file"):
+        v.show()

@@ -13,17 +13,28 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
 from twinct.files.nifti import read_nifti
-from twinct.files.writing import complete
+from twinct.files.pictures import show
+from twinct.files.writing import complete, storage_errors
 from twinct.geometry import Floats, Pose, VolumeGrid
+
+ENDINGS = ".nii", ".nii.gz"
+"""File names of a volume."""
+
+SAME_MM = 1e-3
+"""Two grids count as equal if no voxel centre differs by more: NIfTI stores a grid in float32."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Volume:
-    """Voxels and their grid; numpy accepts a volume as an array.
+class Volume(NDArrayOperatorsMixin):
+    """Voxels and their grid, used like an array: shape, indices, arithmetic, numpy's functions.
+
+    Arithmetic gives a volume on the same grid; comparisons and indices give arrays. Two volumes are
+    equal (``==``) only if they are one object.
 
     Attributes:
         array: (z, y, x), float32, read-only.
@@ -50,6 +61,72 @@ class Volume:
         object.__setattr__(self, "array", array)
         object.__setattr__(self, "extras", MappingProxyType(dict(self.extras)))
 
+    __eq__, __ne__, __hash__ = object.__eq__, object.__ne__, object.__hash__
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of voxels, (z, y, x)."""
+        return self.grid.shape
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes, 3."""
+        return self.array.ndim
+
+    @property
+    def dtype(self) -> np.dtype[np.float32]:
+        """Type of a voxel, float32."""
+        return self.array.dtype
+
+    def __len__(self) -> int:
+        """Return the number of slices along z."""
+        return len(self.array)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Return voxels as numpy does for the array (z, y, x)."""
+        return self.array[index]
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        """Apply a function of numpy to the voxels.
+
+        Raises:
+            InputError: the inputs are volumes on different grids.
+        """
+        if any(isinstance(one, Volume) for one in options.get("out", ())):
+            return NotImplemented  # the voxels of a volume never change
+        for other in inputs:
+            if isinstance(other, Volume):
+                self.require_grid(other.grid)
+        arrays = [one.array if isinstance(one, Volume) else one for one in inputs]
+        result = getattr(ufunc, method)(*arrays, **options)
+        return self._on_grid(result) if method == "__call__" else result
+
+    def _on_grid(self, result: Any) -> Any:
+        """Return numbers on this grid as a volume, and all other results as they are."""
+        if isinstance(result, tuple):
+            return tuple(self._on_grid(one) for one in result)  # type: ignore[reportUnknownVariableType]
+        if getattr(result, "shape", None) == self.shape and result.dtype.kind in "fiu":
+            return Volume(result, self.grid)
+        return result
+
+    def require_grid(self, grid: VolumeGrid) -> None:
+        """Check that another grid has the same voxels, to ``SAME_MM``.
+
+        Raises:
+            InputError: the grids differ.
+        """
+        if self.grid == grid:
+            return
+        ends = np.array([[0, 0, 0, 1], [*(np.array(self.grid.shape_xyz) - 1), 1]], np.float64)
+        if self.shape != grid.shape or (
+            np.abs(ends @ (self.grid.affine - grid.affine).T).max() > SAME_MM
+        ):
+            raise InputError(f"two volumes have different grids: {self.grid} and {grid}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy array, grid and extras."""
+        return Volume, (self.array, self.grid, dict(self.extras))
+
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return the array, for numpy's functions."""
         return np.array(self.array, dtype=dtype, copy=copy)
@@ -62,14 +139,28 @@ class Volume:
         extras = f", extras {', '.join(self.extras)}" if self.extras else ""
         return f"Volume({voxels} voxels of {edges} mm, {values}{extras})"
 
+    def show(self, path: str | Path | None = None) -> None:
+        """Show the three sections through the grid's middle.
+
+        Args:
+            path: file for the picture, such as ``volume.png``; None opens a window, or shows it in
+                the notebook.
+
+        Raises:
+            InputError: no path is given, and there is no window; or the file's ending is unknown.
+        """
+        show(self._draw, (10.4, 3.4), path)
+
     def _repr_png_(self) -> bytes:
-        """Return a PNG image of the three sections through the grid's middle, for a notebook."""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        """Return a PNG image of the three sections, for a notebook."""
+        picture = io.BytesIO()
+        show(self._draw, (10.4, 3.4), picture)
+        return picture.getvalue()
+
+    def _draw(self, figure: Any) -> None:
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
-        from matplotlib.figure import Figure
 
-        figure: Any = Figure(figsize=(10.4, 3.4), layout="constrained")
         x, y, z = self.grid.axes()
         nz, ny, nx = (n // 2 for n in self.grid.shape)
         greys = ScalarMappable(
@@ -86,30 +177,35 @@ class Volume:
             extent = (*_borders(along), *_borders(upwards))
             axes.imshow(section, cmap="gray", norm=greys.norm, origin="lower", extent=extent)
             axes.set(title=f"{name} = {at:.4g} mm", xlabel=f"{across} / mm", ylabel=f"{up} / mm")
-        figure.colorbar(greys, ax=figure.axes, shrink=0.8)
-        picture = io.BytesIO()
-        canvas: Any = FigureCanvasAgg(figure)
-        canvas.print_png(picture)
-        return picture.getvalue()
+        figure.colorbar(greys, ax=figure.axes, shrink=0.8, label="attenuation / mm⁻¹")
 
-    def write(self, path: Path, note: str = "") -> None:
+    def write(self, path: str | Path, note: str = "") -> None:
         """Write a NIfTI file, which appears under its name only when it is complete.
 
         The header's description holds at most 79 bytes of the note.
+
+        Raises:
+            InputError: the path does not end in ``.nii`` or ``.nii.gz``.
+            StorageError: the file cannot be written.
         """
         import nibabel
 
+        path = Path(path)
+        if not path.name.lower().endswith(ENDINGS):
+            raise InputError(
+                f"{path}: a volume is written as NIfTI: the name ends in .nii, .nii.gz"
+            )
         affine = self.grid.affine
         image: Any = nibabel.Nifti1Image(self.array.T, affine, dtype=self.array.dtype)  # type: ignore[no-untyped-call]
         image.header.set_xyzt_units("mm")
         image.header["descrip"] = note.encode()[:79]
         image.set_qform(affine, code="scanner")
         image.set_sform(affine, code="scanner")
-        with complete(path) as draft:
+        with storage_errors(path), complete(path) as draft:
             image.to_filename(draft)
 
     @classmethod
-    def read(cls, path: Path) -> Volume:
+    def read(cls, path: str | Path) -> Volume:
         """Read a file written by ``write``; its header stores the grid in float32.
 
         Returns:
@@ -118,7 +214,7 @@ class Volume:
         Raises:
             InputError: the file is not readable as NIfTI, or has no voxel grid.
         """
-        voxels, image = read_nifti(path, f"{path}: not a readable NIfTI volume: it")
+        voxels, image = read_nifti(Path(path), f"{path}: not a readable NIfTI volume: it")
         try:
             note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")
             array = voxels.T

@@ -29,7 +29,9 @@ def complete(path: Path) -> Iterator[Path]:
 
 def draft_of(path: Path) -> Path:
     """Return the name of a file until it is complete; libraries need the same suffix."""
-    return path.with_name(f".{path.name}.partial{path.suffix}")
+    compressed = path.suffix.lower() == ".gz"
+    suffix = "".join(path.suffixes[-2:]) if compressed else path.suffix
+    return path.with_name(f".{path.name}.partial{suffix}")
 
 
 def write_text(path: Path, text: str) -> None:
