@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from twinct.calibration import PARAMETERS, aligned, calibrated, calibrated_view, moved
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.geometry import ScanGeometry
 from twinct.runs import simulate
 from twinct.runs.calibrating import phantom_of

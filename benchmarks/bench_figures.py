@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from twinct.evaluate import (
+from twinct.evaluation import (
     edge_width,
     image_figures,
     region_depth,

@@ -33,7 +33,7 @@ from bench_metal import SCREWS, away, screws, without_screws
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.observers import IterationDone, Observer
 from twinct.planning import best_parameters
 from twinct.runs import acquire_to_store, reconstruct

@@ -30,7 +30,7 @@ import numpy as np
 from bench_planned_dose import prior
 from numpy.typing import NDArray
 
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.pool import LocalPool
 from twinct.progress import SILENT
 from twinct.runs import acquire_to_store, reconstruct

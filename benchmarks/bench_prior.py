@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from twinct.evaluate import image_figures
+from twinct.evaluation import image_figures
 from twinct.geometry import Pose
 from twinct.runs import acquire_to_store, reconstruct, truth_of
 from twinct.scan import Scan, Workshop, local_rig

@@ -19,7 +19,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from twinct.evaluate import edge_width, image_figures, region_of_interest
+from twinct.evaluation import edge_width, image_figures, region_of_interest
 from twinct.recon import (
     Projector,
     cgls,

@@ -34,7 +34,7 @@ import numba
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, ScanGeometry, VolumeGrid
 from twinct.recon import Projector, rtk_sart, sart, spread_order
 

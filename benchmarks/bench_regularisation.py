@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.evaluate import image_figures, region_of_interest
+from twinct.evaluation import image_figures, region_of_interest
 from twinct.geometry import VolumeGrid
 from twinct.recon import Projector, fista_tv, sart
 from twinct.scan import Workshop

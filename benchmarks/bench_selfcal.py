@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from twinct.calibration import PosePrior, Round, aligned, moved, self_calibrated
-from twinct.evaluate import image_figures, region_of_interest
+from twinct.evaluation import image_figures, region_of_interest
 from twinct.geometry import Pose, ScanGeometry
 from twinct.recon import Projector, sart
 from twinct.runs import simulate

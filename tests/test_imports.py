@@ -19,7 +19,7 @@ MODULES = (
     "twinct.ctsimu",
     "twinct.ctsimu.export",
     "twinct.ctsimu.suite",
-    "twinct.evaluate",
+    "twinct.evaluation",
     "twinct.exchange",
     "twinct.extras",
     "twinct.gantry",

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from twinct.evaluate import image_figures, region_of_interest
+from twinct.evaluation import image_figures, region_of_interest
 from twinct.geometry import ScanGeometry
 from twinct.recon import (
     Projector,

@@ -8,10 +8,11 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from twinct import renamed
 from twinct.version import __version__
 
 if TYPE_CHECKING:
-    from twinct.runs import compare, load_scan, needs, reconstruct, run, simulate
+    from twinct.runs import compare, evaluate, load_scan, needs, reconstruct, run, simulate
     from twinct.scenario import load_scenario
     from twinct.study import load_results, run_study
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "__version__",
     "compare",
+    "evaluate",
     "load_results",
     "load_scan",
     "load_scenario",
@@ -41,6 +43,9 @@ def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'twinct' has no attribute {name!r}")
+
+
+renamed.install(__name__)
 
 
 def __dir__() -> list[str]:

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse.linalg import LinearOperator, cg
 
 from twinct.errors import InputError
-from twinct.evaluate import detectability
+from twinct.evaluation import detectability
 from twinct.geometry import Panel, VolumeGrid
 from twinct.planning import Detectability, Task, detectability_of
 from twinct.planning.detectability import difference_spectrum

@@ -5,7 +5,7 @@ import pytest
 from skimage.restoration import denoise_tv_chambolle
 
 from twinct.errors import InputError
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart
 from twinct.recon.algorithms import BUILT_IN

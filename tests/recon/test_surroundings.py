@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twinct.errors import InputError
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, cgls, sart, without_surroundings
 from twinct.recon.resolution import interpolated

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from twinct.evaluate import image_figures, pose_errors
+from twinct.evaluation import image_figures, pose_errors
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.report import ReportData, build_metrics, cross_sections
 from twinct.scenario import parse_scenario, stage_digests

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from twinct.evaluate import ArmErrors, ImageFigures, PoseErrors
+from twinct.evaluation import ArmErrors, ImageFigures, PoseErrors
 from twinct.report import build_metrics, plain
 
 ERRORS = PoseErrors(

@@ -11,7 +11,7 @@ import pytest
 from twinct import run, simulate
 from twinct.cli import run_command
 from twinct.errors import CalibrationError, InputError
-from twinct.evaluate import pose_errors
+from twinct.evaluation import pose_errors
 from twinct.runs import load_scan
 from twinct.runs.kinematics import apply_kinematics, calibrate_kinematics
 from twinct.runs.propagating import errors_of

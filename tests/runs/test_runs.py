@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twinct.errors import InputError, MemoryShortageError
-from twinct.evaluate import pose_errors
+from twinct.evaluation import pose_errors
 from twinct.geometry import Pose
 from twinct.recon import Projector, cgls, fista_tv, os_sart, random_order, sart, sirt
 from twinct.runs import (

@@ -12,7 +12,7 @@ import pytest
 from twinct import run, simulate
 from twinct.cli import run_command
 from twinct.errors import InputError
-from twinct.evaluate import pose_errors, reprojection_px
+from twinct.evaluation import pose_errors, reprojection_px
 from twinct.runs import Run
 from twinct.runs.propagating import errors_of
 from twinct.scan import ScanStore, Workshop

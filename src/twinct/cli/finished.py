@@ -186,7 +186,7 @@ def geometry(
         set_: Keys of uncertainty, such as --set uncertainty.seed=3.
     """
     from twinct.errors import InputError
-    from twinct.evaluate import pose_errors
+    from twinct.evaluation import pose_errors
     from twinct.runs import derive_geometry, load_scan
     from twinct.scan import OWN
 

@@ -20,7 +20,7 @@ from mpl_toolkits.mplot3d import proj3d
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from twinct.evaluate import PoseErrors
+from twinct.evaluation import PoseErrors
 from twinct.geometry import Floats, Panel
 from twinct.report.data import CrossSection
 from twinct.report.style import (

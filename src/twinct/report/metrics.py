@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.evaluate import ImageFigures, PoseErrors
+from twinct.evaluation import ImageFigures, PoseErrors
 from twinct.version import __version__
 
 STAGES = ("plan", "motion", "xray", "reconstruction", "total")

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twinct.evaluate import DEPTHS_MM, depth_names, pose_errors
+from twinct.evaluation import DEPTHS_MM, depth_names, pose_errors
 from twinct.files.writing import write_text
 from twinct.report.data import ReportData
 from twinct.report.found import with_found

@@ -15,9 +15,10 @@ from twinct.runs.importing import import_scan
 from twinct.runs.job import Run, report_again, run
 from twinct.runs.kept import Reconstruction
 from twinct.runs.needs import Need, needs, require_memory
-from twinct.runs.reporting import Truth, judge, truth_of
+from twinct.runs.reporting import Truth, evaluate, judge, truth_of
 from twinct.runs.verify import Verdict, verify
-from twinct.runs.volumes import line_integrals, reconstruct, require_feasible
+from twinct.runs.volumes import reconstruct, require_feasible
+from twinct.scan import line_integrals
 
 __all__ = [
     "Folder",
@@ -32,6 +33,7 @@ __all__ = [
     "check_sight",
     "compare",
     "derive_geometry",
+    "evaluate",
     "findings",
     "import_scan",
     "judge",

@@ -31,8 +31,8 @@ from twinct.geometry import Floats, VolumeGrid
 from twinct.observers import Audience, Observers, audience_of
 from twinct.runs.again import load_scan
 from twinct.runs.folder import Folder
-from twinct.runs.volumes import line_integrals
 from twinct.scan import OWN, NamedGeometry, Scan, checked_name
+from twinct.scan.integrals import line_integrals
 from twinct.scan.named import poses_digest
 from twinct.scenario import BallHelix, FileSpread, GaussianSpread, Scenario
 from twinct.specimen.balls import nominal_centres

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from twinct.errors import InputError, MissingExtraError, TrajectoryError
-from twinct.evaluate import sight
+from twinct.evaluation import sight
 from twinct.extras import require
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twinct.errors import InputError
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.geometry import VolumeGrid
 from twinct.observers import Observers, audience_of
 from twinct.report import Compared, Comparison, CrossSection, plain, with_found

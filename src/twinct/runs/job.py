@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twinct.cell import check_drawing
 from twinct.errors import InputError
-from twinct.evaluate import ImageFigures
+from twinct.evaluation import ImageFigures
 from twinct.files.lock import sole_owner
 from twinct.files.plain_yaml import read_file
 from twinct.files.writing import storage_errors, write_text

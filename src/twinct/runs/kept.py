@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from twinct.errors import InputError
-from twinct.evaluate import ImageFigures
+from twinct.evaluation import ImageFigures
 from twinct.files.plain_json import read_json
 from twinct.files.writing import write_json
 from twinct.report import CrossSection, plain, with_found

@@ -11,7 +11,7 @@ import numpy as np
 
 from twinct import scenario
 from twinct.errors import InputError
-from twinct.evaluate import (
+from twinct.evaluation import (
     Mtf,
     Nps,
     Voxels,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import MissingExtraError
-from twinct.evaluate import (
+from twinct.evaluation import (
     Edges,
     ImageFigures,
     RegionDepth,
@@ -91,12 +91,20 @@ class Truth:
         Volume(self.volume, self.grid).write(path, "twinct truth, 1/mm")
 
 
-def truth_of(scan: Scan, workshop: Workshop, audience: Audience | None = None) -> Truth:
-    """Compute the true volume of a scan, with the specimen's true pose, and its region."""
+def truth_of(
+    scan: Scan,
+    workshop: Workshop,
+    audience: Audience | None = None,
+    grid: VolumeGrid | None = None,
+) -> Truth:
+    """Compute the true volume of a scan, with the specimen's true pose, and its region.
+
+    The grid is the scenario's if none is given.
+    """
     from twinct.xray.build import effective_energy_kev
 
     scenario = scan.scenario
-    grid = scenario.reconstruction.volume_grid
+    grid = grid or scenario.reconstruction.volume_grid
     energy = effective_energy_kev(scenario.source, scenario.detector)
     with (audience or Audience()).stage("truth", 2) as step:
         volume = workshop.specimen.truth(grid, energy, scan.stands)
@@ -115,7 +123,8 @@ def judge(
     The section refers to parts of the specimen, which is built if it is needed and not given.
     """
     scenario, array = scan.scenario, volume.array
-    grid, mu = scenario.reconstruction.volume_grid, truth.mu_reference
+    grid, mu = truth.grid, truth.mu_reference
+    volume.require_grid(grid)
     figures = image_figures(array, truth.volume, truth.region, mu, grid)
     further: dict[str, Any] = {
         "edge_width_mm": truth.edges.width(array),
@@ -125,6 +134,26 @@ def judge(
         built = specimen or build_specimen(scenario.specimen)
         further |= Places(scenario, built, scan.stands, grid).figures(array, truth.volume, mu)
     return replace(figures, further=further)
+
+
+def evaluate(scan: Scan, volume: Volume, truth: Truth | None = None) -> ImageFigures:
+    """Compute the figures of merit of a volume against the true specimen of its scan.
+
+    Args:
+        scan: projections, executed poses and scenario.
+        volume: a reconstruction, 1/mm, on any grid.
+        truth: the truth on the volume's grid, if it was computed before (``truth_of``).
+
+    Returns:
+        The figures; ``as_dict()`` has those that ``metrics.json`` lists, also those that the
+        scenario's section ``evaluation`` requests.
+
+    Raises:
+        InputError: volume and truth have different grids.
+    """
+    workshop = Workshop(scan.scenario)
+    truth = truth or truth_of(scan, workshop, grid=volume.grid)
+    return judge(scan, volume, truth, workshop.specimen if scan.scenario.evaluation else None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from twinct.progress import Progress
 from twinct.recon import Projector, registered
 from twinct.runs.again import load_scan
 from twinct.runs.view_goals import Patient
-from twinct.runs.volumes import line_integrals
 from twinct.scan import Workshop
+from twinct.scan.integrals import line_integrals
 from twinct.scenario import Scenario
 from twinct.xray.build import effective_energy_kev
 

@@ -33,7 +33,7 @@ from twinct.recon.surroundings import check_margin, surroundings_bytes, without_
 from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.metal import metal_replaced, none_found
-from twinct.scan import Scan
+from twinct.scan import Scan, line_integrals
 from twinct.scenario import (
     SECTIONS,
     KnownImplants,
@@ -46,17 +46,6 @@ from twinct.scenario import (
 from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
-
-DARKEST = 1e-7
-"""Lower limit of the transmission, which keeps line integrals finite (at most 16.1)."""
-
-
-def line_integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return -ln(I/I0) of each pixel, float32, of the same shape."""
-    darkest = np.float32(DARKEST)
-    integrals = np.maximum(transmission, darkest)
-    np.log(integrals, out=integrals)
-    return np.negative(integrals, out=integrals)
 
 
 def reconstruct(

@@ -3,6 +3,7 @@
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.data import Scan, View, reported
 from twinct.scan.findings import frame_damage, unknown_files, view_damage
+from twinct.scan.integrals import line_integrals
 from twinct.scan.layout import write_frame
 from twinct.scan.named import OWN, RELATIVE, NamedGeometry, checked_name, named_geometries
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
@@ -26,6 +27,7 @@ __all__ = [
     "check_space",
     "checked_name",
     "frame_damage",
+    "line_integrals",
     "local_rig",
     "named_geometries",
     "reported",

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.errors import InputError
-from twinct.geometry import Pose
+from twinct.files.pictures import show
+from twinct.geometry import Pose, ScanGeometry
+from twinct.scan.integrals import line_integrals
 from twinct.scan.named import OWN, RELATIVE, NamedGeometry, poses_digest
 from twinct.scan.told import evidence_of, seen_from
 from twinct.scenario import Scenario, Uncertainty
@@ -182,6 +185,70 @@ class Scan:
         if which not in self.derived:
             raise InputError(f"geometry {which!r} is none of {', '.join((*OWN, *self.derived))}")
         return self.derived[which].poses
+
+    def geometry(self, which: str = "believed") -> ScanGeometry:
+        """Return the geometry of a set of poses with the scenario's panel; see ``poses``.
+
+        Raises:
+            InputError: there is no geometry of this name, or its poses form none.
+        """
+        return self.poses(which).geometry(self.scenario.detector.panel)
+
+    def line_integrals(self) -> NDArray[np.float32]:
+        """Return -ln(I/I0) of all images, (views, rows, columns), float32."""
+        return line_integrals(self.transmission)
+
+    def show(self, path: str | Path | None = None, views: Sequence[int] | None = None) -> None:
+        """Show projections as line integrals in one grey window, seen from the source.
+
+        Args:
+            path: file for the picture, such as ``scan.png``; None opens a window, or shows it in
+                the notebook.
+            views: which ones, at most 12; four spread over the scan if not given.
+
+        Raises:
+            InputError: there is no such view; no path is given, and there is no window.
+        """
+        shown = np.linspace(0, len(self) - 1, min(4, len(self))).round() if views is None else views
+        chosen = [int(view) for view in shown]
+        if not 1 <= len(chosen) <= MOST_SHOWN or not all(0 <= v < len(self) for v in chosen):
+            raise InputError(
+                f"views {chosen}: 1 to {MOST_SHOWN} of the scan's views 0 to {len(self) - 1} needed"
+            )
+        panel = self.scenario.detector.panel
+        images = line_integrals(self.transmission[chosen])
+        columns = min(4, len(chosen))
+        rows = -(-len(chosen) // columns)
+        width, height = panel.size_mm
+        size = 10.4, rows * (2.4 * height / width + 0.4) + 0.3
+        show(partial(_draw, chosen, images, (rows, columns), (width, height)), size, path)
+
+
+MOST_SHOWN = 12
+"""Largest number of projections in one picture."""
+
+
+def _draw(
+    views: Sequence[int],
+    images: NDArray[np.float32],
+    grid: tuple[int, int],
+    size_mm: tuple[float, float],
+    figure: Any,
+) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    norm = Normalize(0, max(float(np.percentile(images, 99.9)), 1e-6))
+    width, height = size_mm
+    extent = (-width / 2, width / 2, -height / 2, height / 2)
+    everywhere = figure.subplots(*grid, squeeze=False, sharex=True, sharey=True)
+    for axes in everywhere.flat[len(views) :]:
+        axes.set_visible(False)
+    for axes, view, image in zip(everywhere.flat, views, images, strict=False):
+        axes.imshow(image, cmap="gray", norm=norm, origin="lower", extent=extent)
+        axes.set(title=f"view {view}", xlabel="u / mm", ylabel="v / mm")
+        axes.label_outer()
+    figure.colorbar(ScalarMappable(norm, "gray"), ax=everywhere, label="line integral, −ln(I / I₀)")
 
 
 def bad_pixels_of(scenario: Scenario) -> NDArray[np.bool_] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from twinct.evaluate import depth_names
+from twinct.evaluation import depth_names
 from twinct.runs.named import named_figures
 from twinct.scenario import Scenario
 

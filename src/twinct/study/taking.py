@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from twinct.errors import DamagedError, TwinctError
-from twinct.evaluate import ImageFigures, region_of_interest
+from twinct.evaluation import ImageFigures, region_of_interest
 from twinct.observers import Audience
 from twinct.pool import Made, Place
 from twinct.pool.parcel import Here, remove

@@ -5,7 +5,7 @@ from __future__ import annotations
 import trimesh
 
 from twinct.errors import TrajectoryError
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.extras import require
 from twinct.geometry import VolumeGrid
 from twinct.reach import Holder, Poses

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.evaluate import pose_errors
+from twinct.evaluation import pose_errors
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.motion import MotionPlan
 from twinct.scenario import Scenario

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.evaluate import sight
+from twinct.evaluation import sight
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.trajectory import CircleTrajectory, commanded_views
 

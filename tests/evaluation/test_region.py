@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from twinct.evaluate import region_of_interest
+from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 
 

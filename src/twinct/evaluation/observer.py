@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.evaluate.nps import frequencies
+from twinct.evaluation.nps import frequencies
 from twinct.geometry import Floats
 
 Radial = Callable[[Floats], ArrayLike]

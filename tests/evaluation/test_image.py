@@ -8,9 +8,9 @@ import pytest
 from scipy import ndimage
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-import twinct.evaluate.image
+import twinct.evaluation.image
 from twinct.errors import InputError, TwinctError
-from twinct.evaluate import ImageFigures, image_figures
+from twinct.evaluation import ImageFigures, image_figures
 from twinct.geometry import VolumeGrid
 
 MU = 0.043
@@ -182,7 +182,7 @@ def test_slabs_do_not_show(monkeypatch):
     volume, truth, roi = scene((30, 21, 26))
     grid = VolumeGrid(truth.shape, 1.0)
     many = image_figures(volume, truth, roi, MU, grid)
-    monkeypatch.setattr(twinct.evaluate.image, "SLAB_PLANES", 1000)
+    monkeypatch.setattr(twinct.evaluation.image, "SLAB_PLANES", 1000)
     one = image_figures(volume, truth, roi, MU, grid)
     assert flat(many) == pytest.approx(flat(one), rel=1e-6)
 

@@ -1,23 +1,23 @@
 """Evaluation: the region that every view sees, the image in it, and the arms' accuracy."""
 
-from twinct.evaluate.contrast import Contrast, contrast
-from twinct.evaluate.depth import (
+from twinct.evaluation.contrast import Contrast, contrast
+from twinct.evaluation.depth import (
     DEPTHS_MM,
     RegionDepth,
     depth_names,
     region_depth,
     rmse_by_depth,
 )
-from twinct.evaluate.edges import Edges, edge_width, edges_of
-from twinct.evaluate.image import ImageFigures, image_figures
-from twinct.evaluate.mtf import Mtf, edge_mtf, edge_reach
-from twinct.evaluate.nps import Nps, detrended, noise_power_spectrum
-from twinct.evaluate.observer import detectability
-from twinct.evaluate.places import Voxels, ball, centres, cuboid, cylinder, part_of, shell
-from twinct.evaluate.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
-from twinct.evaluate.region import region_of_interest
-from twinct.evaluate.sight import Sight, sight
-from twinct.evaluate.streaks import around_axis, streak_index
+from twinct.evaluation.edges import Edges, edge_width, edges_of
+from twinct.evaluation.image import ImageFigures, image_figures
+from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
+from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
+from twinct.evaluation.observer import detectability
+from twinct.evaluation.places import Voxels, ball, centres, cuboid, cylinder, part_of, shell
+from twinct.evaluation.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
+from twinct.evaluation.region import region_of_interest
+from twinct.evaluation.sight import Sight, sight
+from twinct.evaluation.streaks import around_axis, streak_index
 
 __all__ = [
     "DEPTHS_MM",

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from twinct.evaluate.streaks import around_axis, streak_index
+from twinct.evaluation.streaks import around_axis, streak_index
 from twinct.geometry import Pose
 
 

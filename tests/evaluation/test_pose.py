@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from twinct.evaluate import pose_errors, tool_speeds
+from twinct.evaluation import pose_errors, tool_speeds
 from twinct.geometry import Pose
 from twinct.views import PosePairs
 

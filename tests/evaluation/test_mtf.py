@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from twinct.errors import InputError
-from twinct.evaluate.mtf import Mtf, edge_mtf
+from twinct.evaluation.mtf import Mtf, edge_mtf
 
 MTF_TOLERANCE = 0.03
 """Asked for, down to an MTF of 0.1."""

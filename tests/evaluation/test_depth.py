@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from twinct.evaluate.depth import RegionDepth, depth_names, region_depth, rmse_by_depth
-from twinct.evaluate.region import region_of_interest
+from twinct.evaluation.depth import RegionDepth, depth_names, region_depth, rmse_by_depth
+from twinct.evaluation.region import region_of_interest
 from twinct.geometry import Panel, Pose, VolumeGrid
 
 PANEL = Panel(24, 32, 10.0, 10.0)

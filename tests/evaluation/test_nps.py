@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twinct.evaluate.nps import Nps, detrended, noise_power_spectrum
+from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
 
 VOXEL = (0.8, 0.5, 0.5)
 SIGMA = 0.3

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from twinct.evaluate.contrast import contrast
-from twinct.evaluate.nps import Nps, noise_power_spectrum
-from twinct.evaluate.observer import detectability
+from twinct.evaluation.contrast import contrast
+from twinct.evaluation.nps import Nps, noise_power_spectrum
+from twinct.evaluation.observer import detectability
 
 SIGMA, HEIGHT, PIXEL = 0.2, 0.5, (0.4, 0.4)
 

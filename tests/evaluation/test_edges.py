@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from twinct.evaluate.edges import edge_width
+from twinct.evaluation.edges import edge_width
 from twinct.geometry import VolumeGrid
 
 MU = 0.043

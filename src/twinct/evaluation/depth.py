@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.evaluate.region import half_spaces
+from twinct.evaluation.region import half_spaces
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
 DEPTHS_MM = (5.0, 10.0, 20.0, 40.0)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.errors import InputError, TwinctError
-from twinct.evaluate.similarity import WINDOW, similarities, whole_windows
+from twinct.evaluation.similarity import WINDOW, similarities, whole_windows
 from twinct.geometry import VolumeGrid
 from twinct.threads import threads
 

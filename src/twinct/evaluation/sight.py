@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.evaluate.region import region_of_interest
+from twinct.evaluation.region import region_of_interest
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
 COARSE_VOXELS = 48

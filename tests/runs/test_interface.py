@@ -1,0 +1,84 @@
+"""The first lines of a notebook: a scan, its geometry and images, a volume and its figures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twinct
+from twinct.errors import InputError
+from twinct.runs import Run, truth_of
+from twinct.scan import Workshop
+
+
+def test_a_scan_gives_its_geometry_and_line_integrals(finished: Run) -> None:
+    scan = finished.scan
+    panel = scan.scenario.detector.panel
+    for which in ("commanded", "executed", "believed"):
+        np.testing.assert_array_equal(
+            scan.geometry(which).source, scan.poses(which).geometry(panel).source
+        )
+    assert not np.array_equal(scan.geometry().source, scan.geometry("executed").source)
+    np.testing.assert_array_equal(scan.geometry().source, scan.geometry("believed").source)
+    with pytest.raises(InputError, match="'measured' is none of commanded, executed, believed"):
+        scan.geometry("measured")
+    np.testing.assert_allclose(np.exp(-scan.line_integrals()), scan.transmission, rtol=1e-5)
+
+
+def test_a_scan_is_shown_in_a_file(finished: Run, tmp_path: Path) -> None:
+    finished.scan.show(str(tmp_path / "some.png"))
+    finished.scan.show(tmp_path / "two.png", views=[0, 9])
+    sizes = [(tmp_path / name).stat().st_size for name in ("some.png", "two.png")]
+    assert sizes[0] > sizes[1] > 5000
+    for views in ([10], [-1], [], list(range(10)) * 2):
+        with pytest.raises(InputError, match=r"1 to 12 of the scan's views 0 to 9"):
+            finished.scan.show(tmp_path / "none.png", views=views)
+
+
+def test_a_volume_is_evaluated_as_the_run_evaluated_it(finished: Run) -> None:
+    figures = twinct.evaluate(finished.scan, finished.volume)
+    told = finished.figures["image"]
+    assert figures.rmse_rel == pytest.approx(told["rmse_rel"], rel=1e-6)
+    assert figures.ssim == pytest.approx(told["ssim"], rel=1e-6)
+    assert figures.further["edge_width_mm"] == pytest.approx(told["edge_width_mm"], rel=1e-6)
+
+
+def test_a_volume_is_evaluated_on_its_own_grid(finished: Run) -> None:
+    scan = finished.scan
+    fine = twinct.reconstruct(scan, grid={"voxels": 27, "voxel_mm": 6}, iterations=1)
+    figures = twinct.evaluate(scan, fine)
+    assert 0 < figures.rmse_rel < figures.zero["rmse_rel"]
+    truth = truth_of(scan, Workshop(scan.scenario))
+    with pytest.raises(InputError, match="different grids"):
+        twinct.evaluate(scan, fine, truth)
+
+
+OLD = """
+import warnings
+import twinct
+warnings.simplefilter("error", DeprecationWarning)
+try:
+    import twinct.evaluate
+except DeprecationWarning as warning:
+    print(warning)
+warnings.simplefilter("ignore")
+from twinct.evaluate import ImageFigures
+from twinct.evaluate.image import ImageFigures as again
+from twinct.evaluation import ImageFigures as new
+print(ImageFigures is new is again, new.__module__)
+print(twinct.evaluate.__name__, callable(twinct.evaluate))
+"""
+
+
+@pytest.mark.process
+def test_old_names_of_modules_import_with_a_warning() -> None:
+    result = subprocess.run([sys.executable, "-c", OLD], capture_output=True, text=True)
+    assert result.stdout.splitlines() == [
+        "twinct.evaluate is now twinct.evaluation",
+        "True twinct.evaluation.image",
+        "evaluate True",
+    ], result.stderr
