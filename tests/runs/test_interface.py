@@ -11,8 +11,10 @@ import pytest
 
 import twinct
 from twinct.errors import InputError
+from twinct.recon import Projector
 from twinct.runs import Run, truth_of
 from twinct.scan import Workshop
+from twinct.volume import Volume
 
 
 def test_a_scan_gives_its_geometry_and_line_integrals(finished: Run) -> None:
@@ -55,6 +57,38 @@ def test_a_volume_is_evaluated_on_its_own_grid(finished: Run) -> None:
     truth = truth_of(scan, Workshop(scan.scenario))
     with pytest.raises(InputError, match="different grids"):
         twinct.evaluate(scan, fine, truth)
+
+
+def test_a_function_is_an_algorithm(finished: Run) -> None:
+    scan, seen = finished.scan, []
+
+    def landweber(A, y):
+        seen.append((A.geometry, y))
+        return A.T(y) / 1e4
+
+    volume = twinct.reconstruct(scan, algorithm=landweber, geometry="executed")
+    ((geometry, y),) = seen
+    np.testing.assert_array_equal(geometry.source, scan.geometry("executed").source)
+    np.testing.assert_array_equal(y, scan.line_integrals())
+    assert volume.grid == scan.scenario.reconstruction.volume_grid
+    A = Projector(geometry, volume.grid)
+    np.testing.assert_array_equal(volume, Volume(A.T(y) / 1e4, volume.grid))
+    for wrong in (lambda A, y: y, lambda A, y: None):
+        with pytest.raises(InputError, match="algorithm: the function returned"):
+            twinct.reconstruct(scan, algorithm=wrong)
+    with pytest.raises(InputError, match="function knows no mask"):
+        mask = np.ones(scan.transmission.shape[1:], bool)
+        twinct.reconstruct(scan, algorithm=landweber, mask=mask)
+
+
+def test_a_geometry_is_given_itself(finished: Run) -> None:
+    scan = finished.scan
+    np.testing.assert_array_equal(
+        twinct.reconstruct(scan, geometry=scan.geometry("executed")),
+        twinct.reconstruct(scan, geometry="executed"),
+    )
+    with pytest.raises(InputError, match=r"geometry: 5 views of .* the scan has 10 of"):
+        twinct.reconstruct(scan, geometry=scan.geometry()[:5])
 
 
 OLD = """

@@ -9,8 +9,9 @@ import math
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +22,7 @@ from twinct.files.plain_json import json_of
 from twinct.files.writing import complete, storage_errors
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.observers import Audience, IterationDone, Observers, audience_of
-from twinct.recon.algorithm import Problem
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.algorithms import algorithms
 from twinct.recon.engine import asked_for
 from twinct.recon.known import implant_bytes
@@ -48,11 +49,15 @@ from twinct.volume import Volume
 log = logging.getLogger(__name__)
 
 
+Function = Callable[[Projector, NDArray[np.float32]], ArrayLike]
+"""``f(A, y)``: from the projector and line integrals to a volume (z, y, x), 1/mm."""
+
+
 def reconstruct(
     scan: Scan,
     *,
-    algorithm: str | None = None,
-    geometry: str | None = None,
+    algorithm: str | Function | None = None,
+    geometry: str | ScanGeometry | None = None,
     mask: ArrayLike | None = None,
     checkpoints: Path | None = None,
     watch: Callable[[int, float], None] | None = None,
@@ -63,9 +68,11 @@ def reconstruct(
 
     Args:
         scan: projections and poses.
-        algorithm: replaces the scenario's algorithm, and inherits the keys that both have.
-        geometry: ``commanded``, ``executed``, ``believed`` or the name of a derived geometry;
-            None: the scenario's first.
+        algorithm: replaces the scenario's algorithm, and inherits the keys that both have. Also a
+            function ``f(A, y)`` of the projector and the line integrals (views, rows, columns),
+            corrected as the scenario states, that returns the volume (z, y, x).
+        geometry: ``commanded``, ``executed``, ``believed`` or the name of a derived geometry, or a
+            geometry itself; None: the scenario's first.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool. Bad pixels
             never count, unless the algorithm supports no mask.
         checkpoints: folder for a checkpoint of each iteration. A later call with the same
@@ -85,10 +92,36 @@ def reconstruct(
         InputError: the algorithm does not support the scan or the mask, the poses form no valid
             geometry, or the memory is too small.
     """
-    if algorithm is not None or settings:
-        scan = replace(scan, scenario=_otherwise(scan.scenario, algorithm, settings))
+    function = algorithm if callable(algorithm) else None
+    name = _BARE if function else cast("str | None", algorithm)
+    if name is not None or settings:
+        scan = replace(scan, scenario=_otherwise(scan.scenario, name, settings))
+    solver = algorithms()[scan.scenario.reconstruction.algorithm]
+    if function:
+        solver = Algorithm(_Bare, partial(_solved_by, function), volumes=1, masks=False)
     with audience_of(observers) as audience:
-        return _reconstruct(scan, geometry, mask, checkpoints, watch, audience)
+        return _reconstruct(scan, solver, geometry, mask, checkpoints, watch, audience)
+
+
+_BARE = "fdk"
+"""Algorithm without iterations, whose keys a function shares."""
+
+
+class _Bare(AlgorithmSettings):
+    """Settings of a function, which has none."""
+
+    algorithm: Literal["function"] = "function"
+
+
+def _solved_by(function: Function, problem: Problem, settings: AlgorithmSettings) -> Volume:
+    grid = problem.projector.grid
+    x = np.asarray(function(problem.projector, problem.line_integrals))
+    if x.shape != grid.shape or x.dtype.kind not in "fiu":
+        raise InputError(
+            f"algorithm: the function returned {x.dtype} of shape {x.shape}: the grid needs "
+            f"numbers of shape {grid.shape} (z, y, x)"
+        )
+    return Volume(x, grid)
 
 
 def _otherwise(scenario: Scenario, name: str | None, settings: dict[str, Any]) -> Scenario:
@@ -102,7 +135,8 @@ def _otherwise(scenario: Scenario, name: str | None, settings: dict[str, Any]) -
 
 def _reconstruct(
     scan: Scan,
-    geometry: str | None,
+    algorithm: Algorithm[Any],
+    geometry: str | ScanGeometry | None,
     mask: ArrayLike | None,
     checkpoints: Path | None,
     watch: Callable[[int, float], None] | None,
@@ -110,17 +144,14 @@ def _reconstruct(
 ) -> Volume:
     scenario = scan.scenario
     section = scenario.reconstruction
-    algorithm = algorithms()[section.algorithm]
-    which = geometry or section.geometries[0]
+    which = "given" if isinstance(geometry, ScanGeometry) else geometry or section.geometries[0]
     pixels = None if mask is None else np.asarray(mask)
     if pixels is not None and not algorithm.masks:
         raise InputError(f"{algorithm.name} knows no mask: leave it out, or take another algorithm")
     if algorithm.masks:
         pixels = _good_pixels(scan, pixels)
-    try:
-        poses = scan.poses(which).geometry(scenario.detector.panel)
-    except ValueError as error:
-        raise InputError(f"{which} poses: {error}") from None
+    poses = geometry if isinstance(geometry, ScanGeometry) else _poses(scan, which)
+    _require_fit(scan, poses)
     grid = section.volume_grid
     kept = _Checkpoints(None, "")
     if checkpoints is not None and algorithm.resumes:
@@ -143,7 +174,7 @@ def _reconstruct(
     else:
         integrals = hardening_corrected(scenario, integrals, A, pixels)
     if section.around is not None:
-        integrals = _grid_alone(A, integrals, section, pixels, audience)
+        integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
     if isinstance(section.metal, Nmar):
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
             metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
@@ -181,10 +212,27 @@ def _reconstruct(
     return metal.put_back(volume) if metal else volume
 
 
+def _poses(scan: Scan, which: str) -> ScanGeometry:
+    try:
+        return scan.geometry(which)
+    except ValueError as error:
+        raise InputError(f"{which} poses: {error}") from None
+
+
+def _require_fit(scan: Scan, geometry: ScanGeometry) -> None:
+    panel, images = geometry.panel.shape, scan.transmission.shape
+    if (len(geometry), *panel) != images:
+        raise InputError(
+            f"geometry: {len(geometry)} views of {panel} pixels; the scan has {images[0]} of "
+            f"{images[1:]}"
+        )
+
+
 def _grid_alone(
     A: Projector,
     integrals: NDArray[np.float32],
     section: Reconstruction,
+    algorithm: Algorithm[Any],
     pixels: NDArray[np.bool_] | None,
     audience: Audience,
 ) -> NDArray[np.float32]:
@@ -193,7 +241,7 @@ def _grid_alone(
     An algorithm with ``expects`` predicts the volume in the grid; the surroundings are then removed
     a second time, with this prediction.
     """
-    around, algorithm = section.around, algorithms()[section.algorithm]
+    around = section.around
     assert around is not None
 
     def alone(stage: str, expected: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
