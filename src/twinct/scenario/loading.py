@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import re
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,21 +18,20 @@ from twinct.files.boundary import no_file
 from twinct.files.plain_yaml import written
 from twinct.files.writing import write_text
 from twinct.scenario.messages import place, problems
-from twinct.scenario.reading import Draft, drafted, key_of, varied
+from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
 log = logging.getLogger(__name__)
 
 
-def load_scenario(
-    source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
-) -> Scenario:
+def load_scenario(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -> Scenario:
     """Read, extend, override and validate a scenario.
 
     Args:
         source: YAML file, whose key ``extends`` names the file it builds on, relative to itself; or
-            plain data, in which a ``path`` is relative to the working folder.
-        overrides: ``KEY=VALUE`` with a dotted key and a YAML value, as ``--set`` takes them.
+            a mapping, in which files are relative to the working folder.
+        overrides: values by dotted key, such as ``{"trajectory.views": 12}``; or ``KEY=VALUE``
+            texts, as ``--set`` takes them.
 
     Raises:
         ScenarioError: with one sentence for each problem, naming key, value and origin.
@@ -51,9 +50,7 @@ class Template:
     draft: Draft
 
     @classmethod
-    def read(
-        cls, source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
-    ) -> Template:
+    def read(cls, source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -> Template:
         """Read a scenario as ``load_scenario`` does; it may be incomplete."""
         return cls(drafted(source, overrides))
 
@@ -95,7 +92,7 @@ _MISSING = "does not exist"
 
 
 def write_scenario(
-    path: Path, source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
+    path: Path, source: str | Path | Mapping[str, Any], overrides: Overrides = ()
 ) -> None:
     """Write a scenario, together with the files it extends and its overrides, as one file.
 
@@ -106,7 +103,7 @@ def write_scenario(
 
 @contextmanager
 def named_places(
-    source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()
+    source: str | Path | Mapping[str, Any], overrides: Overrides = ()
 ) -> Generator[None, None, None]:
     """Add the origin of a key, file and line or override, to problems that begin with the key.
 

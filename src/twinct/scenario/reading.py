@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard
 
+import numpy as np
+
 from twinct.errors import ScenarioError
 from twinct.files.boundary import absolute, no_file, shortened
 from twinct.files.plain_yaml import Key, read_file, read_value
@@ -70,21 +72,40 @@ class Draft:
         return self.origin(max(keys, key=lambda key: order.get(key, -1)))
 
 
-def drafted(source: str | Path | Mapping[str, Any], overrides: Iterable[str] = ()) -> Draft:
-    """Return all keys that a scenario sets: its file, the files it extends, then overrides.
+Overrides = Iterable[str] | Mapping[str, Any]
+"""``KEY=VALUE`` texts, or values by dotted key."""
 
-    Plain data may take the place of the file.
+
+def drafted(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -> Draft:
+    """Merge a scenario file and the files it extends, or plain data, with overrides.
 
     Raises:
-        ScenarioError: an input cannot be read, or an override does not fit the data.
+        ScenarioError: a file cannot be read, or an override has no valid key.
     """
-    given = isinstance(source, Mapping)
-    draft = (
-        Draft(upgraded(_absolute_paths(dict(source), Path()))) if given else _read(Path(source), ())
-    )
-    for override in overrides:
-        _apply_override(draft, override)
+    if isinstance(source, Mapping):
+        own = Draft(_absolute_paths(_plain(source), Path()))
+        draft = _extended(own, Path(), ())
+    else:
+        draft = _read(Path(source), ())
+    if isinstance(overrides, Mapping):
+        for key, value in overrides.items():
+            name = key.rpartition(".")[2]
+            _apply(draft, key, _absolute_paths({name: _plain(value)}, Path())[name], "")
+    else:
+        for override in overrides:
+            _apply_override(draft, override)
     return draft
+
+
+def _plain(value: Any) -> Any:
+    """Return values of Python and numpy as the plain data that YAML holds."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return str(value) if isinstance(value, Path) else value
 
 
 def varied(draft: Draft, changes: Mapping[str, Any], places: Mapping[str, str]) -> Draft:
@@ -148,18 +169,23 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
         raise ScenarioError(f"{path}: extends itself: " + " -> ".join(p.name for p in chain))
     if len(chain) >= LONGEST_CHAIN:
         raise ScenarioError(f"{path}: the last of {LONGEST_CHAIN} files that extend one another")
-    own = read_yaml(path, "scenario")
+    return _extended(read_yaml(path, "scenario"), path.parent, (*chain, seen))
+
+
+def _extended(own: Draft, folder: Path, chain: tuple[Path, ...]) -> Draft:
+    """Merge a draft with the file that it extends, if any, relative to a folder."""
     own.data = upgraded(own.data)
     parent = own.data.pop("extends", None)
     if parent is None:
         return own
-    place = f"{own.origin(('extends',))}: extends: "
+    origin = own.origin(("extends",))
+    place = f"{origin}: extends: " if origin else "extends: "
     if not isinstance(parent, str):
         raise ScenarioError(f"{place}{shortened(repr(parent))} is not a file name")
-    if why := no_file(path.parent / parent):
-        none = f"no file at {path.parent / parent}"
+    if why := no_file(folder / parent):
+        none = f"no file at {folder / parent}"
         raise ScenarioError(f"{place}{none if why == 'does not exist' else f'{parent} {why}'}")
-    base = _read(path.parent / parent, (*chain, seen))
+    base = _read(folder / parent, chain)
     _merge(base, own.data, own.origins, ())
     return base
 
@@ -176,11 +202,11 @@ def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key)
             if all(value.get(tag, kind) == kind for tag, kind in kinds.items()):
                 _change_algorithm(base, inner, value.get("algorithm"))
                 _merge(base, value, origins, inner)
-                base.record({inner: origins[inner]})
+                base.record({inner: origins.get(inner, "")})
                 continue
         here[name] = value
         base.forget(inner)
-        base.record({k: v for k, v in origins.items() if k[: len(inner)] == inner})
+        base.record({inner: ""} | {k: v for k, v in origins.items() if k[: len(inner)] == inner})
 
 
 def _apply_override(draft: Draft, override: str) -> None:
@@ -195,18 +221,21 @@ def _apply_override(draft: Draft, override: str) -> None:
 
 
 def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
+    at = place or dotted
+    if not all(step.strip() for step in dotted.split(".")):
+        raise ScenarioError(f"{dotted!r}: expected a dotted key, such as detector.columns")
     key, steps = key_of(dotted), dotted.split(".")
     here: Any = draft.data
     for depth, step in enumerate(steps):
         if is_list(here):
             if not step.isdigit() or int(step) >= len(here):
                 what = f"{'.'.join(steps[:depth])} is a list of {len(here)}"
-                raise ScenarioError(f"{place}: {what}: {step!r} is not one of its indices")
+                raise ScenarioError(f"{at}: {what}: {step!r} is not one of its indices")
             index: Any = int(step)
         elif is_mapping(here):
             index = step
         else:
-            raise ScenarioError(f"{place}: {'.'.join(steps[:depth])} is a value, it has no keys")
+            raise ScenarioError(f"{at}: {'.'.join(steps[:depth])} is a value, it has no keys")
         if depth == len(steps) - 1:
             if is_mapping(here) and step in KIND_KEYS:
                 if here.get(step, DEFAULT_KINDS.get(key[:-1], value)) != value:

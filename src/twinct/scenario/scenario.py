@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Union, cast
+from typing import TYPE_CHECKING, Annotated, Any, Union, cast
 
 from pydantic import Field, model_validator
 
@@ -56,6 +56,29 @@ class Scenario(Section):
         None, "What is measured in the volume beside the figures that every run has."
     )
     task: ViewTask | None = setting(None, "What `twinct plan` chooses views for.")
+
+    def with_(self, changes: Mapping[str, Any] | None = None, /, **keys: Any) -> Scenario:
+        """Return the scenario with other values of some keys.
+
+        Args:
+            changes: values by dotted key, such as ``{"trajectory.views": 12}``.
+            **keys: values of keys at the top level, such as ``seed=1``.
+
+        Raises:
+            ScenarioError: with one sentence for each problem.
+        """
+        from twinct import scenario
+
+        return scenario.load_scenario(self.model_dump(mode="json"), {**(changes or {}), **keys})
+
+    def __repr__(self) -> str:
+        """Return one line: name, trajectory, panel and algorithm."""
+        views = getattr(self.trajectory, "views", None)
+        path = f"{self.trajectory.kind}{f' of {views} views' if views else ''}"
+        pixels = f"{self.detector.columns} x {self.detector.rows} px"
+        return f"Scenario({self.name!r}, {path}, {pixels}, {self.reconstruction.algorithm})"
+
+    __str__ = __repr__
 
     @model_validator(mode="after")
     def _sections_go_together(self) -> Scenario:

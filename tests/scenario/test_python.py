@@ -1,0 +1,74 @@
+"""Scenarios made and changed in Python: mappings instead of files and texts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinct.errors import ScenarioError
+from twinct.scenario import load_scenario
+
+DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
+
+
+def test_overrides_are_values_by_dotted_key() -> None:
+    changes = {
+        "trajectory.views": 12,
+        "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8},
+        "specimen.position_mm": np.array([1.0, 2.0, 3.0]),
+        "specimen.parts.0.material": "water",
+    }
+    texts = [
+        "trajectory.views=12",
+        "detector={columns: 40, rows: 30, pixel_pitch_mm: 8}",
+        "specimen.position_mm=[1, 2, 3]",
+        "specimen.parts.0.material=water",
+    ]
+    assert load_scenario(DEMO, changes) == load_scenario(DEMO, texts)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"trajectory.views": 0}, r"^trajectory\.views: .*greater than or equal to 1.*0"),
+        ({"detector.colums": 3}, r"^detector\.colums: .*did you mean 'columns'"),
+        ({"specimen.parts.7.material": "water"}, r"^specimen\.parts\.7\.material: .* a list of"),
+        ({"name.first": "x"}, r"^name\.first: name is a value"),
+        ({"trajectory..views": 3}, r"^'trajectory\.\.views': expected a dotted key"),
+    ],
+)
+def test_messages_name_the_key_and_no_option(changes, said: str) -> None:
+    with pytest.raises(ScenarioError, match=said) as told:
+        load_scenario(DEMO, changes)
+    assert "--set" not in str(told.value)
+
+
+def test_a_scenario_is_changed_into_another() -> None:
+    demo = load_scenario(DEMO)
+    other = demo.with_({"trajectory.views": 12}, seed=7)
+    assert other == load_scenario(DEMO, ["trajectory.views=12", "seed=7"])
+    assert demo == load_scenario(DEMO), "and stays as it is"
+    circle = demo.with_({"trajectory.kind": "circle", "trajectory.views": 5})
+    assert circle.trajectory.kind == "circle"
+    assert demo.with_({"reconstruction.algorithm": "fdk"}).reconstruction.algorithm == "fdk"
+    with pytest.raises(ScenarioError, match=r"^trajectory\.views: "):
+        demo.with_({"trajectory.views": -1})
+
+
+def test_a_mapping_extends_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = {"extends": str(DEMO), "trajectory": {"views": 12}}
+    assert load_scenario(mine) == load_scenario(DEMO, ["trajectory.views=12"])
+    assert load_scenario({**mine, "extends": DEMO}) == load_scenario(mine)
+    monkeypatch.chdir(DEMO.parent)
+    assert load_scenario({**mine, "extends": "demo.yaml"}) == load_scenario(mine)
+    assert mine == {"extends": str(DEMO), "trajectory": {"views": 12}}
+    with pytest.raises(ScenarioError, match=r"^extends: no file at none\.yaml"):
+        load_scenario({"extends": "none.yaml"})
+
+
+def test_a_scenario_is_shown_in_one_line() -> None:
+    said = repr(load_scenario(DEMO))
+    assert said == str(load_scenario(DEMO))
+    assert said.startswith("Scenario('") and "100 views" in said and len(said) < 120
