@@ -27,12 +27,25 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, module: str, ext
         require(extra)
 
 
-def test_every_missing_extra_is_one_problem(monkeypatch) -> None:
-    for module in ("mink", "itk"):
+def test_all_missing_packages_are_named_at_once_with_one_command(monkeypatch) -> None:
+    for module in ("mink", "ompl", "itk"):
         monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(MissingExtraError) as caught:
         require("robots", "xray", "rtk")
-    assert [p.partition(" ")[0] for p in caught.value.problems] == ["mink", "itk-rtk"]
+    assert str(caught.value) == (
+        "mink, ompl, itk-rtk are not installed: they come with twinct[robots,rtk]: "
+        "python -m pip install 'twinct[robots,rtk]'; or use reconstruction.algorithm: sart"
+    )
+
+
+def test_what_is_broken_is_named_beside_what_is_missing(monkeypatch, tmp_path: Path) -> None:
+    (tmp_path / "ompl.py").write_text("raise OSError('libompl is gone')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "ompl", raising=False)
+    monkeypatch.setitem(sys.modules, "itk", None)
+    with pytest.raises(InputError) as caught:
+        require("robots", "rtk")
+    assert [p.partition(" ")[0] for p in caught.value.problems] == ["ompl", "itk-rtk"]
 
 
 @pytest.mark.process

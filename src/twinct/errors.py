@@ -6,7 +6,7 @@ command line: 2 for input that a user can fix, 1 for anything else.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 
@@ -75,15 +75,20 @@ class FolderInUseError(InputError):
 class MissingExtraError(InputError):
     """A requested part of twinct needs an optional dependency that is not installed."""
 
-    def __init__(self, package: str, extra: str, advice: str = "") -> None:
-        """Name the missing package and the extra that installs it."""
-        tail = f"; {advice}" if advice else ""
+    def __init__(
+        self, package: str | Sequence[str], extra: str | Sequence[str], advice: str = ""
+    ) -> None:
+        """Name all missing packages, the extras that bring them, and the command for both."""
+        packages = [package] if isinstance(package, str) else [*package]
+        extras = [extra] if isinstance(extra, str) else [*extra]
+        several, wanted = len(packages) > 1, f"twinct[{','.join(extras)}]"
         super().__init__(
-            f"{package} is not installed: it comes with twinct[{extra}], "
-            f"'pip install .[{extra}]' in the folder of twinct's sources{tail}"
+            f"{', '.join(packages)} {'are' if several else 'is'} not installed: "
+            f"{'they come' if several else 'it comes'} with {wanted}: "
+            f"python -m pip install '{wanted}'{f'; {advice}' if advice else ''}"
         )
-        self.package = package
-        self.extra = extra
+        self.packages = tuple(packages)
+        self.extras = tuple(extras)
 
 
 class StorageError(InputError):

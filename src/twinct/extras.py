@@ -42,7 +42,10 @@ _CALLED = {
 }
 """Names of modules in pip, where they differ."""
 
-_WAY_OUT = {"ros": "or use --link local", "rtk": "or use reconstruction.algorithm: sart"}
+_WAY_OUT = {
+    "ros": "or use the link local (--link local)",
+    "rtk": "or use reconstruction.algorithm: sart",
+}
 
 
 def require(*extras: str) -> None:
@@ -52,34 +55,48 @@ def require(*extras: str) -> None:
         extras: names of extras in ``pyproject.toml``.
 
     Raises:
-        MissingExtraError: one package is missing; the message names the extra and an alternative.
-        InputError: several packages are missing, or one is installed and cannot be imported.
+        MissingExtraError: packages are missing; the message names all of them, and alternatives.
+        InputError: an installed package cannot be imported; also if others are missing, too.
     """
-    missing = [error for extra in extras if (error := _missing(extra)) is not None]
-    if len(missing) == 1:
-        raise missing[0]
+    missing: dict[str, list[str]] = {}
+    broken: list[str] = []
+    for extra in extras:
+        for module in (*_FOUND.get(extra, ()), *_IMPORTED.get(extra, ())):
+            package = module.partition(".")[0]
+            name = _CALLED.get(package, package)
+            problem = _problem(module, found_only=module in _FOUND.get(extra, ()))
+            if problem is None or name in missing.get(extra, ()):
+                continue
+            if problem and extra in missing:
+                continue  # it may fail for want of those
+            if problem:
+                broken.append(
+                    f"{name} is installed but cannot be imported ({problem}): install it again "
+                    f"with python -m pip install --force-reinstall 'twinct[{extra}]'"
+                    + (f", {_WAY_OUT[extra]}" if extra in _WAY_OUT else "")
+                )
+                break  # what depends on it fails, too
+            missing.setdefault(extra, []).append(name)
     if missing:
-        raise InputError([problem for error in missing for problem in error.problems])
+        advice = "; ".join(_WAY_OUT[extra] for extra in missing if extra in _WAY_OUT)
+        names = [name for of_extra in missing.values() for name in of_extra]
+        gone = MissingExtraError(names, [*missing], advice)
+        if not broken:
+            raise gone
+        broken += gone.problems
+    if broken:
+        raise InputError(broken)
 
 
-def _missing(extra: str) -> InputError | None:
-    advice, found_only = _WAY_OUT.get(extra, ""), _FOUND.get(extra, ())
-    for module in (*found_only, *_IMPORTED.get(extra, ())):
-        package = module.partition(".")[0]
-        name = _CALLED.get(package, package)
-        try:
-            if module not in found_only:
-                importlib.import_module(module)
-            elif importlib.util.find_spec(module) is None:
-                return MissingExtraError(name, extra, advice)
-        except Exception as error:  # an installed package may fail in any way
-            gone = (error.name or package) if isinstance(error, ModuleNotFoundError) else ""
-            if gone.partition(".")[0] == package:
-                return MissingExtraError(name, extra, advice)
-            tail = f", {advice}" if advice else ""
-            return InputError(
-                f"{name} is installed but cannot be imported ({type(error).__name__}: {error}): "
-                "install it again with 'pip install --force-reinstall "
-                f".[{extra}]' in the folder of twinct's sources{tail}"
-            )
+def _problem(module: str, *, found_only: bool) -> str | None:
+    """Return the error of a module that fails on import; empty: it is missing; None: it works."""
+    try:
+        if found_only:
+            return "" if importlib.util.find_spec(module) is None else None
+        importlib.import_module(module)
+    except Exception as error:  # an installed package may fail in any way
+        gone = (error.name or module) if isinstance(error, ModuleNotFoundError) else "."
+        if gone.partition(".")[0] == module.partition(".")[0]:
+            return ""
+        return f"{type(error).__name__}: {error}"
     return None
