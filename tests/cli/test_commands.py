@@ -302,9 +302,18 @@ def test_bad_trajectories_are_named_before_anything_moves(capfd, tmp_path: Path)
 
 def test_ros_without_rclpy_names_extra_and_way_out(capfd, monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    stderr = bad(capfd, "run", DEMO, "--out", str(tmp_path / "out"), *TINY)
+    stderr = bad(capfd, "run", DEMO, "--out", str(tmp_path / "out"), "--link", "ros2", *TINY)
     assert "twinct[ros]" in stderr and "--link local" in stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_without_ros_the_link_is_local_and_the_run_says_so(
+    capfd, monkeypatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    assert run_command(["run", DEMO, "--out", str(tmp_path / "out"), *TINY]) == 0
+    said = capfd.readouterr()
+    assert "link local: the extra ros is not installed" in said.out + said.err
 
 
 @pytest.mark.process

@@ -28,7 +28,7 @@ def run(
     scenario: ScenarioFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
-    link: Literal["ros2", "local"] = "ros2",
+    link: Literal["ros2", "local"] | None = None,
     resume: Flag = False,
     record: Flag = False,
     view: Flag = False,
@@ -44,7 +44,8 @@ def run(
 
     Args:
         out: Folder for the results; an existing scan is never changed without --resume.
-        link: ros2 starts both simulations as processes; local runs them in this process.
+        link: ros2 starts both simulations as processes; local runs them in this process. Default:
+            ros2 if it is installed.
         resume: Resume an interrupted scan.
         record: Write all messages of the scan to DIR/scan.mcap, which ROS tools read.
         view: Show the run on a page while it runs, see twinct view; the page stays after the run,

@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from twinct.errors import InputError
+from twinct.errors import InputError, MissingExtraError
+from twinct.extras import require
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
@@ -34,6 +35,19 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 Link = Literal["ros2", "local"]
+
+
+def installed_link() -> Link:
+    """Return ``ros2`` if the extra ``ros`` is installed, else ``local``.
+
+    Raises:
+        InputError: the extra is installed, and cannot be imported.
+    """
+    try:
+        require("ros")
+    except MissingExtraError:
+        return "local"
+    return "ros2"
 
 
 @contextmanager

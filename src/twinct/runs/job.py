@@ -23,7 +23,13 @@ from twinct.files.writing import storage_errors, write_text
 from twinct.observers import Audience, Observers, audience_of
 from twinct.record import recorder_of
 from twinct.report import found_of, physics_in_words
-from twinct.runs.acquisition import Link, RigFactory, acquire_to_store, rig_factory
+from twinct.runs.acquisition import (
+    Link,
+    RigFactory,
+    acquire_to_store,
+    installed_link,
+    rig_factory,
+)
 from twinct.runs.checks import (
     check_geometries,
     check_physics,
@@ -84,7 +90,7 @@ def run(
     scenario: Scenario | str | Path,
     out: str | Path,
     *,
-    link: Link = "ros2",
+    link: Link | None = None,
     resume: bool = False,
     record: bool = False,
     threads: int | None = None,
@@ -96,7 +102,8 @@ def run(
     Args:
         scenario: the scenario, or its file.
         out: folder for the results; an existing scan is never changed without ``resume``.
-        link: ``ros2`` starts both simulations as processes; ``local`` runs them in this process.
+        link: ``ros2`` starts both simulations as processes; ``local`` runs them in this process;
+            None: ``ros2`` if the extra ``ros`` is installed, else ``local``; observers hear which.
         resume: continue with the existing results. Intact views are not acquired again; a volume
             made with other settings is reconstructed again.
         record: write all messages of the scan to ``scan.mcap`` in the folder.
@@ -123,6 +130,7 @@ def run(
     if store:
         store.refuse_other(scenario)
     require_extras(scenario)
+    chosen = link or installed_link()
     require_memory(scenario)
     check_geometries(scenario, folder.geometries if store else None)
     check_drawing()
@@ -132,16 +140,19 @@ def run(
         with audience_of(observers) as audience:
             audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
-    recorder = recorder_of(link, folder.path) if record else None
+    recorder = recorder_of(chosen, folder.path) if record else None
     workshop = workshop or Workshop(scenario)
     if store:
         workshop = replace(workshop, kept_plan=store.plan)
     check_physics(workshop)
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
+        if link is None:
+            without = "" if chosen == "ros2" else ": the extra ros is not installed"
+            audience.say(f"link {chosen}{without}")
         with seconds.stage("link"):
             hear = recorder.hear if recorder else None
-            make_rig = stack.enter_context(rig_factory(link, folder.logs, audience, hear))
+            make_rig = stack.enter_context(rig_factory(chosen, folder.logs, audience, hear))
         warnings = _prepare(workshop, folder, seconds, audience)
         stack.enter_context(storage_errors(folder.path))
         folder.path.mkdir(parents=True, exist_ok=True)
@@ -149,7 +160,7 @@ def run(
         stack.enter_context(logged_to(folder.log))
         if not resume:  # another process may have written here while this one planned
             folder.refuse_if_taken()
-        _note(workshop, folder, link, warnings)
+        _note(workshop, folder, chosen, warnings)
         if resume:
             seconds.go_on()
         with closing(recorder) if recorder else nullcontext():
