@@ -316,6 +316,25 @@ def test_without_ros_the_link_is_local_and_the_run_says_so(
     assert "link local: the extra ros is not installed" in said.out + said.err
 
 
+WITHOUT_ARMS = """
+import sys
+for name in ("mujoco", "mink", "daqp", "ruckig", "ompl"):
+    sys.modules[name] = None
+from twinct.cli import run_command
+sys.exit(run_command(["check", sys.argv[1]]))
+"""
+
+
+@pytest.mark.process
+def test_a_gantry_is_checked_without_mujoco() -> None:
+    gantry = str(SCENARIOS / "circle_gantry.yaml")
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ARMS, gantry], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "circle on a gantry: can be run" in done.stdout
+
+
 @pytest.mark.process
 def test_a_specimen_that_no_view_sees_is_refused_before_planning(
     capfd, tmp_path: Path, monkeypatch

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,8 +42,7 @@ def check(
     from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
-    from twinct.cli.reach import explained  # a mistake in the scenario is told without this
-    from twinct.runs import (
+    from twinct.runs import (  # a mistake in the scenario is reported without loading these
         check_geometries,
         check_physics,
         check_sight,
@@ -54,17 +55,22 @@ def check(
 
     require_extras(loaded)
     workshop = Workshop(loaded)
+    remedy = nullcontext
+    if loaded.cell.kind == "arms":  # a gantry needs no MuJoCo
+        from twinct.cli.reach import explained
+
+        remedy = partial(explained, workshop, picture)
     with named_places(scenario, set_):
         require_memory(loaded)
         check_geometries(loaded)
         if workshop.plan_chooses:  # otherwise, the views are known without a plan
-            with explained(workshop, picture):
+            with remedy():
                 _ = workshop.plan
         check_physics(workshop)
         require_feasible(loaded, workshop.commanded)
         for warning in check_sight(workshop):
             say(warning, warning=True)
-        with explained(workshop, picture):
+        with remedy():
             _ = workshop.plan
         table = Table(title=f"{loaded.name}: can be run", show_header=False)
         for name, words in findings(workshop).items():
