@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
@@ -61,7 +61,10 @@ class Volume(NDArrayOperatorsMixin):
         object.__setattr__(self, "array", array)
         object.__setattr__(self, "extras", MappingProxyType(dict(self.extras)))
 
-    __eq__, __ne__, __hash__ = object.__eq__, object.__ne__, object.__hash__
+    # Identity, so that volumes can be keys and parts of what is compared.
+    __eq__: ClassVar[Any] = object.__eq__
+    __ne__: ClassVar[Any] = object.__ne__
+    __hash__: ClassVar[Any] = object.__hash__
 
     @property
     def shape(self) -> tuple[int, int, int]:

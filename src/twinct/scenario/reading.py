@@ -6,7 +6,7 @@ import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, cast
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def drafted(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -
     else:
         draft = _read(Path(source), ())
     if isinstance(overrides, Mapping):
-        for key, value in overrides.items():
+        for key, value in cast("Mapping[str, Any]", overrides).items():
             name = key.rpartition(".")[2]
             _apply(draft, key, _absolute_paths({name: _plain(value)}, Path())[name], "")
     else:
@@ -100,11 +100,12 @@ def drafted(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -
 def _plain(value: Any) -> Any:
     """Return values of Python and numpy as the plain data that YAML holds."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
+        pairs = cast("Mapping[object, object]", value)
+        return {str(key): _plain(one) for key, one in pairs.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+        return cast(Any, value).tolist()
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_plain(one) for one in cast("Iterable[object]", value)]
     return str(value) if isinstance(value, Path) else value
 
 

@@ -396,8 +396,10 @@ class Page:
         self._surface = wanted
         for stage, show in zip(self.stages, self._shows, strict=True):
             volume = show.volumes.get(look.surface) if show is not None else None
-            mesh = volume and dense_surface(volume.array, volume.grid, look.level)
-            stage.set_surface(mesh or None)
+            mesh = None
+            if volume is not None:
+                mesh = dense_surface(volume.array, volume.grid, look.level)
+            stage.set_surface(mesh)
 
     def _mark_curves(self, anew: bool) -> None:
         if anew and self._lay_curves(curves(self.shows)):
