@@ -9,6 +9,7 @@ import pickle
 import nibabel
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from twinct.errors import InputError
 from twinct.geometry import Pose, VolumeGrid
@@ -130,6 +131,17 @@ def test_volumes_on_different_grids_do_not_mix(pair, tmp_path) -> None:
     ):
         with pytest.raises(InputError, match="different grids"):
             v - Volume(w.array, grid)
+
+
+def test_a_grid_turned_about_its_diagonal_is_another() -> None:
+    """Its first and its last voxel stay where they were."""
+    third = Rotation.from_rotvec(np.full(3, np.pi * 2 / 3 / np.sqrt(3)))
+    plain, turned = (
+        Volume(np.ones((3, 3, 3)), VolumeGrid((3, 3, 3), 1.0, pose))
+        for pose in (Pose.identity(), Pose(np.zeros(3), third.as_quat()))
+    )
+    with pytest.raises(InputError, match="different grids"):
+        plain - turned
 
 
 def test_copies_are_whole_and_locked(pair) -> None:

@@ -120,10 +120,10 @@ class Volume(NDArrayOperatorsMixin):
         """
         if self.grid == grid:
             return
-        ends = np.array([[0, 0, 0, 1], [*(np.array(self.grid.shape_xyz) - 1), 1]], np.float64)
-        if self.shape != grid.shape or (
-            np.abs(ends @ (self.grid.affine - grid.affine).T).max() > SAME_MM
-        ):
+        # Four corners that lie in no plane: they fix every voxel.
+        corners = np.vstack([np.zeros(3), np.diag(np.array(self.grid.shape_xyz) - 1.0)])
+        apart = np.c_[corners, np.ones(4)] @ (self.grid.affine - grid.affine).T
+        if self.shape != grid.shape or np.abs(apart).max() > SAME_MM:
             raise InputError(f"two volumes have different grids: {self.grid} and {grid}")
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twinct.errors import ScenarioError
-from twinct.scenario import load_scenario
+from twinct.scenario import load_scenario, parse_scenario
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
@@ -66,6 +66,12 @@ def test_a_mapping_extends_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert mine == {"extends": str(DEMO), "trajectory": {"views": 12}}
     with pytest.raises(ScenarioError, match=r"^extends: no file at none\.yaml"):
         load_scenario({"extends": "none.yaml"})
+
+
+def test_stored_data_build_on_no_file() -> None:
+    """A scan store that somebody sends must not decide which files are read."""
+    with pytest.raises(ScenarioError, match="extends"):
+        parse_scenario({"extends": str(DEMO)})
 
 
 def test_a_scenario_is_shown_in_one_line() -> None:

@@ -134,7 +134,7 @@ def parse_scenario(data: Mapping[str, Any]) -> Scenario:
     Raises:
         ScenarioError: with one sentence for each problem.
     """
-    return _validate(drafted(data))
+    return _validate(drafted(data, extends=False))
 
 
 def scenario_schema() -> dict[str, Any]:

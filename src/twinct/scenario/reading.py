@@ -76,15 +76,19 @@ Overrides = Iterable[str] | Mapping[str, Any]
 """``KEY=VALUE`` texts, or values by dotted key."""
 
 
-def drafted(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -> Draft:
+def drafted(
+    source: str | Path | Mapping[str, Any], overrides: Overrides = (), *, extends: bool = True
+) -> Draft:
     """Merge a scenario file and the files it extends, or plain data, with overrides.
+
+    Without ``extends``, plain data may name no file to build on: the key stays, and is refused.
 
     Raises:
         ScenarioError: a file cannot be read, or an override has no valid key.
     """
     if isinstance(source, Mapping):
         own = Draft(_absolute_paths(_plain(source), Path()))
-        draft = _extended(own, Path(), ())
+        draft = _extended(own, Path(), ()) if extends else Draft(upgraded(own.data))
     else:
         draft = _read(Path(source), ())
     if isinstance(overrides, Mapping):
