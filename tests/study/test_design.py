@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from scipy import stats
 
 from twinct.errors import InputError
 from twinct.study import load_study
 from twinct.study.design import Trial
+
+from .conftest import SCENARIO
 
 RELAXATION, ALGORITHM, ITERATIONS = (
     f"reconstruction.{name}" for name in ("relaxation", "algorithm", "iterations")
@@ -216,3 +219,14 @@ def test_plain_data_may_hold_paths(tmp_path) -> None:
     (tmp_path / "scenario.yaml").write_text("seed: 4\n")
     design = load_study({"scenario": tmp_path / "scenario.yaml"})
     assert design.template.data == {"seed": 4}
+
+
+def test_an_inline_scenario_extends_a_file_beside_the_study(tmp_path) -> None:
+    (tmp_path / "base.yaml").write_text(yaml.safe_dump(SCENARIO))
+    (tmp_path / "study.yaml").write_text(
+        "scenario: {extends: base.yaml, seed: 5}\n"
+        "axes: [{key: reconstruction.relaxation, values: [0.1, 0.2]}]\n"
+    )
+    design = load_study(tmp_path / "study.yaml")
+    scenario = design.scenario(next(iter(design.trials())))
+    assert (scenario.seed, scenario.trajectory.kind) == (5, "circle")

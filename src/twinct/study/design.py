@@ -169,8 +169,12 @@ def load_study(source: str | Path | Mapping[str, Any]) -> Design:
         path = Path(source).expanduser()
         draft, folder = read_yaml(path, "study"), path.absolute().parent
         text = path.read_text(encoding="utf-8")
-    if isinstance(file := draft.data.get("scenario"), (str, Path)):
-        draft.data["scenario"] = _named(folder, str(file))
+    inline = draft.data.get("scenario")
+    if isinstance(inline, (str, Path)):
+        draft.data["scenario"] = _named(folder, str(inline))
+    elif is_mapping(inline) and isinstance(inline.get("extends"), (str, Path)):
+        base = _named(folder, str(inline["extends"]))
+        draft.data["scenario"] = inline | {"extends": base}
     try:
         study = Study.model_validate_json(json.dumps(draft.data, default=str), strict=True)
     except ValidationError as error:
