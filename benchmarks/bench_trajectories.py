@@ -91,7 +91,7 @@ def figures(cell: CellModel, named: Named, gap_minutes: float) -> dict[str, Any]
     except TrajectoryError as error:
         told["plan_s"] = round(time.process_time() - begin, 1)
         told["problems"] = problems = list(error.problems)
-        gap = re.match(r"from view (\d+) to view (\d+): no way", problems[0])
+        gap = re.match(r"from view (\d+) to view (\d+): no path", problems[0])
         if not out and gap and gap_minutes:
             a, b = (named.targets[int(view)] for view in gap.groups())
             search = Roadmap(cell, MOTION.clearance_mm, MOTION.ik)

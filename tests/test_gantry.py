@@ -84,5 +84,5 @@ def numbers(reached: Reached) -> tuple[object, ...]:
 
 
 def test_a_state_of_arms_is_refused() -> None:
-    with pytest.raises(MotionError, match=r"\(31,\) is not of a gantry, whose states have \(15,\)"):
+    with pytest.raises(MotionError, match=r"\(31,\), but the states of a gantry have \(15,\)"):
         gantry().restore(np.zeros(31))

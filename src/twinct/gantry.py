@@ -96,7 +96,7 @@ class Gantry:
         Raises:
             MotionError: always.
         """
-        raise MotionError("a gantry has no home: it is where it was last told to be")
+        raise MotionError("a gantry has no home: it stays where it was last moved")
 
     def restore(self, state: Floats) -> None:
         """Restore the exact state of a ``Reached.state``.
@@ -106,8 +106,7 @@ class Gantry:
         """
         if np.shape(state) != (STATE,):
             raise MotionError(
-                f"a state of shape {np.shape(state)} is not of a gantry, whose states have "
-                f"({STATE},)"
+                f"the state has shape {np.shape(state)}, but the states of a gantry have ({STATE},)"
             )
         self._time_s, *poses = state.tolist()
         self._last = Target(tuple(poses[:7]), tuple(poses[7:]))

@@ -137,7 +137,7 @@ def test_unknown_menagerie_model_is_named(menagerie: str) -> None:
 
 def test_what_menagerie_lacks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MENAGERIE_ROOT", "/nonexistent")
-    with pytest.raises(ScenarioError, match="MENAGERIE_ROOT=/nonexistent is no folder"):
+    with pytest.raises(ScenarioError, match="MENAGERIE_ROOT=/nonexistent is not a folder"):
         load_arm(SourceArm(model="menagerie:panda"), "cell.source_arm")
     monkeypatch.delenv("MENAGERIE_ROOT")
     pytest.importorskip("mujoco_menagerie")

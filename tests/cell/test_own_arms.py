@@ -227,13 +227,13 @@ def test_path_is_relative_to_the_scenario(tmp_path: Path) -> None:
         ('"tool0"', '"tip"', "z of its flange 'flange' does not point along the last joint's axis"),
         ('<dynamics damping="1" friction="0.5"/>', '<mimic joint="turn"/>', "couples joints"),
         ('"revolute"', '"continuous"', "no range for turn, shoulder, elbow"),
-        ('"revolute"', '"prismatic"', "hinges and nothing else, and these are none: turn"),
+        ('"revolute"', '"prismatic"', "must be hinges, but these are not: turn"),
         ("<collision>", "<visual>", "XML"),
         ("collision>", "visual>", "no collision geometry on column, upper_arm"),
         ("<robot", "<!DOCTYPE r [<!ENTITY e 'e'>]><robot", "has a DOCTYPE"),
         ("</robot>", "", "is not XML that can be read"),
-        ('<parent link="wrist"/>', '<parent link="column"/>', "joints are not one chain"),
-        ('<child link="hand"/>', '<child link="nobody"/>', "no model that MuJoCo can read"),
+        ('<parent link="wrist"/>', '<parent link="column"/>', "joints do not form one chain"),
+        ('<child link="hand"/>', '<child link="nobody"/>', "not a model that MuJoCo can read"),
         ("robot", "arm", "neither MJCF.*nor URDF.*<arm>"),
         ('<link name="tool0"/>', '<x:macro xmlns:x="http://ros.org/xacro"/>', "holds macros"),
         ('<sphere radius="0.055"/>', '<mesh filename="w.dae"/>', "'w.dae' for collision"),
@@ -286,11 +286,11 @@ def test_keys_that_do_not_fit_the_arm_are_refused(chain: Path) -> None:
     assert "no flange, such as flange or attachment_site" in refusal(chain)
     assert loaded(chain, flange="end").flange_site == "end"
     hand.write_text(HAND)
-    assert "no flange 'tip': name it" in refusal(chain, flange="tip")
+    assert "no flange 'tip': set the key flange" in refusal(chain, flange="tip")
     assert "flange 'c' is not part of the last link, e" in refusal(chain, flange="c")
     assert loaded(chain, flange="e").flange_site == "twinct_flange"
-    assert "home: has 2 numbers, and the arm 5 joints: a, b" in refusal(chain, home=(0, 0))
-    assert "95 for b, which goes from -90 to 90" in refusal(chain, home=(0, 95, 0, 0, 0))
+    assert "home: has 2 numbers, but the arm has 5 joints: a, b" in refusal(chain, home=(0, 0))
+    assert "95 for b, whose range is -90 to 90" in refusal(chain, home=(0, 95, 0, 0, 0))
     with pytest.raises(ValueError, match="flange: only with file"):
         SourceArm(flange="tool0")
 

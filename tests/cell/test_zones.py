@@ -73,9 +73,7 @@ def test_a_zone_that_covers_the_specimen_is_refused(head: trimesh.Trimesh) -> No
         nurse={"shape": SHAPES["sphere"], "position_mm": [0, 900, 0]},
         shoulder={"shape": SHAPES["box"], "position_mm": [0, 0, -200]},
     )
-    with pytest.raises(
-        ScenarioError, match=r"cell.zones.1: zone 'shoulder' reaches into .* 60.0 mm apart"
-    ):
+    with pytest.raises(ScenarioError, match=r"cell.zones.1: zone 'shoulder' reaches 60.0 mm into"):
         build_cell(cell, head, Pose.identity(), Detector().panel)
 
 

@@ -420,8 +420,8 @@ def test_drawing_without_a_display_is_refused_before_any_work(
 
 def test_a_picture_that_cannot_be_drawn_is_refused_before_any_work(capfd, no_work) -> None:
     stderr = bad(capfd, "render", DEMO, "--width", "0", "--height", "100000")
-    assert "--width 0: a picture has 1 to 3840" in stderr
-    assert "--height 100000: a picture has 1 to 2400" in stderr
+    assert "--width 0: a picture must have 1 to 3840" in stderr
+    assert "--height 100000: a picture must have 1 to 2400" in stderr
 
 
 @pytest.mark.tutorial

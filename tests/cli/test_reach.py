@@ -65,7 +65,7 @@ def test_check_names_a_cure_and_draws(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert run_command(["check", DEMO, *BALL, *TURNED, "--picture", str(picture)]) == 2
     said = capfd.readouterr().err
     assert re.search(r"view 2: source arm: out of reach by 2\d\d\.\d mm", said)
-    assert "no cure by one change for the 1 views tried" in said
+    assert "no single change cures the 1 tested views" in said
     assert f"picture of view 2: {picture}" in said
     assert picture.exists()
 
@@ -93,7 +93,7 @@ def test_of_a_plan_in_a_file_no_cure_is_sought(
     moved = ("--set", "cell.source_arm.base_position_mm=[860, 0, 0]")
     asked = ("--set", f"motion.plan={plan}", *moved)
     assert run_command(["check", DEMO, *BALL, *few, *asked]) == 2
-    assert "a plan of another cell" in capfd.readouterr().err
+    assert "the plan is for another cell" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("roll", ["fixed", "free"])

@@ -45,7 +45,7 @@ def _mm(matrix: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--set", "cell={kind: gantry}"], "there are no arms"),
+        (["--set", "cell={kind: gantry}"], "has no arms"),
         (["--out", DEMO], "folder"),
     ],
 )

@@ -206,6 +206,6 @@ def test_a_geometry_is_taken_by_name(scan, workshop, tmp_path):
         files = export_scan(known, workshop.specimen, tmp_path / name, geometry=name)
         told.append(files.trajectory.read_text())
     assert told[0] != told[1]
-    with pytest.raises(InputError, match="'xyz' is none of commanded, executed, believed, calib"):
+    with pytest.raises(InputError, match="'xyz'; choose from commanded, executed, believed, calib"):
         export_scan(known, workshop.specimen, tmp_path / "xyz", geometry="xyz")
     assert not (tmp_path / "xyz").exists()

@@ -121,7 +121,9 @@ def test_too_little_clearance_is_refused_with_the_number(
 ) -> None:
     asked = float(plan.clearance_mm.min()) + 30
     kept = asked + 2  # twice the tolerance beside it
-    with pytest.raises(TrajectoryError, match=rf"come within \d+\.\d mm, {kept:g} mm are asked"):
+    with pytest.raises(
+        TrajectoryError, match=rf"come within \d+\.\d mm; at least {kept:g} mm are required"
+    ):
         plan_motion(cell, Motion(clearance_mm=asked), targets[:3])
 
 

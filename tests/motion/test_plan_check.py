@@ -40,14 +40,14 @@ def test_roll_and_order_count_where_they_are_not_free(
     cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
     rolled = [turned(target, 20) for target in targets]
-    with pytest.raises(TrajectoryError, match="p.npz: views 0 to 23: .*other poses"):
+    with pytest.raises(TrajectoryError, match="p.npz: views 0 to 23: .*poses of the plan differ"):
         checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(rolled), "p.npz")
     checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(rolled, (False, True)), "p.npz")
     mixed = [targets[1], targets[0], *targets[2:]]
-    with pytest.raises(TrajectoryError, match="p.npz: views 0 to 1: .*other poses"):
+    with pytest.raises(TrajectoryError, match="p.npz: views 0 to 1: .*poses of the plan differ"):
         checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(mixed), "p.npz")
     checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(mixed, any_order=True), "p.npz")
-    with pytest.raises(TrajectoryError, match="a plan of 24 views, the trajectory has 23"):
+    with pytest.raises(TrajectoryError, match="the plan has 24 views, but the trajectory has 23"):
         checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(targets[:-1]), "p.npz")
 
 
@@ -61,18 +61,18 @@ def test_a_plan_of_another_cell_is_refused(
     moved = arm.model_copy(update={"base_position_mm": (x, y + 5, z)})
     there = section.model_copy(update={"source_arm": moved})
     other = build_cell(there, head, Pose.identity(), Detector().panel)
-    with pytest.raises(TrajectoryError, match=r"of another cell: .* the source 5\.0 mm and 0\.00"):
+    with pytest.raises(TrajectoryError, match=r"for another cell: .* the source 5\.0 mm and 0\.00"):
         checked_plan(plan, other, AS_IN_THE_PAPER, Asked(targets), "p.npz")
     renamed = replace(plan, joint_names=("turn", *plan.joint_names[1:]))
-    with pytest.raises(TrajectoryError, match="of another cell: it moves turn"):
+    with pytest.raises(TrajectoryError, match="for another cell: it moves turn"):
         checked_plan(renamed, cell, AS_IN_THE_PAPER, Asked(targets), "p.npz")
 
 
 @pytest.mark.parametrize(
     ("faster", "motion", "said"),
     [
-        (3.0, AS_IN_THE_PAPER, "of the acceleration that it may have"),
-        (1.0, Motion(clearance_mm=40), "come within .* 42 mm are asked"),
+        (3.0, AS_IN_THE_PAPER, "of its acceleration limit"),
+        (1.0, Motion(clearance_mm=40), "come within .* 42 mm are required"),
         (1.0, Motion(trigger="settled"), "the arms do not rest"),
     ],
 )

@@ -28,13 +28,13 @@ def test_a_plan_comes_back_as_it_was_and_the_file_has_the_same_bytes(
     ("name", "change", "said"),
     [
         ("state", lambda a: a[:, :, :-1], "state has the shape"),
-        ("time_s", lambda a: a[::-1], "times do not rise from 0"),
-        ("views", lambda a: np.where(a == 3, 4, a), "not every view is exposed once"),
+        ("time_s", lambda a: a[::-1], "times do not increase from 0"),
+        ("views", lambda a: np.where(a == 3, 4, a), "not every view is exposed exactly once"),
         ("source", lambda a: a * np.nan, "not finite"),
         ("state", lambda a: a + 1, "not at rest"),
         ("source", lambda a: a + 1e-9, "damaged"),
-        ("format", lambda _: np.array("twinct plan 9"), "format twinct plan 9"),
-        ("joint_names", lambda _: 3, "no plan"),
+        ("format", lambda _: np.array("twinct plan 9"), "format is twinct plan 9"),
+        ("joint_names", lambda _: 3, "not a valid plan"),
     ],
 )
 def test_what_is_no_plan_is_said(plan: MotionPlan, name: str, change, said: str) -> None:
@@ -49,7 +49,7 @@ def test_a_broken_file_is_one_message(plan: MotionPlan, length: int, tmp_path: P
     path = tmp_path / "plan.npz"
     save_plan(plan, path)
     path.write_bytes(path.read_bytes()[:length])
-    with pytest.raises(InputError, match="plan.npz: no plan: "):
+    with pytest.raises(InputError, match="plan.npz: the plan file "):
         load_plan(path)
 
 

@@ -65,9 +65,9 @@ def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellMo
     assert words[0].startswith("cure: cell.source_arm.")
     key, _, value = words[0].removeprefix("cure: cell.source_arm.").partition(": ")
     cured = (
-        float(value.split("; then")[0])
+        float(value.split("; this cures")[0])
         if key == "standoff_mm"
-        else tuple(eval(value.split("; then")[0]))
+        else tuple(eval(value.split("; this cures")[0]))
     )
     arm = cell.source_arm.model_copy(update={key: cured})
     held = Holder(build(cell.model_copy(update={"source_arm": arm})), MOTION, roll_free=FIXED)
@@ -78,7 +78,7 @@ def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellMo
 def test_no_single_change_turns_an_arm_round(build: Callable[[Cell], CellModel]) -> None:
     views, words = reasons(FIRST, build, MOTION, at(0, 180), FIXED)
     assert views == [1]
-    assert words[0].startswith("no cure by one change for the 1 views tried, of 1")
+    assert words[0].startswith("no single change cures the 1 tested views (of 1")
 
 
 def test_the_way_between_is_told_apart(build: Callable[[Cell], CellModel]) -> None:

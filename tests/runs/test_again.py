@@ -170,9 +170,9 @@ def test_ten_reports_of_the_poses_need_one_scan(folder: Path, finished: Run) -> 
 @pytest.mark.parametrize(
     ("overrides", "options", "said"),
     [
-        ([], {"geometry": "xyz"}, "'xyz' is none of commanded, executed, believed"),
+        ([], {"geometry": "xyz"}, "'xyz'; choose from commanded, executed, believed"),
         (["detector.columns=9"], {}, "only keys of reconstruction"),
-        ([], {"name": "../up"}, "make a name"),
+        ([], {"name": "../up"}, "use at most 64 letters"),
         (["reconstruction.relaxation=7"], {}, "relaxation"),
     ],
 )
@@ -207,12 +207,12 @@ def test_a_geometry_that_was_changed_is_refused(finished: Run, folder: Path) -> 
     with pytest.raises(InputError, match="digest"):
         load_scan(folder)
     file.write_text(file.read_text()[:50])
-    with pytest.raises(InputError, match="no geometry"):
+    with pytest.raises(InputError, match="not a geometry"):
         load_scan(folder)
 
 
 def test_names_of_a_scan_cannot_be_taken(finished: Run) -> None:
-    for name, said in (("executed", "every scan has"), ("a/b", "make a name")):
+    for name, said in (("executed", "every scan has"), ("a/b", "use at most 64 letters")):
         with pytest.raises(InputError, match=said):
             derive_geometry(finished.paths.path, name)
 

@@ -38,14 +38,14 @@ def rewritten(path: Path, file: str, change: Callable[[Any], object]) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("format", 99, "a scan store of format 99; this twinct reads"),
-        ("format", [4], r"a scan store of format \[4\]"),
-        ("scenario", None, "attributes.scenario: missing, expected a text"),
-        ("scenario", "{", "attributes.scenario: no JSON"),
+        ("format", 99, "the scan store has format 99; this twinct reads"),
+        ("format", [4], r"the scan store has format \[4\]"),
+        ("scenario", None, "attributes.scenario: missing, expected a string"),
+        ("scenario", "{", "attributes.scenario: not a JSON mapping"),
         ("scenario", '{"detector": 5}', "detector"),
         ("joint_names", "all", "attributes.joint_names: str, expected a list"),
         ("joint_names", ["one"], "there are 1 joints"),
-        ("digests", {"images": 5}, "names and digests are texts"),
+        ("digests", {"images": 5}, "names and digests must be strings"),
     ],
 )
 def test_attributes_are_looked_at(path: Path, key: str, value: object, words: str) -> None:
@@ -81,7 +81,7 @@ def test_images_of_another_size_than_the_scenario_says(path: Path) -> None:
         told["attributes"]["scenario"] = json.dumps(scenario)
 
     rewritten(path, "zarr.json", change)
-    with pytest.raises(InputError, match=r"its scenario has \(48, 32\) pixels, its images have"):
+    with pytest.raises(InputError, match=r"its scenario has \(48, 32\) pixels, but its images"):
         ScanStore(path).read()
 
 
@@ -124,7 +124,7 @@ def test_an_array_in_the_place_of_the_plan_is_told(path: Path) -> None:
     shutil.rmtree(path / "plan")
     shutil.copytree(path / "joints", path / "plan")
     vouch_for_what_is_there(path)
-    with pytest.raises(InputError, match="plan: an array, expected a group"):
+    with pytest.raises(InputError, match="plan: found an array, expected a group"):
         _ = ScanStore(path).plan
 
 
@@ -134,7 +134,7 @@ def test_a_plan_larger_than_any_is_told_before_it_is_read(path: Path) -> None:
     told["shape"][2] = 2**31
     header.write_text(json.dumps(told))
     vouch_for_what_is_there(path)
-    with pytest.raises(InputError, match="plan: its arrays are said to hold"):
+    with pytest.raises(InputError, match="plan: its arrays claim"):
         _ = ScanStore(path).plan
 
 
@@ -170,7 +170,7 @@ def test_a_file_where_a_folder_has_to_be_is_left_too(path: Path) -> None:
     (path / "joints").write_text("mine")
     with pytest.raises(DamagedError) as error:
         ScanStore(path)
-    with pytest.raises(DamagedError, match="joints: no folder stands in the way: move it"):
+    with pytest.raises(DamagedError, match="joints: a file stands in the way: move it"):
         make_way(path, error.value.found)
     assert (path / "joints").read_text() == "mine"
 

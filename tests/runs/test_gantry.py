@@ -64,7 +64,7 @@ def test_executed_is_commanded_all_the_way_round(scenario: Scenario, finished: R
     workshop = Workshop(scenario)
     assert not workshop.plan_chooses
     assert findings(workshop)["motion"].startswith("a gantry")
-    with pytest.raises(InputError, match=r"cell\.kind: gantry: there are no arms to build"):
+    with pytest.raises(InputError, match=r"cell\.kind: a gantry has no arms to build"):
         workshop.cell  # noqa: B018
 
 

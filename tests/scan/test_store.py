@@ -105,7 +105,7 @@ def test_a_scan_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> Non
     assert scan.scenario == scenario
     assert scan.joint_names == NAMES
     assert scan.poses("believed") is scan.believed
-    with pytest.raises(InputError, match="'scenario' is none of commanded, executed, believed"):
+    with pytest.raises(InputError, match="'scenario'; choose from commanded, executed, believed"):
         scan.poses("scenario")
 
 
@@ -247,7 +247,7 @@ def test_a_store_of_an_unknown_format_is_refused_by_name(tmp_path, scenario, com
     fill(path, scenario, commanded, range(VIEWS))
     rewritten(path, format=9)
     with pytest.raises(
-        InputError, match=r"s\.zarr: a scan store of format 9; .* reads 1 and 2 and 3 and 4"
+        InputError, match=r"s\.zarr: the scan store has format 9; .* reads 1 and 2 and 3 and 4"
     ):
         ScanStore(path)
 

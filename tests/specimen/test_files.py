@@ -217,8 +217,8 @@ def test_real_cranium_stands_upright_and_faces_y():
     [
         ("absent.nii", None, ["does not exist"]),
         ("broken.nii", b"no image at all", ["cannot be read"]),
-        ("broken.inv3", b"no archive at all", ["is no InVesalius project"]),
-        ("picture.jpg", b"JFIF", ["no known kind", ".nii", ".inv3", "DICOM"]),
+        ("broken.inv3", b"no archive at all", ["is not an InVesalius project"]),
+        ("picture.jpg", b"JFIF", ["unknown format", ".nii", ".inv3", "DICOM"]),
     ],
 )
 def test_volume_that_cannot_be_read_is_named(tmp_path, name, content, words):

@@ -76,7 +76,7 @@ def _menagerie_file(name: str, key: str) -> Path:
     if root:
         folder = Path(root) / name
         if not Path(root).is_dir():
-            raise ScenarioError(f"{key}.model: MENAGERIE_ROOT={root} is no folder")
+            raise ScenarioError(f"{key}.model: MENAGERIE_ROOT={root} is not a folder")
         if not folder.is_dir():
             there = ", ".join(sorted(p.name for p in Path(root).glob("*/") if p.is_dir()))
             raise ScenarioError(
@@ -95,7 +95,7 @@ def _menagerie_file(name: str, key: str) -> Path:
             names = list(mujoco_menagerie.names())
             near = difflib.get_close_matches(name, names, n=5, cutoff=0.3) or names
             raise ScenarioError(
-                f"{key}.model: MuJoCo Menagerie holds no model {name!r}; the nearest of its "
+                f"{key}.model: MuJoCo Menagerie has no model {name!r}; the nearest of its "
                 f"{len(names)}: {', '.join(near)}"
             ) from None
         except mujoco_menagerie.MenagerieError as error:
@@ -117,11 +117,11 @@ def _normalised(
     model = spec.compile()
     if model.njnt < 5 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
         raise ScenarioError(
-            f"{origin} is no single arm: it has {model.njnt} joints, and an arm has five or more "
-            "hinges and nothing else"
+            f"{origin} is not a single arm: it has {model.njnt} joints; an arm needs five or more, "
+            "all of them hinges"
         )
     if (np.diff(model.jnt_bodyid) <= 0).any() or not _is_chain(model):
-        raise ScenarioError(f"{origin} is no single arm: its joints are not one chain")
+        raise ScenarioError(f"{origin} is not a single arm: its joints do not form one chain")
     names = tuple(model.joint(i).name for i in range(model.njnt))
     if not all(names):
         raise ScenarioError(f"{origin} has joints without a name")
@@ -178,8 +178,8 @@ def _speed_limits(
         speeds = np.array(list(stated[0].data))
         if speeds.shape != (len(names),) or not (speeds > 0).all():
             raise ScenarioError(
-                f"{origin}: its {key} holds {speeds.tolist()}; {len(names)} numbers above 0 are "
-                f"needed, one for each of {', '.join(names)}"
+                f"{origin}: its {key} holds {speeds.tolist()}; expected {len(names)} numbers "
+                f"above 0, one for each of {', '.join(names)}"
             )
         return speeds
     urdf = own.speed_limits if own else {}
@@ -198,18 +198,18 @@ def _home(model: mujoco.MjModel, names: tuple[str, ...], arm: Arm, key: str) -> 
         return None
     if len(arm.home) != len(names):
         raise ScenarioError(
-            f"{key}.home: has {len(arm.home)} numbers, and the arm {len(names)} joints: "
+            f"{key}.home: has {len(arm.home)} numbers, but the arm has {len(names)} joints: "
             f"{', '.join(names)}"
         )
     outside = [
-        f"{value:g} for {name}, which goes from {low:g} to {high:g}"
+        f"{value:g} for {name}, whose range is {low:g} to {high:g}"
         for value, name, (low, high) in zip(
             arm.home, names, np.degrees(model.jnt_range), strict=True
         )
         if not low <= value <= high
     ]
     if outside:
-        raise ScenarioError(f"{key}.home: outside the joint's range, deg: {'; '.join(outside)}")
+        raise ScenarioError(f"{key}.home: outside the joint's range (deg): {'; '.join(outside)}")
     return np.radians(arm.home)
 
 

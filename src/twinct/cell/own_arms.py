@@ -66,7 +66,7 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
-        raise ScenarioError(f"{where} is no model that MuJoCo can read: {reason}") from None
+        raise ScenarioError(f"{where} is not a model that MuJoCo can read: {reason}") from None
     _check(model, where)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -80,23 +80,23 @@ def _check(model: mujoco.MjModel, where: str) -> None:
     mujoco = mujoco_module()
     joints = [model.joint(j).name or f"number {j}" for j in range(model.njnt)]
     if not joints:
-        raise ScenarioError(f"{where} is no arm: it has no joints")
+        raise ScenarioError(f"{where} is not an arm: it has no joints")
     if others := [
         n for n, t in zip(joints, model.jnt_type, strict=True) if t != mujoco.mjtJoint.mjJNT_HINGE
     ]:
         raise ScenarioError(
-            f"{where} is no single arm: an arm has hinges and nothing else, and these are none: "
+            f"{where} is not a single arm: all joints must be hinges, but these are not: "
             f"{', '.join(others)}"
         )
     if not all(model.body(b).name for b in range(model.nbody)):
         raise ScenarioError(f"{where} has bodies without a name")
     if model.body_geomnum[0]:
         raise ScenarioError(
-            f"{where} has shapes that belong to no body, as the floor of a scene: name the file "
+            f"{where} has shapes outside any body, such as the floor of a scene: name a file "
             "of the arm alone"
         )
     if model.neq:
-        raise ScenarioError(f"{where} couples joints (equality, mimic); each has to move alone")
+        raise ScenarioError(f"{where} couples joints (equality, mimic); each must move alone")
     if free := [n for n, limited in zip(joints, model.jnt_limited, strict=True) if not limited]:
         raise ScenarioError(
             f"{where} states no range for {', '.join(free)}: give it limits (MJCF: range; URDF: "
@@ -106,8 +106,8 @@ def _check(model: mujoco.MjModel, where: str) -> None:
     links = model.body_weldid[model.geom_bodyid[solid]]
     if bare := [model.body(b).name for b in dict.fromkeys(model.jnt_bodyid) if b not in links]:
         raise ScenarioError(
-            f"{where} has no collision geometry on {', '.join(bare)}: without it collisions would "
-            "not be seen"
+            f"{where} has no collision geometry on {', '.join(bare)}: without it, collisions would "
+            "go unnoticed"
         )
 
 
@@ -119,8 +119,8 @@ def _base(model: mujoco.MjModel, data: mujoco.MjData, asked: str | None, where: 
         raise ScenarioError(f"{where} has no base {name!r}; it has {', '.join(names[1:])}")
     if model.body_weldid[names.index(name)] != 0:
         raise ScenarioError(
-            f"{where}: base {name!r} is moved by joints: name a body that stands still with the "
-            "key base, or world for the file's origin"
+            f"{where}: base {name!r} is moved by joints: set the key base to a body that stands "
+            "still, or to world for the file's origin"
         )
     return Pose.from_metres(data.body(name).xpos, np.roll(data.body(name).xquat, -1))
 
@@ -150,7 +150,7 @@ def _flange(
     if name is None or name not in (*sites, *bodies):
         lacks = f"no flange {name!r}" if name else f"no flange, such as {' or '.join(usual)}"
         raise ScenarioError(
-            f"{where} has {lacks}: name it with the key flange; there are "
+            f"{where} has {lacks}: set the key flange to one of "
             f"{', '.join(filter(None, (*sites, *bodies)))}"
         )
     body = model.site(name).bodyid[0] if name in sites else model.body(name).id
@@ -165,7 +165,7 @@ def _flange(
     if not asked and (abs(data.xaxis[-1] @ z) < ALONG or outwards < -ROUNDING_M):
         raise ScenarioError(
             f"{where}: z of its flange {name!r} does not point along the last joint's axis, away "
-            "from the arm: name a frame whose z is the way of the tool with the key flange"
+            "from the arm: set the key flange to a frame whose z points towards the tool"
         )
     if name in sites:
         return name

@@ -17,7 +17,7 @@ from twinct.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
 from twinct.errors import InputError, StorageError
 from twinct.geometry import MM_PER_M, Floats, Pose
 
-_ADVICE = "leave MUJOCO_GL unset, which takes EGL and needs no display"
+_ADVICE = "leave MUJOCO_GL unset to use EGL, which needs no display"
 
 
 MOST_SHOWN = 10_000
@@ -89,7 +89,7 @@ def check_picture_size(width: int, height: int) -> None:
     """
     sides = zip(("width", "height"), (width, height), LARGEST_PICTURE, strict=True)
     problems = [
-        f"--{name} {pixels}: a picture has 1 to {most} pixels here"
+        f"--{name} {pixels}: a picture must have 1 to {most} pixels"
         for name, pixels, most in sides
         if not 1 <= pixels <= most
     ]

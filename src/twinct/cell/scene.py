@@ -302,9 +302,8 @@ def _specimen_outside_zones(built: CellModel) -> None:
             gap = mujoco.mj_geomDistance(model, data, geom, hull, 10.0, line)
             if gap < 0:
                 problems.append(
-                    f"cell.zones.{index}: zone {zone.name!r} reaches into the specimen; "
-                    f"{-gap / MM:.1f} mm apart they would touch: nothing could be imaged without "
-                    "entering it"
+                    f"cell.zones.{index}: zone {zone.name!r} reaches {-gap / MM:.1f} mm into the "
+                    "specimen: nothing could be imaged without entering the zone"
                 )
     if problems:
         raise ScenarioError(problems)

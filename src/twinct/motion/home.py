@@ -52,6 +52,6 @@ def home_off(
                 if result.solved.all() and largest.max() <= FLIP_RAD and clear(result.joints):
                     return result.joints
     raise TrajectoryError(
-        f"view 0: no place to start from: none of those {WITHDRAWN_MM[-1]:g} mm along and across "
-        f"the beam can be reached with a clearance of {asked_mm:g} mm"
+        f"view 0: no start position found: even steps of {WITHDRAWN_MM[-1]:g} mm along and across "
+        f"the beam are out of reach or break the clearance of {asked_mm:g} mm"
     )

@@ -62,7 +62,9 @@ def way_home(
             tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
             found = next((way for way in tries if way is not None), None)
             if found is None:
-                raise TrajectoryError(f"no way home was found, {detours.looked} ones looked at")
+                raise TrajectoryError(
+                    f"no path home found after checking {detours.looked} configurations"
+                )
             knots = found
     data = mujoco.MjData(cell.model)
     data.qpos[:] = home

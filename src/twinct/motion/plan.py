@@ -276,7 +276,7 @@ def too_close(plan: MotionPlan, room: float) -> dict[int, str]:
     """Return a message for each view whose path comes closer than ``room``, mm."""
     return {
         view: f"view {view}: on the way there {' and '.join(plan.nearest[view])} come within "
-        f"{gap:.1f} mm, {room:g} mm are asked"
+        f"{gap:.1f} mm; at least {room:g} mm are required"
         for view, gap in enumerate(plan.clearance_mm.tolist())
         if gap < room
     }

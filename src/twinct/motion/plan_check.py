@@ -62,8 +62,8 @@ def checked_plan(
     """
     if plan.joint_names != cell.joint_names:
         raise TrajectoryError(
-            f"{where}: a plan of another cell: it moves {', '.join(plan.joint_names)}, this cell "
-            f"has {', '.join(cell.joint_names)}"
+            f"{where}: the plan is for another cell: it moves {', '.join(plan.joint_names)}, but "
+            f"this cell has {', '.join(cell.joint_names)}"
         )
     problems = _other_views(plan, asked) or _elsewhere(plan, cell, motion)
     if not problems:
@@ -78,7 +78,9 @@ def checked_plan(
 
 def _other_views(plan: MotionPlan, asked: Asked) -> list[str]:
     if len(plan.targets) != len(asked.targets):
-        return [f"a plan of {len(plan.targets)} views, the trajectory has {len(asked.targets)}"]
+        return [
+            f"the plan has {len(plan.targets)} views, but the trajectory has {len(asked.targets)}"
+        ]
     wanted = list(asked.targets)
     if asked.any_order:
         places = np.array([(*t.source_m[:3], *t.detector_m[:3]) for t in wanted])
@@ -96,7 +98,9 @@ def _other_views(plan: MotionPlan, asked: Asked) -> list[str]:
             and _same(has.detector, want.detector, asked.roll_free[1])
         )
     ]
-    return [f"{named(*run)}: the plan has other poses than the trajectory" for run in runs(other)]
+    return [
+        f"{named(*run)}: the poses of the plan differ from the trajectory" for run in runs(other)
+    ]
 
 
 def _same(has: Pose, want: Pose, roll_free: bool) -> bool:
@@ -119,9 +123,9 @@ def _elsewhere(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
             if far[0] > ik.position_tolerance_mm or far[1] > ik.rotation_tolerance_deg:
                 off[side][view] = far
     return [
-        f"{named(first, last)}: a plan of another cell: its joints put the {side} "
+        f"{named(first, last)}: the plan is for another cell: its joints put the {side} "
         f"{max(far[v][0] for v in range(first, last + 1)):.1f} mm and "
-        f"{max(far[v][1] for v in range(first, last + 1)):.2f} deg off"
+        f"{max(far[v][1] for v in range(first, last + 1)):.2f} deg off target"
         for side, far in off.items()
         for first, last in runs(far)
     ]
@@ -143,12 +147,14 @@ def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
         if share.max() > OVER:
             time, joint = np.unravel_index(int(share.argmax()), share.shape)
             problems.append(
-                f"{cell.joint_names[joint]} has {100 * share.max():.0f} % of the {what} that it "
-                f"may have, at {time * FINE_S:.2f} s"
+                f"{cell.joint_names[joint]} reaches {100 * share.max():.0f} % of its {what} limit "
+                f"at {time * FINE_S:.2f} s"
             )
     if motion.trigger == "settled":
         moving = _moving(plan)
-        problems += [f"{named(*run)}: the arms do not rest, trigger: settled" for run in moving]
+        problems += [
+            f"{named(*run)}: the arms do not rest, but motion.trigger is settled" for run in moving
+        ]
     return problems
 
 

@@ -54,7 +54,7 @@ def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
     """
     try:
         if str(arrays["format"]) != FORMAT:
-            raise ValueError(f"format {arrays['format']}, this twinct reads {FORMAT!r}")
+            raise ValueError(f"its format is {arrays['format']}; this twinct reads {FORMAT!r}")
         names = tuple(map(str, arrays["joint_names"]))
         time_s, state = (np.asarray(arrays[name], np.float64) for name in ("time_s", "state"))
         views = np.asarray(arrays["views"]).astype(np.intp)
@@ -72,9 +72,9 @@ def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
         if not all(np.isfinite(values).all() for values in (time_s, state, *sides)):
             raise ValueError("a number is not finite")
         if len(time_s) < 2 or time_s[0] != 0 or (np.diff(time_s) <= 0).any():
-            raise ValueError("times do not rise from 0")
+            raise ValueError("the times do not increase from 0")
         if not np.array_equal(np.sort(views[views >= 0]), np.arange(count)) or not count:
-            raise ValueError("not every view is exposed once")
+            raise ValueError("not every view is exposed exactly once")
         if state[[0, -1], 1:].any():
             raise ValueError("the arms are not at rest at both ends")
         plan = MotionPlan(
@@ -90,11 +90,11 @@ def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
             nearest=tuple((str(a), str(b)) for a, b in arrays["nearest"]),
         )
     except KeyError as error:
-        raise InputError(f"{where}: no plan: {error} is missing") from None
+        raise InputError(f"{where}: not a valid plan: {error} is missing") from None
     except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: no plan: {error}") from None
+        raise InputError(f"{where}: not a valid plan: {error}") from None
     if plan.digest != str(arrays["digest"]):
-        raise InputError(f"{where}: the plan is not the one that its digest tells of: damaged")
+        raise InputError(f"{where}: the plan is damaged: it does not match its digest")
     return plan
 
 
@@ -119,6 +119,6 @@ def load_plan(path: Path) -> MotionPlan:
     Raises:
         InputError: the file holds no plan, or is damaged.
     """
-    arrays = read_npz(path, f"{path}: no plan: the file", LARGEST_PLAN_BYTES)
-    with library_errors(f"{path}: no plan: its content"):  # arrays of any kind and shape
+    arrays = read_npz(path, f"{path}: the plan file", LARGEST_PLAN_BYTES)
+    with library_errors(f"{path}: the plan file"):  # arrays of any kind and shape
         return plan_of_arrays(arrays, str(path))

@@ -61,7 +61,7 @@ class Reactive:
         gap = self._clearance.over(straight_path(self._cell, self._scratch, start, result.joints))
         if gap.distance_mm < least:
             pair = f"{readable(gap.bodies[0])} and {readable(gap.bodies[1])}"
-            how = f"come within {gap.distance_mm:.1f} mm, at least {least:g} mm must stay"
+            how = f"come within {gap.distance_mm:.1f} mm; at least {least:g} mm are required"
             if gap.distance_mm < 0:
                 how = f"overlap by {-gap.distance_mm:.1f} mm"
             # Names of bodies begin with the name of their arm.

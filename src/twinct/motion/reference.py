@@ -49,7 +49,7 @@ class Reference:
         trajectory = self._ruckig.Trajectory(self._n)
         verdict = self._planner.calculate(ask, trajectory)
         if verdict not in (self._ruckig.Result.Working, self._ruckig.Result.Finished):
-            raise MotionError(f"no timed joint path: Ruckig says {verdict}")
+            raise MotionError(f"no timed joint path: Ruckig returned {verdict}")
         return TimedPath(trajectory)
 
 

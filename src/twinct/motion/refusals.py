@@ -38,8 +38,8 @@ def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:
     """Return messages for views whose motion takes longer than allowed, from the time of each."""
     late = [view for view, needed_s in enumerate(seconds) if needed_s > allowed_s]
     return [
-        f"{named(first, last)}: the way there takes {'up to ' if last > first else ''}at least "
-        f"{max(seconds[first : last + 1]):.2f} s, motion.timeout_s allows {allowed_s:g} s"
+        f"{named(first, last)}: the way there takes at least {max(seconds[first : last + 1]):.2f} s"
+        f"{' in the worst case' if last > first else ''}; motion.timeout_s allows {allowed_s:g} s"
         for first, last in runs(late)
     ]
 
@@ -49,7 +49,7 @@ def gap_text(gap: Gap, asked_mm: float) -> str:
     pair = " and ".join(map(readable, gap.bodies))
     if gap.distance_mm < 0:
         return f"{pair} overlap by {-gap.distance_mm:.1f} mm"
-    return f"{pair} come within {gap.distance_mm:.1f} mm, {asked_mm:g} mm are asked"
+    return f"{pair} come within {gap.distance_mm:.1f} mm; at least {asked_mm:g} mm are required"
 
 
 def readable(body: str) -> str:

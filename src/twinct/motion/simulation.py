@@ -123,8 +123,8 @@ class RobotSimulation:
         """
         if plan.joint_names != self._cell.joint_names:
             raise MotionError(
-                f"the plan is of another cell: it moves {', '.join(plan.joint_names)}, this cell "
-                f"has {', '.join(self._cell.joint_names)}"
+                f"the plan is for another cell: it moves {', '.join(plan.joint_names)}, but this "
+                f"cell has {', '.join(self._cell.joint_names)}"
             )
         self._plan, self._begun_s = plan, 0.0
         self._guide = Guide(self._cell, self._motion, self._roll_free, plan.home)
@@ -163,11 +163,11 @@ class RobotSimulation:
         state = np.asarray(state, dtype=np.float64)
         if state.shape != (size,):
             raise MotionError(
-                f"a state of shape {state.shape} is not of this cell, whose states have ({size},)"
+                f"the state has shape {state.shape}, but the states of this cell have ({size},)"
             )
         mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         if self._data.userdata[-1] != self._mark:
-            raise MotionError("this state is of another plan than the one that is followed")
+            raise MotionError("this state belongs to a plan other than the current one")
         mujoco.mj_step1(self._model, self._data)
         self._taken = True
         self._guide.forget()
@@ -204,7 +204,7 @@ class RobotSimulation:
         if self._plan is None:
             raise MotionError("there is no plan to follow")
         if target != self._plan.targets[view]:
-            raise TargetRefusedError(f"view {view}: this target is not the one of the plan")
+            raise TargetRefusedError(f"view {view}: this target is not the one in the plan")
         return self._along(view, f"view {view}", np.zeros((0, 3, self._n)), on_step)
 
     def home(self, on_step: Callable[[mujoco.MjData], None] | None = None) -> Reached:
@@ -303,7 +303,7 @@ class RobotSimulation:
         n, timestep = self._n, self._model.opt.timestep
         path = self._reference.towards(self._data.userdata[: 3 * n].reshape(3, n), goal)
         steps = round(self._motion.timeout_s / timestep)
-        what = f"cannot follow: after {self._motion.timeout_s:g} s of simulated time"
+        what = f"the arms did not arrive within {self._motion.timeout_s:g} s of simulated time"
         return self._run(lambda k: path.at((k + 1) * timestep), steps, target, what, on_step)
 
     def _run(

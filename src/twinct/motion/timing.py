@@ -89,7 +89,7 @@ class TimeLaw:
         if holding.max() >= TORQUE_SHARE:
             name = self._cell.joint_names[int(holding.argmax())]
             raise TrajectoryError(
-                f"{name} needs {100 * holding.max():.0f} % of its torque limit to hold still: at "
+                f"{name} needs {100 * holding.max():.0f} % of its torque limit to hold still; at "
                 f"most {100 * TORQUE_SHARE:.0f} % may be used"
             )
         spans = np.maximum((np.abs(np.diff(knots, axis=0)) / self._speed).max(axis=1), 1e-9)
@@ -109,7 +109,7 @@ class TimeLaw:
             slower = np.where(along > 1.0, np.minimum(SLOWER * along, 2.0), 1.0)
             most, gain = most / slower, gain / slower
             law = self._law(way, s, most, gain, passed)
-        raise TrajectoryError(f"no timing keeps the joints' limits within {ROUNDS} rounds")
+        raise TrajectoryError(f"found no timing within the joints' limits in {ROUNDS} rounds")
 
     def shares(self, states: Floats) -> dict[str, Floats]:
         """Return the speed, acceleration and torque as shares of each joint's limits.

@@ -299,7 +299,9 @@ class _Finder:
         start = np.array(start, dtype=np.float64)
         ranges = self._cell.joint_ranges
         if start.shape != self._speeds.shape or not np.isfinite(start).all():
-            raise TrajectoryError(f"start: {start} are no positions of {len(ranges)} joints")
+            raise TrajectoryError(
+                f"start: expected {len(ranges)} finite joint positions, got {start}"
+            )
         # A joint at the end of its range may exceed it by rounding.
         start = np.where(np.abs(start - start.clip(*ranges.T)) < 1e-3, start.clip(*ranges.T), start)
         if (start != start.clip(*ranges.T)).any():
@@ -474,6 +476,6 @@ def _rolled(pose: Pose, angle: float) -> Pose:
 def _no_way(before: int, after: int, tried: int, looked: int) -> str:
     origin = f"view {before}" if before >= 0 else "the start"
     return (
-        f"from {origin} to view {after}: no way found in {tried} searches between pairs of "
-        f"configurations, {looked} others looked at"
+        f"from {origin} to view {after}: no path found in {tried} searches between pairs of "
+        f"configurations; {looked} others checked"
     )

@@ -53,7 +53,7 @@ def joined(
     turns = np.ptp(cell.joint_ranges, axis=1) > 3 * np.pi
     room, parts = Feasible(cell), scipy.cluster.hierarchy.DisjointSet(range(len(joints)))
     edges = _edges(directions, joints, whose, turns)
-    with progress.stage("straight ways", len(edges)) as step:
+    with progress.stage("straight paths", len(edges)) as step:
         for start in range(0, len(edges), AT_ONCE):
             some = edges[start : start + AT_ONCE]
             open_ = [(a, b) for a, b in some.tolist() if not parts.connected(a, b)]

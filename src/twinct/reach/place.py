@@ -87,7 +87,7 @@ class Bounds:
         """Raise ``InputError`` unless all bounds are ranges."""
         for name, (low, high) in vars(self).items():
             if not (np.isfinite([low, high]).all() and low <= high):
-                raise InputError(f"bounds of {name}: {low:g} to {high:g} is no range")
+                raise InputError(f"bounds of {name}: {low:g} to {high:g} is not a range")
 
     @property
     def ranges(self) -> Floats:
@@ -179,11 +179,11 @@ class _Search:
         places = [self._spread(own[arm], arm, samples) for arm in range(2)]
         with progress.stage("places of each arm", 2 * (samples + 1)) as step:
             alone = [[self._told_of(point, arm, step) for point in places[arm]] for arm in range(2)]
-        with progress.stage("the best improved alone", 2 * IMPROVED_ALONE * len(STEPS)) as step:
+        with progress.stage("improving each arm's best", 2 * IMPROVED_ALONE * len(STEPS)) as step:
             better = [self._improved_alone(alone[arm], arm, step) for arm in range(2)]
         across = [self._across(own[1 - arm], points, 1 - arm) for arm, points in enumerate(better)]
         tried = [better[0] + across[1], better[1] + across[0]]
-        with progress.stage("tried across", sum(map(len, tried))) as step:
+        with progress.stage("trying the best on the other arm", sum(map(len, tried))) as step:
             for arm in range(2):
                 alone[arm] += [self._told_of(point, arm, step) for point in tried[arm]]
         before = self._judged(own)

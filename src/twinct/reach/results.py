@@ -91,14 +91,14 @@ def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> N
             ("detector (panel opposite)", reach.detector[radius]),
         )
     ]
-    told = "" if reach.connected is None else f", {100 * joined.mean():.1f} % joined by ways"
+    told = "" if reach.connected is None else f", {100 * joined.mean():.1f} % connected by paths"
     share = f"both: {100 * both.mean():.1f} %{told}"
     panels += [
         (share, both, (reach.clearance_mm[radius], "clearance, mm", most_mm)),
         (
-            "both: margin of the joints",
+            "both: joint margin",
             both,
-            (reach.margin_deg[radius], "to a range's end, deg", None),
+            (reach.margin_deg[radius], "to the end of a range, deg", None),
         ),
     ]
     for k, (text, held, figures) in enumerate(panels):
@@ -115,7 +115,7 @@ def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> N
         else:
             figure.colorbar(spots, ax=axes, label=figures[1], shrink=0.7)
             apart = held & ~joined
-            joint = "not joined by ways" if apart.any() else None
+            joint = "not connected by paths" if apart.any() else None
             axes.scatter(
                 *(longitude[apart], latitude[apart]),
                 s=size,
@@ -165,7 +165,7 @@ def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0, title:
     axes.imshow(picture)
     axes.set_axis_off()
     told = f"{title}: source at {reach.sod_mm[radius]:g} mm, panel opposite at {reach.odd_mm:g} mm"
-    axes.set_title(f"{told}\ncoloured: both arms hold it; grey: not", fontsize=10)
+    axes.set_title(f"{told}\ncoloured: both arms can hold the view; grey: they cannot", fontsize=10)
     colours_of = ScalarMappable(scale, MAP)
     figure.colorbar(colours_of, ax=axes, label="clearance, mm", shrink=0.8)
     figure.savefig(path, dpi=130)

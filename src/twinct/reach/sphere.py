@@ -83,11 +83,11 @@ def check_asked(directions: int, sod_mm: Sequence[float], odd_mm: float) -> None
     Raises:
         InputError: no direction, no radius, or a distance that is not positive.
     """
-    problems = [] if directions >= 1 else [f"directions: {directions}: at least 1 is needed"]
+    problems = [] if directions >= 1 else [f"directions: {directions}; at least 1 is needed"]
     problems += [] if len(sod_mm) else ["radii: at least one is needed"]
     for name, value in (*(("radii", sod) for sod in sod_mm), ("odd", odd_mm)):
         if not (np.isfinite(value) and value > 0):
-            problems.append(f"{name}: {value:g} mm: a distance must be positive")
+            problems.append(f"{name}: {value:g} mm; a distance must be positive")
     if problems:
         raise InputError(problems)
 

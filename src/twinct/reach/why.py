@@ -141,13 +141,13 @@ def reasons(
     held = Holder(build(cell), motion, roll_free=roll_free).held(poses)
     failing, fine = np.flatnonzero(~held), np.flatnonzero(held)
     if not len(failing):
-        told = "each view alone can be held: it is the way between them that is not found"
+        told = "each view alone can be held, but no path between them was found"
         if motion.scheme == "reactive":
-            told += "; motion.scheme: planned looks for ways round and changes of configuration"
+            told += "; motion.scheme: planned searches for detours and changes of configuration"
         return [], [told]
     asked, kept = _some(failing, FAILING), _some(fine, OTHERS)
     looked_at = np.concatenate([asked, kept])
-    scope = f"the {len(asked)} views tried, of {len(failing)} that cannot be held"
+    scope = f"{len(asked)} tested views (of {len(failing)} that cannot be held)"
     best, best_words = 0, ""
     for words, changed, turned, scale in _changes(cell, roll_free):
         some = _scaled(poses[looked_at], scale)
@@ -156,16 +156,16 @@ def reasons(
         except ScenarioError:  # for example, a stand-off without room for the panel
             continue
         if now.all():
-            return failing.tolist(), [f"cure: {words}; then {scope}, can be held"]
+            return failing.tolist(), [f"cure: {words}; this cures the {scope}"]
         gained = int(now[: len(asked)].sum())
         if now[len(asked) :].all() and gained > best:
             best, best_words = gained, words
     if best:
-        return failing.tolist(), [
-            f"cure in part: {best_words}; then {best} of {scope}, can be held"
-        ]
+        return failing.tolist(), [f"partial cure: {best_words}; this cures {best} of the {scope}"]
     tried = "turns about the beam, base shifts to 200 mm, stand-offs to 100 mm, radii to 20 %"
-    return failing.tolist(), [f"no cure by one change for {scope}: {tried}; see twinct place"]
+    return failing.tolist(), [
+        f"no single change cures the {scope}; tested: {tried}; see twinct place"
+    ]
 
 
 def _some(views: Indices, count: int) -> Indices:

@@ -93,8 +93,8 @@ class Scan:
             if its["views"] != own["views"] or its["executed"] not in (None, own["executed"]):
                 raise InputError(
                     f"geometry {name!r} was derived from another scan: it has {its['views']} views "
-                    f"made for executed poses {str(its['executed'])[:12]}, this scan has "
-                    f"{own['views']} and {str(own['executed'])[:12]}"
+                    f"made for executed poses {str(its['executed'])[:12]}; this scan has "
+                    f"{own['views']} views and executed poses {str(own['executed'])[:12]}"
                 )
 
     @cached_property
@@ -183,7 +183,9 @@ class Scan:
         if which in (*OWN, RELATIVE):
             return cast(PosePairs, getattr(self, which))
         if which not in self.derived:
-            raise InputError(f"geometry {which!r} is none of {', '.join((*OWN, *self.derived))}")
+            raise InputError(
+                f"unknown geometry {which!r}; choose from {', '.join((*OWN, *self.derived))}"
+            )
         return self.derived[which].poses
 
     def geometry(self, which: str = "believed") -> ScanGeometry:
@@ -213,7 +215,7 @@ class Scan:
         chosen = [int(view) for view in shown]
         if not 1 <= len(chosen) <= MOST_SHOWN or not all(0 <= v < len(self) for v in chosen):
             raise InputError(
-                f"views {chosen}: 1 to {MOST_SHOWN} of the scan's views 0 to {len(self) - 1} needed"
+                f"views {chosen}: choose 1 to {MOST_SHOWN} of the views 0 to {len(self) - 1}"
             )
         panel = self.scenario.detector.panel
         images = line_integrals(self.transmission[chosen])

@@ -106,7 +106,7 @@ def make_way(path: Path, found: Iterable[Damage]) -> None:
     obstacles = {place: "a folder" for place in places if place.is_dir()}
     for folder in {parent for place in places for parent in place.relative_to(path).parents}:
         if os.path.lexists(path / folder) and not (path / folder).is_dir():
-            obstacles[path / folder] = "no folder"
+            obstacles[path / folder] = "a file"
     if obstacles:
         way = "stands in the way: move it"
         told = sorted(f"{there}: {what} {way}" for there, what in obstacles.items())

@@ -27,7 +27,7 @@ BY_VIEW = {"name": "default", "separator": "."}
 ACQUIRED = b"\1"
 """Status of a view on disk."""
 
-ADVICE = "'twinct verify' names all damage, 'twinct run --resume' mends it"
+ADVICE = "'twinct verify' lists all damage, 'twinct run --resume' repairs it"
 
 
 @dataclass(frozen=True)

@@ -79,17 +79,17 @@ def check_attributes(path: Path, told: Any) -> None:
     if not problems:
         texts: list[Any] = [*told["joint_names"], *(told.get("digests") or {}).values()]
         if not all(isinstance(text, str) for text in texts):
-            problems.append(f"{path}/zarr.json: attributes: names and digests are texts")
+            problems.append(f"{path}/zarr.json: attributes: names and digests must be strings")
         try:
             if not isinstance(json_of(told["scenario"]), dict):
-                raise ValueError("no mapping of keys to values")
+                raise ValueError("it does not map keys to values")
         except ValueError as error:
-            problems.append(f"{path}/zarr.json: attributes.scenario: no JSON: {error}")
+            problems.append(f"{path}/zarr.json: attributes.scenario: not a JSON mapping: {error}")
     if problems:
         raise InputError(problems)
 
 
-_NAMES = {str: "a text", list: "a list", dict: "a mapping"}
+_NAMES = {str: "a string", list: "a list", dict: "a mapping"}
 
 
 def _kind(value: Any) -> str:
@@ -107,10 +107,13 @@ def check_arrays(path: Path, group: Any) -> None:
     with readable(path, "the metadata of an array"):
         found = {name: group[name] for name in _ARRAYS if name in group}
     if groups := [name for name, array in found.items() if not isinstance(array, zarr.Array)]:
-        raise InputError(f"{path}/{groups[0]}: a group, expected an array")
+        raise InputError(f"{path}/{groups[0]}: found a group, expected an array")
     status, image = found.get("status"), found.get("transmission")
     if status is None or image is None or len(status.shape) != 1 or len(image.shape) != 3:
-        raise InputError(f"{path}: no array of statuses, or of images (views, rows, columns)")
+        raise InputError(
+            f"{path}: statuses (views) or images (views, rows, columns) are missing, or have the "
+            "wrong number of axes"
+        )
     views, joints = status.shape[0], len(group.attrs["joint_names"])
     problems = [
         f"{path}/{name}: missing"
@@ -121,14 +124,14 @@ def check_arrays(path: Path, group: Any) -> None:
         if name not in found or not _fits(found[name], (views, *shape), dtype, by_view=by_view)
     ]
     problems += [
-        f"{path}/{name}: {found[name].shape[1:]} a view, there are {joints} joints"
+        f"{path}/{name}: shape {found[name].shape[1:]} per view, but there are {joints} joints"
         for name in _JOINTS
         if name in found and found[name].shape[1:] != (joints,)
     ]
     if BAD_PIXELS in found and not _fits(found[BAD_PIXELS], image.shape[1:], np.bool_):
-        problems.append(f"{path}/{BAD_PIXELS}: not one truth value a pixel")
+        problems.append(f"{path}/{BAD_PIXELS}: expected one truth value per pixel")
     if MAS in found and not _fits(found[MAS], (views,), np.float64):
-        problems.append(f"{path}/{MAS}: not one number a view")
+        problems.append(f"{path}/{MAS}: expected one number per view")
     if problems:
         raise InputError(problems)
 

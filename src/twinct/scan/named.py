@@ -77,15 +77,15 @@ class NamedGeometry:
         try:
             told = read_json(path)
             if told["format"] != FORMAT:
-                raise ValueError(f"format {told['format']!r}, this twinct reads {FORMAT!r}")
+                raise ValueError(f"its format is {told['format']!r}; this twinct reads {FORMAT!r}")
             sides = [_poses(told[side]) for side in ("source", "detector")]
             if len(sides[0]) != len(sides[1]):
-                raise ValueError("source and detector have not the same number of views")
+                raise ValueError("source and detector differ in their number of views")
             found = cls(checked_name(path.stem), PosePairs(*sides), dict(told["made_by"]))
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise InputError(f"{path}: no geometry: {error}") from None
+            raise InputError(f"{path}: not a geometry file: {error}") from None
         if found.digest != told["digest"]:
-            raise InputError(f"{path}: the geometry is not the one that its digest tells of")
+            raise InputError(f"{path}: the geometry does not match its digest")
         return found
 
 
@@ -108,7 +108,7 @@ def checked_name(name: str) -> str:
     """
     if not _NAME.fullmatch(name):
         raise InputError(
-            f"name {name!r}: letters, digits, dots, hyphens and underscores make a name, at most 64"
+            f"name {name!r}: use at most 64 letters, digits, dots, hyphens and underscores"
         )
     return name
 

@@ -111,8 +111,8 @@ class ScanStore:
             self._format = self._group.attrs.get("format")
         if isinstance(self._format, bool) or self._format not in READABLE:
             raise InputError(
-                f"{path}: a scan store of format {self._format!r}; this twinct reads "
-                f"{' and '.join(map(str, READABLE))}: a newer one may read it"
+                f"{path}: the scan store has format {self._format!r}; this twinct reads "
+                f"{' and '.join(map(str, READABLE))}; a newer one may read it"
             )
         if self._format == FORMAT and not self.vouched:
             raise damaged(path, Damage(FRAME_FILE, "missing"))
@@ -165,11 +165,11 @@ class ScanStore:
         found = store.damage
         taken = views_taken(path)
         if not store.vouched and len(taken) > 1 and taken <= {damage.view for damage in found}:
-            told = "no view fits the metadata: these are damaged, and nothing tells what they were"
+            told = "no view fits the metadata, which are damaged and cannot be reconstructed"
             raise DamagedError([f"{path}: {told}; nothing has been changed"], found)
         make_way(path, found)
         for damage in found:
-            log.warning("%s: %s; its view is taken again", path, damage)
+            log.warning("%s: %s; its view will be taken again", path, damage)
         with storage_errors(path):
             for view in {damage.view for damage in found}:
                 (path / "status" / chunk_name(view or 0, 0)).unlink(missing_ok=True)
@@ -184,13 +184,13 @@ class ScanStore:
         """
         own, other = self.digests, kept_digests(scenario)
         differ = [
-            f"{name} {own.get(name, 'none')[:12]}, this one has {digest[:12]}"
+            f"{name}: {own.get(name, 'none')[:12]} there, {digest[:12]} here"
             for name, digest in other.items()
             if own.get(name) != digest
         ]
         if differ:
             raise ScanExistsError(
-                f"{self.path} holds the scan of another scenario (digest of its {'; '.join(differ)}"
+                f"{self.path} holds the scan of another scenario (digest of {'; '.join(differ)}"
                 "): choose another --out"
             )
 
@@ -274,7 +274,7 @@ class ScanStore:
         panel, image = scenario.detector.panel.shape, self._array("transmission").shape[1:]
         if panel != image:
             raise InputError(
-                f"{self.path}: its scenario has {panel} pixels, its images have {image}"
+                f"{self.path}: its scenario has {panel} pixels, but its images have {image}"
             )
         return scenario
 
@@ -316,11 +316,11 @@ class ScanStore:
         with readable(self.path, "plan"):
             group = self._group["plan"]
             if not isinstance(group, zarr.Group):
-                raise InputError(f"{self.path}/plan: an array, expected a group")
+                raise InputError(f"{self.path}/plan: found an array, expected a group")
             told = dict(group.arrays())
             if (total := sum(array.nbytes for array in told.values())) > LARGEST_PLAN_BYTES:
                 raise InputError(
-                    f"{self.path}/plan: its arrays are said to hold {total:.3g} bytes, at most "
+                    f"{self.path}/plan: its arrays claim {total:.3g} bytes; at most "
                     f"{LARGEST_PLAN_BYTES:.3g} are read"
                 )
             arrays = {name: np.asarray(array[:]) for name, array in told.items()}
@@ -374,7 +374,7 @@ class ScanStore:
         if name not in self.kept:
             there = ", ".join(self.kept) or "transmission only"
             raise InputError(
-                f"{self.path} keeps {there}, no {name!r} images: detector.keep asks for them"
+                f"{self.path} keeps {there} and no {name!r} images; request them with detector.keep"
             )
         return self._read(name, view)
 
@@ -394,8 +394,8 @@ class ScanStore:
         for name, values in {**images, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):
                 raise InputError(
-                    f"{self.path}: {name} of view {index} has {np.shape(values)}, the scan "
-                    f"{shape}: its metadata are damaged, or of another twinct"
+                    f"{self.path}: {name} of view {index} has shape {np.shape(values)}, the scan "
+                    f"{shape}: its metadata are damaged, or another twinct wrote them"
                 )
         with storage_errors(self.path):
             for name, image in images.items():

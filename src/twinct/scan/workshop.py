@@ -153,7 +153,7 @@ class Workshop:
         from twinct.cell import build_cell
 
         if not isinstance(self.scenario.cell, Cell):
-            raise InputError(f"cell.kind: {self.scenario.cell.kind}: there are no arms to build")
+            raise InputError(f"cell.kind: a {self.scenario.cell.kind} has no arms to build")
         pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
         return build_cell(self.scenario.cell, mesh, pose, panel)
 

@@ -97,7 +97,7 @@ class BuiltSpecimen:
         except scipy.spatial.QhullError:
             edges = " x ".join(f"{edge:g}" for edge in np.ptp(points, axis=0))
             raise SpecimenError(
-                f"specimen.parts: all of them together measure {edges} mm: too flat for a body"
+                f"specimen.parts: all parts together measure {edges} mm, too flat for a solid body"
             ) from None
         blocks = np.array_split(_sphere_directions(HULL_DIRECTIONS), 40)
         outermost = np.unique(np.concatenate([(points @ b.T).argmax(axis=0) for b in blocks]))
@@ -193,8 +193,8 @@ def _disjoint(parts: list[BuiltPart]) -> tuple[BuiltPart, ...]:
         disjoint.append(replace(part, mesh=mesh))
         if not len(mesh.faces):
             problems.append(
-                f"part {part.name!r} is empty: later parts cover all of it. Where parts "
-                "overlap the later one wins; list the outer part first"
+                f"part {part.name!r} is empty: later parts cover it completely. Where parts "
+                "overlap, the later one wins; list the outer part first"
             )
     if problems:
         raise SpecimenError(problems)

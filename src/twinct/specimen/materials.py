@@ -55,12 +55,12 @@ class Material:
             _atomic_number(symbol, self.name)
             if not share > 0:
                 raise SpecimenError(
-                    f"material {self.name!r}: the share of {symbol}, {share:g}, must be positive"
+                    f"material {self.name!r}: the share of {symbol} must be positive, got {share:g}"
                 )
         total = sum(self.mass_fractions.values())
         if abs(total - 1.0) > FRACTION_SUM_TOLERANCE:
             raise SpecimenError(
-                f"material {self.name!r}: the mass fractions add up to {total:.4g}, they must "
+                f"material {self.name!r}: the mass fractions add up to {total:.4g}; they must "
                 f"add up to 1 (within {FRACTION_SUM_TOLERANCE:g})"
             )
         shares = {symbol: share / total for symbol, share in self.mass_fractions.items()}
@@ -87,7 +87,7 @@ class Material:
             )
         except ValueError as error:
             raise SpecimenError(
-                f"material {self.name!r}: no attenuation known at {energy_kev:g} keV ({error}); "
+                f"material {self.name!r}: no attenuation data at {energy_kev:g} keV ({error}); "
                 "xraylib covers about 0.1 to 800 keV"
             ) from None
         return self.density_g_cm3 * mass_attenuation / MM_PER_CM
@@ -117,8 +117,7 @@ class Material:
             )
         except ValueError as error:
             raise SpecimenError(
-                f"material {self.name!r}: no energy absorption known at {energy_kev:g} keV "
-                f"({error})"
+                f"material {self.name!r}: no energy-absorption data at {energy_kev:g} keV ({error})"
             ) from None
 
 
@@ -192,7 +191,7 @@ def _unknown(wanted: str, origin: str) -> str:
     near += [name for k, name in known.items() if _key(wanted) in k and name not in near][:3]
     hint = f"nearest: {', '.join(near)}" if near else f"built in: {', '.join(BUILT_IN)}"
     return (
-        f"{origin}: unknown material {wanted!r}; {hint}. Element symbols are known too, and any "
+        f"{origin}: unknown material {wanted!r}; {hint}. Element symbols also work, and any "
         "other material can be given as {formula: H2O, density_g_cm3: 1.0} or "
         "{mass_fractions: {H: 0.112, O: 0.888}, density_g_cm3: 1.0}"
     )
@@ -211,7 +210,7 @@ def _by_symbol(data: dict[str, Any]) -> dict[str, float]:
 def _atomic_number(symbol: str, name: str) -> int:
     if symbol not in _ELEMENTS:
         raise SpecimenError(
-            f"material {name!r}: {symbol!r} is no element symbol (H to Pu, written like Ca)"
+            f"material {name!r}: {symbol!r} is not an element symbol (H to Pu, written like Ca)"
         )
     return xraylib.SymbolToAtomicNumber(symbol)
 

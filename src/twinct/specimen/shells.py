@@ -48,7 +48,7 @@ def joined_shells(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
     twice = once - solid.volume()
     if twice < least:  # bodies within cavities of others
         return mesh
-    told = "%s: its %d shells overlap; what lies in several of them (%.3g mm^3 in all) counts once"
+    told = "%s: its %d shells overlap; the shared volume (%.3g mm^3 in all) counts once"
     log.warning(told, where, len(shells), twice)
     return from_manifold(solid)
 
@@ -71,8 +71,8 @@ def _solid(shell: trimesh.Trimesh, where: str) -> manifold3d.Manifold:
     solid = to_manifold(shell)
     if solid.is_empty():
         raise SpecimenError(
-            f"{where} has several shells, and the one {_at(shell.bounds)} is no solid: whether it "
-            "overlaps another cannot be told"
+            f"{where} has several shells, and the one {_at(shell.bounds)} is not a solid, so "
+            "its overlap with the others cannot be checked"
         )
     return solid
 
@@ -91,8 +91,8 @@ def _carve(
             return
     place = _at(np.reshape(cavity.bounding_box(), (2, 3)))
     raise SpecimenError(
-        f"{where}: the shell {place} is turned inside out, as a cavity is, but "
-        "does not lie within another shell; turn or move it in a mesh editor"
+        f"{where}: the shell {place} is turned inside out like a cavity, but "
+        "does not lie within another shell; flip or move it in a mesh editor"
     )
 
 

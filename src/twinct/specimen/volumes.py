@@ -109,13 +109,17 @@ def read_ct(path: Path, where: str) -> CtImage:
         image = _read_inv3(path, where)
     else:
         raise SpecimenError(
-            f"{where} is of no known kind: a NIfTI file (.nii, .nii.gz), an InVesalius project "
-            "(.inv3) or the folder of one DICOM series can be read"
+            f"{where} has an unknown format; expected a NIfTI file (.nii, .nii.gz), an InVesalius "
+            "project (.inv3) or the folder of one DICOM series"
         )
     if min(image.values.shape) < 2:
-        raise SpecimenError(f"{where} has {image.values.shape} voxels: no volume")
+        raise SpecimenError(
+            f"{where} has {image.values.shape} voxels; a volume needs at least 2 along each axis"
+        )
     if not np.isfinite(image.affine).all() or not np.abs(image.affine).max() < FARTHEST_MM:
-        raise SpecimenError(f"{where}: its place in the patient is none: {image.affine.tolist()}")
+        raise SpecimenError(
+            f"{where}: its affine matrix is not finite or too large: {image.affine.tolist()}"
+        )
     if not np.isfinite(image.values).all():
         raise SpecimenError(f"{where} holds values that are not finite")
     if abs(np.linalg.det(image.affine[:3, :3])) < 1e-9:
@@ -149,7 +153,9 @@ def _read_nifti(path: Path, where: str) -> CtImage:
     if values.ndim > 3:
         values = values.reshape(values.shape[:3] + tuple(n for n in values.shape[3:] if n != 1))
     if values.ndim != 3:
-        raise SpecimenError(f"{where} has shape {values.shape}; one volume of three axes is needed")
+        raise SpecimenError(
+            f"{where} has shape {values.shape}; expected a single volume with three axes"
+        )
     affine = np.array(image.affine, dtype=np.float64)
     affine[:3] *= {"meter": 1000.0, "micron": 0.001}.get(unit, 1.0)
     return CtImage(values, affine)
@@ -172,7 +178,7 @@ def _dicom_slices(folder: Path, where: str) -> list[Any]:
                 meta = read_file_meta_info(file)
             except (InvalidDicomError, EOFError):
                 if file.suffix.lower() in DICOM_SUFFIXES:
-                    raise SpecimenError(f"{where}: {file.name} is no DICOM file") from None
+                    raise SpecimenError(f"{where}: {file.name} is not a DICOM file") from None
                 continue
             if meta.get("TransferSyntaxUID") == DeflatedExplicitVRLittleEndian:
                 raise SpecimenError(f"{where}: {file.name} is deflated; decompress the series")
@@ -196,15 +202,15 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
     if len(names) > 1:
         listed = "; ".join(f"{uid} {names[uid]!r}, {uids.count(uid)} images" for uid in names)
         raise SpecimenError(
-            f"{where}: the folder holds {len(names)} series, one is needed: {listed}"
+            f"{where}: the folder holds {len(names)} series; expected one: {listed}"
         )
     first = slices[0]
     if any(int(data.get("NumberOfFrames", 1)) > 1 for data in slices):
         raise SpecimenError(
-            f"{where}: multi-frame DICOM is not read; convert it to NIfTI, with dcm2niix say"
+            f"{where}: multi-frame DICOM is not supported; convert it to NIfTI, e.g. with dcm2niix"
         )
     if first.get("Modality", "CT") != "CT":
-        raise SpecimenError(f"{where}: modality {first.Modality}, a CT is needed")
+        raise SpecimenError(f"{where}: modality is {first.Modality}; expected CT")
     needed = ("ImageOrientationPatient", "ImagePositionPatient", "PixelSpacing")
     lacking = {key for data in slices for key in needed if key not in data}
     if lacking:
@@ -223,14 +229,14 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
     order = np.argsort(positions @ normal)
     slices, positions = [slices[i] for i in order], positions[order]
     if len(slices) < 2:
-        raise SpecimenError(f"{where}: one image only, a series of slices is needed")
+        raise SpecimenError(f"{where}: only one image; expected a series of slices")
     gaps = np.diff(positions @ normal)
     gap = float(np.median(gaps))
     if gap <= 0 or np.abs(gaps - gap).max() > SLICE_TOLERANCE * gap:
         worst = int(np.abs(gaps - gap).argmax())
         raise SpecimenError(
             f"{where}: slices are not evenly spaced: {gaps[worst]:.4g} mm between slice {worst} "
-            f"and {worst + 1}, {gap:.4g} mm elsewhere; is a slice missing or doubled?"
+            f"and {worst + 1}, {gap:.4g} mm elsewhere; is a slice missing or duplicated?"
         )
     rows, columns = next(iter(sizes))
     require_memory(where, 12 * rows * columns * len(slices), SpecimenError)
@@ -244,10 +250,10 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
         why = shortened(f"{type(error).__name__}: {error}")
         raise SpecimenError(
             f"{where}: pixel data cannot be read ({why}); "
-            "decompress the series, with gdcmconv --raw say"
+            "decompress the series, e.g. with gdcmconv --raw"
         ) from None
     if {image.shape for image in images} != {(rows, columns)}:
-        raise SpecimenError(f"{where}: images of more than one sample a pixel; a CT has one")
+        raise SpecimenError(f"{where}: images have more than one sample per pixel; a CT has one")
     affine = np.eye(4)
     affine[:3, 0] = along_column * spacing[0, 1]
     affine[:3, 1] = along_row * spacing[0, 0]
@@ -276,23 +282,25 @@ def _read_inv3(path: Path, where: str) -> CtImage:
         spacing = np.array(main["spacing"], dtype=np.float64)
         dtype = np.dtype(matrix["dtype"])
         if dtype.kind not in "iuf" or min(shape, default=0) < 1:
-            raise ValueError(f"shape {shape} of {dtype} is no volume")
+            raise ValueError(f"shape {shape} of {dtype} is not a volume")
         values = np.frombuffer(raw, dtype=dtype).reshape(shape)
     except SpecimenError:
         raise
     except KeyError as error:
         raise SpecimenError(
-            f"{where} is no complete InVesalius project: {error.args[0]} is missing"
+            f"{where} is not a complete InVesalius project: {error.args[0]} is missing"
         ) from None
     except tarfile.ReadError:  # its text lists every compression that was tried
         raise SpecimenError(
-            f"{where} is no InVesalius project: that is a tar archive, plain or gzipped"
+            f"{where} is not an InVesalius project: expected a tar archive, plain or gzipped"
         ) from None
     except Exception as error:  # gzip, tar, property lists and arrays raise various types
         why = shortened(f"{type(error).__name__}: {error}")
         raise SpecimenError(f"{where} cannot be read as an InVesalius project ({why})") from None
     if values.ndim != 3 or spacing.shape != (3,):
-        raise SpecimenError(f"{where}: shape {shape} and spacing {spacing.tolist()} make no volume")
+        raise SpecimenError(
+            f"{where}: shape {shape} and spacing {spacing.tolist()} do not describe a volume"
+        )
     affine = np.diag([-spacing[0], spacing[1], spacing[2], 1.0])
     return CtImage(values.transpose(2, 1, 0).astype(np.float32), affine)
 
@@ -304,9 +312,7 @@ def _members(archive: tarfile.TarFile, where: str) -> dict[str, tarfile.TarInfo]
     for member in archive:  # finding the next header unpacks this member
         whole += 512 + member.size
         if whole > LARGEST_ARCHIVE:
-            raise SpecimenError(
-                f"{where} holds more than the {LARGEST_ARCHIVE} bytes that are read"
-            )
+            raise SpecimenError(f"{where} is larger than the limit of {LARGEST_ARCHIVE} bytes")
         if member.isfile():
             found[PurePosixPath(member.name).name] = member
     return found

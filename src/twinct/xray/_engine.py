@@ -77,8 +77,8 @@ class GvxrScene:
         """Fill the scene. The caller owns the scene until ``release``."""
         if not self._owned.acquire(blocking=False):
             raise TwinctError(
-                "another X-ray imager is still open in this process, and gVXR has one scene for "
-                "each process: close() that imager first, or use a process for each"
+                "another X-ray imager is still open in this process, and gVXR has one scene per "
+                "process: close() that imager first, or use a separate process"
             )
         try:
             self._call(self._fill, bodies, energy_kev, panel)

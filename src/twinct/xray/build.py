@@ -73,8 +73,8 @@ def _filtered(spectrum: PhotonSpectrum, filters: Sequence[scenario.Filter]) -> P
     if share < _FAINTEST:
         listed = " and ".join(f"{thickness:g} mm {what.name}" for what, thickness in plates)
         raise InputError(
-            f"source.spectrum.filters: {listed} let {share:.1g} of the photons through; "
-            f"at least {_FAINTEST:g} must be left of a beam"
+            f"source.spectrum.filters: {listed} let only {share:.1g} of the photons "
+            f"through; at least {_FAINTEST:g} must remain"
         )
     for substance, thickness in plates:
         spectrum = spectrum.filtered(substance, thickness)
@@ -150,9 +150,13 @@ def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_
     with _named("detector.bad_pixels.path"):
         bad = read_image(section.path, "bad pixels") != 0
         if bad.shape != shape:
-            raise InputError(f"{section.path}: a map of {bad.shape} pixels, the panel has {shape}")
+            raise InputError(
+                f"{section.path}: the map has {bad.shape} pixels, but the panel has {shape}"
+            )
         if bad.all():
-            raise InputError(f"{section.path}: every pixel is bad (not 0): one good one is needed")
+            raise InputError(
+                f"{section.path}: every pixel is bad (not 0); at least one must be good"
+            )
     return bad
 
 

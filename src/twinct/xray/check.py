@@ -66,9 +66,9 @@ def _response_problems(spectrum: PhotonSpectrum, response: PhotonResponse) -> li
     share = float(spectrum.photons[outside].sum() / spectrum.total)
     if share > _UNCOVERED:
         return [
-            f"detector.response.path: {response.name}: covers {low:g} to {high:g} keV, but "
-            f"{100 * share:.3g} % of the source's photons lie outside, at {energies[0]:.4g} to "
-            f"{energies[-1]:.4g} keV; at most {100 * _UNCOVERED:g} % may"
+            f"detector.response.path: {response.name} covers {low:g} to {high:g} keV, but "
+            f"{100 * share:.3g} % of the source's photons, which have {energies[0]:.4g} to "
+            f"{energies[-1]:.4g} keV, lie outside; at most {100 * _UNCOVERED:g} % may"
         ]
     if not (spectrum.photons * response.mean(energies)).sum() > 0:
         return [f"detector.response: {response.name} absorbs none of the source's photons"]
@@ -89,6 +89,6 @@ def _spot_problems(source: scenario.Source, views: ScanGeometry) -> list[str]:
         return []
     return [
         f"source.focal_spot.{key}: a spot {width:g} mm wide"
-        f"{' (4 sigma)' if key == 'sigma_mm' else ''} is none: at most {limit:g} mm, a quarter of "
-        f"the distance of {distance:g} mm to the panel"
+        f"{' (4 sigma)' if key == 'sigma_mm' else ''} is too wide; at most {limit:g} mm are "
+        f"allowed, a quarter of the distance of {distance:g} mm to the panel"
     ]

@@ -139,7 +139,7 @@ class Imager(SceneOwner):
                 raise ValueError(f"render takes one view at a time, not {len(geometry)}")
             if geometry.panel != self.panel:
                 raise ValueError(
-                    f"the view has {geometry.panel}, the imager was made for {self.panel}"
+                    f"the view has {geometry.panel}; the imager was made for {self.panel}"
                 )
         if self._paths is not None:
             return self.frame(path, view, before).transmission
@@ -153,7 +153,7 @@ class Imager(SceneOwner):
     ) -> ViewImages:
         """Take one view with raw, flat and dark images, which an ideal detector does not have."""
         if self._paths is None:
-            raise ValueError("an ideal source and detector give a transmission and nothing else")
+            raise ValueError("an ideal source and detector give only a transmission")
         middle = path[len(path) // 2][0]
         chain = self._chain = self._chain or self._new_chain(self._commanded or middle)
         last = None
@@ -213,7 +213,7 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) 
         mu_per_mm = float(part.material.mu_per_mm(energy_kev))
         fault = mesh_fault(part.mesh)
         if fault is None and not (np.isfinite(mu_per_mm) and mu_per_mm >= 0):
-            fault = f"has an attenuation of {mu_per_mm:g}/mm"
+            fault = f"has an attenuation of {mu_per_mm:g}/mm; it must be finite and not negative"
         if fault:
             problems.append(f"part '{part.name}' {fault}")
         else:

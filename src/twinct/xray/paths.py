@@ -121,7 +121,7 @@ class PathRenderer(SceneOwner):
         if len(view) != 1:
             raise ValueError(f"render takes one view at a time, not {len(view)}")
         if view.panel != self.panel:
-            raise ValueError(f"the view has {view.panel}, the renderer was made for {self.panel}")
+            raise ValueError(f"the view has {view.panel}; the renderer was made for {self.panel}")
         count, poses = len(self._material), world_from_bodies
         poses = [poses] * count if isinstance(poses, Pose) else poses
         if len(poses) != count:

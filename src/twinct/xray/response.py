@@ -85,7 +85,7 @@ class PhotonResponse:
             problems.append(f"{path}: the energies must rise")
         if shares.min() < 0 or shares.max() > 1:
             wrong = shares.min() if shares.min() < 0 else shares.max()
-            problems.append(f"{path}: a share of {wrong:g}: shares lie between 0 and 1")
+            problems.append(f"{path}: a share is {wrong:g}; shares must lie between 0 and 1")
         if not shares.any():
             problems.append(f"{path}: the detector absorbs nothing: all shares are 0")
         if problems:

@@ -43,15 +43,15 @@ class PhotonSpectrum:
         counts = np.array(photons, dtype=np.float64, ndmin=1)
         problems = []
         if energies.shape != counts.shape or energies.ndim != 1:
-            problems.append(f"{energies.shape} energies and {counts.shape} photon numbers")
+            problems.append(f"{energies.shape} energies but {counts.shape} photon numbers")
         elif not (np.isfinite(energies).all() and np.isfinite(counts).all()):
             problems.append("a spectrum must consist of finite numbers")
         elif (np.diff(energies) <= 0).any():
             problems.append("the energies of a spectrum must rise")
         elif (counts < 0).any():
-            problems.append(f"{counts.min():g} photons: a spectrum has no negative number of them")
+            problems.append(f"a bin has {counts.min():g} photons; the number must not be negative")
         elif not counts.any():
-            problems.append("a spectrum needs photons, all bins are empty")
+            problems.append("a spectrum needs photons, but all bins are empty")
         else:
             used = np.flatnonzero(counts)
             energies, counts = (a[used[0] : used[-1] + 1] for a in (energies, counts))
@@ -84,7 +84,7 @@ class PhotonSpectrum:
             ends = spectrum.energies_kev[[0, -1]]
             if ends[0] < low or ends[1] > high:
                 raise InputError(
-                    f"photons of {ends[0]:g} to {ends[1]:g} keV: attenuation is known from "
+                    f"photons of {ends[0]:g} to {ends[1]:g} keV: attenuation data cover only "
                     f"{low:g} to {high:g} keV"
                 )
             return spectrum

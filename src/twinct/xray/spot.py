@@ -50,13 +50,13 @@ def image_spot(intensity: Floats, size_x_mm: float, size_y_mm: float, unit: Floa
     intensity = np.asarray(intensity, dtype=float)
     what = "the image of a focal spot"
     if intensity.ndim != 2:
-        raise InputError(f"{what} has rows and columns, this one has the shape {intensity.shape}")
+        raise InputError(f"{what} must have rows and columns, not shape {intensity.shape}")
     if not np.isfinite(intensity).all():
-        raise InputError(f"{what} has finite intensity, this one also NaN or infinite")
+        raise InputError(f"{what} must have finite intensity, not NaN or infinite")
     if (intensity < 0).any():
-        raise InputError(f"{what} has no negative intensity, this one {intensity.min():g}")
+        raise InputError(f"{what} must not have negative intensity, but has {intensity.min():g}")
     if not intensity.any():
-        raise InputError(f"{what} needs intensity, this one is 0 everywhere")
+        raise InputError(f"{what} needs intensity, but is 0 everywhere")
     rows, columns = intensity.shape
     by_column = np.concatenate([[0], np.cumsum(intensity.sum(axis=0))])
     x = np.interp(unit[:, 0] * by_column[-1], by_column, np.arange(columns + 1))

@@ -83,7 +83,7 @@ class PointSpreadFunction:
         if values.min() < 0 or values.max() > MOST_MODULATION:
             wrong = values.min() if values.min() < 0 else values.max()
             problems.append(
-                f"a modulation of {wrong:g}: it must lie between 0 and {MOST_MODULATION:g}"
+                f"a modulation is {wrong:g}; it must lie between 0 and {MOST_MODULATION:g}"
             )
         try:
             made = cls.tabulated(frequencies, values)
@@ -104,8 +104,8 @@ class PointSpreadFunction:
         last = float(self.mtf(np.array(self.end_per_mm)))
         if self.end_per_mm < nyquist and last > CUT_OFF:
             raise InputError(
-                f"the MTF ends at {self.end_per_mm:g}/mm with a modulation of {last:g}: it must go "
-                f"on to the Nyquist frequency of the pixels, {nyquist:g}/mm, or down to {CUT_OFF:g}"
+                f"the MTF ends at {self.end_per_mm:g}/mm with a modulation of {last:g}; it must "
+                f"extend to the pixels' Nyquist frequency, {nyquist:g}/mm, or fall to {CUT_OFF:g}"
             )
 
     def apply(
