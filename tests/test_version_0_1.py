@@ -73,7 +73,7 @@ def test_it_is_reported_reconstructed_once_more_and_exported(folder: Path) -> No
 def test_a_volume_of_other_settings_is_no_result_of_it(folder: Path) -> None:
     file = folder / "scenario.yaml"
     file.write_text(file.read_text().replace("iterations: 2", "iterations: 3"))
-    with pytest.raises(InputError, match="made with other settings"):
+    with pytest.raises(InputError, match="made with settings other than those"):
         report_again(folder)
 
 

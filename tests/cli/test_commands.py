@@ -166,7 +166,7 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     process.send_signal(signal.SIGCONT)
     _, stderr = process.communicate(timeout=HANG_S)
     assert process.returncode == 1
-    assert "--resume goes on" in stderr and "Traceback" not in stderr
+    assert "continue with --resume" in stderr and "Traceback" not in stderr
     assert json.loads((out / "seconds.json").read_text())["motion"] > 0
 
 
@@ -476,8 +476,8 @@ def test_schema_is_json(capsys) -> None:
 
 @pytest.mark.parametrize(
     ("command", "kept"),
-    [("check", ""), ("run", "; every acquired view is kept, --resume goes on")]
-    + [("study", "; every finished trial is kept, --resume goes on")],
+    [("check", ""), ("run", "; every acquired view is kept, continue with --resume")]
+    + [("study", "; every finished trial is kept, continue with --resume")],
 )
 def test_what_an_interrupted_command_keeps_is_said(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], command: str, kept: str

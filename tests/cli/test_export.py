@@ -116,7 +116,7 @@ def test_a_scan_under_way_is_exported_as_far_as_it_is(
 ) -> None:
     store = scan_in(tmp_path, scenario, commanded, 3)
     assert run_command(["export", str(tmp_path), "--to", "astra", "--geometry", which]) == 0
-    assert "is under way: exporting the 3 of 5 views" in capfd.readouterr().out
+    assert "is unfinished: exporting the 3 of 5 views" in capfd.readouterr().out
     images, vectors = exported(tmp_path / "export-astra")
     assert len(images) == len(vectors) == len(store.poses(which)) == 3
     assert store.acquired == 3
@@ -140,7 +140,7 @@ def test_what_is_no_scan_is_named(
     tmp_path: Path, scenario: Scenario, commanded: PosePairs, capfd
 ) -> None:
     missing = tmp_path / "none"
-    assert f"{missing}: neither" in bad(capfd, "export", missing, "--to", "rtk")
+    assert f"{missing} is neither" in bad(capfd, "export", missing, "--to", "rtk")
     (tmp_path / "scan.zarr").mkdir()
     (tmp_path / "scan.zarr" / "zarr.json").write_text("{")
     assert "scan.zarr: its metadata cannot be read" in bad(capfd, "export", tmp_path, "--to", "rtk")
@@ -181,7 +181,7 @@ def test_a_full_disk_leaves_nothing(run_folder: Path, tmp_path: Path, capfd, mon
         free = type("U", (), {"free": 2**40})()
         monkeypatch.setattr(store_module.shutil, "disk_usage", lambda _: free)
         stderr = bad(capfd, "export", run_folder, "--to", "tigre", "--out", disk / "out")
-        assert "the disk is full; nothing of the export is left" in stderr
+        assert "the disk is full; the partial export was removed" in stderr
         assert not list(disk.iterdir())
     finally:
         subprocess.run(["umount", str(disk)], check=True)

@@ -53,7 +53,7 @@ def test_place_saves_a_scenario(
     scenario = load_scenario(saved)
     assert isinstance(scenario.cell, Cell)
     assert scenario.trajectory.model_dump()["views"] == 6
-    assert "both arms hold 100.0 % of 6 views before, 100.0 % after" in said
+    assert "both arms reach 100.0 % of 6 views before, 100.0 % after" in said
     shown = re.search(r"cell.source_arm.base_position_mm=(.*)", said)
     assert shown is not None
     assert json.loads(shown[1]) == list(scenario.cell.source_arm.base_position_mm)

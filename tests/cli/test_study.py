@@ -50,9 +50,9 @@ def test_a_dry_run_shows_the_trials_and_what_they_take(study, tmp_path, capfd) -
     lines = [line.split() for line in capfd.readouterr().out.splitlines()]
     assert lines[0] == ["trial", "relaxation", "current", "seed"]
     assert lines[1] == ["0", "0.25", "10", "7"] and lines[8] == ["7", "0.5", "20", "8"]
-    assert " ".join(lines[9]) == "8 trials to try; 2 scans"
+    assert " ".join(lines[9]) == "8 trials to run; 2 scans"
     told = " ".join(lines[10])
-    assert re.fullmatch(r"disk: \d\.\d MB or less: no trial of this kind has run on this .*", told)
+    assert re.fullmatch(r"disk: \d\.\d MB at most: no trial of this kind has run on this .*", told)
     assert len(lines) == 11
     assert not (tmp_path / "out").exists()
 
@@ -85,12 +85,12 @@ def test_a_dry_run_of_a_search_shows_its_first_batch(study, capfd) -> None:
         (
             "axes:\n  - paired: [{key: a, values: [1]}, {key: b, values: [1, 2]}]",
             [],
-            "study.yaml:8: axes.0.paired: a has 1, b has 2; as many are needed",
+            "study.yaml:8: axes.0.paired: a has 1, b has 2; they must be equal",
         ),
         ("max_trials: 3\n" + AXES, [], r"the study has more than 3 trials \(max_trials\)"),
-        ("figures: [image.beauty]", [], "figure 'image.beauty': no trial has it; there are"),
-        ("", ["--retry-failed"], "--retry-failed goes with --resume"),
-        ("", ["--jobs", "0"], "--jobs 0: at least 1 needed"),
+        ("figures: [image.beauty]", [], "figure 'image.beauty': no trial has it; choose from"),
+        ("", ["--retry-failed"], "--retry-failed needs --resume"),
+        ("", ["--jobs", "0"], "--jobs 0: must be at least 1"),
         ("axes: [", [], "study.yaml:7: not valid YAML"),
     ],
 )

@@ -17,7 +17,7 @@ DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")
     ("arguments", "message"),
     [
         (["nothing"], "nothing"),
-        (["{tmp}"], "is no folder of a run"),
+        (["{tmp}"], "is not a run folder"),
         (["{tmp}", "{tmp}", "{tmp}"], "3 folders: the page shows one, or two side by side"),
         (["{tmp}", "--set", "seed=1"], "a run is shown as it is"),
         ([DEMO, "--host", "0.0.0.0"], "has no password"),

@@ -79,7 +79,7 @@ def test_one_that_raises_is_logged_once_and_told_no_more(
     assert len(calls) == 1
     assert [e.text for e in heard] == list("01234")
     assert [r.getMessage() for r in caplog.records] == [
-        "observer broken failed and is told no more"
+        "observer broken failed and gets no more events"
     ]
     assert "no such screen" in caplog.text
 

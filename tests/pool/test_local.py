@@ -138,7 +138,7 @@ def test_a_death_is_told_with_its_signal_and_the_next_work_is_done(
     pool.submit(Work("dies", jobs.die_until, (tmp_path / "count", 1)))
     pool.submit(Work("lives", jobs.double, 21))
     events = finish(pool)
-    assert events["dies"] == Died("dies", "its worker was ended by SIGKILL")
+    assert events["dies"] == Died("dies", "its worker was killed by SIGKILL")
     pool.submit(Work("dies", jobs.die_until, (tmp_path / "count", 1)))
     for event, value in ((events["lives"], 42), (finish(pool)["dies"], 1)):
         assert isinstance(event, Done) and event.value == value
@@ -150,7 +150,7 @@ def test_what_a_dead_worker_started_ends_with_it(pool: LocalPool, tmp_path: Path
     events = finish(pool)
     child = int((tmp_path / "child").read_text())
     with ended_at_last(child):
-        assert events["leaves"] == Died("leaves", "its worker ended with code 7")
+        assert events["leaves"] == Died("leaves", "its worker exited with code 7")
         until(lambda: gone(child))
 
 
@@ -243,7 +243,7 @@ def test_what_cannot_be_sent_is_refused_before_anything_starts(pool: LocalPool) 
     def main(argument: object, place: object) -> None: ...
 
     main.__module__ = "__main__"
-    for function, problem in ((main, "__main__"), (local, "a function has to be")):
+    for function, problem in ((main, "__main__"), (local, "the function must be")):
         with pytest.raises(InputError, match=problem):
             pool.submit(Work("work", function, None))
     with pytest.raises(InputError, match="__main__"):

@@ -81,7 +81,7 @@ def test_nothing_ready_waits_for_an_event_and_is_an_error_without_one() -> None:
         yield None
         yield None
 
-    with pytest.raises(ValueError, match="nothing ready"):
+    with pytest.raises(ValueError, match="no work ready"):
         for event in each(Scripted({}), source()):
             done.append(event.key)
     assert done == ["a", "b"]
@@ -96,7 +96,7 @@ def test_real_deaths_are_tried_again_three_times(tmp_path: Path) -> None:
     assert isinstance(events["two"], Done) and events["two"].value == 2
     failed = events["three"]
     assert isinstance(failed, Failed) and failed.kind == "WorkerDied"
-    assert failed.problems == ("killed its worker 3 times: its worker was ended by SIGKILL",)
+    assert failed.problems == ("killed its worker 3 times: its worker was killed by SIGKILL",)
 
 
 @pytest.mark.process

@@ -158,7 +158,7 @@ def test_the_page_is_whole_and_says_differences(report):
     assert f"SSIM {image['ssim']:.3f} {image['ssim'] + 0.1:.3f} (+0.100)" in words
     assert f"PSNR {image['psnr_db']:.1f} – dB" in words
     assert "X-ray projections 80.2 s 90.2 s (+10.0 s)" in words
-    assert "None: the scenarios are the same." in words
+    assert "None: the scenarios are identical." in words
     error = report.metrics["pose_error"]["source"]["position_mm"]["max"]
     assert f"source, position, max {error:.3f} {error:.3f} (=)" in words
 
@@ -197,7 +197,7 @@ def test_what_cannot_be_compared_is_said_and_has_no_difference(report, monkeypat
     said = "\n".join(found.notes)
     assert len(found.notes) == 4
     for part in (
-        "b and a image different specimens",
+        "b and a show different specimens",
         "b and a have different grids",
         "b and a were made by twinct 0.1.0b and ",
         "c and a are relative to different attenuations, 0.05 and 0.043",

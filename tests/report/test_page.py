@@ -143,7 +143,7 @@ def test_parts_that_are_not_there_leave_no_gap(report):
     bare = replace(report, slices={}, projections=(), room_png=None, metrics=metrics)
     page = Page(render_report(bare))
     assert len(page.images) == 2
-    assert "Projections" not in page.words and "beside the truth" not in page.words
+    assert "Projections" not in page.words and "Reconstruction and truth" not in page.words
     with_room = replace(bare, room_png=b"\x89PNG picture")
     room = Page(render_report(with_room)).images[0]
     assert content(room) == ("data:image/png", b"\x89PNG picture")

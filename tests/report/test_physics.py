@@ -74,7 +74,7 @@ def test_what_is_set_of_the_source_is_said(source, said):
         ({"response": {"kind": "scintillator", "thickness_mm": 0.2}}, "0.2 mm CsI"),
         ({"response": {"kind": "file", "path": "a/r.txt"}}, "efficiency r.txt"),
         ({"pixel_samples": 4}, "4 × 4 samples a pixel"),
-        ({"binning": 2}, "each of 2 × 2"),
+        ({"binning": 2}, "each binned from 2 × 2"),
         ({"point_spread": {"kind": "gaussian", "sigma_mm": 0.3}}, "spread, sigma 0.3 mm"),
         ({"point_spread": {"kind": "mtf", "path": "a/m.txt"}}, "MTF m.txt"),
         ({"noise": {"kind": "snr", "snr": 50.0}}, "SNR 50"),

@@ -319,7 +319,7 @@ def test_a_study_of_one_trial_claims_no_interval():
     one = trial(0, {"a": 1}, None, 0.125, seconds={"xray": 2.0, "total": 3.0})
     html = render_study(study([one], "a", planned=4, wall_seconds=5.0))
     said = words_of(html)
-    assert "No combination was repeated: there are no intervals." in said
+    assert "No combination was repeated, so there are no intervals." in said
     assert "1 / 4 trials done" in said and "5.0 s from start to end" in said
     assert table_of(html, "Combinations")[1] == ["1", "12.5", "–", "1"]
     assert table_of(html, "Time")[1:] == [
@@ -353,7 +353,7 @@ def test_ten_thousand_trials_stay_a_small_page(drawn):
     _, *rows = table_of(html, "Combinations")
     best = sorted(t.figures[RMSE] for t in trials if t.done)[:200]
     assert [float(row[1]) for row in rows] == pytest.approx(best, abs=1e-6)
-    assert "RMSE over x; y, n vary along with it; dots: 990 of 9900 combinations" in said
+    assert "RMSE over x; y, n vary with it; dots: 990 of 9900 single combinations" in said
 
 
 def test_best_trials_are_shown_beside_the_truth(report, monkeypatch):
@@ -373,13 +373,13 @@ def test_best_trials_are_shown_beside_the_truth(report, monkeypatch):
     html = render_study(whole)
     assert [names for names, _ in shown] == [[f"trial {k}" for k in best]] * 2
     assert shown[0][1] is shown[1][1], "the same windows"
-    assert "The truth is that of" not in html and html.count('src="data:image/png') == 2
+    assert "The truth shown is that of" not in html and html.count('src="data:image/png') == 2
     other = planes["axial"]._replace(truth=2 * planes["axial"].truth)
     html = render_study(
         replace(whole, sections={8: planes, 3: planes | {"axial": other}, 99: planes})
     )
     assert shown[-1][0] == ["trial 8", "trial 3"]
-    assert "The truth is that of trial 8" in html
+    assert "The truth shown is that of trial 8" in html
 
 
 def test_pictures_of_the_best_are_drawn(report):

@@ -58,14 +58,14 @@ def test_a_phantoms_scan_gets_its_geometry_and_so_does_another_of_its_views(ball
 
 
 def test_what_cannot_be_calibrated_is_refused_before_anything_is_written(balls, finished):
-    with pytest.raises(CalibrationError, match=r"none is a ball_helix, there are sphere"):
+    with pytest.raises(CalibrationError, match=r"no part is a ball_helix, only sphere"):
         calibrate_beads(finished.paths.path, name="other")
-    with pytest.raises(InputError, match=r"has 10 views, the phantom's scan 2"):
+    with pytest.raises(InputError, match=r"has 10 views, but the phantom's scan has 2"):
         calibrate_beads(balls, others=[finished.paths.path], name="other")
-    with pytest.raises(InputError, match="every scan has"):
+    with pytest.raises(InputError, match="every scan already has"):
         calibrate_self(balls, name="executed")
     for calibrate in (calibrate_beads, calibrate_self):
-        with pytest.raises(InputError, match="no folder of a run"):
+        with pytest.raises(InputError, match="not a run folder"):
             calibrate(balls / "nowhere")
     assert "other" not in load_scan(balls).derived
 
@@ -89,7 +89,7 @@ def test_a_scan_may_start_from_planes_that_its_views_share(finished, tmp_path, c
     keys = ["--sigma-mm", "0.3", "--sigma-deg", "0.1", "--start", "epipolar"]
     assert run_command(["calibrate", str(folder), "--with", "self", *keys]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "start: 10 of 10 views by planes they share with others" in said
+    assert "start: 10 of 10 views aligned by the planes they share with others" in said
     assert load_scan(folder).derived["self"].made_by["start"] == "epipolar"
     told = calibrate_self(folder, PosePrior(0.3, 0.1), start="epipolar", name="again")
     assert told.start is not None and told.started is not None
@@ -145,7 +145,7 @@ def test_balls_on_the_specimen_tell_the_geometry_of_their_own_scan(stuck):
 def test_too_few_balls_and_names_that_are_taken_are_refused(finished):
     with pytest.raises(CalibrationError, match=r"[01] balls of radius 1.5 mm are found"):
         calibrate_balls(finished.paths.path)
-    with pytest.raises(InputError, match="every scan has"):
+    with pytest.raises(InputError, match="every scan already has"):
         calibrate_balls(finished.paths.path, name="believed")
     assert "balls" not in load_scan(finished.paths.path).derived
 
@@ -153,8 +153,8 @@ def test_too_few_balls_and_names_that_are_taken_are_refused(finished):
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        (["--ball-radius-mm", "0"], "--ball-radius-mm 0: more than 0 needed"),
-        (["--sigma-mm", "0"], "--sigma-mm 0: more than 0 needed"),
+        (["--ball-radius-mm", "0"], "--ball-radius-mm 0: must be more than 0"),
+        (["--sigma-mm", "0"], "--sigma-mm 0: must be more than 0"),
         (["--what", "patient"], "--what patient"),
         (["--to", "elsewhere"], "--to elsewhere"),
         (["--start", "epipolar"], "--start epipolar: only --with self"),

@@ -71,7 +71,7 @@ def test_two_runs_are_named_by_what_tells_them_apart(
         found = compare([tmp_path / "c" / "out", second])
     assert [one.label for one in found.compared] == ["c/out", "b/out"]
     assert found.keys == {"specimen.parts.0.material": ("bone", "water")}
-    assert "b/out and c/out image different specimens" in found.notes[0]
+    assert "b/out and c/out show different specimens" in found.notes[0]
 
 
 def test_what_cannot_be_compared_is_named_before_any_work(
@@ -84,13 +84,13 @@ def test_what_cannot_be_compared_is_named_before_any_work(
     with pytest.raises(InputError) as refused:
         compare([folder, link, empty, folder / "reconstructions" / "none"])
     twice, no_run, none = refused.value.problems
-    assert twice == f"{link}: the same folder twice: each is compared once"
+    assert twice == f"{link}: given twice; each folder is compared once"
     assert no_run.startswith(f"{empty} holds no finished run: scan.zarr, volume.nii")
-    assert none.startswith(f"{folder}/reconstructions/none: no reconstruction of a run")
-    with pytest.raises(InputError, match="^1 folders: two or more") as refused:
+    assert none.startswith(f"{folder}/reconstructions/none is not a reconstruction of a run")
+    with pytest.raises(InputError, match="^1 folders: at least two") as refused:
         compare([folder])
-    assert str(refused.value).endswith(f"beside it are {folder}/reconstructions/other")
-    with pytest.raises(InputError, match="^0 folders: two or more can be compared$"):
+    assert str(refused.value).endswith(f"its reconstructions are {folder}/reconstructions/other")
+    with pytest.raises(InputError, match="^0 folders: at least two are needed$"):
         compare([])
 
 
@@ -101,5 +101,5 @@ def test_damage_is_named(folder: Path, tmp_path: Path) -> None:
     (out / "metrics.json").write_text("{")
     with pytest.raises(InputError) as refused:
         compare([out, out / "reconstructions" / "other"])
-    assert "not readable figures" in refused.value.problems[0]
-    assert "is not the file of other that was written" in refused.value.problems[1]
+    assert "cannot read the figures" in refused.value.problems[0]
+    assert "differs from the file written for other" in refused.value.problems[1]

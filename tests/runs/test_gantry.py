@@ -76,7 +76,7 @@ def test_the_report_is_complete_with_and_without_what_draws(finished: Run, tmp_p
     assert re.search(r"view 8: t 9.000 s, clearance unknown$", log, re.MULTILINE)
     assert finished.figures["clearance_mm"]["min"] is None
     assert finished.figures["pose_error"]["source"]["position_mm"]["max"] == 0
-    assert "source and panel exactly where they are told" in text
+    assert "source and panel exactly at their commanded poses" in text
     assert "operating room" not in text and "smallest clearance" not in text
     json.loads(finished.paths.metrics.read_text(encoding="utf-8"), parse_constant=pytest.fail)
     shutil.copytree(finished.paths.path, tmp_path / "out")

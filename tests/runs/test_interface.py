@@ -76,7 +76,7 @@ def test_a_function_is_an_algorithm(finished: Run) -> None:
     for wrong in (lambda A, y: y, lambda A, y: None):
         with pytest.raises(InputError, match="algorithm: the function returned"):
             twinct.reconstruct(scan, algorithm=wrong)
-    with pytest.raises(InputError, match="function knows no mask"):
+    with pytest.raises(InputError, match="function takes no mask"):
         mask = np.ones(scan.transmission.shape[1:], bool)
         twinct.reconstruct(scan, algorithm=landweber, mask=mask)
 

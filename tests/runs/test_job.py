@@ -74,7 +74,7 @@ def test_a_volume_of_other_settings_is_not_reported(finished: Run, tmp_path: Pat
     shutil.copytree(finished.paths.path, tmp_path / "out")
     file = tmp_path / "out" / finished.paths.scenario.name
     file.write_text(file.read_text().replace("relaxation: 0.3", "relaxation: 0.4"))
-    with pytest.raises(InputError, match="made with other settings"):
+    with pytest.raises(InputError, match="made with settings other than those"):
         report_again(tmp_path / "out")
 
 

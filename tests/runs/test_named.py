@@ -169,7 +169,7 @@ def test_what_the_grid_does_not_hold_is_told_before_any_work(scenario: Scenario)
         return list(caught.value.problems)
 
     (away,) = told("evaluation.regions.1.position_mm=[0, 500, 0]")
-    assert away == "evaluation.regions.1: 'water_box' has no voxel of the grid"
+    assert away == "evaluation.regions.1: 'water_box' covers no voxel of the grid"
     part = "specimen.parts.2.position_mm=[0, 0, 400]"
     assert [problem.split(":")[0] for problem in told(part)] == [
         "evaluation.regions.2.shape.part",

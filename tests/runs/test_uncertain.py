@@ -60,7 +60,7 @@ def test_figures_and_report_tell_both(uncertain: Run) -> None:
     assert believed["reprojection_px"]["max"] == pytest.approx(off.max())
     assert believed["made_by"]["model"] == "nominal kinematics"
     page = uncertain.paths.report.read_text(encoding="utf-8")
-    assert "as the controllers have it" in page
+    assert "seen by the controllers" in page
 
 
 def test_the_same_arms_serve_another_scan(tiny: Callable[..., Scenario], uncertain: Run) -> None:

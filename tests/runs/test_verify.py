@@ -178,7 +178,7 @@ def test_what_is_of_no_view_is_made_anew(
     left = contents(path)
     with pytest.raises(DamagedError) as error:
         ScanStore(path)
-    with pytest.raises(DamagedError, match=r"json cannot be made anew: this scenario, or"):
+    with pytest.raises(DamagedError, match=r"json cannot be recreated: this scenario, or"):
         mend_frame(path, shorter, error.value)
     assert contents(path) == left
     mend_frame(path, workshop, error.value)
@@ -190,7 +190,7 @@ def test_what_is_of_no_view_is_made_anew(
 
 def test_results_beside_the_store_are_looked_at(folder: Path, capsys) -> None:
     assert run_command(["verify", str(folder)]) == 0
-    assert "whole (10 of 10 views)" in "".join(capsys.readouterr())
+    assert "intact (10 of 10 views)" in "".join(capsys.readouterr())
     file = folder / "geometries" / "believed.json"
     file.write_text(file.read_text().replace("1", "2", 1))
     (folder / "volume.nii").write_bytes(b"no volume")

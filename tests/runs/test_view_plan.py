@@ -264,7 +264,7 @@ def test_it_goes_on_where_it_was_stopped(file: Path, tmp_path: Path, monkeypatch
     with pytest.raises(KeyboardInterrupt):
         plan_views(file, tmp_path / "out")
     monkeypatch.undo()
-    with pytest.raises(ScanExistsError, match="--resume goes on"):
+    with pytest.raises(ScanExistsError, match="continue it with --resume"):
         plan_views(file, tmp_path / "out")
     with pytest.raises(ScanExistsError, match="search of another scenario"):
         plan_views(file, tmp_path / "out", ["task.radius_mm=4"], resume=True)
@@ -292,13 +292,19 @@ def test_what_does_not_go_together_is_told_by_its_key(file: Path, override, said
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [
-        (["task=null"], "has no section task"),
-        (["task.position_mm=[0, 400, 0]"], r"no view .* sees the region at \(0, 400, 0\)"),
+        (["task=null"], "the section task is missing"),
+        (["task.position_mm=[0, 400, 0]"], r"no reachable view sees the region at \(0, 400, 0\)"),
         (["task.dose={part: lens, at_most_rel: 0.01}"], "at most .* is asked for, the 6 candid"),
         (["source.photons_per_mm2_mas=null", DETECT], "needs a photon number"),
-        (["task.metal={parts: [pin], counts: shift}", MONO], r"metal\.counts: shift: one energy"),
+        (
+            ["task.metal={parts: [pin], counts: shift}", MONO],
+            r"metal\.counts: shift: a single energy",
+        ),
         ([f"task.metal={{seen: {{path: {DEMO}}}}}"], r"demo\.yaml"),
-        ([*FAMILY, "trajectory={kind: uniform, views: 9}"], r"has no number 'tilt_deg': it has so"),
+        (
+            [*FAMILY, "trajectory={kind: uniform, views: 9}"],
+            r"has no numeric key 'tilt_deg'; choose from so",
+        ),
         (
             [
                 *FAMILY[:1],
@@ -324,7 +330,9 @@ def test_arms_that_reach_too_little_say_how_much(file: Path, tmp_path: Path) -> 
         *("cell={kind: arms}", "task.candidates=12"),
         "cell.source_arm.base_position_mm=[2500, 0, -400]",
     ]
-    with pytest.raises(InputError, match=r"task\.views: 6 are asked for, the arms can have 0 of"):
+    with pytest.raises(
+        InputError, match=r"task\.views: 6 views are requested, but the arms reach only 0 of"
+    ):
         plan_views(file, tmp_path / "out", overrides)
 
 

@@ -89,7 +89,7 @@ def test_the_command_tells_it(planned: Path, tmp_path: Path, capsys) -> None:
         main([*words, "--set", "uncertainty.views={detector_in_plane_mm: 1}"])
     assert not ended.value.code
     told = capsys.readouterr().out
-    assert "what they are for: 3 scans" in told and "detectability" in told
+    assert "effect on the task: 3 scans" in told and "detectability" in told
     assert '"task"' in (tmp_path / "out" / "uncertainty.json").read_text()
 
 

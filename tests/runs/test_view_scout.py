@@ -86,12 +86,12 @@ def test_views_are_planned_for_where_it_lies(file: Path, scout: Path, tmp_path: 
 def test_scout_views_of_something_else_are_refused(file: Path, scout: Path, tmp_path: Path) -> None:
     told = load_scenario(file).model_dump(mode="json")
     told["specimen"]["parts"][0]["material"] = "titanium"
-    with pytest.raises(InputError, match=r"scan\.zarr: the scenario's specimen is not what"):
+    with pytest.raises(InputError, match=r"scan\.zarr: the scan does not show the scenario's"):
         scouted(parse_scenario(told), scout, SILENT)
     with pytest.raises(InputError, match="nothing"):
         scouted(load_scenario(file), tmp_path / "nothing", SILENT)
     one = tmp_path / "one.zarr"
     scenario = load_scenario(file, ["trajectory.views=1"])
     acquire_to_store(Workshop(scenario), one, local_rig, resume=False)
-    with pytest.raises(InputError, match="1 scout view: at least 2"):
+    with pytest.raises(InputError, match="1 scout view, but at least 2"):
         scouted(load_scenario(file), one, SILENT)

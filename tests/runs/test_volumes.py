@@ -91,7 +91,7 @@ def masked(scan):
 
 def test_an_algorithm_that_knows_no_mask_refuses_it_by_name(scan):
     mask, broken = masked(scan(algorithm="rtk_sart"))
-    with pytest.raises(InputError, match="rtk_sart knows no mask"):
+    with pytest.raises(InputError, match="rtk_sart takes no mask"):
         reconstruct(broken, mask=mask)
 
 

@@ -69,7 +69,9 @@ def test_paired_axes_go_on_together(small) -> None:
         {RELAXATION: 0.5, "s": 2},
     ]
     short = [parts[0], {**parts[1], "values": [1]}]
-    with pytest.raises(InputError, match=rf"axes\.0\.paired: {RELAXATION} has 2, s has 1; as many"):
+    with pytest.raises(
+        InputError, match=rf"axes\.0\.paired: {RELAXATION} has 2, s has 1; they must"
+    ):
         load_study(small(axes=[{"paired": short}]))
 
 
@@ -95,7 +97,7 @@ def test_an_axis_for_one_algorithm_only_is_left_alone_elsewhere(small) -> None:
 
 def test_only_over_a_key_that_is_none(written) -> None:
     path = written(f"axes:\n  - {{key: seed, label: s, values: [1], only: {{{ALGORITHM}s: x}}}}")
-    with pytest.raises(InputError, match=rf":3: axis s: only: {ALGORITHM}s is no key of the sc"):
+    with pytest.raises(InputError, match=rf":3: axis s: only: {ALGORITHM}s is not a key of the sc"):
         load_study(path)
 
 

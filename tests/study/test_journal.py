@@ -84,7 +84,7 @@ def test_a_journal_of_one_torn_line_begins_anew(tmp_path):
         (b'{"trial": 1, "axes": {}, "figures": {}}', "seconds is missing"),
         (ROW.to_json().replace('"key"', '"keys"').encode(), "key is missing"),
         (ROW.to_json().replace('"done"', '"lost"').encode(), "'lost' is neither done nor failed"),
-        (ROW.to_json().replace('"trial":3', '"trial":"3"').encode(), "trial is no number"),
+        (ROW.to_json().replace('"trial":3', '"trial":"3"').encode(), "trial is not a number"),
         (b"\xff", "not UTF-8 text"),
     ],
 )

@@ -153,7 +153,7 @@ def test_ten_thousand_rows(tmp_path):
 
 def test_no_study_is_one_message(tmp_path):
     for folder in (tmp_path, tmp_path / "none"):
-        with pytest.raises(InputError, match=r"no results of a study: there is no journal\.jsonl"):
+        with pytest.raises(InputError, match=r"holds no study results: journal\.jsonl is missing"):
             load_results(folder)
     Journal(tmp_path).append([])
     assert len(load_results(tmp_path)) == 0

@@ -242,15 +242,15 @@ def test_whole_runs_are_kept_if_asked_and_have_the_same_figures(
 @pytest.mark.parametrize(
     ("other", "said"),
     [
-        (study(0.2, 0.5, keep="volume"), "its keep was another"),
-        (study(0.2, 0.5, set={"seed": 7}), "its scenario, or its 'set', was another"),
+        (study(0.2, 0.5, keep="volume"), "its keep differs"),
+        (study(0.2, 0.5, set={"seed": 7}), "its scenario or 'set' differs"),
     ],
 )
 def test_the_folder_of_another_study_is_refused(base, other: dict[str, Any], said: str) -> None:
     out = base[0].folder.path
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
     for resume in (False, True):
-        with pytest.raises(InputError, match=f"the folder is of another study: {said}"):
+        with pytest.raises(InputError, match=f"the folder holds another study: {said}"):
             run_study(other, out, resume=resume)
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
 

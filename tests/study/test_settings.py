@@ -25,21 +25,21 @@ def search(key: str) -> str:
         ("axes: [seed]", "2: axes.0: must be a section of keys and values, but is 'seed'"),
         ("axes:\n  - {key: a, value: [1]}", "3: axes.0.value: unknown key; did you mean 'values'"),
         (f"axes:\n  - {{{KEY}, values: []}}", "3: axes.0.values: must have at least 1 entry, but"),
-        (f"axes:\n  - {{{KEY}}}", "3: axes.0: one of values, range, draw and paired is needed; th"),
+        (f"axes:\n  - {{{KEY}}}", "3: axes.0: one of values, range, draw and paired is needed; no"),
         (
             f"axes:\n  - {{{KEY}, values: [1], range: {{first: 1, last: 2, number: 2}}}}",
-            "3: axes.0: one of values, range, draw and paired is needed; values and range are th",
+            "3: axes.0: one of values, range, draw and paired is needed; values and range are gi",
         ),
-        ("axes:\n  - {values: [1]}", "3: axes.0: an axis has a key, or pairs axes that have one"),
-        ("axes: [{key: '', values: [1]}]", "2: axes.0.key: '' is no dotted key such as"),
-        ("axes: [{key: A b, values: [1]}]", "2: axes.0.key: 'A b' is no dotted key such as"),
+        ("axes:\n  - {values: [1]}", "3: axes.0: an axis needs either a key or paired axes"),
+        ("axes: [{key: '', values: [1]}]", "2: axes.0.key: '' is not a dotted key such as"),
+        ("axes: [{key: A b, values: [1]}]", "2: axes.0.key: 'A b' is not a dotted key such as"),
         (
             "axes:\n  - paired:\n    - {key: a, values: [1]}",
             "4: axes.0.paired: must have at least 2 entries, but has 1",
         ),
         (
             "axes:\n- paired:\n  - {key: a, values: [1]}\n  - {key: b, values: [1], only: {c: 2}}",
-            "4: axes.0: axes that are paired have key and values, no 'paired' or 'only'",
+            "4: axes.0: paired axes take a key and values, but no 'paired' or 'only'",
         ),
         (
             f"axes: [{{{KEY}, range: {{first: 0, last: 1, number: 3, scale: log}}}}]",
@@ -65,19 +65,25 @@ def search(key: str) -> str:
             f"axes: [{{{KEY}, draw: {{kind: normal, mean: 2, sigma: -1, number: 3}}}}]",
             "2: axes.0.draw.sigma: must be greater than or equal to 0, but is -1",
         ),
-        (search("{key: a, low: 1}"), "2: search.keys.0: low and high are needed, or choices"),
+        (
+            search("{key: a, low: 1}"),
+            "2: search.keys.0: either low and high, or choices, are needed",
+        ),
         (
             search("{key: a, low: 1, high: 2, choices: [1]}"),
-            "2: search.keys.0: low and high are needed, or choices",
+            "2: search.keys.0: either low and high, or choices, are needed",
         ),
-        (search("{key: a, low: 2, high: 1}"), "2: search.keys.0: no linear range from 2 to 1"),
+        (
+            search("{key: a, low: 2, high: 1}"),
+            "2: search.keys.0: 2 to 1 is not a valid linear range",
+        ),
         (
             search("{key: a, low: 0, high: 1, scale: log}"),
-            "2: search.keys.0: no log range from 0 to 1",
+            "2: search.keys.0: 0 to 1 is not a valid log range",
         ),
         (
             search("{key: a, low: 0.4, high: 3, whole: true}"),
-            "2: search.keys.0: whole numbers from 0.4 to 3: both must be whole",
+            "2: search.keys.0: whole: low 0.4 and high 3 must be whole numbers",
         ),
         (
             f"axes: [{{{KEY}, values: [1]}}]\n{search('{key: a, low: 0, high: 1}')}",

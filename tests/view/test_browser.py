@@ -106,7 +106,7 @@ def slices(tried: Tried) -> None:
 def geometry(tried: Tried) -> None:
     browser = tried.browser
     with tried.page(tried.show()):
-        browser.number("differences, times", 200)
+        browser.number("magnify differences", 200)
         first = browser.still()
         browser.choose("beam and panel", "believed")
         browser.changes(first)

@@ -84,7 +84,7 @@ def test_views_come_as_they_are_stored(copy: Path, finished: Run) -> None:
 def test_a_volume_that_is_not_there_yet_is_said(copy: Path) -> None:
     take_back(copy, 8)
     show = RunFolder(copy).look()
-    assert [p for p in show.problems if "volume.nii is not there yet" in p]
+    assert [p for p in show.problems if "volume.nii does not exist yet" in p]
 
 
 def test_an_iteration_under_way_is_shown(copy: Path, finished: Run) -> None:
@@ -116,7 +116,7 @@ def test_an_iteration_of_this_process_is_not_read_from_disk(copy: Path, finished
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is no folder of a run: it holds neither"):
+    with pytest.raises(InputError, match="is not a run folder: it holds neither"):
         RunFolder(tmp_path)
     with pytest.raises(InputError, match="there is no such folder"):
         RunFolder(tmp_path / "nothing")
@@ -126,7 +126,7 @@ def test_a_folder_that_vanishes_is_one_message(copy: Path) -> None:
     folder = RunFolder(copy)
     folder.look()
     shutil.rmtree(copy)
-    with pytest.raises(InputError, match="is gone: what is shown is what was there before"):
+    with pytest.raises(InputError, match="is gone: the page shows its last state"):
         folder.look()
 
 
@@ -157,7 +157,7 @@ def test_a_click_tells_numbers(finished: Run) -> None:
     assert nearest_view(show, "executed", eye, executed.source[5] - eye) == 5
     numbers = of_view(show, view)
     off = np.linalg.norm(show.geometries["believed"].source[view] - executed.source[view])
-    assert f"to executed: {off:.3f} mm source" in numbers
+    assert f"distance from executed: {off:.3f} mm source" in numbers
     truth = show.volumes["truth"]
     level = 0.5 * float(truth.array.max())
     eye = np.array([-200.0, 150.0, 130.0])

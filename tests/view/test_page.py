@@ -107,7 +107,7 @@ def test_differences_are_magnified_about_executed(
 ) -> None:
     executed, believed = show.geometries["executed"], show.geometries["believed"]
     listener.set("beam and panel", "believed")
-    listener.set("differences, times", 50)
+    listener.set("magnify differences", 50)
     listener.set("view", 4)
     shall = executed.source[4] + 50 * (believed.source[4] - executed.source[4])
     listener.wait(

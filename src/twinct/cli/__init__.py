@@ -34,8 +34,8 @@ def run_command(argv: Sequence[str] | None = None) -> int:
 
         app.cli(
             prog="twinct",
-            description="Simulates a twin robotic CT system: two arms, X-ray projections, ROS 2, "
-            "reconstruction and its judgement, from one scenario file. "
+            description="Simulates a twin robotic CT system from one scenario file: two arms, "
+            "X-ray projections, ROS 2, reconstruction and evaluation. "
             "--version prints the version.",
             args=arguments,
         )
@@ -48,7 +48,10 @@ def run_command(argv: Sequence[str] | None = None) -> int:
         return error.exit_code
     except KeyboardInterrupt:
         kept = _KEPT.get(next(iter(arguments), ""))
-        _say(f"twinct: interrupted{f'; every {kept} is kept, --resume goes on' if kept else ''}")
+        _say(
+            "twinct: interrupted"
+            f"{f'; every {kept} is kept, continue with --resume' if kept else ''}"
+        )
         return EXIT_OTHER
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -58,7 +61,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         _say(
             f"twinct: unexpected {type(error).__name__}: {error}\n"
-            "twinct: this is a bug of twinct; TWINCT_DEBUG=1 shows where"
+            "twinct: this is a bug in twinct; set TWINCT_DEBUG=1 to see where"
         )
         return EXIT_OTHER
     return EXIT_DONE

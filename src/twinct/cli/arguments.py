@@ -24,14 +24,14 @@ Threads = Annotated[
     int | None,
     tyro.conf.arg(
         metavar="N",
-        help="Threads that each process may use (default: TWINCT_THREADS, or all there are).",
+        help="Threads per process (default: TWINCT_THREADS, or all available).",
     ),
 ]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 LOOPBACK, PAGE_PORT = "127.0.0.1", 8080
 Host = Annotated[str, tyro.conf.arg(help="Address that the page listens on.")]
-Port = Annotated[int, tyro.conf.arg(help="Port of the page; 0: any that is free.")]
+Port = Annotated[int, tyro.conf.arg(help="Port of the page; 0: any free port.")]
 Network = Annotated[
-    Flag, tyro.conf.arg(help="Let --host be another than loopback; the page has no password.")
+    Flag, tyro.conf.arg(help="Allow a --host other than loopback; the page has no password.")
 ]

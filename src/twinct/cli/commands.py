@@ -29,4 +29,4 @@ for command in (specimen, export):
 app.command(name="import")(import_)
 for command in (report, compare, verify, reconstruct, geometry, calibrate, study):
     app.command(command)
-app.command(ctsimu, name="ctsimu", help="Scenarios of the CTSimU format: render, export, qualify.")
+app.command(ctsimu, name="ctsimu", help="Scenarios in the CTSimU format: render, export, qualify.")

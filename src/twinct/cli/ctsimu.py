@@ -92,7 +92,7 @@ def export(
 
     store = scan if scan.suffix == ".zarr" else scan / "scan.zarr"
     if not store.is_dir():
-        raise InputError(f"{scan}: no scan there: it needs a scan.zarr, which 'twinct run' writes")
+        raise InputError(f"{scan} holds no scan; expected a scan.zarr, as 'twinct run' writes it")
     check_folder(out)
     taken = replace(ScanStore(store).read(), derived=named_geometries(store.parent / "geometries"))
     specimen = Workshop(taken.scenario).specimen
@@ -125,14 +125,14 @@ def qualify(
 
     check_folder(out)
     console, say = Console(), partial(Console(stderr=True).print, highlight=False)
-    table = Table("test", "figure", "asked for", "measured", "")
+    table = Table("test", "figure", "required", "measured", "")
     marks = {True: "passed", False: "FAILED", None: ""}
     found = qualify(out, tests or TESTS, step=say)
     for v in found:
         table.add_row(v.test, v.what, v.asked, v.measured, marks[v.passed])
     console.print(table)
     for name, why in NOT_TAKEN.items():
-        console.print(f"{name} is not taken: {why}", highlight=False)
+        console.print(f"{name} is skipped: {why}", highlight=False)
     if any(verdict.passed is False for verdict in found):
         raise SystemExit(1)
 

@@ -37,15 +37,15 @@ def export_scan(scan: Path, toolkit: Toolkit, which: str, values: Values, out: P
         raise InputError(f"{path} holds 0 of {store.views} views: there is nothing to export yet")
     say = partial(Console().print, highlight=False, soft_wrap=True)
     if views < store.views:
-        say(f"{path} is under way: exporting the {views} of {store.views} views it holds")
+        say(f"{path} is unfinished: exporting the {views} of {store.views} views it holds")
     # A scan in progress may have grown since the views were counted.
     derived = {} if which in OWN else named_geometries(path.parent / "geometries")
     if which not in OWN and which not in derived:
-        raise InputError(f"--geometry {which}: there are {', '.join((*OWN, *derived))}")
+        raise InputError(f"--geometry {which}: unknown; choose from {', '.join((*OWN, *derived))}")
     poses = store.poses(which) if which in OWN else derived[which].poses
     geometry = poses.geometry(scenario.detector.panel)[:views]
     require_space(out, bundle_bytes(geometry), "the export needs")
-    left = "nothing of the export is left, the scan is as it was"
+    left = "the partial export was removed, the scan is unchanged"
     with (
         storage_errors(out, left),
         on_terminal() as audience,
@@ -69,4 +69,4 @@ def _store_path(scan: Path) -> Path:
     for path in (scan / "scan.zarr", scan):
         if (path / "zarr.json").is_file():
             return path.absolute()
-    raise InputError(f"{scan}: neither the folder of a run nor a scan.zarr")
+    raise InputError(f"{scan} is neither a run folder nor a scan.zarr")

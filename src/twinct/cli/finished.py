@@ -19,7 +19,9 @@ from twinct.cli.results import percent, say_result
 def import_(
     files: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
-        tyro.conf.arg(metavar="FILE", help="What run --record wrote, or another tool's MCAP file."),
+        tyro.conf.arg(
+            metavar="FILE", help="Recording of run --record, or an MCAP file of another tool."
+        ),
     ],
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
@@ -47,7 +49,7 @@ def import_(
 def export(
     scan: Annotated[
         tyro.conf.Positional[Path],
-        tyro.conf.arg(metavar="SCAN", help="What twinct run --out wrote, or the scan.zarr in it."),
+        tyro.conf.arg(metavar="SCAN", help="Folder of twinct run --out, or the scan.zarr in it."),
     ],
     *,
     to: Literal["rtk", "astra", "leap", "cil", "tigre", "openct"],
@@ -136,8 +138,8 @@ def verify(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="
     for problem in found.problems:
         say(problem, warning=True)
     for file in found.unknown:
-        say(f"{file}: unknown, left alone")
-    told = f"{len(found.problems)} problems" if found.problems else "whole"
+        say(f"{file}: unknown file, ignored")
+    told = f"{len(found.problems)} problems" if found.problems else "intact"
     say(f"{folder}: {told} ({found.in_words})")
     if found.problems:
         sys.exit(1)
@@ -259,20 +261,20 @@ def calibrate(
     from twinct.errors import InputError
 
     if from_ is not None and with_ != "kinematics":
-        raise InputError(f"--from {from_}: arms are of --with kinematics")
+        raise InputError(f"--from {from_}: only --with kinematics takes arms")
     if start != "believed" and with_ != "self":
-        raise InputError(f"--start {start}: only --with self goes on from a start")
+        raise InputError(f"--start {start}: only --with self takes a start")
     if with_ == "kinematics":
         kinematics_command(folder, as_, to, from_)
     elif with_ == "beads":
         beads_command(folder, as_, to)
     else:
         if to:
-            raise InputError(f"--to {to[0]}: what a scan finds of itself is of no other one")
+            raise InputError(f"--to {to[0]}: a calibration from the scan itself fits no other scan")
         prior = PosePrior(sigma_mm, sigma_deg, correlation_views)
         if with_ == "self":
             self_command(folder, as_, prior, what, start, align=align)
         elif what == "patient":
-            raise InputError("--what patient: with balls, source and panel are what may have moved")
+            raise InputError("--what patient: --with balls corrects only source and panel")
         else:
             balls_command(folder, as_, ball_radius_mm, prior, align=align)

@@ -33,7 +33,7 @@ def plan_command(
     from twinct.runs.view_plan import SCENARIO, plan_views
 
     if jobs is not None and jobs < 1:
-        raise InputError(f"--jobs {jobs}: at least 1 needed")
+        raise InputError(f"--jobs {jobs}: must be at least 1")
     bound = limit_threads(threads)
     if load_scenario(scenario, set_).cell.kind == "arms":
         require("robots")
@@ -53,9 +53,10 @@ def plan_command(
             progress=audience,
         )
     table = Table(
-        title=f"{len(found.views)} views of {found.reachable} within reach of {found.candidates}"
+        title=f"{len(found.views)} views; "
+        f"{found.reachable} of {found.candidates} candidates reachable"
     )
-    for name in ("", "planned", "spread evenly", "the scenario's path"):
+    for name in ("", "planned", "evenly spread", "the scenario's path"):
         table.add_column(name)
     for name, figures in found.figures.items():
         table.add_row(
@@ -65,10 +66,12 @@ def plan_command(
     console.print(table)
     if (seen := found.scouted) is not None:
         moved = f"{seen.moved_mm:.2f} mm and {seen.turned_deg:.2f} deg"
-        console.print(f"{seen.views} scout views moved the specimen by {moved}", highlight=False)
+        console.print(
+            f"registering {seen.views} scout views moved the specimen by {moved}", highlight=False
+        )
     if found.tried is not None:
         own, planned = (100 * found.tried[name] for name in ("own_path", "planned"))
-        words = f"error in the region {planned:.2f} %, of the scenario's path {own:.2f} %"
+        words = f"error in the region: {planned:.2f} % planned, {own:.2f} % on the scenario's path"
         console.print(words, highlight=False)
     if found.scan_s is not None:
         motion = f"motion {found.scan_s:.1f} s, smallest clearance {found.clearance_mm:.1f} mm"

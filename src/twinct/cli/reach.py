@@ -49,7 +49,7 @@ def arms_of(scenario: Scenario) -> Cell:
         MissingExtraError: a package that arms need is not installed.
     """
     if not isinstance(scenario.cell, Cell):
-        raise InputError(f"cell.kind: {scenario.cell.kind}: it goes anywhere; reach is of arms")
+        raise InputError(f"cell.kind: {scenario.cell.kind}: reaches every pose; reach needs arms")
     require("robots")
     return scenario.cell
 
@@ -100,7 +100,7 @@ def reach_command(
             progress=audience,
         )
         rows = shares(found)
-    table = Table(title=f"{loaded.name}: of {directions} directions")
+    table = Table(title=f"{loaded.name}: share of {directions} directions")
     table.add_column("SOD, mm")
     names = [n for n in ("source", "detector", "both", "connected") if f"{n}_share" in rows[0]]
     for name in (*names, "median clearance", "median joint margin"):
@@ -155,11 +155,11 @@ def place_command(
         )
     what = "directions" if sphere else "views"
     say(
-        f"both arms hold {100 * before:.1f} % of {len(judged)} {what} before, {100 * after:.1f} % "
-        f"after; {found.judged} cells were judged by {len(searched)} {what}, seed {seed}"
+        f"both arms reach {100 * before:.1f} % of {len(judged)} {what} before, {100 * after:.1f} % "
+        f"after; {found.judged} cells were judged on {len(searched)} {what}, seed {seed}"
     )
     if np.array_equal(found.before, found.after) and found.cell == cell:
-        say("nothing better was found: the arms stay where they stand")
+        say("nothing better was found: the arms stay where they are")
     for override in found.overrides:
         say(override)
     if save is not None:
@@ -206,7 +206,7 @@ def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
         poses, free = _asked(workshop), workshop.roll_free
         first, *others = list[str](error.problems)
         more = f", and {len(others)} more" if others else ""
-        say(f"{first}{more}; looking for a cure (Ctrl-C: leave that)", warning=True)
+        say(f"{first}{more}; looking for a remedy (Ctrl-C skips this)", warning=True)
         try:
             views, words = reasons(scenario.cell, workshop.cell_of, scenario.motion, poses, free)
         except KeyboardInterrupt:

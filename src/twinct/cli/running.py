@@ -83,7 +83,7 @@ def view(
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(
             metavar="SCENARIO|DIR",
-            help="Scenario file, or what twinct run --out wrote; two folders: side by side.",
+            help="Scenario file, or folder of twinct run --out; two folders: side by side.",
         ),
     ],
     *,

@@ -86,9 +86,9 @@ def _save_plan(workshop: Workshop, path: Path) -> None:
 
     if workshop.followed is None:
         why = "a gantry" if workshop.plan is None else "motion.scheme: reactive"
-        raise InputError(f"--save {path}: {why} follows no plan")
+        raise InputError(f"--save {path}: {why} has no motion plan")
     if path.suffix != ".npz":
-        raise InputError(f"--save {path}: the file of a plan ends in .npz")
+        raise InputError(f"--save {path}: a plan file must end in .npz")
     save_plan(workshop.followed, path)
 
 

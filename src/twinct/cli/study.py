@@ -51,9 +51,9 @@ def study(
         dry_run: Only list the trials and their expected cost.
     """
     if retry_failed and not resume:
-        raise InputError("--retry-failed goes with --resume")
+        raise InputError("--retry-failed needs --resume")
     if jobs is not None and jobs < 1:
-        raise InputError(f"--jobs {jobs}: at least 1 needed")
+        raise InputError(f"--jobs {jobs}: must be at least 1")
     if dry_run:
         _show(_planned(file, out, jobs, retry_failed))
         return
@@ -97,15 +97,15 @@ def _show(found: DryRun) -> None:
     console.print(table)
     if len(found.trials) > _MOST_SHOWN:
         console.print(f"... and {len(found.trials) - _MOST_SHOWN} more")
-    there = f", {found.there} are there already" if found.there else ""
+    there = f", {found.there} already present" if found.there else ""
     size = f"{told.disk_bytes / 1e6:.1f} MB" if told.disk_bytes < 1e9 else ""
     size = size or f"{told.disk_bytes / 1e9:.2f} GB"
     first = (
         f" (the first batch of {found.total})" if found.total > told.trials + found.there else ""
     )
     trials, scans = _number(told.trials, "trial"), _number(told.scans, "scan")
-    console.print(f"{trials} to try{first}{there}; {scans}", highlight=False)
-    known = "" if told.measured else " or less: no trial of this kind has run on this machine"
+    console.print(f"{trials} to run{first}{there}; {scans}", highlight=False)
+    known = "" if told.measured else " at most: no trial of this kind has run on this machine yet"
     console.print(f"disk: {size}{known}", highlight=False)
     if told.seconds is not None:
         from twinct.report.template import duration

@@ -43,9 +43,9 @@ def uncertainty_command(
     if not (loaded.uncertainty.calibration and loaded.task):
         with named_places(scenario, set_), explained(workshop, picture):
             found = errors_of(workshop, draws)
-        rows = _of_poses(found, f"{loaded.name}: executed less believed, {draws} draws")
+        rows = _of_poses(found, f"{loaded.name}: executed minus believed, {draws} draws")
         told = told_errors(found, workshop)
-        drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed less believed")
+        drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed minus believed")
     if loaded.task is not None:
         with (
             named_places(scenario, set_),
@@ -90,9 +90,9 @@ def _of_the_task(workshop: Workshop, draws: int, progress: Progress) -> dict[str
 
     judged, blur_mm = rejudged(workshop, draws, progress)
     table = Table(
-        title=f"what they are for: {draws} scans, blurred by {blur_mm.mean():.3f} mm in the region"
+        title=f"effect on the task: {draws} scans, blurred by {blur_mm.mean():.3f} mm in the region"
     )
-    for name in ("", "as planned", "mean", "least", "largest"):
+    for name in ("", "as planned", "mean", "smallest", "largest"):
         table.add_column(name)
     for name, goal in judged.items():
         values = (goal.commanded, goal.drawn.mean(), goal.drawn.min(), goal.drawn.max())

@@ -46,7 +46,7 @@ def view_command(
         _view_scenario(targets[0], host, port, allow_network, export, movie, set_)
         return
     if set_:
-        raise InputError(f"--set {set_[0]}: a run is shown as it is; --set is for a scenario")
+        raise InputError(f"--set {set_[0]}: only a scenario takes --set; a run is shown as it is")
     folders = [folder_of_run(target) for target in targets]
     if export is not None or movie is not None:
         if len(folders) > 1:
@@ -124,8 +124,8 @@ def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserSe
             say(f"from another machine: {by_ssh(server)}, then {address(server)} there")
         else:
             say(
-                f"--allow-network: there is no password: whoever reaches {host}:"
-                f"{server.get_port()} sees the page and moves its controls",
+                f"--allow-network: the page has no password: anyone who reaches {host}:"
+                f"{server.get_port()} sees it and can use its controls",
                 warning=True,
             )
         yield server
@@ -147,7 +147,7 @@ def live_page(
             live = LivePage(page, out, workshop)
             yield live
             live.close()
-            say("the run is over; the page stays until Ctrl-C")
+            say("the run has finished; the page stays up until Ctrl-C")
             _stay()
 
 

@@ -88,7 +88,7 @@ class LocalRay:
             if not self.address:
                 last = self._log.read_text(errors="replace").strip().splitlines()[-1:]
                 raise LinkError(
-                    f"Ray did not start: {' '.join(last) or f'{PATIENCE_S:.0f} s over'}"
+                    f"Ray did not start: {' '.join(last) or f'no answer within {PATIENCE_S:.0f} s'}"
                 )
         except BaseException:
             self.close()

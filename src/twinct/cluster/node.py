@@ -129,7 +129,7 @@ def work(
     try:
         return outcome, {name: pack(path) for name, path in outcome.parcels.items()}
     except OSError as error:
-        problem = f"what was made cannot be read: {error}"
+        problem = f"the result cannot be read: {error}"
         return Outcome(failure=(type(error).__name__, (problem,), ""), seconds=outcome.seconds), {}
 
 

@@ -103,20 +103,18 @@ class RayPool:
         local = address in (None, "local")
         told = {"threads": threads, "workers": workers, "memory_bytes": memory_bytes}
         problems = [
-            f"{k}={v}: at least 1 needed" for k, v in told.items() if v is not None and v < 1
+            f"{k}={v}: must be at least 1" for k, v in told.items() if v is not None and v < 1
         ]
         if not local and (workers or memory_bytes):
-            problems.append(
-                f"{address}: a cluster has the processors and memory that its nodes say"
-            )
+            problems.append(f"{address}: the nodes of a cluster set its processors and memory")
         if Path(name).name != name:
-            problems.append(f"{name!r}: cannot be the name of a folder")
+            problems.append(f"{name!r} is not a valid folder name")
         if problems:
             raise InputError(problems)
         os.environ.update(ENVIRONMENT | CLIENT)
         ray = node.ray_module()
         if ray.is_initialized():
-            raise InputError("this process is connected to Ray already: one pool at a time")
+            raise InputError("this process is already connected to Ray: use one pool at a time")
         self._ray = ray
         self._threads = threads
         self._head: LocalRay | None = None
@@ -173,11 +171,13 @@ class RayPool:
         request = sent(work)
         if work.memory_bytes > (most := self.most_memory_bytes):
             raise MemoryShortageError(
-                f"work {work.key!r} takes {work.memory_bytes / 2**30:.2f} GiB of memory, and no "
+                f"work {work.key!r} needs {work.memory_bytes / 2**30:.2f} GiB of memory, but no "
                 f"node has more than {most / 2**30:.2f} GiB"
             )
         if self.closed or any(work.key == key for key, _ in self._running.values()):
-            raise ValueError("the pool is closed" if self.closed else f"{work.key!r}: known")
+            raise ValueError(
+                "the pool is closed" if self.closed else f"{work.key!r}: submitted twice"
+            )
         if missing := [name for name in work.inputs if name not in self._paths]:
             raise ValueError(f"not offered to the pool: {', '.join(missing)}")
         with self._speaking():
@@ -254,13 +254,13 @@ class RayPool:
             raise getattr(error, "cause", error) from None
         except (failures.WorkerCrashedError, failures.OutOfMemoryError) as error:
             memory = isinstance(error, failures.OutOfMemoryError)
-            return Died(key, "its node ran out of memory" if memory else "its worker was ended")
+            return Died(key, "its node ran out of memory" if memory else "its worker was killed")
         except (failures.NodeDiedError, failures.ObjectLostError):
             return Died(key, "its node was lost", blamed=False)
         except (failures.RaySystemError, failures.LocalRayletDiedError, failures.RpcError):
             raise
         except failures.RayError as error:  # full disk or store: limit the retries
-            return Died(key, f"Ray gave it up: {_line(error)}")
+            return Died(key, f"Ray gave up on it: {_line(error)}")
         return event(key, outcome, {name: _Come(one, self) for name, one in packed.items()})
 
     def _compare(self) -> None:
@@ -268,7 +268,7 @@ class RayPool:
         problems: list[str] = []
         for found in self._each_node(node.look):
             if isinstance(found, Exception):
-                problems.append(f"a node is refused: it cannot be asked ({_line(found)})")
+                problems.append(f"a node is refused: it does not answer ({_line(found)})")
             elif found[1] != self._terms.versions:
                 problems.append(
                     f"node {found[0]} is refused: it has {found[1]}; needed: {self._terms.versions}"
@@ -303,7 +303,7 @@ class RayPool:
     def _look(self) -> None:
         """Raise if Ray does not answer; Ray itself waits a minute, and then ends the process."""
         if not _answers(self._address) or (self._head is not None and not self._head.alive):
-            raise LinkError(f"Ray at {self._address} does not answer any more: the cluster is gone")
+            raise LinkError(f"Ray at {self._address} does not answer: the cluster is gone")
 
     @contextlib.contextmanager
     def _speaking(self) -> Iterator[None]:
@@ -322,7 +322,7 @@ class RayPool:
 def _connect(address: str, local: bool) -> str:
     """Join a cluster and return its address."""
     if address != "auto" and not _answers(address, as_ray=True):
-        raise InputError(f"{address}: no Ray answers there (HOST:PORT, auto or local needed)")
+        raise InputError(f"{address}: no Ray answers there; give HOST:PORT, auto or local")
     ray = node.ray_module()
     from ray._private import ray_constants, worker
 
@@ -338,7 +338,7 @@ def _connect(address: str, local: bool) -> str:
         with _quiet():
             context = ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except (ray.exceptions.RayError, ConnectionError, RuntimeError, ValueError) as error:
-        problem = f"{address}: no Ray answers there that we can use: {_line(error)}"
+        problem = f"{address}: cannot connect to the Ray there: {_line(error)}"
         raise InputError(problem) from error
     finally:
         signal.signal(signal.SIGTERM, handler)  # Ray installs its own handler

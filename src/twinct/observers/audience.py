@@ -185,7 +185,7 @@ class _Seat:
         if self._thread.is_alive():
             with self._changed:
                 self._leave_out(list(self._queue))
-            log.warning("observer %s was too slow to hear everything", self._name)
+            log.warning("observer %s was too slow and missed events", self._name)
             self._thread.join(LAST_WORDS_S)
 
     def _leave_out(self, events: list[Event]) -> None:
@@ -211,7 +211,7 @@ class _Seat:
             try:
                 self._observer.hear(event)
             except Exception:
-                log.exception("observer %s failed and is told no more", self._name)
+                log.exception("observer %s failed and gets no more events", self._name)
                 with self._changed:
                     self._gone = True
                     self._queue.clear()

@@ -38,8 +38,8 @@ class _ByNames(pickle.Pickler):
     def reducer_override(self, obj: Any) -> Any:
         if getattr(obj, "__module__", None) == "__main__" and hasattr(obj, "__qualname__"):
             raise InputError(
-                f"{obj.__qualname__} of the program itself (__main__) cannot be called in another "
-                "process: put it into a module that can be imported"
+                f"{obj.__qualname__} is defined in __main__ and cannot be called in another "
+                "process; move it to a module that can be imported"
             )
         return NotImplemented
 
@@ -55,8 +55,8 @@ def sent(work: Work) -> bytes:
         _ByNames(stream, pickle.HIGHEST_PROTOCOL).dump((work.function, work.argument))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
-            f"work {work.key!r} cannot be sent to another process ({error}): a function has to be "
-            "one that a module defines by name, its argument data"
+            f"work {work.key!r} cannot be sent to another process ({error}): the function "
+            "must be defined by name in a module, and its argument must be data"
         ) from error
     return stream.getvalue()
 
@@ -73,7 +73,7 @@ def call(request: bytes, place: Place) -> Outcome:
         parcels = {name: Path(path).absolute() for name, path in made.parcels.items()}
         for name, path in parcels.items():
             if not path.exists():
-                raise FileNotFoundError(f"{path}, made as {name!r}, is not there")
+                raise FileNotFoundError(f"{path}, returned as {name!r}, does not exist")
         value = pickle.dumps(made.value, pickle.HIGHEST_PROTOCOL)
         return Outcome(value, parcels, seconds=seconds)
     except BaseException as error:  # includes SystemExit of the function

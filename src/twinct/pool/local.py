@@ -95,7 +95,7 @@ class _Worker:
         code = self._process.wait()
         self.connection.close()
         os.close(self._lifeline)
-        return f"ended with code {code}" if code >= 0 else f"was ended by {_name(-code)}"
+        return f"exited with code {code}" if code >= 0 else f"was killed by {_name(-code)}"
 
 
 def _name(number: int) -> str:
@@ -130,7 +130,7 @@ class LocalPool:
         """
         most = available_bytes()[0] if memory_bytes is None else memory_bytes
         told = {"workers": workers, "threads": threads, "memory_bytes": most}
-        if problems := [f"{k}={v}: at least 1 needed" for k, v in told.items() if v < 1]:
+        if problems := [f"{k}={v}: must be at least 1" for k, v in told.items() if v < 1]:
             raise InputError(problems)
         self.folder = Path(folder).absolute()
         self._slots, self._threads, self._memory = workers, threads, int(min(most, 2**62))
@@ -170,11 +170,13 @@ class LocalPool:
         request = sent(work)
         if work.memory_bytes > self._memory:
             raise MemoryShortageError(
-                f"work {work.key!r} takes {work.memory_bytes / 2**30:.2f} GiB of memory, and the "
+                f"work {work.key!r} needs {work.memory_bytes / 2**30:.2f} GiB of memory, but the "
                 f"pool has {self._memory / 2**30:.2f} GiB"
             )
         if self._closed or work.key in self._keys:
-            raise ValueError("the pool is closed" if self._closed else f"{work.key!r}: known")
+            raise ValueError(
+                "the pool is closed" if self._closed else f"{work.key!r}: submitted twice"
+            )
         if missing := [name for name in work.inputs if name not in self._offered]:
             raise ValueError(f"not offered to the pool: {', '.join(missing)}")
         inputs = {name: self._offered[name] for name in work.inputs}

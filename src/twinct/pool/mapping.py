@@ -57,7 +57,7 @@ def each(pool: Pool, source: Iterable[Work | None], deaths: int = 3) -> Iterator
             under_way[work.key] = work
         if not under_way:
             if more:
-                raise ValueError("a source has nothing ready, and nothing is under way")
+                raise ValueError("the source has no work ready, and no work is running")
             return
         for event in pool.wait():
             if event.key not in under_way:  # from an earlier, unfinished source
@@ -119,7 +119,7 @@ def map_over(
 def _short(work: Work, most: int) -> tuple[str]:
     needed = work.memory_bytes / 2**30
     return (
-        f"needs {needed:.2f} GiB of memory, and no worker has more than {most / 2**30:.2f} GiB",
+        f"needs {needed:.2f} GiB of memory, but no worker has more than {most / 2**30:.2f} GiB",
     )
 
 

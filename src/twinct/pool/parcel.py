@@ -41,7 +41,7 @@ def arriving(path: Path) -> Iterator[Path]:
     """
     draft = draft_of(path)
     old = draft.with_name(f"{draft.name}.old")
-    with storage_errors(path, "nothing was put there"):
+    with storage_errors(path, "nothing was written there"):
         path.parent.mkdir(parents=True, exist_ok=True)
         remove(draft)
         try:

@@ -105,7 +105,7 @@ class Died:
 
     Attributes:
         key: key of the work.
-        how: a short clause: ``its worker was ended by SIGKILL``, ``its node was lost``.
+        how: a short clause: ``its worker was killed by SIGKILL``, ``its node was lost``.
         blamed: True if the work may have killed the worker; False if the node was lost.
     """
 

@@ -71,8 +71,8 @@ class Comparison:
             both = f"{one.label} and {first.label}"
             if one.truth != first.truth:
                 found.append(
-                    f"{both} image different specimens: each is judged against its own truth, and "
-                    "the image figures have no difference."
+                    f"{both} show different specimens: each is judged against its own truth, and "
+                    "the image figures are not compared."
                 )
             elif (one.reference, f"{one.mu_reference:.6g}") != (
                 first.reference,
@@ -81,7 +81,7 @@ class Comparison:
                 found.append(
                     f"{both} are relative to different attenuations, {one.mu_reference:.4g} and "
                     f"{first.mu_reference:.4g} per mm of {one.reference} and {first.reference}: "
-                    "shares of them compare, attenuations do not."
+                    "compare shares, not attenuations."
                 )
             grids = (each.scenario.reconstruction.volume_grid for each in (one, first))
             if len({repr(grid) for grid in grids}) > 1:
@@ -183,7 +183,7 @@ def _pose_rows(compared: Sequence[Compared]) -> list[_Row]:
     rows: list[_Row] = []
     for of, what, statistics in (
         (metrics, "executed against commanded", ("mean", "max")),
-        (believed, "reconstructed from, against executed", ("mean",)),
+        (believed, "used for reconstruction, against executed", ("mean",)),
     ):
         for arm in ("source", "detector"):
             for kind, name, unit in (

@@ -23,7 +23,7 @@ from twinct.report.style import (
 _PANELS = (
     ("displacement / mm", {"source_mm": SOURCE_COLOUR, "detector_mm": DETECTOR_COLOUR}),
     ("turn / deg", {"source_deg": SOURCE_COLOUR, "detector_deg": DETECTOR_COLOUR}),
-    ("image off by / px", {"isocentre_px": LIMIT_COLOUR, "region_px": "#3d7a4d"}),
+    ("shift of the image / px", {"isocentre_px": LIMIT_COLOUR, "region_px": "#3d7a4d"}),
 )
 
 
@@ -57,5 +57,5 @@ def errors_picture(
         names = [str(row["term"]) for row in terms][::-1]
         values = [row["region_px"] or row["isocentre_px"] for row in terms][::-1]
         causes.barh(names, values, color=LIMIT_COLOUR, height=0.6)
-        causes.set_xlabel("image off by, each cause alone, RMS / px")
+        causes.set_xlabel("shift of the image by each cause alone, RMS / px")
         return png(figure, 110)

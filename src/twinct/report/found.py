@@ -20,7 +20,7 @@ def with_found(in_words: str, told: Mapping[str, Any]) -> str:
     if "passes" in told:
         words.append(f"{told['passes']} were best")
     if "metal_voxels" in told:
-        words.append(f"{told['metal_voxels'] or 'no'} voxels of metal")
+        words.append(f"{told['metal_voxels'] or 'no'} metal voxels")
     if prior := told.get("prior"):
         words.append(
             f"prior moved by {prior['moved_mm']:.2f} mm, turned by {prior['turned_deg']:.2f} deg"

@@ -32,7 +32,7 @@ class Measured(NamedTuple):
 KINDS: Mapping[str, tuple[Measured, ...]] = {
     "regions": (
         Measured("mean_rel", "mean", 100, 2, "%", "of μ({0})"),
-        Measured("bias_rel", "mean error", 100, 2, "%", "of μ({0}), volume less truth"),
+        Measured("bias_rel", "mean error", 100, 2, "%", "of μ({0}), volume minus truth"),
         Measured("rmse_rel", "RMSE", 100, 2, "%", "of μ({0})"),
     ),
     "contrasts": (
@@ -41,12 +41,18 @@ KINDS: Mapping[str, tuple[Measured, ...]] = {
         Measured("cnr", "contrast to noise", 1, 2, "", "over the background's standard deviation"),
     ),
     "mtf": (
-        Measured("f50_per_mm", "MTF 50 %", 1, 3, "mm⁻¹", "frequency transferred by half"),
-        Measured("f10_per_mm", "MTF 10 %", 1, 3, "mm⁻¹", "frequency transferred by a tenth"),
+        Measured(
+            "f50_per_mm", "MTF 50 %", 1, 3, "mm⁻¹", "frequency at which the transfer is a half"
+        ),
+        Measured(
+            "f10_per_mm", "MTF 10 %", 1, 3, "mm⁻¹", "frequency at which the transfer is a tenth"
+        ),
     ),
     "nps": (
-        Measured("noise_rel", "noise", 100, 2, "%", "of μ({0}), standard deviation less a trend"),
-        Measured("mean_frequency_per_mm", "mean frequency of noise", 1, 3, "mm⁻¹", "by its power"),
+        Measured("noise_rel", "noise", 100, 2, "%", "of μ({0}), standard deviation about a trend"),
+        Measured(
+            "mean_frequency_per_mm", "mean frequency of noise", 1, 3, "mm⁻¹", "weighted by power"
+        ),
     ),
     "tasks": (
         Measured("detectability", "detectability d′", 1, 2, "", "non-prewhitening observer"),

@@ -81,7 +81,7 @@ def image_figures(reference: str) -> list[_Figure]:
 Pictures = dict[str, Picture | None]
 
 _STAGES = {
-    "specimen": "specimen, and what the views see of it",
+    "specimen": "specimen, and its visibility in the views",
     "plan": "planning: inverse kinematics, clearance",
     "motion": "motion of the arms",
     "xray": "X-ray projections",
@@ -91,7 +91,7 @@ _STAGES = {
     "reconstruction": "reconstruction",
     "judge": "judging the image",
     "report": "pictures of this report",
-    "other": "all else",
+    "other": "everything else",
     "total": "whole run",
 }
 
@@ -144,7 +144,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
 
 def _implants(metrics: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """Return the known implants that were located, each with the name of its reconstruction."""
-    of_all = {"the run's own": metrics} | dict(metrics.get("reconstructions", {}))
+    of_all = {"main reconstruction": metrics} | dict(metrics.get("reconstructions", {}))
     return [(name, one) for name, told in of_all.items() for one in told.get("implants", ())]
 
 
@@ -218,7 +218,7 @@ def draw_pictures(report: ReportData) -> Pictures:
 def _machine(cell: AnyCell) -> dict[str, str]:
     """Return the machine that carries source and panel."""
     if isinstance(cell, GantryCell):
-        return {"Gantry": "source and panel exactly where they are told"}
+        return {"Gantry": "source and panel exactly at their commanded poses"}
     return {"Arms": f"{cell.source_arm.label} (source), {cell.detector_arm.label} (detector)"}
 
 

@@ -33,7 +33,7 @@ def physics_in_words(
         words.append(f"{photons:.3g} photons per pixel in the free beam")
     lattice, n = scenario.detector.panel, scenario.detector.binning
     size = f"{lattice.columns} × {lattice.rows} px of {lattice.pitch_u:g} × {lattice.pitch_v:g} mm"
-    size += f", each of {n} × {n}" if n > 1 else ""
+    size += f", each binned from {n} × {n}" if n > 1 else ""
     return {
         "Source": "; ".join(words),
         "Detector": "; ".join([size, *_signal(scenario.detector), *_raw(scenario.detector)]),
@@ -116,7 +116,7 @@ def _raw(detector: Detector) -> list[str]:
     if readout is not None:
         words.append(
             f"{'fractions' if readout.bits is None else f'{readout.bits} bit'}, "
-            f"free beam {readout.free_beam:g} above {readout.offset:g}"
+            f"free beam {readout.free_beam:g} above an offset of {readout.offset:g}"
         )
         if readout.saturation is not None:
             words.append(f"saturation {readout.saturation:g}")

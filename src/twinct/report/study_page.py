@@ -207,14 +207,14 @@ def _pictures(
             notes.append(f"averaged over the combinations of {', '.join(others)}")
         if along:
             verb = "varies" if len(along) == 1 else "vary"
-            notes.append(f"{', '.join(along)} {verb} along with it")
+            notes.append(f"{', '.join(along)} {verb} with it")
         if shown.cloud:
             some = f"{len(shown.cloud)} of {shown.had}" if len(shown.cloud) < shown.had else "the"
-            notes.append(f"dots: {some} combinations by themselves")
+            notes.append(f"dots: {some} single combinations")
         if not (shown.has_intervals or shown.cloud):
             notes.append("no intervals")
         if shown.left_out:
-            notes.append(f"without {shown.left_out} combinations that it does not apply to")
+            notes.append(f"without {shown.left_out} combinations to which it does not apply")
         picture = trend_picture(shown, axis.title, words.label, others, words.factor, axis.log)
         pictures.append(_Trend(picture.data_uri, axis.label, notes))
     return pictures
@@ -283,8 +283,8 @@ def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) 
             (first, section), *others = there.items()
             if any(not np.array_equal(s.truth, section.truth) for _, s in others):
                 notes = [
-                    f"The truth is that of {first}; those of others are not the same, in other "
-                    "voxels or of another specimen, and each error is against its own."
+                    f"The truth shown is that of {first}; others differ, with other voxels or "
+                    "another specimen, and each error is against its own truth."
                 ]
             title = f"{plane}, {section.position}".rstrip(", ")
             pictures.append((title, side_by_side(columns, "truth", looks, dpi=100).data_uri))

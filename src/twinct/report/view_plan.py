@@ -53,20 +53,20 @@ def draw_view_plan(
     steps: Any = figure.add_subplot(grid[1, 0])
     steps.plot(np.arange(1, len(worth) + 1), worth)
     steps.set_xlabel("steps: views added, then exchanges tried")
-    steps.set_ylabel("worth, weighted")
+    steps.set_ylabel("weighted worth")
     steps.xaxis.set_major_locator(MaxNLocator(integer=True))
     steps.grid(alpha=0.4)
     bars: Any = figure.add_subplot(grid[1, 1])
     kinds = {
         "planned": ("planned", "tab:red"),
-        "spread_evenly": ("spread evenly", "tab:blue"),
+        "spread_evenly": ("evenly spread", "tab:blue"),
         "own_path": ("scenario's path", "tab:orange"),
     }
     for k, (key, (label, colour)) in enumerate(kinds.items()):
         heights = [(f[key] or 0.0) / (f["spread_evenly"] or 1.0) for f in figures.values()]
         bars.bar(np.arange(len(figures)) + 0.27 * (k - 1), heights, 0.25, label=label, color=colour)
     bars.set_xticks(range(len(figures)), list(figures))
-    bars.set_ylabel("against views spread evenly")
+    bars.set_ylabel("relative to evenly spread views")
     bars.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
     figure.suptitle(f"{title}: planned views")
     figure.savefig(path, dpi=110)

@@ -188,7 +188,9 @@ def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iter
     if source.ideal and detector.ideal:
         raise InputError("an ideal source and detector have no raw images: set detector.readout")
     if detector.lag and scan.exposure:
-        raise InputError("raw images with detector.lag and source.motion_samples cannot be redone")
+        raise InputError(
+            "raw images with detector.lag and source.motion_samples cannot be recomputed"
+        )
     geometry = scan.executed.geometry(detector.panel)
 
     def instant(view: int) -> tuple[ScanGeometry, Pose]:

@@ -72,7 +72,7 @@ def derive_geometry(
     refuse_other_keys(overrides, "uncertainty")
     scenario = _scenario_of(folder, overrides)
     if checked_name(name) in (taken := (*OWN, RELATIVE)):
-        raise InputError(f"name {name!r}: every scan has {', '.join(taken)} already")
+        raise InputError(f"name {name!r} is reserved: every scan already has {', '.join(taken)}")
     with (
         sole_owner(folder.lock),
         audience_of(observers) as audience,
@@ -83,7 +83,9 @@ def derive_geometry(
             scenario, scan.joint_names, scan.joints, scan.executed, scan.commanded, name
         )
         if name in scan.derived and scan.derived[name].digest != found.digest:
-            raise ScanExistsError(f"{folder.geometries / name}.json is another geometry: --as")
+            raise ScanExistsError(
+                f"{folder.geometries / name}.json holds another geometry; choose another --as"
+            )
         found.write(folder.geometries)
         step()
     return found
@@ -130,12 +132,14 @@ def reconstruct_again(
         digest = hashlib.sha256(digest.encode()).hexdigest()
         if there := next((r for r in kept.values() if r.digest == digest), None):
             if name not in (None, there.name):
-                raise ScanExistsError(f"{there.path} is this very reconstruction: --as")
-            audience.say(f"{there.path} is this very reconstruction")
+                raise ScanExistsError(f"{there.path} already holds this reconstruction; omit --as")
+            audience.say(f"{there.path} already holds this reconstruction")
             return there
         name = checked_name(name) if name else _free_name(scan.scenario, which, kept)
         if name in kept:
-            raise ScanExistsError(f"{kept[name].path} is another reconstruction: --as")
+            raise ScanExistsError(
+                f"{kept[name].path} is another reconstruction; choose another --as"
+            )
         stack.enter_context(logged_to(folder.log))
         log.info("reconstruction %s: %s", name, scan.scenario.reconstruction.in_words)
         found, volume = _made(scan, folder, which, (name, digest, of_geometry), audience)
@@ -193,7 +197,7 @@ def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:
     """Return the scenario that a run was made with, with some keys changed."""
     if not folder.scenario.is_file() or not folder.scan.is_dir():
         raise InputError(
-            f"{folder.path} is no folder of a run: scenario.yaml and scan.zarr make one"
+            f"{folder.path} is not a run folder; expected scenario.yaml and scan.zarr in it"
         )
     return folder.scenario_of_run(overrides, planned=ScanStore(folder.scan).plan is not None)
 

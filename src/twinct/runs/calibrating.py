@@ -92,7 +92,7 @@ def phantom_of(scenario: Scenario) -> BallPhantom:
             own = BallPhantom(nominal_centres(shape), shape.ball_radius_mm, shape.tolerance_mm)
             return specimen.world_from_specimen @ part.specimen_from_part @ own
     kinds = ", ".join(part.shape.kind for part in specimen.parts)
-    raise CalibrationError(f"specimen.parts: none is a ball_helix, there are {kinds}")
+    raise CalibrationError(f"specimen.parts: no part is a ball_helix, only {kinds}")
 
 
 def calibrate_beads(
@@ -156,7 +156,7 @@ def _blur_px(scan: Scan, audience: Audience) -> float:
     """Return the sigma of the detector's point spread, pixels; 0 for a spread from a file."""
     panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
     if isinstance(spread, FileSpread):
-        audience.say("detector.point_spread is of a file: shadows count as sharp", warning=True)
+        audience.say("detector.point_spread is a file: shadows are taken as sharp", warning=True)
     return spread.sigma_mm / panel.pitch_u if isinstance(spread, GaussianSpread) else 0.0
 
 
@@ -311,7 +311,7 @@ def refuse_own(name: str) -> None:
         InputError: every scan has a geometry of this name, or it is no valid file name.
     """
     if checked_name(name) in OWN:
-        raise InputError(f"name {name!r}: every scan has {', '.join(OWN)} already")
+        raise InputError(f"name {name!r} is reserved: every scan already has {', '.join(OWN)}")
 
 
 def keep(geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan]]) -> None:
@@ -323,7 +323,9 @@ def keep(geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan
     for geometry, (folder, scan) in zip(geometries, where, strict=True):
         name = geometry.name
         if name in scan.derived and scan.derived[name].digest != geometry.digest:
-            raise ScanExistsError(f"{folder.geometries / name}.json is another geometry: --as")
+            raise ScanExistsError(
+                f"{folder.geometries / name}.json holds another geometry; choose another --as"
+            )
     for geometry, (folder, _) in zip(geometries, where, strict=True):
         geometry.write(folder.geometries)
 
@@ -335,12 +337,12 @@ def _same_views(path: Path, scan: Scan, phantom: Scan) -> None:
         InputError: another number of views, or a view more than ``SAME_MM`` away.
     """
     if len(scan) != len(phantom):
-        raise InputError(f"{path} has {len(scan)} views, the phantom's scan {len(phantom)}")
+        raise InputError(f"{path} has {len(scan)} views, but the phantom's scan has {len(phantom)}")
     for view in range(len(scan)):
         pairs = zip(scan.commanded[view], phantom.commanded[view], strict=True)
         far_mm = max(one.distance_mm(other) for one, other in pairs)
         if far_mm > SAME_MM:
             raise InputError(
-                f"{path}: view {view} was asked for {far_mm:.3g} mm beside the phantom's scan: "
-                "calibration is of the same views"
+                f"{path}: view {view} was commanded {far_mm:.3g} mm away from the phantom's scan; "
+                "calibration needs identical views"
             )

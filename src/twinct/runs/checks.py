@@ -33,8 +33,8 @@ def check_sight(workshop: Workshop) -> list[str]:
     problems: list[str] = []
     if seen.from_behind:
         problems.append(
-            f"{_views(seen.from_behind)}: {where} reaches behind the panel: the image would show "
-            "what lies there; move the specimen, or take a longer sdd_mm"
+            f"{_views(seen.from_behind)}: {where} reaches behind the panel, and the image would "
+            "show that part too; move the specimen, or use a larger sdd_mm"
         )
     elif len(seen.blind) == seen.views:
         problems.append(
@@ -52,12 +52,12 @@ def check_sight(workshop: Workshop) -> list[str]:
     check_places(workshop)
     warnings: list[str] = []
     if seen.blind:
-        warnings.append(f"{_views(seen.blind)} of {seen.views} in all see nothing of {where}")
+        warnings.append(f"{where} is not visible in {_views(seen.blind)}, of {seen.views} in all")
     warnings += _size(workshop).warnings
     if not seen.in_region:
         warnings.append(
-            f"{where} lies outside the voxels that every view sees: the image figures will say "
-            "nothing of it"
+            f"{where} lies outside the voxels that every view sees: the image figures will "
+            "not cover it"
         )
     return warnings
 
@@ -135,7 +135,7 @@ def findings(workshop: Workshop) -> dict[str, str]:
     grid = scenario.reconstruction.volume_grid
     physics = physics_in_words(scenario, *workshop.commanded_poses[0], workshop.mas)
     if plan is None:
-        clearance = {"motion": "a gantry, exactly where it is told"}
+        clearance = {"motion": "a gantry, exactly at its commanded poses"}
     else:
         worst = int(plan.clearance_mm.argmin())
         clearance = (
@@ -173,8 +173,8 @@ def check_geometries(scenario: Scenario, derived: Path | None = None) -> None:
     others = [name for name in scenario.reconstruction.geometries if name not in known]
     if others:
         raise InputError(
-            f"reconstruction.geometry: {others[0]!r} is none of {', '.join(known)}; 'twinct "
-            "geometry DIR --as NAME' derives one from a finished scan"
+            f"reconstruction.geometry: unknown geometry {others[0]!r}; choose from "
+            f"{', '.join(known)}; 'twinct geometry DIR --as NAME' derives one from a finished scan"
         )
 
 

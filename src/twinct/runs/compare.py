@@ -76,12 +76,12 @@ def _entries(paths: Sequence[Path]) -> list[_Entry]:
     for path in paths:
         try:
             if path.resolve() in found:
-                raise InputError(f"{path}: the same folder twice: each is compared once")
+                raise InputError(f"{path}: given twice; each folder is compared once")
             found[path.resolve()] = _entry(path)
         except InputError as error:
             problems += error.problems
     if len(paths) < 2:
-        problems += [f"{len(paths)} folders: two or more can be compared{_advice(paths)}"]
+        problems += [f"{len(paths)} folders: at least two are needed{_advice(paths)}"]
     if problems:
         raise InputError(problems)
     return list(found.values())
@@ -89,7 +89,7 @@ def _entries(paths: Sequence[Path]) -> list[_Entry]:
 
 def _advice(paths: Sequence[Path]) -> str:
     beside = sorted(str(kept) for path in paths for kept in path.glob("reconstructions/[!.]*"))
-    return f"; beside it are {', '.join(beside)}" if beside else ""
+    return f"; its reconstructions are {', '.join(beside)}" if beside else ""
 
 
 def _entry(path: Path) -> _Entry:

@@ -112,7 +112,7 @@ class Folder:
         if taken := [p.name for p in there if p.exists()]:
             raise ScanExistsError(
                 f"{self.path} already holds {', '.join(taken)}: "
-                "choose another --out, or go on with --resume"
+                "choose another --out, or continue with --resume"
             )
 
 
@@ -125,8 +125,7 @@ def refuse_other_keys(overrides: Iterable[str], section: str) -> None:
     others = [o for o in overrides if not o.startswith((f"{section}.", f"{section}="))]
     if others:
         raise InputError(
-            f"--set {others[0]}: only keys of {section} can be changed here; a scan with others is "
-            "another run"
+            f"--set {others[0]}: only keys of {section} can be changed here; others need a new run"
         )
 
 
@@ -144,7 +143,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
     try:
         metrics = read_json(path)
         if not isinstance(metrics, dict):
-            raise ValueError("no mapping of names to values")
+            raise ValueError("not a mapping of names to values")
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not readable figures of a run: {error}") from None
+        raise InputError(f"{path}: cannot read the figures of a run: {error}") from None
     return cast(dict[str, Any], metrics)

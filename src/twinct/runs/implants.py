@@ -199,7 +199,7 @@ def known_implants(scenario: Scenario, section: KnownImplants) -> list[Known]:
     for i, told in enumerate(section.implants):
         key = f"{_KEY}.implants.{i}"
         if told.part and told.part not in parts and None in (told.shape, told.position_mm):
-            problems.append(f"{key}.part: no part is called {told.part!r}; there are {[*parts]}")
+            problems.append(f"{key}.part: no part is called {told.part!r}; choose from {[*parts]}")
             continue
         part: Part = told.described_by(parts.get(told.part))
         name = part.name or f"implant {i}"
@@ -231,7 +231,10 @@ def check_implants(scenario: Scenario, section: KnownImplants, views: ScanGeomet
     tissue, bone = (one.mu_per_mm(energy) for one in _prior(section).values())
     problems: list[str] = []
     if tissue >= bone:
-        problems.append(f"{_KEY}: bone attenuates by {bone:.3g}, tissue by {tissue:.3g} per mm")
+        problems.append(
+            f"{_KEY}: bone attenuates by {bone:.3g}, tissue by {tissue:.3g} per mm: bone must "
+            "exceed tissue"
+        )
     for one in known:
         if (mu := one.material.mu_per_mm(energy)) <= bone:
             problems.append(

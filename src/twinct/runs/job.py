@@ -187,7 +187,7 @@ def finished_run(folder: Folder) -> Run:
     run = Run(scenario, folder)
     if run.volume.extras["note"] not in (_note_of(folder, scenario), _note_of_0_1(store, folder)):
         raise InputError(
-            f"{folder.volume} was made with other settings than {folder.scenario.name} holds: "
+            f"{folder.volume} was made with settings other than those in {folder.scenario.name}: "
             f"finish the run with 'twinct run {folder.scenario} --out {folder.path} --resume'"
         )
     return run

@@ -136,7 +136,7 @@ class Reconstruction:
                 path=path,
             )
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise InputError(f"{path}: no reconstruction of a run: {error}") from None
+            raise InputError(f"{path} is not a reconstruction of a run: {error}") from None
 
 
 def check_files(path: Path) -> None:
@@ -149,7 +149,7 @@ def check_files(path: Path) -> None:
     told = read_json(path / "reconstruction.json")
     for name, digest in told.get("files", {}).items():
         if not (path / name).is_file() or _digest(path / name) != digest:
-            raise InputError(f"{path / name} is not the file of {found.name} that was written")
+            raise InputError(f"{path / name} differs from the file written for {found.name}")
 
 
 def _digest(path: Path) -> str:

@@ -51,8 +51,8 @@ def arm_prior(uncertainty: Uncertainty, chain: Chain) -> ArmPrior:
     squares["links"][:3] += section.drift_mm**2
     if not any(squares["links"]) and not any(squares["tool"]):
         raise InputError(
-            "uncertainty.arms: links, zeros and tools are not off: nothing to calibrate; an "
-            "uncertainty.preset says by how much they may be"
+            "uncertainty.arms: links, zeros and tools have no errors, so there is nothing to "
+            "calibrate; an uncertainty.preset sets their spread"
         )
     mean = mean_compliance(section, chain)
     return ArmPrior(

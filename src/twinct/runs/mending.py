@@ -59,15 +59,15 @@ def mend_frame(path: Path, workshop: Workshop, error: DamagedError) -> None:
             raise DamagedError(
                 [
                     *error.problems,
-                    f"{path}: {', '.join(others)} cannot be made anew: this scenario, or what is "
-                    "planned for it today, gives another than was there; give the scenario that "
-                    "the scan was begun with",
+                    f"{path}: {', '.join(others)} cannot be recreated: this scenario, or its plan "
+                    "by this version, gives other contents; use the scenario that the scan was "
+                    "started with",
                 ],
                 error.found,
             )
         for file in broken:
             (path / file).parent.mkdir(parents=True, exist_ok=True)
             (draft / file).replace(path / file)
-            log.warning("%s: %s made anew, as it was", path, file)
+            log.warning("%s: %s recreated unchanged", path, file)
     finally:
         shutil.rmtree(draft, ignore_errors=True)

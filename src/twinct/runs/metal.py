@@ -46,9 +46,9 @@ def none_found(metal: WithoutMetal) -> str | None:
     if metal.voxels.size:
         return None
     return (
-        f"{_KEY}: no metal was found, and nothing replaced: the densest voxel of the first volume "
-        f"attenuates by {metal.densest:.3g} per mm, metal by {metal.threshold:.3g} or more "
-        f"({_KEY}.threshold_per_mm)"
+        f"{_KEY}: no metal was found and nothing replaced: the densest voxel of the first volume "
+        f"attenuates by {metal.densest:.3g} per mm, but metal needs at least "
+        f"{metal.threshold:.3g} ({_KEY}.threshold_per_mm)"
     )
 
 
@@ -65,7 +65,7 @@ def check_metal(scenario: Scenario) -> None:
     mus = _attenuations(scenario, section)
     if not mus["tissue"] < mus["bone"] < mus["metal"]:
         told = ", ".join(f"{name} {mu:.3g}" for name, mu in mus.items())
-        raise InputError(f"{_KEY}: attenuation must rise from tissue to metal, it is {told} per mm")
+        raise InputError(f"{_KEY}: attenuation must rise from tissue to metal; got {told} per mm")
 
 
 def _attenuations(scenario: Scenario, section: Nmar) -> dict[str, float]:

@@ -132,11 +132,11 @@ class Places:
             else:
                 key, voxels = f"regions.{i}", self.region(region.name)
             if not len(voxels):
-                found.append(f"evaluation.{key}: {region.name!r} has no voxel of the grid")
+                found.append(f"evaluation.{key}: {region.name!r} covers no voxel of the grid")
         for i, streaks in enumerate(self.section.streaks):
             if not len(self.part(streaks.part)):
                 found.append(
-                    f"evaluation.streaks.{i}.part: {streaks.part!r} has no voxel of the grid"
+                    f"evaluation.streaks.{i}.part: {streaks.part!r} covers no voxel of the grid"
                 )
         least = _LEAST_RADIUS_VOXELS * float(self.grid.voxel.max())
         for i, transfer in enumerate(self.section.mtf):
@@ -144,10 +144,10 @@ class Places:
             if shape.radius_mm < least:
                 found.append(
                     f"evaluation.mtf.{i}.at: {transfer.at!r} has a radius of {shape.radius_mm:g} "
-                    f"mm; its edge needs {least:g} mm, {_LEAST_RADIUS_VOXELS:g} voxels, or more"
+                    f"mm; its edge needs at least {least:g} mm, {_LEAST_RADIUS_VOXELS:g} voxels"
                 )
             elif not len(ball(self.grid, pose, shape.radius_mm)):
-                found.append(f"evaluation.mtf.{i}.at: {transfer.at!r} lies outside of the grid")
+                found.append(f"evaluation.mtf.{i}.at: {transfer.at!r} lies outside the grid")
         return found
 
     def figures(self, volume: Any, truth: Any, mu_reference: float) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def require_memory(scenario: Scenario) -> None:
     }
     if short := {what: size for what, size in told.items() if size > available}:
         raise MemoryShortageError(
-            f"{what}: {size / 2**30:.3g} GiB of memory are needed at least, and "
+            f"{what}: at least {size / 2**30:.3g} GiB of memory are needed, but only "
             f"{available / 2**30:.2f} GiB are available ({limit})"
             for what, size in short.items()
         )

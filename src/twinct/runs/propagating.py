@@ -20,8 +20,8 @@ TOLD_VIEWS = 5
 """Number of evenly spaced views whose mutual covariances are written."""
 
 FRAME = (
-    "errors are executed less believed: displacement of the focal spot, mm, and turn of the "
-    "source, rad, then the same of panel centre and panel; all along and about the world's axes"
+    "errors are executed minus believed: displacement of the focal spot, mm, and rotation of the "
+    "source, rad, then those of panel centre and panel; all along and about the world's axes"
 )
 
 
@@ -55,8 +55,8 @@ def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
     scenario = workshop.scenario
     if file := scenario.uncertainty.calibration:
         raise InputError(
-            f"uncertainty.calibration: {file} is of one pair of arms, and here others are drawn; "
-            "with a section task its views are judged for this pair"
+            f"uncertainty.calibration: {file} describes one pair of arms, but here others are "
+            "drawn; with a section task, the views are judged for this pair"
         )
     return propagate(
         scenario.uncertainty,

@@ -41,7 +41,7 @@ def verify(path: str | Path) -> Verdict:
     folder = Folder(Path(path))
     store = folder.scan if folder.scan.is_dir() else folder.path
     if not (store / "status").is_dir() and not (store / "zarr.json").is_file():
-        raise InputError(f"{path}: neither the folder of a run nor a scan.zarr")
+        raise InputError(f"{path} is neither a run folder nor a scan.zarr")
     of_all, of_views = frame_damage(store), view_damage(store)
     problems = [f"{store}: {damage}" for damage in (*of_all, *of_views)]
     looked_at = "its views"
@@ -59,7 +59,7 @@ def verify(path: str | Path) -> Verdict:
             problems.append(f"{store}: {looked_at}: the scan is not finished")
         if not scan.vouched:
             looked_at += (
-                ", of an older format without digests: only what is missing or cut off shows"
+                ", in an older format without digests: only missing or truncated files are found"
             )
             problems += _undecodable(scan)
     if store == folder.scan:

@@ -33,8 +33,8 @@ def orbit_of(scenario: Scenario) -> OrbitSettings:
     section = scenario.trajectory
     if not isinstance(section, OrbitSettings):
         raise InputError(
-            f"trajectory.kind: {section.kind}: candidates need an isocentre and distances: take a "
-            "kind that has them, such as sinusoid"
+            f"trajectory.kind: {section.kind}: candidates need an isocentre and distances; choose "
+            "a kind that has them, such as sinusoid"
         )
     return section
 

@@ -105,8 +105,8 @@ def best_path(
         ((_, words),) = _judged(workshop, _Piece(reference, None, [found.parameters]))
         near = ", ".join(f"{key} {value:.3g}" for key, value in found.parameters.items())
         raise InputError(
-            f"task.family: none of the paths tried can be had; the nearest, with {near}, {words}: "
-            "wider bounds, fewer keys, motion.detector_roll: free, or more task.family.generations"
+            f"task.family: no tried path is feasible; the nearest, with {near}, {words}; try wider "
+            "bounds, fewer keys, motion.detector_roll: free, or more task.family.generations"
         )
     section = _section(workshop, task, found.parameters)
     views = commanded_views(section, workshop.scenario.detector.panel)
@@ -152,10 +152,10 @@ def _judged(workshop: Workshop, piece: _Piece) -> list[tuple[float, str]]:
         for goal in goals:
             if goal.at_most is not None and (has := goal.of(views)) > goal.at_most:
                 far += has / goal.at_most - 1
-                words.append(f"comes to {has:.4g} of {goal.name}, {goal.at_most:.4g} at most")
+                words.append(f"has {goal.name} = {has:.4g}, at most {goal.at_most:.4g} allowed")
             if goal.at_least is not None and (has := goal.of(views)) < goal.at_least:
                 far += 1 - has / goal.at_least
-                words.append(f"comes to {has:.4g} of {goal.name}, {goal.at_least:.4g} at least")
+                words.append(f"has {goal.name} = {has:.4g}, at least {goal.at_least:.4g} needed")
         worth = MISSED * (1 + far) if words else worth_of(goals, views)
         if piece.tried is not None and task.trying is not None and not words:
             worth -= task.trying.weight * error_of(workshop, paths[k]) / piece.tried
@@ -182,8 +182,8 @@ def _check(workshop: Workshop, task: ViewTask, family: FamilySearch) -> None:
         key = f"task.family.parameters.{i}"
         if one.key not in numbers:
             problems.append(
-                f"{key}.key: the scenario's trajectory has no number {one.key!r}: it has "
-                f"{', '.join(numbers)}"
+                f"{key}.key: the scenario's trajectory has no numeric key {one.key!r}; choose "
+                f"from {', '.join(numbers)}"
             )
             continue
         for side in ("low", "high"):

@@ -155,7 +155,9 @@ class Patient:
         source = self.workshop.scenario.source
         spectrum = build_spectrum(source)
         if not spectrum.absolute:
-            raise InputError(f"{key}: needs a photon number: source.photons_per_mm2_mas, or a tube")
+            raise InputError(
+                f"{key}: needs a photon number: set source.photons_per_mm2_mas or a tube"
+            )
         panel = geometry.panel
         shrink = np.linalg.norm(geometry.source - place, axis=1) / geometry.sdd_to_centre
         pixel = voxel_mm / float(shrink.mean())
@@ -230,7 +232,7 @@ def _moving(
 ) -> Goal:
     """Build the goal of the arms' moving time, in the order of views or on the shortest tour."""
     if not isinstance(workshop.scenario.cell, Cell):
-        raise InputError("task.moving: a gantry has no arms that take time (cell.kind: arms)")
+        raise InputError("task.moving: a gantry has no moving time; it needs cell.kind: arms")
     from twinct.motion import shortest_tour
 
     seconds = seconds_between(workshop, geometry)
@@ -250,8 +252,8 @@ def _goal(
     unit = Goal(name, measure, 0.0).of(even)
     if not unit > 0:
         raise InputError(
-            f"task.{name}: views spread evenly over all that can be had have none of it: only few "
-            "see the region (task.position_mm); the isocentre of the trajectory is seen by all"
+            f"task.{name} is 0 for views spread evenly over all reachable ones, as only few see "
+            "the region (task.position_mm); every view sees the isocentre of the trajectory"
         )
     least = None if section.at_least_rel is None else section.at_least_rel * unit
     return Goal(name, measure, section.weight, unit, at_least=least)
@@ -326,7 +328,9 @@ def _metal(patient: Patient, section: MetalGoal, geometry: ScanGeometry, points:
     elif section.counts == "shift":
         spectrum = build_spectrum(scenario.source)
         if len(spectrum.photons) < 2:
-            raise InputError("task.metal.counts: shift: one energy is not hardened: a tube is")
+            raise InputError(
+                "task.metal.counts: shift: a single energy does not harden; use a tube"
+            )
         weights = spectrum.photons * build_response(scenario.detector).mean(spectrum.energies_kev)
         mu = [attenuation(one, spectrum.energies_kev) for one in metal.substances]
         found = mean_of_views([spectral_shift(one, mu, weights) for one in lengths])
@@ -348,7 +352,9 @@ def _dose(patient: Patient, section: DoseGoal, geometry: ScanGeometry) -> Floats
     scenario = patient.workshop.scenario
     spectrum = build_spectrum(scenario.source)
     if not spectrum.absolute:
-        raise InputError("task.dose: needs a photon number: source.photons_per_mm2_mas, or a tube")
+        raise InputError(
+            "task.dose: needs a photon number: set source.photons_per_mm2_mas or a tube"
+        )
     spectrum = spectrum.rebinned(min(ENERGIES, len(spectrum.photons)))
     points = patient.points_of(section.part, scenario.seed)
     substance, kerma = patient.part(section.part).material, np.zeros(len(geometry))
@@ -393,8 +399,8 @@ def _detectability(
     )
     if not beta > 0:
         raise InputError(
-            "task.detectability: views spread evenly over all that can be had tell nothing of the "
-            "signal: only few see it (task.position_mm)"
+            "task.detectability: views spread evenly over all reachable ones carry no information "
+            "on the signal, as only few see it (task.position_mm)"
         )
     return type(found)(Task(signal, beta), found.fisher)
 
@@ -415,8 +421,8 @@ def _known(
     held = photons.size * int(count.prod()) * 4 / 1e9
     if held > KNOWN_GB:
         raise InputError(
-            f"task.known.voxels: {section.voxels} need {held:.1f} GB for {len(geometry)} views: at "
-            f"most {KNOWN_GB:g} GB; fewer, or fewer task.candidates"
+            f"task.known.voxels: {section.voxels} need {held:.1f} GB for {len(geometry)} views, "
+            f"at most {KNOWN_GB:g} GB are allowed; use fewer voxels or fewer task.candidates"
         )
     z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij")
     far = np.linalg.norm(grid.world_from_grid.apply(np.stack([x, y, z], -1)) - place, axis=-1)
@@ -428,6 +434,6 @@ def _known(
 def _unseen(workshop: Workshop, task: ViewTask) -> str:
     x, y, z = workshop.specimen.world_from_specimen.apply(np.asarray(task.position_mm)).tolist()
     return (
-        f"task.position_mm: no view that the arms can have sees the region at ({x:.0f}, {y:.0f}, "
-        f"{z:.0f}) mm of the world; the isocentre of the trajectory is seen by all"
+        f"task.position_mm: no reachable view sees the region at ({x:.0f}, {y:.0f}, {z:.0f}) mm in "
+        "the world; every view sees the isocentre of the trajectory"
     )

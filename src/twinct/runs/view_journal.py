@@ -42,7 +42,7 @@ class Journal:
             return
         kept = _read(path)
         if not resume:
-            raise ScanExistsError(f"{path} holds a search: --resume goes on with it")
+            raise ScanExistsError(f"{path} holds a search: continue it with --resume")
         if kept.get("digest") != self._digest:
             raise ScanExistsError(f"{path} is the search of another scenario: choose another --out")
         self.within_reach = np.array(kept["reachable"], np.intp)
@@ -86,7 +86,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return read_json(path)
     except ValueError as error:
-        raise InputError(f"{path}: cannot be read: {error}: delete it to search anew") from None
+        raise InputError(f"{path}: cannot be read: {error}; delete it to start again") from None
 
 
 def _digest(scenario: Scenario) -> str:

@@ -101,7 +101,7 @@ def plan_views(
     scenario = load_scenario(source, overrides)
     task = scenario.task
     if task is None:
-        raise InputError(f"{source}: has no section task: it says what views are planned for")
+        raise InputError(f"{source}: the section task is missing; it sets the goals of the views")
     check_folder(out, {SEARCH, VIEWS, SCENARIO, JOINTS, RESULT, PICTURE, LOCK, *TRIED})
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -120,9 +120,10 @@ def plan_views(
         within = all_views[journal.within_reach]
         if len(within) < task.views:
             raise InputError(
-                f"task.views: {task.views} are asked for, the arms can have {len(within)} of "
-                f"{len(all_views)} candidates: take at most {len(within)}, more task.candidates, "
-                "or motion.detector_roll: free; twinct place finds a better place for the arms"
+                f"task.views: {task.views} views are requested, but the arms reach only "
+                f"{len(within)} of {len(all_views)} candidates; request at most {len(within)}, or "
+                "use more task.candidates or motion.detector_roll: free; twinct place finds a "
+                "better place for the arms"
             )
         own = own_path(scenario, task.views)
         choose = _chosen if task.family is None else partial(_tuned, pool=pool)
@@ -274,7 +275,7 @@ def _driven(
     try:
         plan = Workshop(load_scenario(out / SCENARIO)).plan
     except TrajectoryError as error:
-        kept = f"the chosen views are kept in {out / VIEWS}; other arms' places, or task.views"
+        kept = f"the chosen views are kept in {out / VIEWS}; move the arms, or change task.views"
         raise TrajectoryError([*error.problems, kept]) from error
     assert plan is not None
     save_plan(plan, out / JOINTS)

@@ -70,7 +70,7 @@ def scouted(scenario: Scenario, path: Path, progress: Progress) -> Scouted:
     """
     scan = load_scan(path)
     if len(scan) < FEWEST:
-        raise InputError(f"{path}: {len(scan)} scout view: at least {FEWEST} are needed")
+        raise InputError(f"{path}: {len(scan)} scout view, but at least {FEWEST} are needed")
     settings = scan.scenario
     workshop = Workshop(scenario)
     specimen = workshop.specimen
@@ -87,7 +87,7 @@ def scouted(scenario: Scenario, path: Path, progress: Progress) -> Scouted:
             )
         except InputError as error:
             raise InputError(
-                f"{path}: the scenario's specimen is not what it shows: {error}"
+                f"{path}: the scan does not show the scenario's specimen: {error}"
             ) from None
         step()
     middle = prior.grid.world_from_grid.position

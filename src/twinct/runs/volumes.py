@@ -147,7 +147,7 @@ def _reconstruct(
     which = "given" if isinstance(geometry, ScanGeometry) else geometry or section.geometries[0]
     pixels = None if mask is None else np.asarray(mask)
     if pixels is not None and not algorithm.masks:
-        raise InputError(f"{algorithm.name} knows no mask: leave it out, or take another algorithm")
+        raise InputError(f"{algorithm.name} takes no mask: omit it, or choose another algorithm")
     if algorithm.masks:
         pixels = _good_pixels(scan, pixels)
     poses = geometry if isinstance(geometry, ScanGeometry) else _poses(scan, which)
@@ -266,7 +266,7 @@ def _counted(volume: Volume, section: Reconstruction, before: int) -> Volume:
     if getattr(section, "stop", None) is None:
         return volume
     passes = before + volume.extras.get("passes", 0)
-    log.info("%d passes made the best volume", passes)
+    log.info("the best volume took %d passes", passes)
     return replace(volume, extras={**volume.extras, "passes": passes})
 
 
@@ -391,7 +391,7 @@ class _Checkpoints:
                 with np.load(file) as content:
                     volume, residuals = content["volume"], json_of(str(content["residuals"]))
             except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-                log.warning("%s is not readable and left aside", file)
+                log.warning("%s is not readable and is ignored", file)
                 continue
             if volume.shape == grid.shape:
                 return int(file.stem.rpartition("-")[2]), volume, residuals

@@ -54,4 +54,4 @@ class Book:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             write_json(self.path, told)
         except OSError as error:
-            log.info("%s: seconds for estimates are not kept: %s", self.path, error)
+            log.info("%s: cannot store the durations for estimates: %s", self.path, error)

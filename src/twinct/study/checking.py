@@ -125,13 +125,13 @@ class Checker:
             if same is not one.trial and not self.design.study.search:
                 place = self.design.at("axes", "repetitions")
                 raise InputError(
-                    f"{place}{same} and {one.trial} are the same: a value stands twice"
+                    f"{place}{same} and {one.trial} are identical: a value is listed twice"
                 )
         return found
 
     def _unknown_figure(self, name: str, known: set[str]) -> str:
         place = self.design.places.get("figures", "")
-        hint = f"there are {', '.join(sorted(known))}"
+        hint = f"choose from {', '.join(sorted(known))}"
         if near := difflib.get_close_matches(name, known, n=3, cutoff=0.6):
             hint = f"did you mean {' or '.join(map(repr, near))}?"
         return f"{place + ': ' if place else ''}figure {name!r}: no trial has it; {hint}"

@@ -236,7 +236,7 @@ def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
         if len(set(numbers.values())) > 1:
             told = ", ".join(f"{name} has {number}" for name, number in numbers.items())
             place = draft.origin(("axes", index, "paired"))
-            yield f"{place + ': ' if place else ''}axes.{index}.paired: {told}; as many are needed"
+            yield f"{place + ': ' if place else ''}axes.{index}.paired: {told}; they must be equal"
     for label in dict.fromkeys(design.labels):
         other = "another axis" if design.labels.count(label) > 1 else "a column of the results"
         own = label in OWN_COLUMNS or label.startswith("seconds.")
@@ -255,7 +255,7 @@ def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
         for key in axis.only:
             if key not in earlier and _at(design.defaults, key) is None:
                 place = f"{design.places[axis.keys[0]]}: " if axis.keys else ""
-                yield f"{place}only: {key} is no key of the scenario or an earlier axis"
+                yield f"{place}only: {key} is not a key of the scenario or an earlier axis"
         earlier |= {key for part in axis.paired or (axis,) for key in part.keys}
 
 

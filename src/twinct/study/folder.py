@@ -65,14 +65,14 @@ class StudyFolder:
             return
         told, there = _identity(design), self._there()
         if {name: there.get(name) for name in told} != told:
-            what = "keep" if there.get("base") == told["base"] else "scenario, or its 'set',"
+            what = "keep" if there.get("base") == told["base"] else "scenario or 'set'"
             raise InputError(
-                f"--out {self.path}: the folder is of another study: its {what} was another; "
+                f"--out {self.path}: the folder holds another study: its {what} differs; "
                 "choose another folder"
             )
         if not resume:
             raise ScanExistsError(
-                f"{self.path} holds this study already: go on, or extend it, with --resume"
+                f"{self.path} already holds this study: continue or extend it with --resume"
             )
 
     @property
@@ -91,10 +91,12 @@ class StudyFolder:
         try:
             told = json.loads(self.identity.read_text(encoding="utf-8"))
             if told["format"] != FORMAT:
-                raise ValueError(f"format {told['format']!r}, this twinct knows {FORMAT!r}")
+                raise ValueError(
+                    f"format {told['format']!r}; this version of twinct reads {FORMAT!r}"
+                )
             return told
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{self.identity}: no study: {error}") from None
+            raise InputError(f"{self.identity}: not a study: {error}") from None
 
 
 def _identity(design: Design) -> dict[str, Any]:

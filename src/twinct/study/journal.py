@@ -74,7 +74,7 @@ class Row:
         """
         told = json.loads(line)
         if not isinstance(told, dict):
-            raise ValueError("not a row")
+            raise ValueError("not a mapping")
         for name in _MAPPINGS:
             if not isinstance(told.get(name), dict):
                 raise ValueError(f"{name} is missing")
@@ -82,7 +82,7 @@ class Row:
         if odd := sorted(told.keys() ^ _FIELDS):
             raise ValueError(f"{odd[0]} is {'unknown' if odd[0] in told else 'missing'}")
         if not isinstance(told["trial"], int) or not isinstance(told["key"], str):
-            raise ValueError("trial is no number, or key no text")
+            raise ValueError("trial is not a number, or key is not text")
         if told["status"] not in get_args(Status):
             raise ValueError(f"status {told['status']!r} is neither done nor failed")
         return cls(**told)
@@ -142,7 +142,7 @@ class Journal:
                         row = Row.from_json(line.decode())
                     except ValueError as error:
                         raise InputError(
-                            f"{self.path}, line {number}: no row of a study: {reason(error)}"
+                            f"{self.path}, line {number}: not a row of a study: {reason(error)}"
                         ) from None
                     found[row.key] = row
         except FileNotFoundError:

@@ -132,7 +132,7 @@ def load_results(folder: str | Path) -> pd.DataFrame:
     journal, path = Journal(Path(folder)), Path(folder) / NAME
     if not journal.path.is_file():
         raise InputError(
-            f"{folder}: no results of a study: there is no {journal.path.name} in it; "
+            f"{folder} holds no study results: {journal.path.name} is missing; "
             "it appears when the first trial has ended"
         )
     try:

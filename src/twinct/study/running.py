@@ -186,7 +186,7 @@ def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[
         if len(trials) > study.max_trials:
             raise InputError(
                 f"{place}the study has more than {study.max_trials} trials (max_trials): raise "
-                "that, or take fewer values"
+                "it, or use fewer values"
             )
         return checker.checked(trials, audience)
     if (number := study.search.trials * len(design.seeds)) > study.max_trials:

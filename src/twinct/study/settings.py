@@ -13,7 +13,7 @@ from twinct.settings import Conflict, ConflictError, Finite, NonNegative, Positi
 
 def _dotted(text: str) -> str:
     if not re.fullmatch(r"[a-z_0-9]+(\.[a-z_0-9]+)*", text):
-        raise ValueError(f"{text!r} is no dotted key such as reconstruction.relaxation")
+        raise ValueError(f"{text!r} is not a dotted key such as reconstruction.relaxation")
     return text
 
 
@@ -28,8 +28,10 @@ class Range(Section):
 
     first: Finite = Field(description="The first number.")
     last: Finite = Field(description="The last number.")
-    number: Count = Field(description="How many.")
-    scale: Literal["linear", "log"] = setting("linear", "Even steps of the numbers or their logs.")
+    number: Count = Field(description="Number of values.")
+    scale: Literal["linear", "log"] = setting(
+        "linear", "Even steps in the numbers or in their logarithms."
+    )
     whole: bool = setting(False, "Round to whole numbers.")
 
     @model_validator(mode="after")
@@ -41,8 +43,8 @@ class Range(Section):
 
 
 class _Draw(Section):
-    number: Count = Field(description="How many are drawn.")
-    seed: Seed = setting(0, "Keys the draws.")
+    number: Count = Field(description="Number of draws.")
+    seed: Seed = setting(0, "Seed of the draws.")
 
 
 class _Between(_Draw):
@@ -86,33 +88,33 @@ class Axis(Section):
     """Axis of a study: a key that is varied, or several keys at once."""
 
     key: Keys | None = setting(None, "Dotted key of the scenario; several get the same value.")
-    label: str | None = setting(None, "What tables call it; the key unless given.")
-    values: tuple[JsonValue, ...] | None = setting(None, "A value each.", min_length=1)
-    range: Range | None = setting(None, "Or numbers at even steps.")
-    draw: Draw | None = setting(None, "Or numbers drawn from a distribution.")
+    label: str | None = setting(None, "Name in tables; default: the key.")
+    values: tuple[JsonValue, ...] | None = setting(None, "Values to try.", min_length=1)
+    range: Range | None = setting(None, "Alternatively: evenly spaced numbers.")
+    draw: Draw | None = setting(None, "Alternatively: numbers drawn from a distribution.")
     paired: tuple[Axis, ...] | None = setting(
-        None, "Or axes that go on together: first value with first value.", min_length=2
+        None, "Alternatively: axes varied together, first value with first value.", min_length=2
     )
     only: dict[Key, JsonValue] = setting(
-        {}, "Varied only where these keys have these values, such as an algorithm; else left alone."
+        {}, "Vary only where these keys have these values, such as an algorithm; else leave alone."
     )
 
     @model_validator(mode="after")
     def _one_way(self) -> Axis:
         ways = [name for name in ("values", "range", "draw", "paired") if getattr(self, name)]
         if len(ways) != 1:
-            found = f"{' and '.join(ways)} are there" if ways else "there is none of them"
+            found = f"{' and '.join(ways)} are given" if ways else "none is given"
             raise ConflictError(
                 Conflict(
                     f"one of values, range, draw and paired is needed; {found}", (*ways, "key")
                 )
             )
         if (self.paired is None) == (self.key is None):
-            message = "an axis has a key, or pairs axes that have one each"
+            message = "an axis needs either a key or paired axes with a key each"
             raise ConflictError(Conflict(message, ("key", "paired")))
         for axis in self.paired or ():
             if axis.paired or axis.only:
-                message = "axes that are paired have key and values, no 'paired' or 'only'"
+                message = "paired axes take a key and values, but no 'paired' or 'only'"
                 raise ConflictError(Conflict(message, ("paired",)))
         return self
 
@@ -130,8 +132,8 @@ class Axis(Section):
 class Repetitions(Section):
     """Repetitions of each trial with other seeds."""
 
-    number: Count = Field(description="How many seeds.")
-    key: Keys = setting("seed", "The key that gets them, such as uncertainty.seed.")
+    number: Count = Field(description="Number of seeds.")
+    key: Keys = setting("seed", "The key that gets the seeds, such as uncertainty.seed.")
     first: Seed = setting(0, "The first seed.")
 
     @property
@@ -144,27 +146,27 @@ class Dimension(Section):
     """A key that a search may set."""
 
     key: Keys = Field(description="Dotted key of the scenario; several get the same value.")
-    label: str | None = setting(None, "What tables call it; the key unless given.")
+    label: str | None = setting(None, "Name in tables; default: the key.")
     low: Finite | None = setting(None, "Lower end.")
     high: Finite | None = setting(None, "Upper end.")
-    scale: Literal["linear", "log"] = setting("linear", "How numbers are searched.")
+    scale: Literal["linear", "log"] = setting("linear", "Scale of the search.")
     whole: bool = setting(False, "Whole numbers only.")
     choices: tuple[str | bool | int | float, ...] | None = setting(
-        None, "Or one of these.", min_length=1
+        None, "Alternatively: one of these values.", min_length=1
     )
 
     @model_validator(mode="after")
     def _one_way(self) -> Dimension:
         numbers = self.low is not None and self.high is not None
         if numbers == (self.choices is not None) or (self.low is None) != (self.high is None):
-            message = "low and high are needed, or choices"
+            message = "either low and high, or choices, are needed"
             raise ConflictError(Conflict(message, ("low", "high", "choices")))
         if self.low is not None and self.high is not None:
             if self.low >= self.high or (self.scale == "log" and self.low <= 0):
-                message = f"no {self.scale} range from {self.low:g} to {self.high:g}"
+                message = f"{self.low:g} to {self.high:g} is not a valid {self.scale} range"
                 raise ConflictError(Conflict(message, ("low", "high", "scale")))
             if self.whole and not (self.low.is_integer() and self.high.is_integer()):
-                message = f"whole numbers from {self.low:g} to {self.high:g}: both must be whole"
+                message = f"whole: low {self.low:g} and high {self.high:g} must be whole numbers"
                 raise ConflictError(Conflict(message, ("low", "high", "whole")))
         return self
 
@@ -184,33 +186,37 @@ class Search(Section):
 
     figure: str = Field(description="The figure, such as image.rmse_rel; its mean over the seeds.")
     direction: Literal["minimize", "maximize"] = setting("minimize", "Which way is better.")
-    trials: Count = Field(description="Sets of values that are tried.")
-    batch: Count = setting(4, "Sets that are asked for at a time.")
-    seed: Seed = setting(0, "Keys what is asked.")
-    keys: tuple[Dimension, ...] = Field(description="What may be set.", min_length=1)
+    trials: Count = Field(description="Number of sets of values to try.")
+    batch: Count = setting(4, "Number of sets requested at a time.")
+    seed: Seed = setting(0, "Seed of the search.")
+    keys: tuple[Dimension, ...] = Field(description="Keys to search.", min_length=1)
 
 
 class Study(Section):
     """Many trials of one scenario."""
 
-    name: str = setting("study", "Names the study on its page.", min_length=1)
-    description: str = setting("", "What it is for.")
+    name: str = setting("study", "Name of the study on its page.", min_length=1)
+    description: str = setting("", "Purpose of the study.")
     scenario: Path | dict[str, Any] = Field(
-        description="Scenario file, relative to the study's; or a scenario itself."
+        description="Scenario file, relative to the study file; or an inline scenario."
     )
-    set: dict[Key, JsonValue] = setting({}, "Keys of the scenario that are others in all trials.")
-    axes: tuple[Axis, ...] = setting((), "What is varied; all are crossed.")
-    repetitions: Repetitions | None = setting(None, "Each combination with so many seeds.")
-    search: Search | None = setting(None, "A search, in place of axes.")
+    set: dict[Key, JsonValue] = setting({}, "Keys of the scenario to change in all trials.")
+    axes: tuple[Axis, ...] = setting((), "Keys to vary; all axes are crossed.")
+    repetitions: Repetitions | None = setting(None, "Repeat each combination with other seeds.")
+    search: Search | None = setting(None, "A search instead of axes.")
     keep: Literal["figures", "volume", "everything"] = setting(
-        "figures", "Of each trial: its figures; also its volume; or a folder as of 'twinct run'."
+        "figures",
+        "Results to keep of each trial: its figures, also its volume, or a folder like that of "
+        "'twinct run'.",
     )
     figures: tuple[str, ...] = setting(
-        ("image.rmse_rel", "image.ssim"), "Figures that the page shows.", min_length=1
+        ("image.rmse_rel", "image.ssim"), "Figures to show on the page.", min_length=1
     )
-    link: Literal["local", "ros2"] = setting("local", "Between the two simulations of a trial.")
-    threads: Count = setting(1, "That each trial may use.")
-    max_trials: Count = setting(10_000, "More than so many are refused.")
+    link: Literal["local", "ros2"] = setting(
+        "local", "Link between the two simulations of a trial."
+    )
+    threads: Count = setting(1, "Threads per trial.")
+    max_trials: Count = setting(10_000, "Largest number of trials; a larger study is refused.")
 
     @property
     def ranked_by(self) -> tuple[str, Literal["lower", "higher", ""]]:

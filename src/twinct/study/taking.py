@@ -200,7 +200,7 @@ def _acquire(errand: Errand, workshop: Workshop, folder: Path) -> None:
         try:
             acquire_to_store(workshop, path, make_rig, resume=True)
         except DamagedError as error:
-            log.warning("%s; it is taken anew", error)
+            log.warning("%s; the scan is taken again", error)
             shutil.rmtree(path)
             acquire_to_store(workshop, path, make_rig, resume=True)
 

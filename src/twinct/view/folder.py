@@ -61,15 +61,13 @@ class RunFolder:
         """
         needed = self.paths.path if self._store is None else self.paths.scan
         if not needed.is_dir():
-            raise InputError(f"{needed} is gone: what is shown is what was there before")
+            raise InputError(f"{needed} is gone: the page shows its last state")
         try:
             if self._store is None and self.paths.scan.is_dir():
                 self._store = ScanStore(self.paths.scan)
             self._show = self._of_scenario() if self._store is None else self._of_store(self._store)
         except FileNotFoundError as error:
-            raise InputError(
-                f"{error.filename} is gone: what is shown is what was there before"
-            ) from None
+            raise InputError(f"{error.filename} is gone: the page shows its last state") from None
         return self._show
 
     def _of_scenario(self) -> Show:
@@ -231,11 +229,9 @@ class RunFolder:
         if RECONSTRUCTION in volumes or self._live:
             return state, ()
         way = (
-            "the scan is not whole" if acquired < store.views else "the reconstruction is not done"
+            "the scan is incomplete" if acquired < store.views else "the reconstruction is not done"
         )
-        return state, (
-            f"{self.paths.volume} is not there yet, {way}: no slices and no surface of it",
-        )
+        return state, (f"{self.paths.volume} does not exist yet, {way}: no slices and no surface",)
 
     def _cached(self, path: Path, read: Any, otherwise: Any) -> Any:
         """Return the content of a file or folder; read it again only if it has changed."""
@@ -260,5 +256,5 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not readable figures of a run: {error}") from None
+        raise InputError(f"{path}: cannot read the figures of a run: {error}") from None
     return found if isinstance(found, dict) else {}

@@ -79,7 +79,7 @@ class Follower:
                 self._page.say(f"**{error}**")
             return
         except Exception:
-            log.exception("the folder could not be read; it is tried again")
+            log.exception("the folder could not be read; trying again")
             return
         if self._lost:
             self._lost = ""
@@ -140,7 +140,7 @@ class LivePage:
     def close(self) -> None:
         """Take a last look at the folder of the finished run."""
         self._look()
-        self._page.say("the run is over")
+        self._page.say("the run has finished")
         if self._follower is not None:
             self._follower.close()
 

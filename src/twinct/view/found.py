@@ -20,7 +20,7 @@ def folder_of_run(path: Path) -> Path:
         raise InputError(f"{path}: there is no such folder")
     if not (path / SCAN).is_dir() and not (path / SCENARIO).is_file():
         raise InputError(
-            f"{path} is no folder of a run: it holds neither {SCAN} nor {SCENARIO}; "
+            f"{path} is not a run folder: it holds neither {SCAN} nor {SCENARIO}; "
             "'twinct run SCENARIO --out DIR' makes one"
         )
     return path

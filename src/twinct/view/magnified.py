@@ -18,7 +18,7 @@ def magnified(reference: ScanGeometry, other: ScanGeometry, factor: float) -> Sc
             behind.
     """
     if len(reference) != len(other):
-        raise ValueError(f"{len(reference)} and {len(other)} views: they cannot be compared")
+        raise ValueError(f"cannot compare {len(reference)} views with {len(other)}")
     if factor == 1.0:
         return other
     source, detector = (

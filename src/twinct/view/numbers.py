@@ -32,13 +32,13 @@ def of_view(show: Show, view: int) -> str:
                 float(np.linalg.norm(mine - its))
                 for mine, its in ((source, executed.source[view]), (panel, executed.detector[view]))
             )
-            lines.append("to executed: {:.3f} mm source, {:.3f} mm panel".format(*off))
+            lines.append("distance from executed: {:.3f} mm source, {:.3f} mm panel".format(*off))
         told.append("  \n".join(lines))
     if taken:
         if math.isfinite(gap := float(show.clearance_mm[view])):
             told.append(f"smallest gap on the way there: {gap:.1f} mm")
     elif view in show.refused:
-        told.append("the arms cannot have this view")
+        told.append("the arms cannot reach this view")
     else:
         told.append("not taken yet")
     return "\n\n".join(told)

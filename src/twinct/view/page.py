@@ -178,7 +178,7 @@ class Page:
         with gui.add_folder("Geometry"):
             self._geometry: Any = gui.add_dropdown("beam and panel", ("executed",))
             self._factor = gui.add_slider(
-                "differences, times", 1, 200, 1, 1, hint="Magnified about the executed geometry."
+                "magnify differences", 1, 200, 1, 1, hint="Magnified about the executed geometry."
             )
             self._beam = gui.add_checkbox("beam", True)
             self._paths = gui.add_checkbox("paths of the source", True)

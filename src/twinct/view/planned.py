@@ -36,9 +36,9 @@ def planned(workshop: Workshop) -> Show:
         refused = tuple(view for view, held in enumerate(holder.held(poses)) if not held)
     views = len(workshop.asked)
     if scenario.cell.kind == "gantry":
-        state = f"not run; {views} views, which a gantry goes to as they are asked for"
+        state = f"not run; {views} views, which a gantry takes exactly as commanded"
     elif plan is None:
-        state = f"not run; {views - len(refused)} of {views} views can be held, there is no plan"
+        state = f"not run; {views - len(refused)} of {views} views are within reach; no motion plan"
     else:
         state = f"not run; {views} views planned"
     if plan is None and workshop.plan_chooses:

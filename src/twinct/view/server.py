@@ -44,8 +44,8 @@ def serve(
     """
     if not allow_network and not is_loopback(host):
         raise InputError(
-            f"--host {host}: the page has no password, so it is for this machine alone "
-            f"({LOOPBACK}); --allow-network shows it to whoever reaches this address"
+            f"--host {host}: the page has no password, so it is for this machine only "
+            f"({LOOPBACK}); --allow-network shows it to anyone who reaches this address"
         )
     if not 0 <= port <= 65535:
         raise InputError(f"--port {port}: a port is a number from 0 to 65535")
@@ -131,7 +131,7 @@ def _refuse_other_sites(server: viser.ViserServer) -> None:
         if origin := headers.get("Origin"):
             names.append(urlsplit(origin).hostname)
         if any(name not in LOCAL_NAMES for name in names):
-            log.warning("a page of %s wanted to look in and was refused", origin or names[0])
+            log.warning("refused a connection from a page of %s", origin or names[0])
             await connection.close(1008, "only for this machine")
 
     inner._client_connect_cb.insert(0, look)
