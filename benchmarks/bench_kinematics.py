@@ -197,7 +197,7 @@ def main() -> None:
             sys.stdout.write(
                 f"seed {seed}, {len(seen)} of {views} views: source, panel RMS "
                 f"{before[0]:.2f}, {before[1]:.2f} mm -> {after[0]:.3f}, {after[1]:.3f} mm "
-                f"(without repeatability {mean[0]:.3f}, {mean[1]:.3f}); told by the views left out "
+                f"(without repeatability {mean[0]:.3f}, {mean[1]:.3f}); at the views left out "
                 f"{found.predicted_mm[0]:.3f}, {found.predicted_mm[1]:.3f}; misfit "
                 f"{found.misfit:.2f}, {len(found.untold)} combinations left to the prior; "
                 f"{seconds[0]:.1f} + {seconds[1]:.1f} s\n"
