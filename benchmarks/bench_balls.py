@@ -67,9 +67,9 @@ def main():
         print(
             f"seed {seed}: {len(far)} balls of {len(truth)}, the furthest {far.max():.2f} mm from "
             f"one; {int(found.bundle.outliers.sum())} outliers, {len(found.problems)} views "
-            f"untold; shadows off by {found.rms_px:.4f} px; points of the region, RMS: "
+            f"failed; shadows off by {found.rms_px:.4f} px; points of the region, RMS: "
             f"{before.after_px:.3f} to {after.after_px:.3f} px ({before.before_px:.3f} to "
-            f"{after.before_px:.3f} px with the whole where it lies; scale {after.scale:.5f}); "
+            f"{after.before_px:.3f} px without aligning the whole; scale {after.scale:.5f}); "
             f"{seconds:.0f} s of one core",
             flush=True,
         )

@@ -194,7 +194,9 @@ def main():
     )
     parser.add_argument("--views", type=int, default=20)
     parser.add_argument("--phantoms", type=int, default=20)
-    parser.add_argument("--voxels", type=int, default=256, help="of the skull's grid")
+    parser.add_argument(
+        "--voxels", type=int, default=256, help="voxels along each edge of the skull's grid"
+    )
     options = parser.parse_args()
     if options.what == "left-out":
         left_out(options.views)

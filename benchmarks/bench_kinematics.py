@@ -148,7 +148,7 @@ def rendered(views):
         places = [np.array([p.position for p in side]) for side in (poses.source, poses.detector)]
         off = off_mm(executed, *places)
         sys.stdout.write(f"{name}: source, panel {off[0]:.3f}, {off[1]:.3f} mm RMS\n")
-    sys.stdout.write(f"{found.views} of {views} views told, misfit {found.misfit:.2f}\n")
+    sys.stdout.write(f"{found.views} of {views} views used, misfit {found.misfit:.2f}\n")
 
 
 def main() -> None:
@@ -158,8 +158,10 @@ def main() -> None:
     parser.add_argument("--unseen", type=int, default=50)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--preset", default="collaborative")
-    parser.add_argument("--untold", action="store_true", help="name what the views do not tell")
-    parser.add_argument("--rendered", action="store_true", help="by images")
+    parser.add_argument(
+        "--untold", action="store_true", help="list what the views do not determine"
+    )
+    parser.add_argument("--rendered", action="store_true", help="calibrate from rendered images")
     asked = parser.parse_args()
     if asked.rendered:
         rendered(asked.views[0])
@@ -195,7 +197,7 @@ def main() -> None:
             sys.stdout.write(
                 f"seed {seed}, {len(seen)} of {views} views: source, panel RMS "
                 f"{before[0]:.2f}, {before[1]:.2f} mm -> {after[0]:.3f}, {after[1]:.3f} mm "
-                f"(without repeatability {mean[0]:.3f}, {mean[1]:.3f}); told by the views left out "
+                f"(without repeatability {mean[0]:.3f}, {mean[1]:.3f}); at the views left out "
                 f"{found.predicted_mm[0]:.3f}, {found.predicted_mm[1]:.3f}; misfit "
                 f"{found.misfit:.2f}, {len(found.untold)} combinations left to the prior; "
                 f"{seconds[0]:.1f} + {seconds[1]:.1f} s\n"

@@ -97,7 +97,7 @@ def prior(truth: Scenario, seed: int) -> Scenario:
     turn = Rotation.from_rotvec(np.radians(OFF_DEG) * axis / np.linalg.norm(axis))
     moved = np.array(truth.specimen.position_mm) + OFF_MM * shift / np.linalg.norm(shift)
     told = truth.model_dump(mode="json")
-    assert not np.any(truth.specimen.rotation_deg), "the head is turned from where it lies straight"
+    assert not np.any(truth.specimen.rotation_deg), "the head must lie straight"
     told["specimen"] |= {
         "position_mm": moved.tolist(),
         "rotation_deg": turn.as_euler("xyz", degrees=True).tolist(),
@@ -133,7 +133,7 @@ def plan(found: Goal, dose: Goal, candidates: int, aim: float, start: float) -> 
         limit = (low + high) / 2
         goals = [found, Goal("dose", dose.measure, 0.0, at_most=limit)]
         views = list(search_views(goals, candidates, VIEWS, rounds=ROUNDS).chosen)
-        print(f"  limit {limit:.3e} Gy: d' {found.of(views) / aim:.3f} of what is aimed at")
+        print(f"  limit {limit:.3e} Gy: d' {found.of(views) / aim:.3f} of the target")
         if found.of(views) >= aim:
             best, high = views, limit
         else:
@@ -181,7 +181,7 @@ def main() -> None:
     print(
         f"baseline: {ROTATIONS_DEG[rotation]} deg, d' {true_d.of(paths[rotation]) / best:.3f} of "
         f"the best {best:.3f}, {base_dose:.3e} Gy; spread evenly: d' {true_d.of(even) / best:.3f}, "
-        f"dose {true_dose.of(even) / base_dose:.3f} of it; "
+        f"dose {true_dose.of(even) / base_dose:.3f} of the baseline's; "
         f"scout views: {scout_rel:.4f}",
         flush=True,
     )
@@ -216,7 +216,7 @@ def main() -> None:
                 stream.write(json.dumps(known[way, seed]) + "\n")
         one = known[way, seed]
         print(
-            f"{way}, seed {seed}: d' {one['d_rel']:.3f} of the best (foreseen "
+            f"{way}, seed {seed}: d' {one['d_rel']:.3f} of the best (predicted "
             f"{one['foreseen_d_rel']:.3f}), dose {one['dose_rel']:.3f} of the baseline's",
             flush=True,
         )
@@ -232,7 +232,7 @@ def main() -> None:
         )
         missed = missed or d_rel.min() < KEPT or dose_rel.mean() > LOWER
     if missed:
-        raise SystemExit("missed: 40 % less dose at 95 % of d'")
+        raise SystemExit("not reached: 40 % less dose at 95 % of d'")
 
 
 if __name__ == "__main__":

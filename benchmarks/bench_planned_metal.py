@@ -165,7 +165,7 @@ class Bench:
             }
             print(
                 f"weight {weight:g}: {found.reachable} of {found.candidates} candidates within "
-                f"reach; of views spread evenly: {told}; motion {found.scan_s} s, clearance "
+                f"reach; times evenly spread views: {told}; motion {found.scan_s} s, clearance "
                 f"{found.clearance_mm} mm",
                 flush=True,
             )

@@ -225,7 +225,7 @@ def main() -> None:
     for path, share in zip(paths, shares, strict=True):
         print(f"  {path}: {share.mean():.3f} +- {share.std():.3f} of the views")
     if not shares[-1].mean() <= SHARE:
-        raise SystemExit(f"missed: {SHARE} of the views")
+        raise SystemExit(f"not reached: {SHARE} of the views")
 
 
 if __name__ == "__main__":

@@ -80,7 +80,7 @@ def main() -> None:
         )
         missed = missed or number < count or gap < GAP_MM or share > TIMES
     if missed:
-        raise SystemExit("missed: all views, 10 mm, twice the equidistant path's time")
+        raise SystemExit("not reached: all views, 10 mm, twice the equidistant path's time")
 
 
 if __name__ == "__main__":

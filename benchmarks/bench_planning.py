@@ -61,10 +61,10 @@ def main() -> None:
         print(
             f"{seed}: within {angle:g} deg, optimum {exact.share:.4f} (bound {exact.bound:.4f}, "
             f"{seconds:.0f} s), greedy {ratios[-1][0]:.4f}, with exchange {ratios[-1][1]:.4f}, "
-            f"random {ratios[-1][2]:.4f} of it",
+            f"random {ratios[-1][2]:.4f} of the optimum",
             flush=True,
         )
-        assert COVERED[0] <= exact.share <= COVERED[1], "the optimum covers 60 to 90 %"
+        assert COVERED[0] <= exact.share <= COVERED[1], "the optimum must cover 60 to 90 %"
     for name, shares in zip(
         ("greedy", "with exchange", "random"), zip(*ratios, strict=True), strict=True
     ):

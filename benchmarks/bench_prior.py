@@ -121,8 +121,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True, help="folder for scans and prior")
-    parser.add_argument("--factor", type=int, default=1, help="pixels and voxels larger by it")
-    parser.add_argument("--photons", type=float, default=1e5, help="on a pixel of 1 mm^2")
+    parser.add_argument("--factor", type=int, default=1, help="factor to enlarge pixels and voxels")
+    parser.add_argument("--photons", type=float, default=1e5, help="per pixel of 1 mm^2")
     parser.add_argument("--iterations", type=int, default=24)
     parser.add_argument("--strengths", type=float, nargs="+", default=STRENGTHS)
     parser.add_argument("--shares", type=float, nargs="+", default=SHARES)

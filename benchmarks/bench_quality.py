@@ -138,7 +138,7 @@ def stopped(case, options, found):
 def eighth(case, options, found):
     """``fast``, stopped in its last pass after an eighth of the time of SART's ten."""
     if "sart" not in found:
-        raise SystemExit("an eighth of what? give --only sart too, before it")
+        raise SystemExit("no time of sart to compare with: give --only sart too, before it")
     last = found["sart"][-1]
     limit = 10 * last["seconds"] / last["passes"] / 8
     start = time.perf_counter()
@@ -227,7 +227,7 @@ def main():
     parser.add_argument("--factor", type=int, default=1)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--iterations", type=int, default=10)
-    parser.add_argument("--each", type=int, default=1, help="passes between judgements")
+    parser.add_argument("--each", type=int, default=1, help="number of passes between judgements")
     parser.add_argument("--rtk", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=WAYS, default=list(WAYS))
     options = parser.parse_args()

@@ -122,7 +122,9 @@ def compare(
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--arm", nargs="+", default=list(BASE_MM))
-    parser.add_argument("--scenario", type=Path, help="whose cell, instead of the arms' own")
+    parser.add_argument(
+        "--scenario", type=Path, help="take the cell of this scenario, not the arms' own"
+    )
     parser.add_argument("--positives", type=int, default=500)
     parser.add_argument("--simulations", type=int, default=100)
     parser.add_argument("--results", type=Path, default=RESULTS)

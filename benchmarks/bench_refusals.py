@@ -31,7 +31,7 @@ HOSTILE = {
 def main() -> int:
     """Time each refusal."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--most", type=float, default=2.0, help="seconds of the processor")
+    parser.add_argument("--most", type=float, default=2.0, help="largest processor time in seconds")
     most, slow = parser.parse_args().most, False
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scenario.yaml"

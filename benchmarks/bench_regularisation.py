@@ -111,7 +111,7 @@ def regularised(scan: Scan, p: np.ndarray, strength: float) -> tuple[np.ndarray,
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--columns", type=int, default=160, help="pixels along u")
+    parser.add_argument("--columns", type=int, default=160, help="number of pixels along u")
     parser.add_argument("--strengths", type=float, nargs="+", default=STRENGTHS)
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args()

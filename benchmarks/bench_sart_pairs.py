@@ -82,7 +82,7 @@ def interval(ratios):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("older", type=Path, help="the checkout of before")
+    parser.add_argument("older", type=Path, help="the older checkout")
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--views", type=int, default=40)

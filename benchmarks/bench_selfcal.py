@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("--factor", type=int, default=1)
     parser.add_argument("--real", action="store_true")
     parser.add_argument("--photons", type=float)
-    parser.add_argument("--rounds", nargs="+", type=int, help="how much larger pixels are in each")
+    parser.add_argument("--rounds", nargs="+", type=int, help="binning factors of the rounds")
     parser.add_argument("--out", type=Path, default=Path("out/selfcal"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)

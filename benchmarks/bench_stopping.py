@@ -56,7 +56,7 @@ class Lines:
             try:
                 self.kept.append(json.loads(line))
             except json.JSONDecodeError:
-                print(f"left aside: {line[:60]}")
+                print(f"ignored: {line[:60]}")
         path.write_text("".join(json.dumps(one) + "\n" for one in self.kept))
 
     def add(self, **told):
@@ -212,8 +212,8 @@ def main():
     parser.add_argument("--scan", type=Path)
     parser.add_argument("--factor", type=int, default=1)
     parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--photons", type=float, help="counts a pixel; none: without their noise")
-    parser.add_argument("--surroundings", type=float, help="margin that is taken out, mm")
+    parser.add_argument("--photons", type=float, help="photons per pixel; default: no noise")
+    parser.add_argument("--surroundings", type=float, help="margin to remove, mm")
     parser.add_argument("--nonnegative", action="store_true", help="for sart")
     parser.add_argument("--relaxation", type=float, default=0.3, help="for sart")
     parser.add_argument("--passes", type=int, default=20)

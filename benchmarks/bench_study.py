@@ -177,7 +177,7 @@ def sharing(kind, folder, number):
             flush=True,
         )
     for name, found in zip(
-        ("its own parts", "the same alone"), zip(*ratios, strict=True), strict=True
+        ("its own parts", "the same work alone"), zip(*ratios, strict=True), strict=True
     ):
         print(f"{kind}: {' and '.join(f'{ratio:.3f}' for ratio in found)} x {name}")
 

@@ -38,7 +38,7 @@ def cell_of(given: Path | Cell | None) -> CellModel:
     """A cell, that of a scenario, or the default one, with a head's ellipsoid in it."""
     section = load_scenario(given).cell if isinstance(given, Path) else given or Cell()
     if not isinstance(section, Cell):
-        raise SystemExit(f"{given}: has no arms")
+        raise SystemExit(f"{given}: the cell has no arms")
     head = icosphere(subdivisions=4)
     head.apply_scale(HEAD_SEMI_AXES_MM)
     return build_cell(section, head, Pose.identity(), PANEL)
@@ -112,7 +112,9 @@ def told_in(results: Path) -> list[dict[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--scenario", type=Path, help="whose cell; without it the default cell")
+    parser.add_argument(
+        "--scenario", type=Path, help="take the cell of this scenario, not the default"
+    )
     parser.add_argument("--gap-minutes", type=float, default=10.0)
     parser.add_argument("--results", type=Path, default=RESULTS)
     args = parser.parse_args()

@@ -20,7 +20,7 @@ from twinct.specimen.voxels import volume_fractions
 def main() -> int:
     """Voxelise a ball three times; the fastest counts."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--most", type=float, default=45.0, help="seconds")
+    parser.add_argument("--most", type=float, default=45.0, help="largest time in seconds")
     most, seconds = parser.parse_args().most, []
     ball = trimesh.creation.icosphere(subdivisions=7, radius=75.0)
     grid = VolumeGrid((512, 512, 512), 0.31)

@@ -141,7 +141,7 @@ def main() -> None:
     parser.add_argument("--search-s", type=float, default=300.0)
     args = parser.parse_args()
     if not args.answers.exists():
-        raise SystemExit(f"{args.answers}: no answers yet: benchmarks/drive_nodes.py first")
+        raise SystemExit(f"{args.answers} does not exist: run benchmarks/drive_nodes.py first")
     scenario = load_scenario(args.scenario)
     judge = Judge(Workshop(scenario).cell, scenario.motion)
     lines = [json.loads(text) for text in args.answers.read_text().splitlines()]

@@ -337,7 +337,7 @@ class Log(logging.Handler):
 
     def emit(self, record):
         """See ``logging.Handler``."""
-        if "not of this scan" in record.getMessage():
+        if "not part of this scan" in record.getMessage():
             self.lines.append(record.getMessage())
 
 
@@ -397,7 +397,7 @@ class Attacked:
             scan(scenario, path, command, self.domain, self.before)
             self.ended = "equal"
         except TwinctError as error:
-            self.ended = "ended, named" if "not of this scan" in str(error) else "ended"
+            self.ended = "ended, named" if "not part of this scan" in str(error) else "ended"
             if self.ended == "ended":
                 self.faults.append(f"ended without the stranger's name: {error}")
         except Exception as error:
@@ -443,17 +443,17 @@ class Attacked:
         expected, found = contents(whole), contents(path) if path.exists() else {}
         if self.ended == "equal" and found != expected:
             names = [n for n in expected.keys() | found.keys() if expected.get(n) != found.get(n)]
-            self.faults.append(f"another store: {sorted(names)[:5]}")
+            self.faults.append(f"the store differs: {sorted(names)[:5]}")
         chunks = {n: data for n, data in found.items() if "/c." in n}
         if wrong := [n for n, data in chunks.items() if expected.get(n) != data]:
-            self.faults.append(f"something wrong stored: {wrong[:5]}")
+            self.faults.append(f"wrong data stored: {wrong[:5]}")
         lines = self.log.lines
         if len(lines) != len(set(lines)):
             self.faults.append("named more than once")
         if "forged answers" in self.done:
             for topic in ANSWERS:
                 if not any(f"on {topic.name}:" in line for line in lines):
-                    self.faults.append(f"who speaks on {topic.name} was not named")
+                    self.faults.append(f"the sender on {topic.name} was not named")
 
 
 def main():

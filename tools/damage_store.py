@@ -108,7 +108,7 @@ class Trials:
                 faults.append(f"{name} is not named in {told!r}")
         read = self.said(faults, "read", self.digest)
         if isinstance(read, str) and read != self.read and self.vouched and kind != "resealed":
-            faults.append("other data was read")
+            faults.append("different data was read")
         words["read"] = "whole" if read == self.read else "other" if isinstance(read, str) else "no"
         again = self.said(
             faults, "resume", lambda: run(self.scenario, self.folder, link="local", resume=True)
@@ -117,12 +117,12 @@ class Trials:
         if isinstance(again, InputError):
             words["resume"] = "refused"
             if after != hit:
-                faults.append(f"refused, and changed {differ(after, hit)}")
+                faults.append(f"refused, but changed {differ(after, hit)}")
         elif again is not None:
             wanted = self.kept | {name: hit[name] for name in hit.keys() - self.kept.keys()}
             words["resume"] = "whole" if hit == wanted else "mended"
             if self.vouched and kind != "resealed" and after != wanted:
-                faults.append(f"resumed, and differs in {differ(after, wanted)}")
+                faults.append(f"resumed, but differs in {differ(after, wanted)}")
         if left := {p.name for p in self.folder.iterdir()} - self.beside:
             faults += [f"left {name}" for name in sorted(left - {"twinct.log", "seconds.json"})]
         self.put_back()
@@ -154,8 +154,8 @@ def main():
     parser.add_argument("--damages", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
-    parser.add_argument("--unvouched", action="store_true", help="a store of version 0.1")
-    parser.add_argument("--only", type=int, help="number of the one damage to do")
+    parser.add_argument("--unvouched", action="store_true", help="use a store of version 0.1")
+    parser.add_argument("--only", type=int, help="number of the only damage to apply")
     options = parser.parse_args()
     logging.disable(logging.WARNING)
     table, bad, slowest = defaultdict(Counter), 0, 0.0

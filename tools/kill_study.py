@@ -284,8 +284,8 @@ def main():
     parser.add_argument("--workers", type=int, default=20)
     parser.add_argument("--nodes", type=int, default=5)
     parser.add_argument("--drivers", type=int, default=5)
-    parser.add_argument("--seeds", type=int, default=12, help="of five trials each")
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--seeds", type=int, default=12, help="number of seeds, five trials each")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the moments")
     options = parser.parse_args()
     wanted = {"worker": options.workers, "node": options.nodes, "driver": options.drivers}
     wanted["node"] *= options.pool == "cluster"

@@ -69,7 +69,7 @@ def trial(folder, victim, number, expected, seed):
             os.kill(pid, signal.SIGCONT)
         message = said(process)
         finished = process.wait() == 0  # the stopped node had no work left
-        words = "nothing was heard" if victim == "scan" else f"the {victim} node hung, or was stop"
+        words = "was silent" if victim == "scan" else f"the {victim} node hung or was stop"
         named = (words in message or finished) and "Traceback" not in message
         resumed = start(out, mark, *MORE, "--resume")
         complaint = said(resumed)
@@ -94,7 +94,7 @@ def main():
     )
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the moments")
     parser.add_argument("--victims", nargs="+", choices=VICTIMS, default=VICTIMS)
     options = parser.parse_args()
     bad = 0

@@ -58,7 +58,7 @@ def trial(folder, number, expected, seed):
         if code and not ("works in this folder" in word or "already holds" in word):
             faults.append(f"the loser said {word}")
     if not (out / "report.html").exists() or contents(out / "scan.zarr") != expected:
-        faults.append("the store differs from an undisturbed one, or there is no report")
+        faults.append("the store differs from an undisturbed one, or the report is missing")
     if left := sorted(p.name for p in out.iterdir() if "lock" in p.name or "partial" in p.name):
         faults.append(f"left {', '.join(left)}")
     if alive(mark):
@@ -76,7 +76,7 @@ def main():
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--trials", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the moments")
     options = parser.parse_args()
     bad = 0
     with tempfile.TemporaryDirectory() as name:
@@ -92,7 +92,7 @@ def main():
             told = "; ".join(faults) or "none"
             print(f"{number:4}  {apart_s:.2f} s  {of:11} {winner:27} {told}", flush=True)
             bad += bool(faults)
-    print(f"{options.trials - bad} of {options.trials} as they should be")
+    print(f"{options.trials - bad} of {options.trials} pairs without faults")
     return 1 if bad else 0
 
 

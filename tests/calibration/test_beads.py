@@ -88,5 +88,5 @@ def test_balls_on_a_line_do_not_tell(taken):
     line = np.zeros((20, 3))
     line[:, 2] = np.linspace(-55, 55, 20)
     balls = BallPhantom(line, 1.5)
-    with pytest.raises(CalibrationError, match="do not tell"):
+    with pytest.raises(CalibrationError, match="do not determine"):
         calibrated_view(image(executed, balls), executed, balls)

@@ -91,5 +91,5 @@ def test_it_goes_on_from_a_start(scanned):
     # In the panel's own axes a small change is undone by its negative.
     found = self_calibrated(p, believed, grid, PRIOR, start=-change, rounds=[Round(2)])
     assert off_px(found.geometry, executed) < 0.05 * off_px(believed, executed)
-    with pytest.raises(InputError, match=r"start has shape \(24, 6\): \(24, 9\) needed"):
+    with pytest.raises(InputError, match=r"start has shape \(24, 6\); it must be \(24, 9\)"):
         self_calibrated(p, believed, grid, PRIOR, start=change[:, :6])

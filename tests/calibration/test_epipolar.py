@@ -264,7 +264,7 @@ def test_a_view_that_shares_nothing_is_named_and_others_go_on() -> None:
     p[4] = np.nan
     found = epipolar_consistent(p, believed, GRID, PRIOR, mask=mask, across=ACROSS)
     assert list(found.problems) == [4]
-    assert "0 planes through its source and another's cut both panels" in found.problems[4]
+    assert "0 planes through its source and another cut both panels" in found.problems[4]
     assert found.planes[4] == 0
     np.testing.assert_allclose(found.change[4], 0, atol=1e-12)
     others = [view for view in range(len(executed)) if view not in (4, 7)]
@@ -275,9 +275,9 @@ def test_a_view_that_shares_nothing_is_named_and_others_go_on() -> None:
 @pytest.mark.parametrize(
     ("views", "blank", "said"),
     [
-        ([0, 0, 0, 0], False, "view 0: all sources that it is compared with are too near"),
-        ([0, 3, 6, 9], True, "view 0: something is measured on 0 of the"),
-        ([0], False, "view 0: all sources"),
+        ([0, 0, 0, 0], False, "view 0: its source is too near to all sources"),
+        ([0, 3, 6, 9], True, "view 0: 0 of the .* planes that it shares"),
+        ([0], False, "view 0: its source is too near"),
     ],
 )
 def test_a_scan_without_shared_planes_is_refused(views, blank, said) -> None:
@@ -292,9 +292,9 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     p = images(executed)
     with pytest.raises(InputError, match="the geometry needs"):
         epipolar_consistent(p[:3], executed, GRID, PRIOR)
-    with pytest.raises(InputError, match="bool needed"):
+    with pytest.raises(InputError, match="must be bool"):
         epipolar_consistent(p, executed, GRID, PRIOR, mask=np.ones(PANEL.shape))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="names no round"):
+    with pytest.raises(InputError, match="across is empty"):
         epipolar_consistent(p, executed, GRID, PRIOR, across=())
     p[1, 3, 4] = np.nan
     with pytest.raises(InputError, match="view 1 of the projections has 1 pixels"):

@@ -199,7 +199,7 @@ def test_open_surface_is_refused(data, write, tmp_path):
     cube = trimesh.creation.box((10, 10, 10))
     cube.update_faces(np.arange(11))
     cube.export(tmp_path / "cube.stl")
-    with pytest.raises(SpecimenError, match=r"cube.stl is no closed surface: 3 of its edges"):
+    with pytest.raises(SpecimenError, match=r"cube.stl is not a closed surface: 3 of its edges"):
         render(load_ctsimu(path), tmp_path / "out", QUICK)
 
 

@@ -89,7 +89,7 @@ def test_toolbox_judges_the_free_beam(tmp_path):
 
 
 def test_the_tests_left_out_are_named_with_the_reason(tmp_path):
-    with pytest.raises(InputError, match="2D-SW-4 is not taken: .*scatter"):
+    with pytest.raises(InputError, match="2D-SW-4 is not supported: .*scatter"):
         qualify(tmp_path, ["2D-SW-4"])
     assert set(TESTS) | set(NOT_TAKEN) == {
         *("2D-FB-1", "2D-FB-2", "2D-HS-1", "2D-DW-1", "2D-WE-1", "2D-WE-2"),

@@ -70,7 +70,7 @@ def test_load_py_runs_as_a_user_runs_it(bundle, tmp_path) -> None:
 
 def test_an_existing_folder_is_not_touched(bundle, tmp_path) -> None:
     (tmp_path / "export").mkdir()
-    with pytest.raises(ScanExistsError, match="export exists already"):
+    with pytest.raises(ScanExistsError, match="export already exists"):
         write_bundle(tmp_path / "export", "astra", bundle)
     assert not list((tmp_path / "export").iterdir())
 

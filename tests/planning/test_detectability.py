@@ -151,13 +151,13 @@ def test_views_of_a_real_projector_detect_what_the_linear_reconstruction_does() 
 def test_bad_input_is_told() -> None:
     with pytest.raises(InputError, match="not all 0"):
         Task(np.zeros(SHAPE), 1.0)
-    with pytest.raises(InputError, match="beta: 0"):
+    with pytest.raises(InputError, match="beta is 0"):
         Task(np.ones(SHAPE), 0.0)
     views = commanded_views(CircleTrajectory(kind="circle", views=2), Panel(8, 8, 8.0, 8.0))
     projector = Projector(views, VolumeGrid((8, 8, 8), 4.0))
-    with pytest.raises(InputError, match=r"photons of shape \(2, 8, 7\)"):
+    with pytest.raises(InputError, match=r"photons has shape \(2, 8, 7\)"):
         detectability_of(projector, np.ones((2, 8, 7)), Task(np.ones((8, 8, 8)), 1.0))
-    with pytest.raises(InputError, match=r"the signal \(6, 7, 8\)"):
+    with pytest.raises(InputError, match=r"the signal has \(6, 7, 8\)"):
         detectability_of(projector, np.ones((2, 8, 8)), Task(np.ones(SHAPE), 1.0))
 
 

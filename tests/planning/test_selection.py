@@ -48,5 +48,5 @@ def test_elements_of_no_weight_do_not_count() -> None:
 
 def test_fewer_candidates_than_views_are_refused(covers) -> None:
     for choose in (greedy_choice, exact_choice):
-        with pytest.raises(InputError, match="15 views of 14 candidates"):
+        with pytest.raises(InputError, match="cannot choose 15 of 14 candidates"):
             choose(covers, 15)

@@ -86,7 +86,7 @@ def test_no_views_tell_nothing(share) -> None:
     ("change", "says"),
     [
         ({"region": np.zeros(GRID.shape, np.bool_)}, "region holds no voxel"),
-        ({"region": np.ones((2, 2, 2), np.bool_)}, "region of shape"),
+        ({"region": np.ones((2, 2, 2), np.bool_)}, "region has shape"),
         ({"covariance": -np.eye(120)}, "not positive definite"),
         ({"photons": np.full((7, 5, 6), -1.0)}, "0 or more"),
     ],

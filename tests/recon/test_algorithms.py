@@ -139,13 +139,16 @@ def test_every_wrong_argument_is_named(name, scan):
     extra, names = {}, ["view 3 of the projections has 1 pixels that are NaN"]
     if name not in ("fdk", "fast"):
         extra = {"iterations": 0, "x0": np.zeros((2, 2, 2))}
-        names += ["iterations is 0: a whole number of at least 1", "x0 has shape (2, 2, 2)"]
+        names += [
+            "iterations is 0; it must be a whole number of at least 1",
+            "x0 has shape (2, 2, 2)",
+        ]
     if name in RESUMABLE or name == "fast":
         extra["first_relaxation" if name == "fast" else "relaxation"] = 2.0
-        names.append("relaxation is 2.0: above 0 and below 2")
+        names.append("relaxation is 2.0; it must be above 0 and below 2")
     if name in ("os_sart", "fista_tv", "prior_tv"):
         extra["subsets"] = 25
-        names.append("subsets is 25: a whole number of at least 1 and at most 24")
+        names.append("subsets is 25; it must be a whole number of at least 1 and at most 24")
     if name in ("fista_tv", "prior_tv"):
         extra |= {"regularisation": -1.0, "weights": -np.ones_like(p), "huber": 0.0}
         names += ["regularisation is -1.0", "weights must be 0 or more", "huber is 0.0"]
@@ -169,7 +172,7 @@ def test_every_wrong_argument_is_named(name, scan):
         ({"line_integrals": np.zeros((23, 29, 31))}, r"shape \(23, 29, 31\): the geometry needs"),
         ({"line_integrals": np.full((24, 29, 31), np.inf)}, "view 0 .* 899 pixels"),
         ({"mask": np.ones((29, 30), np.bool_)}, r"mask has shape \(29, 30\)"),
-        ({"mask": np.ones((29, 31))}, "bool needed"),
+        ({"mask": np.ones((29, 31))}, "must be bool"),
         ({"mask": np.zeros((29, 31), np.bool_)}, "no pixel would count"),
     ],
 )

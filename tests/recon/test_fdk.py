@@ -95,20 +95,20 @@ def leaning(geometry, degrees, about):
     [
         (
             lambda g: replace(g, source=shifted(g.source, 7, (0, 0, 9.0))),
-            r"distance of source 7 from the circle is .* mm, at most 2 mm",
+            r"distance of source 7 from the circle is .* mm; at most 2 mm",
         ),
         (
             lambda g: replace(g, detector=shifted(g.detector, 5, 12 * g.normal[5])),
-            r"mean distance of 399.* panel 5 is .* mm, at most .* mm",
+            r"panel 5 from the mean distance of 399.* mm is .* mm; at most .* mm",
         ),
-        (lambda g: leaning(g, 3, lambda g: g.v), "normal and radius of panel .* at most 1 deg"),
+        (lambda g: leaning(g, 3, lambda g: g.v), "normal and the radius of panel .* at most 1 deg"),
         (lambda g: leaning(g, 3, lambda g: g.normal), "axis and v of panel .* at most 1 deg"),
         (
             lambda g: replace(g, detector=g.detector + 15 * g.u),
-            r"middle column of view \d+ is 10 px, at most 5 px",
+            r"middle column of view \d+ is 10 px; at most 5 px",
         ),
-        (lambda g: g[[*range(30), *range(34, 60)]], "of the step after view 29 is .* deg"),
-        (lambda g: g[:20], r"the arc covers 120.0 deg: fdk needs .* 20.* deg"),
+        (lambda g: g[[*range(30), *range(34, 60)]], "of the step after view 29 from .* is .* deg"),
+        (lambda g: g[:20], r"the arc covers 120.0 deg; fdk needs .* 20.* deg"),
         (lambda g: g[:2], "2 views do not make a circle"),
         (lambda g: g[[0] * 5], "coincide"),
     ],

@@ -119,7 +119,7 @@ def test_masked_pixels_have_no_influence(scene):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"twist": (40, 0, 0, 0, 0, 0)}, "implant 0 reaches .* mm out of the grid"),
+        ({"twist": (40, 0, 0, 0, 0, 0)}, "implant 0 extends .* mm beyond the grid"),
         ({"rounds": 0}, "rounds is 0"),
         ({"slack_mm": -1}, "slack_mm is -1"),
     ],
@@ -137,5 +137,5 @@ def test_a_view_without_a_free_ray_is_named(scene):
     narrow = Projector(geometry, A.grid)
     beam = OneEnergy(np.ones(narrow.range_shape, np.float32), np.array([METAL]))
     implant = Implant(Body(mesh.vertices, mesh.faces), Pose.identity())
-    with pytest.raises(InputError, match="every ray of view 0 passes an implant"):
+    with pytest.raises(InputError, match="every ray of view 0 passes through an implant"):
         without_implants(narrow, beam, [implant], np.zeros(A.domain_shape))

@@ -96,7 +96,7 @@ def test_masked_pixels_have_no_influence(scene):
 
 def test_what_cannot_be_is_named(scene):
     A, dark, _, _, _ = scene
-    with pytest.raises(InputError, match=r"0.02, 0.01 and 0.4 per mm: they must rise"):
+    with pytest.raises(InputError, match=r"0.02, 0.01 and 0.4 per mm; they must be"):
         without_metal(A, dark, tissue=0.02, bone=0.01, metal=0.4)
     # Everything counts as metal: no view has a ray left. Rays that miss the grid are masked.
     mask = A.chords() > 20

@@ -167,7 +167,7 @@ def test_seams_are_where_differences_cross_the_border():
             lambda v: Volume(
                 v.array, VolumeGrid((40, 40, 40), 1.5, Pose.from_euler((0, 0, 90), (0, 0, 0)))
             ),
-            "its middle is 90 mm from the grid's",
+            "its centre is 90 mm from the grid's",
         ),
     ],
 )
@@ -175,5 +175,5 @@ def test_a_prior_that_cannot_be_used_is_named(scan, change, words):
     A, p, prior, _ = scan
     with pytest.raises(InputError, match=words):
         prior_tv(A, p, change(prior), iterations=1, regularisation=1e-4)
-    with pytest.raises(InputError, match="share is 1.5: a number from 0 to 1"):
+    with pytest.raises(InputError, match="share is 1.5; it must be a number from 0 to 1"):
         prior_tv(A, p, prior, share=1.5, iterations=1, regularisation=1e-4)

@@ -86,7 +86,7 @@ def test_masked_pixels_have_no_influence(scan):
 def test_another_unit_is_named(scan, factor):
     A, p = scan
     prior = prior_at(MOVED)
-    with pytest.raises(InputError, match=r"line integrals are .* x those measured: .* 1/mm"):
+    with pytest.raises(InputError, match=r"line integrals are .* times the measured ones: .* 1/mm"):
         registered(A, p, Volume(prior.array * np.float32(factor), prior.grid))
 
 

@@ -93,8 +93,8 @@ def test_order_is_a_permutation_that_jumps():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"iterations": 0}, "iterations is 0: .* at least 1"),
-        ({"relaxation": 2.0}, "relaxation is 2.0: above 0 and below 2"),
+        ({"iterations": 0}, "iterations is 0; .* at least 1"),
+        ({"relaxation": 2.0}, "relaxation is 2.0; it must be above 0 and below 2"),
         ({"relaxation": float("nan")}, "relaxation is nan"),
         ({"order": [0, 0, 1]}, "not a permutation of the views 0 to 2"),
         ({"line_integrals": np.zeros((2, 31, 37))}, "have shape .* needs"),

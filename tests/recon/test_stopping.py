@@ -176,7 +176,7 @@ def test_without_it_nothing_changes(case):
 @pytest.mark.parametrize("stop", ["soon", True, 3])
 def test_another_word_is_refused(case, solve, stop):
     A, p, _ = case(views=4)
-    with pytest.raises(InputError, match=f"stop is {stop!r}: auto or None needed"):
+    with pytest.raises(InputError, match=f"stop is {stop!r}; it must be auto or None"):
         solve(A, p, stop=stop)
 
 

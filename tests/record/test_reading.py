@@ -63,4 +63,4 @@ def test_wrong_bytes_anywhere_are_refused_or_end_the_reading(compression, wrong,
             file.write(data[at : at + len(wrong)])
             file.truncate(len(data))
     assert path.read_bytes() == data
-    assert f"{path}: no MCAP file" in seen and {2, 3} < seen
+    assert f"{path} is not an MCAP file" in seen and {2, 3} < seen

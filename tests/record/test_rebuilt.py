@@ -121,13 +121,13 @@ def test_bad_input(take, taken, tmp_path):
     newer = tmp_path / "newer.mcap"
     newer.write_bytes(own.read_bytes().replace(b"twinct recording 1", b"twinct recording 2"))
     for files, words in [
-        ([], "no recording is named"),
-        ([text], "text.mcap: no MCAP file"),
-        ([empty], "empty.mcap: no MCAP file"),
+        ([], "no recording given"),
+        ([text], "text.mcap is not an MCAP file"),
+        ([empty], "empty.mcap is not an MCAP file"),
         ([tmp_path / "none.mcap"], "none.mcap: cannot be read: No such file"),
         ([early], "early.mcap was cut off"),
         ([joints], "without /scan/reached, /xray/camera_info, /xray/image nothing can be"),
-        ([own, other], "is of another scan than"),
+        ([own, other], "belongs to another scan than"),
         ([newer], "'twinct recording 2'; this twinct reads 'twinct recording 1'"),
     ]:
         with pytest.raises(InputError, match=words):
@@ -180,7 +180,7 @@ def last_number(value):
         ({REACHED: last_number(7.0)}, True, "not a unit quaternion"),
         ({JOINTS: last_number(np.nan)}, False, "effort on /joint_states: not a finite number"),
         ({IMAGE: lambda data: data[:-4] + b"\xff" * 4}, True, "/xray/image: a pixel is not finite"),
-        ({"scenario.json": lambda data: b"[" * 9}, True, "scenario.json: no JSON"),
+        ({"scenario.json": lambda data: b"[" * 9}, True, "scenario.json: not valid JSON"),
     ],
 )
 def test_messages_that_no_scan_says_are_told_and_nothing_is_left(

@@ -102,7 +102,7 @@ class TestLedger:
     def test_a_stamp_stands_for_one_question(self):
         ledger = Ledger()
         ledger.enter(Stamp(1, 0), "where", "there")
-        with pytest.raises(RefusedError, match="1.000000000 was used before with other poses"):
+        with pytest.raises(RefusedError, match="1.000000000 was already used with other poses"):
             ledger.find(Stamp(1, 0), "when")
 
     def test_a_forgotten_answer_is_not_worked_out_again(self):
@@ -110,7 +110,7 @@ class TestLedger:
         for second in range(3):
             ledger.enter(Stamp(second, 0), "where", second)
         assert ledger.find(Stamp(2, 0), "where") == 2
-        with pytest.raises(RefusedError, match="answered already.*last 2"):
+        with pytest.raises(RefusedError, match="already answered.*last 2"):
             ledger.find(Stamp(0, 0), "where")
 
 
@@ -120,8 +120,8 @@ def test_turns_let_only_the_next_view_of_the_scan_pass(scenario, targets):
     for view, target, reason in [
         (0, targets[0], "view 1 comes next, not view 0"),
         (2, targets[2], "view 1 comes next, not view 2"),
-        (1, elsewhere(targets[1]), "none of its own: view 1 has others"),
-        (12, targets[0], "none of its stamps"),
+        (1, elsewhere(targets[1]), "differs from the scan's target for view 1"),
+        (12, targets[0], "the stamp of this target does not belong to it"),
     ]:
         with pytest.raises(RefusedError, match=reason):
             turns.check(epoch.at(view), target)
@@ -191,7 +191,7 @@ def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets):
     assert [error["view"] for error in found] == ["", str(v + 1), str(v), str(v + 3)]
     for error, part in zip(
         found,
-        ["its stamps", "has others", "used before", f"view {v + 1} comes next"],
+        ["does not belong to it", "the scan's target", "already used", f"view {v + 1} comes next"],
         strict=True,
     ):
         assert part in error["reason"]
@@ -280,7 +280,7 @@ def test_an_answer_that_never_comes_is_an_error(disturbed, targets):
     with disturbed.notes.renders_held(), pytest.MonkeyPatch.context() as patch:
         rig.move(view, targets[view])
         patch.setattr(rig, "_answer_s", 0.0)
-        with pytest.raises(LinkError, match=f"no image of view {view} within"):
+        with pytest.raises(LinkError, match=f"no image for view {view} within"):
             rig.expose(view)
     rig.expose(view)
 

@@ -92,7 +92,7 @@ def spoilt(message, **attributes):
     ("spoil", "reason"),
     [
         (lambda m: spoilt(m, encoding="mono16"), "mono16.*32FC1"),
-        (lambda m: spoilt(m, step=4), "4 bytes a row, expected 32FC1 of 12"),
+        (lambda m: spoilt(m, step=4), "4 bytes per row, expected 32FC1 with 12"),
         (lambda m: spoilt(m, data=m.data[:-4]), "20 bytes, expected 24"),
         (lambda m: spoilt(m, data=b"\0\0\xc0\x7f" * 6), "6 pixels are not finite"),
         (
@@ -156,7 +156,7 @@ def test_a_gantry_has_no_joints_and_no_clearance(reached):
             messages.checked_state(broken, arms=False)
     with pytest.raises(MalformedError, match="data has 0 numbers, expected 46"):
         messages.checked_state(spoilt(state, data=[]), arms=False)
-    with pytest.raises(MalformedError, match="joints of a gantry"):
+    with pytest.raises(MalformedError, match="a gantry has no joints"):
         messages.checked_joints(messages.joints_message(STAMP, reached), arms=False)
 
 

@@ -160,7 +160,7 @@ def test_a_view_of_another_scan_is_refused(xray, scenario, targets, said):
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[0]), SOMEBODY)
     assert not said.of(IMAGE)
     [(stamp, text)] = said.refused
-    assert stamp == Stamp(5, 5) and "none of its own" in text
+    assert stamp == Stamp(5, 5) and "does not belong to it" in text
 
 
 def test_two_robots_nodes_have_each_a_clock_of_their_own(xray, targets, said):
@@ -170,7 +170,7 @@ def test_two_robots_nodes_have_each_a_clock_of_their_own(xray, targets, said):
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[0]), SOMEBODY)
     assert imager.views == [3_000_000_007] * 2 and len(said.of(IMAGE)) == 3
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[1]), SOMEBODY)
-    assert "used before with other poses" in said.refused[0][1]
+    assert "already used with other poses" in said.refused[0][1]
 
 
 def test_a_time_before_all_time_keys_no_noise_and_is_refused(xray, targets, said):

@@ -68,7 +68,7 @@ def test_bytes_that_are_no_message_are_told_once_and_end_nothing(domain):
         assert listener.wait(lambda: heard, HANG_S)
     assert heard == [3.0]
     assert told == list(said.strangers.values()) and len(told) == 1
-    assert f"no message of the type of {STATE.name}" in told[0]
+    assert f"do not fit the message type of {STATE.name}" in told[0]
 
 
 def test_ctrl_c_while_a_message_is_read_ends_the_waiting(domain, monkeypatch):
@@ -185,8 +185,10 @@ def test_forged_answers_change_nothing_and_are_named_once(
         [("twinct_scan", topic.name) for topic in TOPICS]
         + [("twinct_xray", topic.name) for topic in (REACHED, VIEWS)]
     )
-    assert log.count("not of this scan") == 2, "as often as it is said on the topic"
-    words = [record.getMessage() for record in caplog.records if "not of this scan" in record.msg]
+    assert log.count("not part of this scan") == 2, "as often as it is said on the topic"
+    words = [
+        record.getMessage() for record in caplog.records if "not part of this scan" in record.msg
+    ]
     assert len(words) == len(TOPICS)
     assert all(f"'{NAME}'" in line for line in words)
 

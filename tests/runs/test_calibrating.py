@@ -143,7 +143,7 @@ def test_balls_on_the_specimen_tell_the_geometry_of_their_own_scan(stuck):
 
 
 def test_too_few_balls_and_names_that_are_taken_are_refused(finished):
-    with pytest.raises(CalibrationError, match=r"[01] balls of radius 1.5 mm are found"):
+    with pytest.raises(CalibrationError, match=r"agree on [01] balls of radius 1.5 mm"):
         calibrate_balls(finished.paths.path)
     with pytest.raises(InputError, match="every scan already has"):
         calibrate_balls(finished.paths.path, name="believed")

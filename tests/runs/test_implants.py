@@ -129,12 +129,12 @@ def test_its_memory_is_told():
     ("implant", "words"),
     [
         ({"part": "nail"}, r"reconstruction.metal.implants.0.part: no part is called 'nail'"),
-        ({"part": "screw", "position_mm": [45, 0, 0]}, r"screw reaches .* mm out of the grid"),
+        ({"part": "screw", "position_mm": [45, 0, 0]}, r"screw extends .* mm beyond the grid"),
         ({"part": "screw", "material": "titanum"}, r"implants.0.material: unknown .* 'titanum'"),
         ({"part": "screw", "material": "water"}, r"screw of water attenuates .* must exceed bone"),
         (
             {"part": "screw", "shape": {"kind": "box", "size_mm": [90, 90, 90]}},
-            r"every ray of view 0 passes an implant",
+            r"every ray of view 0 passes through an implant",
         ),
     ],
 )

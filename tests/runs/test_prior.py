@@ -131,7 +131,7 @@ def test_a_prior_counts_by_its_content(file, tmp_path):
             lambda path: Volume(
                 TISSUE, VolumeGrid(GRID.shape, 4.0, Pose.from_euler((0, 99, 0), (0, 0, 0)))
             ).write(path),
-            r"prior.path: .*earlier.nii: the prior lies beside the grid: its middle is 99 mm",
+            r"prior.path: .*earlier.nii: the prior does not overlap the grid: its centre is 99 mm",
         ),
     ],
 )

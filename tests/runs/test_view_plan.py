@@ -294,7 +294,7 @@ def test_what_does_not_go_together_is_told_by_its_key(file: Path, override, said
     [
         (["task=null"], "the section task is missing"),
         (["task.position_mm=[0, 400, 0]"], r"no reachable view sees the region at \(0, 400, 0\)"),
-        (["task.dose={part: lens, at_most_rel: 0.01}"], "at most .* is asked for, the 6 candid"),
+        (["task.dose={part: lens, at_most_rel: 0.01}"], "at most .* is allowed, but the 6 candid"),
         (["source.photons_per_mm2_mas=null", DETECT], "needs a photon number"),
         (
             ["task.metal={parts: [pin], counts: shift}", MONO],

@@ -34,11 +34,13 @@ def main() -> int:
     )
     names = f"{', '.join(KINDS)}, or all"
     parser.add_argument("kinds", nargs="+", choices=(*KINDS, "all"), metavar="KIND", help=names)
-    parser.add_argument("--minutes", type=float, help="for each kind (default: 1, or by --count)")
-    parser.add_argument("--count", type=int, help="cases of each kind at most")
+    parser.add_argument(
+        "--minutes", type=float, help="minutes per kind (default: 1, or by --count)"
+    )
+    parser.add_argument("--count", type=int, help="largest number of cases per kind")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", type=int, help="number of the one case to try")
-    parser.add_argument("--any-speed", action="store_true", help="no case is too slow")
+    parser.add_argument("--only", type=int, help="number of the only case to try")
+    parser.add_argument("--any-speed", action="store_true", help="accept slow cases")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"))
     arguments = parser.parse_args()
     minutes = arguments.minutes or (1 if arguments.count is None else math.inf)
@@ -58,7 +60,7 @@ def main() -> int:
             f"(case {found.largest[1]}); {len(found.failures)} failures\n"
         )
         if arguments.only is not None:
-            sys.stdout.write(f"its files: {place / 'case'}\n")
+            sys.stdout.write(f"files of the case: {place / 'case'}\n")
         failed = failed or bool(found.failures)
     return 1 if failed else 0
 

@@ -86,7 +86,7 @@ class Worker:
         word = "hung" if code is None else f"died ({code})"
         self._end()
         seconds = time.monotonic() - before
-        told = "the worker says nothing; --only shows more"
+        told = "no answer from the worker; --only shows more"
         return {"word": word, "ok": False, "told": told, "trace": "", "seconds": seconds} | {
             "memory_bytes": 0
         }

@@ -113,7 +113,7 @@ class Kind:
 
 def _finite(read: Callable[[Path], Any], path: Path) -> str:
     if not np.isfinite(np.asarray(read(path), dtype=float)).all():
-        raise AssertionError("a number that is not finite came through")
+        raise AssertionError("a number that is not finite was accepted")
     return "read"
 
 

@@ -190,7 +190,7 @@ def _other_list(rng: random.Random, message: Any, name: str, value: Any) -> str:
 def _finite(*arrays: Any) -> None:
     for numbers in arrays:
         if not np.isfinite(np.asarray(numbers, dtype=float)).all():
-            raise AssertionError("a number that is not finite came through")
+            raise AssertionError("a number that is not finite was accepted")
 
 
 def _check_reached(reached: Reached, *, arms: bool) -> None:
@@ -374,7 +374,7 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
         stored = of.store.transmission(view), of.store.state(view)
         same = [np.array_equal(a, b) for a, b in zip((image, reached.state), stored, strict=True)]
         if stranger and not all(same):
-            raise AssertionError("a stranger's answer was taken")
+            raise AssertionError("a stranger's answer was accepted")
         return "unchanged" if all(same) else "answered"
 
     return f"{'stranger' if stranger else owner}: {told}", act
@@ -402,7 +402,7 @@ def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Ca
         answered, asked = messages.executed_of(reached[0]).view, _message(TARGET, data)
         expected = [messages.numbers_of(pose) for pose in asked.poses]
         if [answered.source_m, answered.detector_m] != expected:
-            raise AssertionError("it went somewhere else")
+            raise AssertionError("it went to another pose")
         return "answered"
 
     return told, act
@@ -411,7 +411,7 @@ def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Ca
 def _refused(station: _Station) -> str:
     """Return "refused", or raise AssertionError unless a diagnostic message was sent."""
     if not station.told:
-        raise AssertionError("dropped without a word")
+        raise AssertionError("dropped without a diagnostic")
     return "refused"
 
 
@@ -483,7 +483,7 @@ def _of_plan(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
         if not listener.taken:
             return "waits"
         if [found.digest for found in taken] != [plan.digest]:
-            raise AssertionError("another plan was taken")
+            raise AssertionError("another plan was accepted")
         return "answered"
 
     return told, act
@@ -523,7 +523,7 @@ def _of_bag(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
             found = import_scan([file], out)
         except InputError:
             if (out / "scan.zarr").exists():
-                raise AssertionError("refused, and left a store") from None
+                raise AssertionError("refused, but left a store") from None
             return "refused"
         if found.missing:
             return "in part"

@@ -209,9 +209,9 @@ def _weighed(path: Path, overrides: tuple[str, ...], again: bool, by_needs: bool
         plain = json.loads(scenario.resolved())
         path.with_name("again.yaml").write_text(written(plain), encoding="utf-8")
         if read_file(path.with_name("again.yaml"), "scenario").value != plain:
-            raise AssertionError("not the same YAML when it is read again")
+            raise AssertionError("the YAML differs when it is read again")
         if parse_scenario(plain) != scenario:
-            raise AssertionError("not the same scenario when it is read again")
+            raise AssertionError("the scenario differs when it is read again")
     try:
         needs(scenario) if by_needs else require_memory(scenario)  # both compute all views
     except MemoryShortageError:

@@ -114,11 +114,11 @@ def everything(scan: Scan) -> bytes:
     found += [np.array(scan.exposure).ravel()]
     for numbers in found:
         if not np.isfinite(numbers).all():
-            raise AssertionError("a number that is not finite came through")
+            raise AssertionError("a number that is not finite was accepted")
     if np.isinf(scan.clearance_mm).any():
-        raise AssertionError("a clearance without end came through")
+        raise AssertionError("an infinite clearance was accepted")
     if len({len(scan), len(scan.executed), len(scan.joints), len(scan.simulated_s)}) != 1:
-        raise AssertionError("numbers of other numbers of views")
+        raise AssertionError("arrays with different numbers of views")
     told = [numbers.tobytes() for numbers in (*found, scan.clearance_mm)]
     bad = b"" if scan.bad_pixels is None else scan.bad_pixels.tobytes()
     return b"".join([*told, bad, str(scan.joint_names).encode()])
@@ -130,9 +130,9 @@ def _read(path: Path, whole: bytes | None) -> None:
     for view in range(store.views):
         for name in store.kept:
             if not np.isfinite(store.frame(name, view)).all():
-                raise AssertionError("a grey value that is not finite came through")
+                raise AssertionError("a grey value that is not finite was accepted")
     if whole is not None and found != whole:
-        raise AssertionError("other data was read than was written")
+        raise AssertionError("the data read differ from the data written")
 
 
 def _finished(path: Path) -> None:
@@ -156,7 +156,7 @@ def _resumed(path: Path, scenario_file: Path, *, mend: bool) -> None:
     _ = store.plan
     for views in store.missing:
         if views.start and not np.isfinite(store.state(views.start - 1)).all():
-            raise AssertionError("a state that is not finite came through")
+            raise AssertionError("a state that is not finite was accepted")
 
 
 def _values(rng: random.Random, path: Path) -> None:

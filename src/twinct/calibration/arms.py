@@ -150,11 +150,11 @@ class CalibratedArms:
         Raises:
             InputError: the file does not hold calibrated arms, or belongs to another cell.
         """
-        text = read_text(path, f"{path}: no calibrated arms: the file", LARGEST_BYTES)
+        text = read_text(path, f"{path}: the file of calibrated arms", LARGEST_BYTES)
         try:
             told = json.loads(text)
             if told["format"] != FORMAT:
-                raise ValueError(f"format {told['format']!r}, this twinct reads {FORMAT!r}")
+                raise ValueError(f"format {told['format']!r}, but this twinct reads {FORMAT!r}")
             changes = [_change(told[side], len(told[side]["nominal"]) - 2) for side in SIDES]
             nominal = [np.array(told[side]["nominal"], float) for side in SIDES]
             periods, made_by = int(told["gear_periods"]), dict(told["made_by"])
@@ -162,7 +162,9 @@ class CalibratedArms:
             room = Pose(place[:3], place[3:])
         except Exception as error:  # malformed JSON raises many types
             kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
-            raise InputError(f"{path}: no calibrated arms: {shortened(f'{kind}{error}')}") from None
+            raise InputError(
+                f"{path}: not calibrated arms: {shortened(f'{kind}{error}')}"
+            ) from None
         require_same_arms((nominal[0], nominal[1]), chains, str(path))
         return cls(chains, (changes[0], changes[1]), periods, room, made_by)
 
@@ -191,12 +193,12 @@ def require_same_arms(
     for side, one, other in zip(SIDES, frames, frames_of(chains), strict=True):
         if one.shape != other.shape:
             raise InputError(
-                f"{where} is of another cell: {len(one) - 2} and {len(other) - 2} joints in the "
-                f"{side} arms"
+                f"{where} belongs to another cell: its {side} arm has {len(one) - 2} joints, this "
+                f"cell's has {len(other) - 2}"
             )
         if not (off := float(np.abs(one - other).max())) <= SAME_MM:
             raise InputError(
-                f"{where} is of another cell: frames of the nominal {side} arms lie up to "
+                f"{where} belongs to another cell: frames of the nominal {side} arms lie up to "
                 f"{off:.3g} mm apart"
             )
 

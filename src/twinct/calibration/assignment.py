@@ -43,14 +43,14 @@ def assigned(
     found = _shifted(predicted, spots, radius_px, reach_px)
     sight = int(np.isfinite(predicted).all(axis=1).sum())
     if (found >= 0).sum() < LEAST_SHARE * sight:
-        problem = f"{(found >= 0).sum()} of {sight} balls have a shadow where they should"
+        problem = f"{(found >= 0).sum()} of {sight} balls have a shadow where one is expected"
         if len(spots):
             for axis, what in enumerate(("columns", "rows")):
                 turned = spots.copy()
                 turned[:, axis] = spots[:, axis].min() + spots[:, axis].max() - spots[:, axis]
                 again = _shifted(predicted, turned, radius_px, np.inf)
                 if (again >= 0).sum() >= LEAST_SHARE * sight:
-                    problem += f"; with its {what} mirrored the image would fit"
+                    problem += f"; the image would fit with its {what} mirrored"
         raise CalibrationError(problem)
     return found
 

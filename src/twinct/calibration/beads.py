@@ -130,5 +130,7 @@ def calibrated(
             found.append(result.geometry if result else view)
             step()
     if len(problems) == len(believed):
-        raise CalibrationError(f"none of {len(believed)} views can be told; view 0: {problems[0]}")
+        raise CalibrationError(
+            f"none of {len(believed)} views can be calibrated; view 0: {problems[0]}"
+        )
     return BallCalibration(ScanGeometry.joined(found), tuple(views), problems)

@@ -122,7 +122,7 @@ def self_calibrated(
     size = len(free.steps)
     change = np.zeros((len(believed), size)) if start is None else start
     if change.shape != (len(believed), size):
-        raise InputError(f"start has shape {change.shape}: {(len(believed), size)} needed")
+        raise InputError(f"start has shape {change.shape}; it must be {(len(believed), size)}")
     precision = prior.precision(len(believed), what)
     residuals: list[float] = []
     volume: Volume | None = None

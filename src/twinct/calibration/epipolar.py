@@ -105,7 +105,7 @@ def epipolar_consistent(
     p, pixels = checks.projections(line_integrals, mask)
     checks.done()
     if not across:
-        raise InputError("across names no round")
+        raise InputError("across is empty; it must name at least one round")
     free = Freedom(what, grid.world_from_grid.position)
     change = np.zeros((len(believed), len(free.steps)))
     precision = prior.precision(len(believed), what)
@@ -200,7 +200,7 @@ class _Seen:
         seen = cls(geometry, pairs, told, by_line, cut, used, complete)
         if len(problems := seen.problems()) == len(geometry):
             raise CalibrationError(
-                f"no view tells where it is by planes of others; view 0: {problems[0]}"
+                f"no view shares enough planes with others; view 0: {problems[0]}"
             )
         return seen
 
@@ -218,16 +218,16 @@ class _Seen:
         found: dict[int, str] = {}
         for view in np.flatnonzero(used < LEAST_PLANES):
             if not partners[view]:
-                problem = "all sources that it is compared with are too near to its own"
+                problem = "its source is too near to all sources that it is compared with"
             elif cut[view] < LEAST_PLANES:
                 problem = (
-                    f"{cut[view]} planes through its source and another's cut both panels where "
-                    f"pixels count, {LEAST_PLANES} are needed"
+                    f"{cut[view]} planes through its source and another cut both panels where "
+                    f"pixels count, but {LEAST_PLANES} are needed"
                 )
             else:
                 problem = (
-                    f"something is measured on {used[view]} of the {cut[view]} planes that it "
-                    f"shares with others, {LEAST_PLANES} are needed"
+                    f"{used[view]} of the {cut[view]} planes that it shares with others carry a "
+                    f"signal, but {LEAST_PLANES} are needed"
                 )
             found[int(view)] = problem
         return found

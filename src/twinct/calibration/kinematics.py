@@ -228,11 +228,13 @@ def calibrated_arms(
     least = -(-(4 * len(chains[0]) + 3) // 3)
     if len(seen) < least:
         raise CalibrationError(
-            f"{len(seen)} views tell of the arms, at least {least} are needed: three numbers each "
-            f"for {4 * len(chains[0]) + 3} of the source's arm"
+            f"{len(seen)} views show the arms, but at least {least} are needed: each gives three "
+            f"numbers for the {4 * len(chains[0]) + 3} parameters of the source's arm"
         )
     if (count := sum(map(len, chains))) != seen.joints.shape[1]:
-        raise CalibrationError(f"views tell {seen.joints.shape[1]} joints, the arms have {count}")
+        raise CalibrationError(
+            f"the views have {seen.joints.shape[1]} joints, but the arms have {count}"
+        )
     arms = [
         _Arm(side, chain, prior, gear_periods)
         for side, chain, prior in zip(SIDES, chains, priors, strict=True)
@@ -249,9 +251,9 @@ def calibrated_arms(
     left_mm = _rms(off[0]), _rms(off[1])
     if misfit > WORST_MISFIT:
         raise CalibrationError(
-            f"the joints do not explain the views: what is left is {misfit:.0f} times its noise, "
-            f"source {left_mm[0]:.3g} mm, panel {left_mm[1]:.3g} mm RMS; a joint's sign or order, "
-            "or arms of another kind"
+            f"the joints do not explain the views: the residual is {misfit:.0f} times its noise, "
+            f"source {left_mm[0]:.3g} mm, panel {left_mm[1]:.3g} mm RMS; check the signs and order "
+            "of the joints, and the kind of arms"
         )
     factor = scipy.linalg.block_diag(*(arm.factor for arm in arms))
     spread = np.linalg.inv(jacobian.T @ jacobian) * max(misfit, 1.0) ** 2

@@ -86,8 +86,8 @@ def online_calibrated(
         tracks = tracked(transmission, believed, radius_px, _reach_px(believed, prior, at_middle))
         if len(tracks.places) < LEAST_SHADOWS:
             raise CalibrationError(
-                f"{len(tracks.places)} balls of radius {radius_mm:g} mm are found that views agree "
-                f"on, {LEAST_SHADOWS} are needed"
+                f"the views agree on {len(tracks.places)} balls of radius {radius_mm:g} mm, but "
+                f"{LEAST_SHADOWS} are needed"
             )
         step()
         balls, pixels = tracks.places, tracks.pixels
@@ -100,9 +100,9 @@ def online_calibrated(
             step()
     seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
     problems = {
-        int(view): f"{seen[view]} balls are seen, {LEAST_SHADOWS} are needed"
+        int(view): f"{seen[view]} balls are seen, but {LEAST_SHADOWS} are needed"
         if seen[view] < LEAST_SHADOWS
-        else f"fewer than {LEAST_SHADOWS} of {seen[view]} balls are where the others have them"
+        else f"fewer than {LEAST_SHADOWS} of {seen[view]} balls are where the other views have them"
         for view in np.flatnonzero(bundle.few)
     }
     return OnlineCalibration(bundle, problems)

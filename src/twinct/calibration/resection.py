@@ -113,7 +113,7 @@ def resected(phantom: BallPhantom, shadows: Shadows, start: ScanGeometry) -> Res
 
 def _enough(shadows: int) -> None:
     if shadows < LEAST_BALLS:
-        raise CalibrationError(f"{shadows} balls are seen, {LEAST_BALLS} are needed")
+        raise CalibrationError(f"{shadows} balls are seen, but {LEAST_BALLS} are needed")
 
 
 def _spreads(phantom: BallPhantom, shadows: Shadows, view: ScanGeometry) -> Floats:
@@ -165,7 +165,7 @@ def _covariance(points: Floats, spreads: Floats, start: ScanGeometry, change: Fl
     values = np.linalg.svd(jacobian, compute_uv=False)
     if values[-1] * WORST_CONDITION < values[0]:
         raise CalibrationError(
-            "the balls seen do not tell where source and panel are: they lie in one plane"
+            "the balls seen do not determine source and panel, because they lie in one plane"
         )
     inverse = np.linalg.inv(jacobian.T @ jacobian)
     return np.asarray(inverse * np.outer(_SCALE, _SCALE), np.float64)

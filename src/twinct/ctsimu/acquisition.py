@@ -35,7 +35,9 @@ def check_header(section: JsonSection) -> None:
     found = section.section("file_format_version", needed=True)
     number = found.whole("major", 0), found.whole("minor", 0)
     if found.data and not (1, 0) <= number <= FORMAT:
-        section.problem("file_format_version", f"{number[0]}.{number[1]} is not one of 1.0 to 1.2")
+        section.problem(
+            "file_format_version", f"{number[0]}.{number[1]} is not a version from 1.0 to 1.2"
+        )
 
 
 def read_plan(section: JsonSection) -> Plan:

@@ -51,7 +51,7 @@ def refuse_unsaid(scenario: Scenario, *, uneven_mas: bool = False) -> None:
         "detector.scatter": detector.scatter is not None,
         "trajectory.path (mas)": uneven_mas,
     }
-    problems = [f"{key}: CTSimU cannot say this" for key, wrong in table.items() if wrong]
+    problems = [f"{key}: CTSimU cannot express this" for key, wrong in table.items() if wrong]
     if problems:
         raise InputError([*problems, "--ideal exports an ideal source and detector instead"])
 

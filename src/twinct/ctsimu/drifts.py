@@ -27,13 +27,13 @@ def drift_values(drift: Mapping[str, Any], folder: Path, *, as_text: bool) -> li
     values = value if isinstance(value, list) else [value]
     kind = str if as_text else (int, float)
     if not values or any(isinstance(v, bool) or not isinstance(v, kind) for v in values):
-        raise ValueError(f"{short(value)} are no {'texts' if as_text else 'numbers'}")
+        raise ValueError(f"{short(value)} must be {'texts' if as_text else 'numbers'}")
     return _filled(values) if as_text else _finite(values)
 
 
 def _column(file: object, folder: Path, as_text: bool) -> list[Any]:
     if not isinstance(file, str):
-        raise ValueError(f"{short(file)} is no name of a file")
+        raise ValueError(f"{short(file)} is not a file name")
     path = folder / file.replace("\\", "/")
     try:
         lines = read_text(path, str(path), LARGEST_BYTES).splitlines()
@@ -49,7 +49,7 @@ def _column(file: object, folder: Path, as_text: bool) -> list[Any]:
     try:
         return _finite([float(cell) for cell in cells])
     except ValueError as error:
-        raise ValueError(f"{path} is no column of numbers: {error}") from None
+        raise ValueError(f"{path} is not a column of numbers: {error}") from None
 
 
 def _filled(values: list[str]) -> list[str]:

@@ -39,7 +39,7 @@ def read_json(path: Path, skipped: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, deep nesting
         raise ScenarioError(f"{path}: not valid JSON: {shortened(str(error))}") from None
     if not isinstance(data, dict):
-        raise ScenarioError(f"{path}: a CTSimU scenario is a JSON object")
+        raise ScenarioError(f"{path}: a CTSimU scenario must be a JSON object")
     repeated = list(_repeated(data, "", skipped))
     if repeated:
         raise ScenarioError(f"{path}: {key}: is given twice" for key in repeated)

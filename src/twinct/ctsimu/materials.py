@@ -24,7 +24,7 @@ def read_materials(root: JsonSection) -> Materials:
         name = section.text("id")
         section.require("id")
         if name in found:
-            section.problem("id", f"{short(name)} is the id of an earlier material too")
+            section.problem("id", f"{short(name)} is already the id of an earlier material")
         section.skip("name")
         found[name or section.place] = _read(section, name or section.place)
     return found

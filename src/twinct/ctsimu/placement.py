@@ -91,7 +91,9 @@ def _turned(section: JsonSection, key: str, pose: Pose, world_from_stage: Pose |
             if value in names:
                 axis = np.eye(3)[names.index(value)]
                 return _frame(names, pose, world_from_stage).rotate(axis)
-        section.problem(key, f"{short(value)} is no axis; allowed: x y z u v w r s t or a vector")
+        section.problem(
+            key, f"{short(value)} is not an axis; allowed: x y z u v w r s t or a vector"
+        )
         return np.full(3, np.nan)
     names = _names(section.section(key, needed=True))
     direction, drift = _vector(section, key, names)
@@ -137,13 +139,13 @@ def _basis(section: JsonSection, keys: tuple[str, str], first: Floats, third: Fl
         return np.eye(3)  # already reported
     both = ", ".join(keys)
     if min(lengths) == 0:
-        section.problem(both, "one of them has no length")
+        section.problem(both, "one of them has zero length")
         return np.eye(3)
     first, third = first / lengths[0], third / lengths[1]
     cosine = float(first @ third)
     if abs(cosine) > ORTHOGONAL:
         angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-        section.problem(both, f"must be orthogonal, their angle is {angle:.4f} deg")
+        section.problem(both, f"must be orthogonal, but their angle is {angle:.4f} deg")
         return np.eye(3)
     first = first - (first @ third) * third
     first /= np.linalg.norm(first)

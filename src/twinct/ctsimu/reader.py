@@ -86,7 +86,7 @@ class JsonSection:
         if quiet:
             self.require(key)
         elif value is not None and not isinstance(value, Mapping):
-            self.problem(key, f"{short(value)} is no object")
+            self.problem(key, f"{short(value)} is not an object")
             value, quiet = None, True
         return self._below(key, value or {}, quiet=quiet)
 
@@ -97,7 +97,7 @@ class JsonSection:
         if value is None:
             return []
         if not isinstance(value, list) or not all(isinstance(v, Mapping) for v in value):
-            self.problem(key, "is no array of objects")
+            self.problem(key, "is not an array of objects")
             return []
         return [self._below(f"{key}[{i}]", item) for i, item in enumerate(value)]
 
@@ -108,7 +108,7 @@ class JsonSection:
             return None
         value, drifts, scale = found
         if isinstance(value, bool) or not isinstance(value, int | float):
-            self.problem(key, f"{short(value)} is no number")
+            self.problem(key, f"{short(value)} is not a number")
             return None
         total = as_float(value) * scale
         if not math.isfinite(total):
@@ -139,7 +139,7 @@ class JsonSection:
         if value is None:
             return default
         if value != round(value):
-            self.problem(key, f"{value:g} is no whole number")
+            self.problem(key, f"{value:g} is not a whole number")
             return default
         return round(value)
 
@@ -164,7 +164,7 @@ class JsonSection:
             return None
         value, drifts, _ = found
         if not isinstance(value, str):
-            self.problem(key, f"{short(value)} is no text")
+            self.problem(key, f"{short(value)} is not a text")
             return None
         for drift in drifts:
             values = self._values(key, drift, as_text=True)
@@ -244,7 +244,7 @@ class JsonSection:
         drifts = data.get("drifts")
         drifts = [] if _says_nothing(drifts) else drifts
         if not isinstance(drifts, list) or not all(isinstance(d, Mapping) for d in drifts):
-            self.problem(f"{key}.drifts", "is no array of objects")
+            self.problem(f"{key}.drifts", "is not an array of objects")
             drifts = []
         for drift in drifts:
             self._only(f"{key}.drifts", drift, _DRIFT_KEYS)

@@ -36,7 +36,9 @@ def read_frame(root: JsonSection) -> Frame | None:
     turn, binning = read_turn(acquisition), acquisition.section("pixel_binning")
     binned = binning.whole("u", 1, "", ranges.COUNT), binning.whole("v", 1, "", ranges.COUNT)
     if acquisition.flag("scattering", False):
-        acquisition.problem("scattering", "true is not supported: no scattered radiation here")
+        acquisition.problem(
+            "scattering", "true is not supported: scattered radiation is not simulated"
+        )
     geometry, materials = root.section("geometry", needed=True), read_materials(root)
     source_section = geometry.section("source", needed=True)
     source = place(source_section)
@@ -55,8 +57,8 @@ def read_frame(root: JsonSection) -> Frame | None:
     if in_joule and tube.monochromatic:
         panel_section.problem(
             "gray_value",
-            "a grey value for an energy in J needs a source whose number of photons is known, and "
-            "a monochromatic one has none: give imin and imax",
+            "grey values for an energy in J need a source with a known number of photons, which a "
+            "monochromatic source does not have: give imin and imax",
         )
     found = [_sample(s, stage, materials) for s in root.sections("samples")]
     samples = tuple(sample for sample in found if sample is not None)

@@ -84,7 +84,7 @@ class Solids:
                 raise SpecimenError(
                     f"sample '{sample.name}' comes within {distance:.3g} mm of the source: its "
                     f"{mesh.area:.3g} mm^2 would need more than {MAX_SAMPLE_TRIANGLES} triangles "
-                    "for gVXR to get its depth right"
+                    "for gVXR to compute its depth correctly"
                 )
             self._fine[key] = mesh, split(mesh, edge)  # keeps the mesh's id unique
         return self._fine[key][1]
@@ -123,7 +123,7 @@ class Solids:
         mesh = surface((vertices - middle) * sample.scale, loaded.faces)
         if gaps := open_edges(mesh):
             what = f"{gaps} of its edges do not join exactly two triangles"
-            raise SpecimenError(f"{where} is no closed surface: {what}")
+            raise SpecimenError(f"{where} is not a closed surface: {what}")
         inside_out = mesh.volume < 0
         self._meshes[key] = surface(mesh.vertices, mesh.faces[:, ::-1]) if inside_out else mesh
         return self._meshes[key]

@@ -95,6 +95,6 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise StorageError(f"{folder}: this is a file; a folder is needed") from None
+        raise StorageError(f"{folder} is a file, not a folder") from None
     except OSError as error:
-        raise StorageError(f"{folder}: the folder cannot be made: {reason(error)}") from None
+        raise StorageError(f"{folder}: the folder cannot be created: {reason(error)}") from None

@@ -93,8 +93,8 @@ def edge_mtf(
     count = np.bincount(bins, minlength=2 * half + 1)
     if half < 2 * BINS_PER_VOXEL or np.count_nonzero(count) < 0.6 * len(count):
         raise InputError(
-            f"a body of radius {radius_mm:g} mm has too few voxels of {voxel_mm:g} mm about its "
-            "edge for an MTF"
+            f"a body of radius {radius_mm:g} mm has too few voxels of {voxel_mm:g} mm around "
+            "its edge for an MTF"
         )
     held = count > 0
     places, means = (

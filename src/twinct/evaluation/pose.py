@@ -55,7 +55,7 @@ def pose_errors(commanded: PosePairs, executed: PosePairs) -> PoseErrors:
     if not len(commanded) or len(commanded) != len(executed):
         raise ValueError(
             f"{len(commanded)} commanded and {len(executed)} executed views: "
-            "errors need the same views, at least one"
+            "both must have the same views, at least one"
         )
     source = _arm_errors(commanded.source, executed.source)
     return PoseErrors(source, _arm_errors(commanded.detector, executed.detector))

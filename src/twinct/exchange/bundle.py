@@ -77,7 +77,7 @@ def write_bundle(folder: Path, toolkit: Toolkit, bundle: Bundle) -> None:
         OSError: the disk is full or not writable; nothing is left behind.
     """
     if folder.exists():
-        raise ScanExistsError(f"{folder} exists already: choose another --out")
+        raise ScanExistsError(f"{folder} already exists: choose another --out")
     contents = _contents(toolkit, bundle)
     draft = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(draft, ignore_errors=True)

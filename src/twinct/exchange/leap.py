@@ -27,8 +27,8 @@ def leap_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[A
     width, depth, height = grid.voxel.tolist()
     if width != depth:
         raise InputError(
-            f"LEAP has one voxel edge for x and y, this grid has {width:g} and {depth:g} mm: "
-            "set reconstruction.grid.voxel_mm of the scenario so that they agree"
+            f"LEAP needs equal voxel edges along x and y, but this grid has {width:g} and "
+            f"{depth:g} mm: set reconstruction.grid.voxel_mm of the scenario so that they agree"
         )
     panel = geometry.panel
     return {

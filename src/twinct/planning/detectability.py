@@ -56,7 +56,7 @@ class Task:
         if values.ndim != 3 or not np.isfinite(values).all() or not values.any():
             raise InputError("the signal of a task must be a volume (z, y, x) that is not all 0")
         if not beta > 0:
-            raise InputError(f"beta: {beta:g}: it must be positive")
+            raise InputError(f"beta is {beta:g}; it must be positive")
         object.__setattr__(self, "signal", values)
         object.__setattr__(self, "beta", float(beta))
 
@@ -173,9 +173,11 @@ def detectability_of(
     """
     photons = np.asarray(photons, dtype=np.float32)
     if photons.shape != A.range_shape:
-        raise InputError(f"photons of shape {photons.shape}: {A.range_shape} needed")
+        raise InputError(f"photons has shape {photons.shape}; it must be {A.range_shape}")
     if A.domain_shape != task.signal.shape:
-        raise InputError(f"the grid has {A.domain_shape} voxels, the signal {task.signal.shape}")
+        raise InputError(
+            f"the grid has {A.domain_shape} voxels, but the signal has {task.signal.shape}"
+        )
     place = tuple(n // 2 for n in A.domain_shape)
     delta = np.zeros(A.domain_shape, np.float32)
     delta[place] = 1.0

@@ -32,8 +32,8 @@ def best_exposures(
     count = len(views)
     if not 0 <= least * count <= total <= most * count:
         raise InputError(
-            f"{count} views of {least:g} to {most:g} each cannot share {total:g}: "
-            f"{least * count:g} to {most * count:g} is possible"
+            f"{count} views of {least:g} to {most:g} each cannot add up to {total:g}; the "
+            f"sum must be from {least * count:g} to {most * count:g}"
         )
     mine = Detectability(found.task, found.fisher[views])
     equal = np.full(count, total / count)

@@ -68,13 +68,13 @@ def best_parameters(
     names = list(bounds)
     low, high = (np.array([bounds[name][side] for name in names], float) for side in (0, 1))
     if problems := [
-        f"{name}: bounds {a:g} to {b:g}: the lower one must come first"
+        f"{name}: the bounds {a:g} to {b:g} must be finite and in ascending order"
         for name, a, b in zip(names, low.tolist(), high.tolist(), strict=True)
         if not (np.isfinite([a, b]).all() and a < b)
     ]:
         raise InputError(problems)
     if len(names) < 2:
-        raise InputError(f"{len(names)} parameter: CMA-ES needs two at least")
+        raise InputError(f"CMA-ES needs at least two parameters, not {len(names)}")
     middle = np.full(len(names), 0.5)
     if start is not None:
         middle = (np.array([start[name] for name in names], float) - low) / (high - low)
@@ -103,8 +103,8 @@ def best_parameters(
                 break
     if not np.isfinite(most):
         raise InputError(
-            f"none of {len(history) * search.population_size} sets of parameters within their "
-            "bounds can be had: widen them, or start from one that can"
+            f"none of {len(history) * search.population_size} parameter sets within the bounds is "
+            "feasible: widen the bounds, or start from a feasible set"
         )
     return Tuned(_named(names, low + best * (high - low)), most, tuple(history))
 

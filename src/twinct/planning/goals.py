@@ -57,7 +57,7 @@ class Mean:
         """
         object.__setattr__(self, "each", np.array(each, dtype=np.float64))
         if not np.isfinite(self.each).all():
-            raise InputError("what a view costs must be a number for each candidate")
+            raise InputError("the cost of a view must be a finite number for each candidate")
         lock(self, "each")
 
     def added(self, chosen: Sequence[int], candidates: Sequence[int]) -> Floats:
@@ -92,9 +92,11 @@ class Goal:
             InputError: an upper limit cannot be kept view by view, or the unit is not positive.
         """
         if self.at_most is not None and not isinstance(self.measure, (Mean, TourTime)):
-            raise InputError(f"{self.name}: only a mean over the views or a time can have a limit")
+            raise InputError(
+                f"{self.name}: only a mean over the views or a time can have an upper limit"
+            )
         if not self.unit > 0:
-            raise InputError(f"{self.name}: it is counted in units of {self.unit:g}")
+            raise InputError(f"{self.name}: the unit is {self.unit:g}; it must be positive")
 
     def of(self, views: Sequence[int]) -> float:
         """Return the measure of a choice."""

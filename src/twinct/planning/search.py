@@ -68,7 +68,9 @@ def search_views(
             the closest value.
     """
     if not 1 <= number <= candidates:
-        raise InputError(f"{number} views of {candidates} candidates: from 1 to all are possible")
+        raise InputError(
+            f"cannot choose {number} of {candidates} candidates; choose at least 1 and at most all"
+        )
     _limits(goals, candidates, number)
     by = priced(goals, candidates, number)
     state = start or Searched()
@@ -98,8 +100,8 @@ def _lacking(goal: Goal, chosen: Sequence[int]) -> str:
     if goal.at_least is None or (has := goal.of(chosen)) >= goal.at_least * (1 - BETTER):
         return ""
     return (
-        f"{goal.name}: at least {goal.at_least:.4g} is asked for, the best choice of {len(chosen)} "
-        f"views that was found comes to {has:.4g}: more views or candidates, or wider limits"
+        f"{goal.name}: at least {goal.at_least:.4g} is required, but the best choice of "
+        f"{len(chosen)} views found reaches {has:.4g}; use more views, candidates or wider limits"
     )
 
 
@@ -136,8 +138,8 @@ def _limits(goals: Sequence[Goal], candidates: int, number: int) -> None:
             least = goal.of(near)
         if least > goal.at_most * (1 + BETTER):
             problems.append(
-                f"{goal.name}: at most {goal.at_most:.4g} is asked for, the {number} "
-                f"candidates that have least come to {least:.4g}"
+                f"{goal.name}: at most {goal.at_most:.4g} is allowed, but the {number} "
+                f"candidates with the least come to {least:.4g}"
             )
     if problems:
         raise InputError(problems)
@@ -146,6 +148,6 @@ def _limits(goals: Sequence[Goal], candidates: int, number: int) -> None:
 def _torn(goals: Sequence[Goal], number: int, taken: int) -> str:
     names = " and ".join(goal.name for goal in goals if goal.at_most is not None)
     return (
-        f"the limits of {names} contradict each other: after {taken} of {number} views none keeps "
-        "all of them; give one of them more room"
+        f"the limits of {names} contradict each other: after {taken} of {number} views, no "
+        "candidate meets all of them; relax one of them"
     )

@@ -142,4 +142,6 @@ def _weights(covers: NDArray[np.bool_], weights: ArrayLike | None) -> NDArray[np
 
 def _enough(covers: NDArray[np.bool_], number: int) -> None:
     if not 1 <= number <= len(covers):
-        raise InputError(f"{number} views of {len(covers)} candidates: from 1 to all are possible")
+        raise InputError(
+            f"cannot choose {number} of {len(covers)} candidates; choose at least 1 and at most all"
+        )

@@ -43,7 +43,7 @@ def prior_covariance(grid: VolumeGrid, deviation: float, correlation_mm: float) 
     """
     for name, value in (("deviation", deviation), ("correlation_mm", correlation_mm)):
         if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name}: {value:g}: it must be positive")
+            raise InputError(f"{name} is {value:g}; it must be positive")
     _require_coarse(grid)
     x, y, z = grid.axes()
     places = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -95,7 +95,7 @@ class KnownShare:
             ("region", inside.shape, A.domain_shape),
         ):
             if shape != needed:
-                raise InputError(f"{name} of shape {shape}: {needed} needed")
+                raise InputError(f"{name} has shape {shape}; it must be {needed}")
         if not inside.any():
             raise InputError("the region holds no voxel of the coarse grid")
         if not (np.isfinite(w).all() and (w >= 0).all()):
@@ -103,7 +103,7 @@ class KnownShare:
         try:
             root = scipy.linalg.cholesky(s, lower=True)
         except (np.linalg.LinAlgError, ValueError) as error:
-            raise InputError(f"covariance: not positive definite: {error}") from error
+            raise InputError(f"covariance is not positive definite: {error}") from error
         rays = np.empty((len(A), w[0].size, n), np.float32)
         voxel = np.zeros(n, np.float32)
         for j in range(n):
@@ -149,7 +149,7 @@ class KnownShare:
         """Return F of C = F^T F, (n, n): U^-1 L^T, with U U^T = 1 + L^T A^T diag(w) A L."""
         e = np.asarray(exposures, dtype=np.float64)
         if e.shape != (len(self.rays),) or not (np.isfinite(e).all() and (e >= 0).all()):
-            raise InputError(f"exposures: one of 0 or more for each of {len(self.rays)} views")
+            raise InputError(f"exposures must be 0 or more, one for each of {len(self.rays)} views")
         taken = np.flatnonzero(e)
         known = np.eye(len(self.root))
         for view in taken:
@@ -163,5 +163,6 @@ def _require_coarse(grid: VolumeGrid) -> None:
     voxels = int(np.prod(grid.shape))
     if voxels > MOST_VOXELS:
         raise InputError(
-            f"the coarse grid has {voxels} voxels: at most {MOST_VOXELS}, such as 17 x 17 x 17"
+            f"the coarse grid has {voxels} voxels; at most {MOST_VOXELS} are allowed, "
+            "such as 17 x 17 x 17"
         )

@@ -43,11 +43,13 @@ class Checks:
         array = np.asarray(mask)
         allowed = (self.range_shape[1:], self.range_shape)
         if array.dtype != np.bool_:
-            problem = f"the mask holds {array.dtype}: bool needed, True where a pixel counts"
+            problem = (
+                f"the mask has dtype {array.dtype}; it must be bool, True where a pixel counts"
+            )
         elif array.shape not in allowed:
             problem = (
-                f"the mask has shape {array.shape}: {allowed[0]} (rows, columns) or {allowed[1]} "
-                "(views, rows, columns) needed"
+                f"the mask has shape {array.shape}; it must be {allowed[0]} (rows, columns) or "
+                f"{allowed[1]} (views, rows, columns)"
             )
         elif not array.any():
             problem = "the mask is False everywhere: no pixel would count"
@@ -88,7 +90,7 @@ class Checks:
         if len(self.problems) > before:
             self.problems[-1] = self.problems[-1].replace("projections", "weights")
         elif (w < 0).any() or not (w > 0).any():
-            self.problems.append("the weights must be 0 or more, and above 0 somewhere")
+            self.problems.append("the weights must be 0 or more, with at least one above 0")
         return w
 
     def count(self, name: str, value: int, at_most: float = math.inf) -> int:
@@ -99,26 +101,28 @@ class Checks:
         except (TypeError, ValueError, OverflowError):
             good = False
         if not good:
-            self.problems.append(f"{name} is {value!r}: a whole number of at least 1{limit} needed")
+            self.problems.append(
+                f"{name} is {value!r}; it must be a whole number of at least 1{limit}"
+            )
             return 1
         return int(value)
 
     def relaxation(self, value: float) -> float:
         """Return the relaxation, between 0 and 2, both excluded."""
         if not 0 < value < 2:
-            self.problems.append(f"relaxation is {value!r}: above 0 and below 2 needed")
+            self.problems.append(f"relaxation is {value!r}; it must be above 0 and below 2")
         return float(value)
 
     def not_negative(self, name: str, value: float) -> float:
         """Return a finite number of at least 0."""
         if not (value >= 0 and math.isfinite(value)):
-            self.problems.append(f"{name} is {value!r}: a finite number of at least 0 needed")
+            self.problems.append(f"{name} is {value!r}; it must be a finite number of at least 0")
         return float(value)
 
     def huber(self, value: float | None) -> float | None:
         """Return a finite number above 0, or None."""
         if value is not None and not (value > 0 and math.isfinite(value)):
-            self.problems.append(f"huber is {value!r}: a finite number above 0 needed, or None")
+            self.problems.append(f"huber is {value!r}; it must be a finite number above 0, or None")
         return value
 
     def start(

@@ -137,7 +137,7 @@ def kernels(name: str | None = None) -> Kernels:
     try:
         return _imported(chosen)
     except Exception as error:  # a compiler may raise anything
-        raise InputError(f"engine {chosen} does not compile here: {error}: use plain") from error
+        raise InputError(f"engine {chosen} does not compile here ({error}); use plain") from error
 
 
 def asked_for(name: str | None = None) -> str | None:
@@ -149,7 +149,7 @@ def asked_for(name: str | None = None) -> str | None:
     chosen = name or os.environ.get(ENGINE_VARIABLE)
     if chosen and chosen not in get_args(EngineName):
         place = "engine" if name else ENGINE_VARIABLE
-        raise InputError(f"{place} is {chosen!r}: {' or '.join(get_args(EngineName))} needed")
+        raise InputError(f"{place} is {chosen!r}; it must be {' or '.join(get_args(EngineName))}")
     return chosen or None
 
 
@@ -158,7 +158,9 @@ def _best() -> Kernels:
     try:
         return _imported("vector")
     except Exception as error:  # a compiler may raise anything
-        log.warning("the vector engine does not compile here, the plain one is used: %s", error)
+        log.warning(
+            "the vector engine does not compile here, so the plain engine is used: %s", error
+        )
         return _imported("plain")
 
 

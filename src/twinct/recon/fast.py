@@ -41,29 +41,33 @@ class Fast(AlgorithmSettings):
         default=3,
         ge=1,
         le=1000,
-        description="Passes in voxels and pixels twice as large; twice as many at each coarser "
-        "level.",
+        description="Passes over all views with voxels and pixels twice as large; each coarser "
+        "level has twice as many passes.",
     )
     levels: int = Field(
-        default=3, ge=1, le=6, description="Resolutions, each with voxels and pixels twice as fine."
+        default=3,
+        ge=1,
+        le=6,
+        description="Number of resolutions; each halves the voxels and pixels of the one before.",
     )
     first_relaxation: float = Field(
         default=1.5,
         gt=0,
         lt=2,
-        description="Of the first update of a level; it falls where views are many for the voxels.",
+        description="Relaxation of the first update of a level; it decreases where there are many "
+        "views for the number of voxels.",
     )
     denoising: NonNegative | None = Field(
         default=None,
-        description="Strength of the total variation in the end, in voxel edges times the unit of "
-        "the volume; by default found from the volume's noise; 0 is none.",
+        description="Strength of the final total-variation denoising, in voxel edges times the "
+        "unit of the volume; by default derived from the volume's noise; 0 turns it off.",
     )
     margin: float = Field(
         default=0.2,
         ge=0,
         le=2,
-        description="By how much the coarsest grid is larger on each side, share of the grid's "
-        "size: what lies there is taken out of the finer levels.",
+        description="Extra width of the coarsest grid on each side, as a share of the grid's size; "
+        "the contribution of this margin is removed from the finer levels.",
     )
     allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
     stop: Stop = None

@@ -88,10 +88,12 @@ def fdk(
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
     if window not in get_args(Window):
-        checks.problems.append(f"window is {window!r}: {', '.join(get_args(Window))} needed")
+        checks.problems.append(f"window is {window!r}; choose from {', '.join(get_args(Window))}")
     if pixels is not None and pixels.ndim == 3 and not pixels.any(axis=(1, 2)).all():
         view = int(pixels.any(axis=(1, 2)).argmin())
-        checks.problems.append(f"the mask leaves no pixel of view {view}: fdk needs some of each")
+        checks.problems.append(
+            f"the mask leaves no pixel of view {view}; fdk needs pixels of every view"
+        )
     circle = None
     try:
         circle = circular(A.geometry)
@@ -154,8 +156,8 @@ def circular(geometry: ScanGeometry) -> Circle:
     needed = math.pi + 2 * float(np.abs(_fan(geometry, circle)).max())
     if not circle.full and circle.span < needed - 1e-9:
         raise InputError(
-            f"the arc covers {math.degrees(circle.span):.1f} deg: fdk needs 180 deg and the fan, "
-            f"{math.degrees(needed):.1f} deg, or a whole turn"
+            f"the arc covers {math.degrees(circle.span):.1f} deg; fdk needs 180 deg plus the fan "
+            f"angle, {math.degrees(needed):.1f} deg, or a full turn"
         )
     return circle
 

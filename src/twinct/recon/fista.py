@@ -39,40 +39,38 @@ class Regularised(AlgorithmSettings):
     iterations: Iterations = 10
     regularisation: NonNegative = Field(
         default=1e-4,
-        description="Strength of the total variation: a pure number that means the same for any "
-        "number of views, pixels or voxels.",
+        description="Strength of the total variation: a dimensionless number that does not depend "
+        "on the number of views, pixels or voxels.",
     )
     rounds: int | None = Field(
         default=None,
         ge=1,
         le=1000,
-        description="Parts of the iterations; after each, what the volume leaves unexplained is "
-        "added to the line integrals, which brings back contrast that the total variation took. By "
-        "default 1; for prior_tv one for each 6 iterations, at most 4.",
+        description="Number of rounds that the iterations are divided into; after each round, the "
+        "residual is added to the line integrals, which restores contrast that the total variation "
+        "removed. By default 1; for prior_tv one per 6 iterations, at most 4.",
         json_schema_extra=facts(source="Osher et al., Multiscale Model. Simul. 4 (2005) 460"),
     )
     subsets: Subsets = None
     weighting: Literal["uniform", "counts"] = Field(
         default="uniform",
-        description="Weight of each pixel; counts: its transmission times the view's mAs, in units "
-        "of the source's, for Poisson noise.",
+        description="Weight of each pixel; counts: its transmission times the view's mAs, relative "
+        "to the source's mAs, for Poisson noise.",
     )
     huber: Positive | None = Field(
         default=None,
-        description="Difference of a line integral beyond which it counts by its size, not by its "
-        "square, so that a few wrong pixels do little (Huber's loss); 3 times the noise is usual. "
-        "null: always its square.",
+        description="Residual of a line integral beyond which it counts linearly instead of "
+        "quadratically, so that a few wrong pixels have little effect (Huber's loss); 3 times the "
+        "noise is usual. null: always quadratically.",
     )
-    tv_steps: int = Field(
-        default=10, ge=1, le=1000, description="Steps of the denoising in each update."
-    )
+    tv_steps: int = Field(default=10, ge=1, le=1000, description="Denoising steps in each update.")
     nonnegative: Nonnegative = True
 
     @model_validator(mode="after")
     def _a_pass_in_each_round(self) -> Self:
         if self.rounds is not None and self.rounds > self.iterations:
             raise ValueError(
-                f"rounds: {self.rounds} is more than the iterations, {self.iterations}"
+                f"rounds: {self.rounds} is more than the number of iterations, {self.iterations}"
             )
         return self
 

@@ -217,7 +217,7 @@ def without_implants(
     checks.done()
     refuse_if_short(
         implant_bytes(math.prod(A.domain_shape), math.prod(A.range_shape)),
-        f"taking out implants on {A.domain_shape} voxels",
+        f"removing implants on a grid of {A.domain_shape} voxels",
         advice(),
     )
     volume = np.asarray(background, dtype=np.float32)
@@ -262,7 +262,7 @@ def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()
         corners = (local @ one.world_from_implant).apply(one.body.vertices)
         beyond = (np.abs(corners) - A.grid.size_mm / 2).max()
         if beyond > 0:
-            problems.append(f"{label} reaches {beyond:.1f} mm out of the grid: it must lie inside")
+            problems.append(f"{label} extends {beyond:.1f} mm beyond the grid; it must lie inside")
     if problems:
         return problems
     try:
@@ -272,7 +272,9 @@ def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()
                 box, lengths, _ = rays.shadow(one.body, one.world_from_implant, view)
                 shaded[box] |= lengths > 0
             if shaded.all():
-                problems.append(f"every ray of view {view} passes an implant: nothing is left")
+                problems.append(
+                    f"every ray of view {view} passes through an implant, so nothing is left"
+                )
     except InputError as error:
         problems += error.problems
     return problems

@@ -27,8 +27,8 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
     available, limit = available_bytes()
     if needed > available:
         raise MemoryShortageError(
-            f"{what} needs {needed / 2**30:.2f} GiB of memory, and {available / 2**30:.2f} GiB are "
-            f"available ({limit}): {advice}"
+            f"{what} needs {needed / 2**30:.2f} GiB of memory, but only {available / 2**30:.2f} "
+            f"GiB are available ({limit}): {advice}"
         )
 
 

@@ -108,13 +108,13 @@ def without_metal(
     p, pixels = checks.projections(line_integrals, mask)
     if not 0 < tissue < bone < metal < math.inf:
         checks.problems.append(
-            f"tissue, bone and metal attenuate by {tissue:g}, {bone:g} and {metal:g} per mm: they "
-            "must rise from above 0"
+            f"tissue, bone and metal are {tissue:g}, {bone:g} and {metal:g} per mm; they must be "
+            "above 0 and in ascending order"
         )
     checks.done()
     refuse_if_short(
         metal_bytes(math.prod(A.domain_shape), p.size),
-        f"replacing metal on {A.domain_shape} voxels",
+        f"replacing metal on a grid of {A.domain_shape} voxels",
         advice(),
     )
     first = sart(
@@ -137,9 +137,9 @@ def without_metal(
     if lost:
         few = ", ".join(map(str, lost[:8])) + (", ..." if len(lost) > 8 else "")
         raise InputError(
-            f"every ray of {len(lost)} of {len(A)} views ({few}) passes metal, and nothing is left "
-            f"to replace it by: {voxels.size} of {solid.size} voxels attenuate by the "
-            f"threshold of {least:.3g} per mm or more, the densest by {found[-1]:.3g}"
+            f"every ray of {len(lost)} of {len(A)} views ({few}) passes through metal, so "
+            f"nothing is left to replace it with: {voxels.size} of {solid.size} voxels attenuate "
+            f"by at least the threshold of {least:.3g} per mm, the densest by {found[-1]:.3g}"
         )
     return WithoutMetal(replaced, *found)
 

@@ -66,7 +66,7 @@ def fit_circle(geometry: ScanGeometry) -> Circle:
             every deviation with its bound.
     """
     if len(geometry) < 3:
-        raise InputError(f"{len(geometry)} views do not make a circle: at least 3 needed")
+        raise InputError(f"{len(geometry)} views do not make a circle; at least 3 are needed")
     s = geometry.source
     mean = s.mean(axis=0)
     normal = np.linalg.svd(s - mean)[2][2]
@@ -120,8 +120,8 @@ def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
         worst = int(np.abs(values).argmax())
         if not abs(values[worst]) <= limit:
             found.append(
-                f"{what.format(worst)} is {abs(values[worst]):.3g} {unit}, "
-                f"at most {limit:.3g} {unit} allowed"
+                f"{what.format(worst)} is {abs(values[worst]):.3g} {unit}; "
+                f"at most {limit:.3g} {unit} is allowed"
             )
 
     arm = geometry.source - circle.centre
@@ -133,20 +133,20 @@ def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
     n = geometry.normal
     inwards = np.einsum("vk,vk->v", n, flat) / distance
     facing = np.degrees(np.arccos(np.clip(inwards, -1, 1)))
-    bound(facing, TILT_DEG, "deg", "the angle between normal and radius of panel {}")
+    bound(facing, TILT_DEG, "deg", "the angle between the normal and the radius of panel {}")
     turn = np.degrees(np.arccos(np.clip(np.abs(geometry.v @ circle.axis), 0, 1)))
     bound(turn, TILT_DEG, "deg", "the angle between the axis and v of panel {}")
     sdd = geometry.sdd
-    away = f"the deviation from the mean distance of {sdd.mean():.1f} mm of panel {{}}"
+    away = f"the deviation of panel {{}} from the mean distance of {sdd.mean():.1f} mm"
     bound(sdd - sdd.mean(), OFF_CIRCLE * float(sdd.mean()), "mm", away)
     column = geometry.project(circle.centre)[:, 0, 0] - geometry.panel.middle[0]
-    displaced = "the distance of the centre's projection from the middle column of view {}"
+    displaced = "the distance of the projected centre from the middle column of view {}"
     bound(column, OFF_CENTRE * geometry.panel.columns, "px", displaced)
     gaps = np.degrees(np.diff(circle.angles))
     uneven = (
-        f"the deviation from the mean step of {gaps.mean():.3g} deg of the step after view {{}}"
+        f"the deviation of the step after view {{}} from the mean step of {gaps.mean():.3g} deg"
     )
     bound(gaps - gaps.mean(), UNEVEN * abs(float(gaps.mean())), "deg", uneven)
     if np.degrees(circle.span) > 360.01 and not circle.full:
-        found.append(f"the arc is {np.degrees(circle.span):.1f} deg, at most one turn allowed")
+        found.append(f"the arc is {np.degrees(circle.span):.1f} deg; at most one turn is allowed")
     return found

@@ -93,7 +93,7 @@ def view_order(checks: Checks, geometry: ScanGeometry, order: Order, rng: Rng | 
     if isinstance(order, str):
         if order not in named:
             checks.problems.append(
-                f"order is {order!r}: {', '.join(named)} or a permutation needed"
+                f"order is {order!r}; it must be {', '.join(named)} or a permutation"
             )
         elif order == "random" and rng is None:
             checks.problems.append("order 'random' needs rng: a numpy Generator or a seed")

@@ -40,19 +40,23 @@ the fourth.
 class Prior(Section):
     """An earlier volume of the same object."""
 
-    path: Path = Field(description="NIfTI file, in 1/mm; such as volume.nii of a run.")
+    path: Path = Field(description="NIfTI file in 1/mm, such as volume.nii of a run.")
     share: float = setting(
         0.5,
-        "Share of the total variation that is taken of the difference to the prior, in place of "
-        "the volume.",
+        "Share of the total variation that applies to the difference from the prior instead of the "
+        "volume itself.",
         source="alpha of PICCS: Chen, Tang and Leng, Med. Phys. 35 (2008)",
         ge=0,
         le=1,
     )
     position_mm: Vector = setting(
-        (0.0, 0.0, 0.0), "Where the prior's world lies in the scan's: start of the registration."
+        (0.0, 0.0, 0.0),
+        "Position of the prior's world in the scan's world, where the registration starts.",
     )
-    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "The same: extrinsic rotations about x, y, z.")
+    rotation_deg: Vector = setting(
+        (0.0, 0.0, 0.0),
+        "Rotation of the prior's world where the registration starts: extrinsic about x, y, z.",
+    )
 
     @property
     def start(self) -> Pose:
@@ -141,7 +145,7 @@ def prior_tv(
     huber = checks.huber(huber)
     x0 = checks.start(x0, A.domain_shape)
     if not 0 <= share <= 1:
-        checks.problems.append(f"share is {share!r}: a number from 0 to 1 needed")
+        checks.problems.append(f"share is {share!r}; it must be a number from 0 to 1")
     checks.problems += prior_problems(prior, A.grid, start or Pose.identity())
     checks.done()
     require_memory(PRIOR_TV, A)
@@ -173,17 +177,17 @@ def prior_problems(prior: Volume, grid: VolumeGrid, start: Pose) -> list[str]:
     low, high = float(values.min()), float(values.max())
     if max(-low, high) > DENSEST:
         return [
-            f"the prior has values from {low:g} to {high:g}: attenuation in 1/mm needed (water has "
-            "about 0.02); Hounsfield units are 1000 (mu / mu of water - 1)"
+            f"the prior has values from {low:g} to {high:g}; it must hold attenuation in 1/mm "
+            "(about 0.02 for water); Hounsfield units are 1000 (mu / mu of water - 1)"
         ]
     if low == high:
-        return [f"the prior is {low:g} everywhere: nothing to register it by"]
+        return [f"the prior is {low:g} everywhere, so it cannot be registered"]
     there = moved(prior.grid, start)
     if not covered(there, grid).any():
         away = there.world_from_grid.distance_mm(grid.world_from_grid)
         return [
-            f"the prior lies beside the grid: its middle is {away:.0f} mm from the grid's, its "
-            f"size {' x '.join(f'{edge:.0f}' for edge in there.size_mm)} mm; start the "
+            f"the prior does not overlap the grid: its centre is {away:.0f} mm from the grid's, "
+            f"its size is {' x '.join(f'{edge:.0f}' for edge in there.size_mm)} mm; start the "
             "registration where they overlap (prior.position_mm, prior.rotation_deg)"
         ]
     return []

@@ -181,11 +181,12 @@ def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:
     """
     if min(grid.shape) < 2:
         raise InputError(
-            f"the grid has {grid.shape} voxels along (z, y, x): at least 2 along each needed"
+            f"the grid has {grid.shape} voxels along (z, y, x); at least 2 are needed along each "
+            "axis"
         )
     if np.prod(grid.shape, dtype=np.int64) >= 2**31:
         raise InputError(
-            f"the grid has {grid.shape} voxels: less than 2**31 needed (32-bit indices)"
+            f"the grid has {grid.shape} voxels; fewer than 2**31 are allowed (32-bit indices)"
         )
     local = grid.world_from_grid.inverse() @ geometry
     pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
@@ -195,7 +196,7 @@ def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:
         view = int(depth.argmin())
         raise InputError(
             f"the grid reaches {-depth[view]:.1f} mm behind the source of view {view} "
-            "(seen along the panel's normal): it must lie in front of the source in every view"
+            "(seen along the panel's normal); it must lie in front of the source in every view"
         )
 
 
@@ -203,7 +204,7 @@ def _readable(values: ArrayLike, shape: tuple[int, ...], name: str) -> Singles:
     """Return a float32 array in C order that is writable, as the kernels require."""
     array = np.ascontiguousarray(values, dtype=np.float32)
     if array.shape != shape:
-        raise InputError(f"{name} has shape {array.shape}: {shape} needed")
+        raise InputError(f"the shape of {name} is {array.shape}; it must be {shape}")
     return array if array.flags.writeable else np.asarray(_Unlocked(array))
 
 
@@ -225,8 +226,8 @@ def _writable(out: Singles | None, shape: tuple[int, ...]) -> Singles:
     kind, flags = (out.shape, out.dtype), out.flags
     if kind != (shape, np.float32) or not (flags.c_contiguous and flags.writeable):
         raise InputError(
-            f"out is {out.dtype} of shape {out.shape}: writable float32 of shape {shape} in C "
-            "order needed"
+            f"out is {out.dtype} of shape {out.shape}; it must be writable float32 of shape "
+            f"{shape} in C order"
         )
     return out
 

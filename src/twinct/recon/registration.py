@@ -82,7 +82,9 @@ def registered(
         level = A.on(grid, A.geometry.binned(factor, factor))
         pose = _at_level(level, *binned(p, pixels, (factor, factor)), prior, pose)
     if not covered(moved(prior.grid, pose), A.grid).any():
-        raise InputError("the registered prior lies beside the grid: is it of the same object?")
+        raise InputError(
+            "the registered prior does not overlap the grid: does it show the same object?"
+        )
     middle = A.grid.world_from_grid.position
     log.info(
         "prior: moved by (%.3f, %.3f, %.3f) mm at the grid's middle, turned by %.3f deg",
@@ -151,8 +153,9 @@ def _refuse_other_units(estimate: Singles, measured: Singles, counts: Mask) -> N
     ratio = float(mine / theirs)
     if not 1 / DIFFERENT < ratio < DIFFERENT:
         raise InputError(
-            f"the prior's line integrals are {ratio:.3g} x those measured: attenuation in 1/mm at "
-            "the scan's energy needed; is it in another unit, or of something else?"
+            f"the prior's line integrals are {ratio:.3g} times the measured ones: the prior must "
+            "hold attenuation in 1/mm at the scan's energy; is it in another unit, or of another "
+            "object?"
         )
 
 

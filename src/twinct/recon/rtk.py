@@ -116,7 +116,7 @@ def _geometry(itk: Any, RTK: Any, numbers: dict[str, Any]) -> Any:
     points = [itk.Point[itk.D, 3](numbers[name][0].tolist()) for name in ("source", "detector")]
     vectors = [itk.Vector[itk.D, 3](numbers[name][0].tolist()) for name in ("row", "column")]
     if not geometry.AddProjection(*points, *vectors):
-        raise InputError(f"RTK refuses the view with source {numbers['source'][0]} mm")
+        raise InputError(f"RTK rejects the view with its source at {numbers['source'][0]} mm")
     return geometry
 
 

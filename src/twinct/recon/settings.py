@@ -20,7 +20,7 @@ Relaxation = Annotated[
     Field(
         gt=0,
         lt=2,
-        description="Share of the residual that an update takes up.",
+        description="Share of the residual that each update applies.",
         json_schema_extra=_PAPER,
     ),
 ]
@@ -32,13 +32,13 @@ Ordering = Annotated[
     ),
 ]
 Subsets = Annotated[
-    int | None, Field(ge=1, description="Groups of views; one for each 10 views by default.")
+    int | None, Field(ge=1, description="Number of groups of views; by default one per 10 views.")
 ]
 Stop = Annotated[
     StopName | None,
     Field(
-        description="auto: before the first pass that makes the volume worse, as far as it can "
-        "tell of itself (docs/reconstruction.md); the number of passes is then the most."
+        description="auto: stop before the first pass that makes the volume worse, as far as the "
+        "algorithm can tell (docs/reconstruction.md); the number of passes is then the maximum."
     ),
 ]
-Nonnegative = Annotated[bool, Field(description="Whether no voxel falls below 0.")]
+Nonnegative = Annotated[bool, Field(description="Whether voxels are kept at 0 or above.")]

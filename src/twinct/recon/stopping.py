@@ -64,7 +64,7 @@ class BestPass:
     def checked(cls, checks: Checks, stop: StopName | None) -> BestPass:
         """Build from an argument; report a problem to ``checks``."""
         if stop is not None and stop not in get_args(StopName):
-            checks.problems.append(f"stop is {stop!r}: auto or None needed")
+            checks.problems.append(f"stop is {stop!r}; it must be auto or None")
         return cls(stop)
 
     @property

@@ -80,16 +80,16 @@ def without_surroundings(
     p, pixels = checks.projections(line_integrals, mask)
     margins = np.asarray(margin_mm, dtype=np.float64)
     if not (np.isfinite(margins).all() and (margins >= 0).all() and margins.any()):
-        checks.problems.append(f"margin_mm is {margin_mm!r}: a finite number above 0 needed")
+        checks.problems.append(f"margin_mm is {margin_mm!r}; it must be a finite number above 0")
     if not (voxel_mm > 0 and math.isfinite(voxel_mm)):
-        checks.problems.append(f"voxel_mm is {voxel_mm!r}: a finite number above 0 needed")
+        checks.problems.append(f"voxel_mm is {voxel_mm!r}; it must be a finite number above 0")
     expected = checks.start(expected, A.domain_shape, "expected")
     checks.done()
     coarse = coarse_grid(grid, margins, voxel_mm)
     factors = _binning(geometry, coarse)
     refuse_if_short(
         surroundings_bytes(geometry, grid, margin_mm=margins, voxel_mm=voxel_mm),
-        f"taking out the surroundings on {coarse.shape} voxels",
+        f"removing the surroundings on a grid of {coarse.shape} voxels",
         advice(),
     )
     check_margin(geometry, grid, margins, voxel_mm)

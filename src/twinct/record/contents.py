@@ -52,7 +52,7 @@ class Contents:
             InputError: there are no recordings, or one is invalid or of a different scan.
         """
         if not paths:
-            raise InputError("no recording is named: give the MCAP files of a scan")
+            raise InputError("no recording given; name the MCAP files of a scan")
         found = cls([Recording(path) for path in paths])
         for recording in found.recordings:
             for record in recording.records():
@@ -74,13 +74,13 @@ class Contents:
     def _take_facts(self, path: Path, facts: dict[str, str]) -> None:
         if facts.get("format") != FORMAT:
             raise InputError(
-                f"{path}: a recording of format {facts.get('format')!r}; this twinct reads "
-                f"{FORMAT!r}: a newer one may read it"
+                f"{path} has recording format {facts.get('format')!r}; this twinct reads "
+                f"{FORMAT!r}, and a newer one may read it"
             )
         if "images" not in facts:
-            raise InputError(f"{path}: it does not tell which scan it is of")
+            raise InputError(f"{path} does not say which scan it belongs to")
         if self.facts and facts["images"] != self.facts["images"]:
-            raise InputError(f"{path} is of another scan than {self.recordings[0].path}")
+            raise InputError(f"{path} belongs to another scan than {self.recordings[0].path}")
         self.facts = self.facts or facts
 
     @property
@@ -194,7 +194,7 @@ def _pixels(message: Any) -> NDArray[np.float32]:
     if message.encoding != "32FC1" or len(message.data) != 4 * rows * columns:
         raise InputError(
             f"{IMAGE}: {columns} x {rows} px, {message.encoding}, {len(message.data)} bytes: "
-            "single floats (32FC1) without gaps are read"
+            "only 32-bit floats (32FC1) without padding are read"
         )
     pixels = np.frombuffer(message.data, ">f4" if message.is_bigendian else "<f4")
     if not np.isfinite(pixels).all():

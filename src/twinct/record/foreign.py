@@ -51,8 +51,8 @@ def foreign_scan(contents: Contents, views_file: Path) -> Foreign:
     if lacking := [topic for topic, stamps in needed.items() if not stamps]:
         there = ", ".join(sorted(contents.topics)) or "none"
         raise InputError(
-            f"{contents.names}: not recorded by twinct, and without {', '.join(lacking)} nothing "
-            f"can be imported; topics that there are: {there}"
+            f"{contents.names}: not recorded by twinct, and nothing can be imported without "
+            f"{', '.join(lacking)}; topics found: {there}"
         )
     stamps = sorted(contents.said[REACHED])
     whole = [stamp for stamp in stamps if stamp in contents.imaged]
@@ -105,7 +105,9 @@ def _scenario(contents: Contents, instants: dict[int, Instant], views_file: Path
     """Return the scenario, with the pixel pitch computed from the first camera's focal lengths."""
     stamp = next((s for s in contents.said[CAMERA] if s in instants), None)
     if stamp is None:
-        raise InputError(f"{contents.names}: no message of {CAMERA} has a stamp of {REACHED}")
+        raise InputError(
+            f"{contents.names}: no message on {CAMERA} has the stamp of one on {REACHED}"
+        )
     camera = contents.at(CAMERA, stamp)
     with contents.message_of(stamp):
         geometry, _ = instants[stamp].placed(Panel(camera.height, camera.width, 1.0, 1.0))
@@ -114,8 +116,8 @@ def _scenario(contents: Contents, instants: dict[int, Instant], views_file: Path
     return parse_scenario(
         {
             "name": contents.recordings[0].path.stem,
-            "description": f"Imported from {contents.names}. Its specimen is not known: figures "
-            "against the sphere that stands for it mean nothing.",
+            "description": f"Imported from {contents.names}. Its specimen is unknown: figures "
+            "against the sphere that stands in for it mean nothing.",
             "cell": {"kind": "gantry"},
             "trajectory": {"kind": "file", "path": str(views_file.absolute())},
             "detector": {

@@ -58,7 +58,7 @@ class Said(NamedTuple):
         try:
             return reader_of(self.kind)(self.data)
         except _BROKEN as error:
-            raise InputError(f"a message of {self.topic} is no {self.kind}: {error}") from None
+            raise InputError(f"a message on {self.topic} is not a {self.kind}: {error}") from None
 
     @property
     def stamp_ns(self) -> int:
@@ -114,7 +114,7 @@ class Recording:
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
         except _BROKEN:
-            raise InputError(f"{path}: no MCAP file") from None
+            raise InputError(f"{path} is not an MCAP file") from None
 
     def _read_summary(self, file: BinaryIO) -> None:
         """Read the channels repeated at the end, in case the chunk that defines them is damaged."""

@@ -127,7 +127,7 @@ def _own(contents: Contents) -> Recorded:
     try:
         scenario = parse_scenario(json_of(contents.files[SCENARIO]))
     except ValueError as error:
-        raise InputError(f"{contents.names}: {SCENARIO}: no JSON: {error}") from None
+        raise InputError(f"{contents.names}: {SCENARIO}: not valid JSON: {error}") from None
     with tempfile.TemporaryDirectory(prefix="twinct-") as name:
         folder = Path(name)
         for file in {COMMANDED, PLAN} & contents.files.keys():

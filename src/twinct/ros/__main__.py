@@ -29,11 +29,13 @@ def main(
     parser.add_argument("node", choices=["robots", "xray"])
     parser.add_argument("scenario", type=Path)
     parser.add_argument("--epoch")
-    parser.add_argument("--members", type=Path, help="where the scan's processes say who they are")
+    parser.add_argument("--members", type=Path, help="folder where the scan's processes register")
     parser.add_argument("--first-view", type=int, default=0)
-    parser.add_argument("--planned", action="store_true", help="the scan says what to follow")
+    parser.add_argument(
+        "--planned", action="store_true", help="follow the plan that the scan publishes"
+    )
     parser.add_argument("--restore", type=Path)
-    parser.add_argument("--lifeline", action="store_true", help="end when stdin does")
+    parser.add_argument("--lifeline", action="store_true", help="end when stdin ends")
     given = parser.parse_args(arguments)
     try:
         limit_threads()

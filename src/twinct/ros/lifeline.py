@@ -64,13 +64,13 @@ class Lifeline:
                 return
             numbers = os.read(self._read, 64) if ready.pop(self._read, 0) else b""
             if signal.SIGINT in numbers or signal.SIGTERM in numbers:
-                why = "it was told to"
+                why = "it received a signal"
             elif self._pulse is not None:
                 if any(map(cut, ready.values())) or os.getppid() != self._parent:
                     why = "the process that started it has ended"
                 elif not self._pulse.look():
                     parent = "the process that started it"
-                    why = f"nothing was heard for {pulse.SILENCE_S:.0f} s of {parent}"
+                    why = f"{parent} was silent for {pulse.SILENCE_S:.0f} s"
         self.ended = True
         self._on_end(why)
         if not self._closed.wait(GRACE_S):

@@ -196,8 +196,8 @@ class Executed(NamedTuple):
         rest = self.more[expected:]
         if len(self.more) < expected or len(rest) > 1:
             raise MalformedError(
-                f"{3 + 3 * len(self.more)} poses, expected {3 + 3 * expected}, and three more with "
-                "a lag: source, object, detector of each instant"
+                f"{3 + 3 * len(self.more)} poses, expected {3 + 3 * expected}, or three more with "
+                "detector lag: source, object and detector of each instant"
             )
         return self.more[:expected], rest[0] if rest else None
 
@@ -256,7 +256,9 @@ def checked_joints(message: JointState, *, arms: bool = True) -> JointState:
     A gantry, which is not ``arms``, has no joints.
     """
     if bool(message.name) != arms:
-        raise MalformedError("no joints" if arms else f"joints of a gantry: {message.name}")
+        raise MalformedError(
+            "no joints" if arms else f"a gantry has no joints, but got {message.name}"
+        )
     for what in ("position", "velocity", "effort"):
         _check_numbers(getattr(message, what), what, len(message.name))
     return message
@@ -368,8 +370,8 @@ def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np
         raise MalformedError(f"{columns} x {rows} px, expected {shape[1]} x {shape[0]}")
     if message.encoding != IMAGE_ENCODING or message.step != 4 * columns:
         raise MalformedError(
-            f"{message.encoding} image of {message.step} bytes a row, "
-            f"expected {IMAGE_ENCODING} of {4 * columns}"
+            f"{message.encoding} image with {message.step} bytes per row, "
+            f"expected {IMAGE_ENCODING} with {4 * columns}"
         )
     if len(message.data) != 4 * rows * columns:
         raise MalformedError(f"{len(message.data)} bytes, expected {4 * rows * columns}")

@@ -58,10 +58,10 @@ class Ledger(Generic[Key, Question, Answer]):
         if stamp not in self._questions:
             return None
         if self._questions[stamp] != question:
-            used = f"the stamp {stamp} was used before with other poses"
-            raise RefusedError(f"{used}: each view needs a header.stamp of its own")
+            used = f"stamp {stamp} was already used with other poses"
+            raise RefusedError(f"{used}; each view needs its own header.stamp")
         if stamp not in self._answers:
-            answered = f"the view with the stamp {stamp} was answered already"
+            answered = f"the view with stamp {stamp} was already answered"
             raise RefusedError(f"{answered}, and only the last {self._keep} answers are kept")
         return self._answers[stamp]
 
@@ -100,16 +100,16 @@ class Diagnostics:
 
     def stranger(self, topic: Topic, sender: Sender) -> None:
         """Report once that a sender on a topic does not belong to this scan and is ignored."""
-        self._unused(topic.name, sender, ", not of this scan, speaks on")
+        self._unused(topic.name, sender, ", which is not part of this scan, publishes on")
 
     def garbled(self, topic: str, sender: Sender) -> None:
         """Report once that a sender's data on a topic do not fit its message type."""
-        self._unused(topic, sender, " says what is no message of the type of")
+        self._unused(topic, sender, " sends data that do not fit the message type of")
 
     def _unused(self, topic: str, sender: Sender, does: str) -> None:
         if (key := (topic, sender.participant)) in self.strangers:
             return
-        text = f"{self._station.name_of(topic, sender)}{does} {topic}: unused"
+        text = f"{self._station.name_of(topic, sender)}{does} {topic}: ignored"
         self.strangers[key] = text
         self._say(NO_STAMP, WARN, text, {"topic": topic, "publisher": sender.publisher})
         self.tell(text)
@@ -156,7 +156,7 @@ def run_node(
     station: Station | None = None
 
     def end(why: str) -> None:
-        say(f"{name} is to end: {why}")
+        say(f"{name} is ending: {why}")
         if station is not None:
             station.wake()
 

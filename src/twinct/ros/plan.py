@@ -78,9 +78,9 @@ def plan_of(got: dict[Topic, Any]) -> MotionPlan:
             nearest=(("", ""),) * len(targets),
         )
     except (LookupError, ValueError, OverflowError) as error:
-        raise MalformedError(f"no plan: {error}") from None
+        raise MalformedError(f"not a valid plan: {error}") from None
     if plan.digest != digest:
-        raise MalformedError("the plan is not the one that its digest tells of")
+        raise MalformedError("the plan does not match its digest")
     return plan
 
 

@@ -101,8 +101,8 @@ class NodeProcess:
         how = f"ended with exit code {code}"
         if self._silent:
             how = (
-                "hung, or was stopped: nothing was heard of it for "
-                f"{pulse.SILENCE_S:.0f} s, in which it did not work either; it was ended"
+                "hung or was stopped: it was silent and idle for "
+                f"{pulse.SILENCE_S:.0f} s, so it was killed"
             )
         elif code is not None and code < 0:
             with suppress(ValueError):

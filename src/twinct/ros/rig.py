@@ -233,7 +233,7 @@ class RosRig:
             )
 
         if not station.wait(lambda: self._broken() or connected(), START_S):
-            raise LinkError(f"the nodes were not at work {START_S:.0f} s after their start")
+            raise LinkError(f"the nodes were not ready {START_S:.0f} s after their start")
         self._check()
 
     def _hear(self, station: Station, topic: Topic, read: Callable[[Any], Any]) -> Subscription:
@@ -316,7 +316,7 @@ class RosRig:
             if self._station.wait(lambda: self._broken() or done(), min(silence, max(left, 0.0))):
                 break
             if time.monotonic() >= deadline:
-                late = f"no {what} of view {view} within {self._answer_s:.0f} s"
+                late = f"no {what} for view {view} within {self._answer_s:.0f} s"
                 raise LinkError("; ".join([late, *self._diagnostics.strangers.values()]))
             silence = min(2 * silence, LONGEST_REPEAT_S)
             self._target.publish(message)

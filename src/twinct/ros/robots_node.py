@@ -166,10 +166,10 @@ class Turns:
         view = self.view(stamp)
         running = "a scan is running"
         if view is None:
-            raise RefusedError(f"{running} and the stamp of this target is none of its stamps")
+            raise RefusedError(f"{running}, and the stamp of this target does not belong to it")
         if target != self._targets[view]:
             raise RefusedError(
-                f"{running} and this target is none of its own: view {view} has others"
+                f"{running}, and this target differs from the scan's target for view {view}"
             )
         if view != self._next:
             raise RefusedError(f"{running}: view {self._next} comes next, not view {view}")
@@ -258,7 +258,7 @@ class RobotsNode:
             self._turns.check(stamp, target)
         if self._members is not None and not self._of_scan(sender):
             raise RefusedError(
-                "a scan is running and only it asks for its next view, not "
+                "a scan is running, and only the scan may request its next view, not "
                 + self._station.name_of(TARGET.name, sender)
             )
 
@@ -316,7 +316,7 @@ class RobotsNode:
         del request  # it is empty
         try:
             if self._turns is not None:
-                raise RefusedError("a scan is running, and its arms go where it sends them")
+                raise RefusedError("a scan is running, and only the scan may move the arms")
             reached = self._robots.home()
         except (MotionError, RefusedError) as refused:
             response.message = str(refused)

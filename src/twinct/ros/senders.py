@@ -106,7 +106,7 @@ def participant_of(publisher: Publisher) -> str:
     with publisher.handle:
         fault = _gid_of(_rmw_handle(publisher.handle.pointer), ctypes.byref(gid))
     if fault:
-        raise LinkError(f"ROS 2 does not tell the identifier of a publisher (error {fault})")
+        raise LinkError(f"ROS 2 does not report the identifier of a publisher (error {fault})")
     return participant(gid.data)
 
 
@@ -137,7 +137,9 @@ class SenderExecutor(SingleThreadedExecutor):
             if fault == _NOTHING_TO_TAKE:
                 return None
             if fault:
-                raise LinkError(f"ROS 2 cannot take a message of {sub.topic_name} (error {fault})")
+                raise LinkError(
+                    f"ROS 2 cannot take a message from {sub.topic_name} (error {fault})"
+                )
             data = ctypes.string_at(content.start, content.length)
         finally:
             _free(ctypes.byref(content))

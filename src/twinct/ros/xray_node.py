@@ -131,7 +131,7 @@ class _AsPlanned:
         before: tuple[ScanGeometry, Pose] | None = None,
     ) -> NDArray[np.float32]:
         if self._imager is None:
-            raise RefusedError("the plan of the scan has not come")
+            raise RefusedError("the plan of the scan has not arrived")
         return self._imager.expose(path, view, before)
 
     def close(self) -> None:
@@ -234,7 +234,7 @@ class XRayNode:
 
     def _expose(self, taken: _Taken, view: int | None, poses: Executed) -> list[Any]:
         if self._epoch is not None and view is None:
-            raise RefusedError("a scan is running and this view is none of its own")
+            raise RefusedError("a scan is running, and this view does not belong to it")
         stamp = taken.stamp
         try:
             exposure, before = poses.exposure(self._samples)

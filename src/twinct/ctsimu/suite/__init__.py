@@ -40,9 +40,9 @@ def qualify(
     unknown = [name for name in tests if name not in TESTS]
     if unknown:
         left_out = [
-            f"{name} is not taken: {NOT_TAKEN[name]}" for name in NOT_TAKEN if name in tests
+            f"{name} is not supported: {NOT_TAKEN[name]}" for name in NOT_TAKEN if name in tests
         ]
-        wrong = f"unknown tests {', '.join(unknown)}; there are {', '.join(TESTS)}"
+        wrong = f"unknown tests {', '.join(unknown)}; choose from {', '.join(TESTS)}"
         raise InputError([wrong, *left_out])
     _toolbox()
     make_folder(folder)

@@ -276,6 +276,6 @@ TESTS = tuple(_CASES)
 
 NOT_TAKEN = {
     "2D-HS-1": "the foil of ten holes that it images is not public, and its sizes are not stated",
-    "2D-SW-4": "it judges scattered radiation, which files of the format are refused for here",
+    "2D-SW-4": "it judges scattered radiation, and files that ask for it are refused",
 }
 """Other 2D tests of the suite, with the reasons to leave them out."""

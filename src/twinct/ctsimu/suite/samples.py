@@ -75,7 +75,7 @@ def duplex_wires(
     """
     place = -(3 * sum(WIRE_MM) + WIRE_APART_MM * (len(WIRE_MM) - 1)) / 2
     if -place > row_length_mm / 2:
-        raise ValueError(f"the pairs take {-2 * place:.1f} mm, the row has {row_length_mm:.1f} mm")
+        raise ValueError(f"the pairs need {-2 * place:.1f} mm, the row has {row_length_mm:.1f} mm")
     centre, turn = np.array(middle_mm), _clockwise(TILT_RAD)
     angles = 2 * np.pi * np.arange(WIRE_SIDES) / WIRE_SIDES
     # The area equals that of the circle.

@@ -137,7 +137,7 @@ def _overlaps(results: Path) -> list[Verdict]:
 def _number(text: str, pattern: str) -> float:
     match = re.search(pattern, text)
     if match is None:
-        raise ValueError(f"the toolbox's result holds no {pattern!r}")
+        raise ValueError(f"the toolbox's result does not match {pattern!r}")
     return float(match[1])
 
 

@@ -53,7 +53,9 @@ def reconstruct(iterations):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--iterations", type=int, default=0, help="reconstruct; 0 only loads")
+    parser.add_argument(
+        "--iterations", type=int, default=0, help="iterations to reconstruct; 0 only loads"
+    )
     parser.add_argument("--out", type=Path, default=Path("volume.npy"))
     options = parser.parse_args()
     print(load()[0].geometry)

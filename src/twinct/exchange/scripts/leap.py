@@ -26,7 +26,7 @@ def load():
     done = model.set_modularbeam(len(images), *sizes, *vectors)
     done = done and model.set_volume(*words["volume"].tolist(), *words["voxel"].tolist())
     if not done:
-        raise SystemExit("LEAP refused the geometry; what it printed above says why")
+        raise SystemExit("LEAP rejected the geometry; its output above says why")
     model.set_diameterFOV(1.0e16)  # reconstruct the corners of the grid too
     return model, images
 
@@ -42,7 +42,9 @@ def reconstruct(iterations):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--iterations", type=int, default=0, help="reconstruct; 0 only loads")
+    parser.add_argument(
+        "--iterations", type=int, default=0, help="iterations to reconstruct; 0 only loads"
+    )
     parser.add_argument("--out", type=Path, default=Path("volume.npy"))
     options = parser.parse_args()
     leap, stack = load()

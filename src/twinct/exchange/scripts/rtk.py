@@ -56,7 +56,9 @@ def reconstruct(iterations, relaxation=0.3):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--iterations", type=int, default=0, help="reconstruct; 0 only loads")
+    parser.add_argument(
+        "--iterations", type=int, default=0, help="iterations to reconstruct; 0 only loads"
+    )
     parser.add_argument("--out", type=Path, default=Path("volume.npy"))
     options = parser.parse_args()
     print(f"{len(geometry().GetGantryAngles())} views, images {projections().shape}")

@@ -66,7 +66,10 @@ def _folder() -> Path:
         with contextlib.suppress(OSError):
             place.mkdir(parents=True, exist_ok=True)
             return _compiled(Path(tempfile.mkdtemp(prefix=".kernels-", dir=place)), place / name)
-    log.info("no folder to keep compiled kernels in: %s", ", ".join(map(str, places)))
+    log.info(
+        "cannot keep the compiled kernels, because no folder is writable: %s",
+        ", ".join(map(str, places)),
+    )
     passing = Path(tempfile.mkdtemp(prefix="twinct-"))
     atexit.register(shutil.rmtree, passing, ignore_errors=True)
     return _compiled(Path(tempfile.mkdtemp(dir=passing)), passing / name)
@@ -88,7 +91,7 @@ def _compiled(draft: Path, folder: Path) -> Path:
     """Compile into a draft folder, and rename it."""
     # A warning, because the terminal is silent meanwhile.
     log.warning(
-        "compiling the kernels of reconstruction, once, into %s: half a minute",
+        "compiling the reconstruction kernels into %s; this happens once and takes half a minute",
         folder,
     )
     try:
