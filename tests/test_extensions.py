@@ -53,8 +53,8 @@ def test_a_good_one_is_found_beside_the_built_in_ones(monkeypatch, tmp_path: Pat
     [
         ("b = things_that_are_not:B", "ModuleNotFoundError: No module named"),
         ("b = things:NOTHING", "AttributeError"),
-        ("b = things:TEXT", "TypeError: it leads to str, not to Thing"),
-        ("b = things:OTHER", "ValueError: it calls itself 'c'"),
+        ("b = things:TEXT", "TypeError: it points to str, not to Thing"),
+        ("b = things:OTHER", "ValueError: its own name is 'c'"),
     ],
 )
 def test_a_broken_one_is_logged_with_its_distribution_and_left_out(
@@ -75,10 +75,10 @@ def test_names_that_are_taken_are_refused(monkeypatch, caplog, tmp_path: Path) -
     built_in = Thing("a")
     found = offers(GROUP, Thing, {"a": built_in})
     assert dict(found) == {"a": built_in} and found["a"] is built_in
-    assert "several offer one of that name: others 1.0, things 1.0" in found.broken["b"]
+    assert "several packages offer this name: others 1.0, things 1.0" in found.broken["b"]
     # Whoever names the built-in one gets it.
     assert "a" not in found.broken
-    assert "'a' of things 1.0 cannot be used: ValueError: twinct itself has" in caplog.text
+    assert "'a' of things 1.0 cannot be used: ValueError: this name is built" in caplog.text
 
 
 @pytest.fixture(scope="module")

@@ -101,14 +101,12 @@ def test_another_kind_by_override_starts_afresh_but_for_other_overrides() -> Non
         trajectory = load_scenario(DEMO, overrides).trajectory
         assert (trajectory.kind, trajectory.views) == ("circle", 5)
     text = problems("trajectory.kind=circle")
-    assert text == (
-        "--set trajectory.kind=circle: trajectory.views: this key is needed and missing"
-    )
+    assert text == "--set trajectory.kind=circle: trajectory.views: this required key is missing"
 
 
 def test_problems_are_told_in_plain_words(tmp_path: Path) -> None:
     assert "specimen.parts: must have at least 1 entry, but has 0" in problems("specimen.parts=[]")
-    assert "'ur10' is no arm; did you mean 'ur10e'?" in problems("cell.source_arm.model=ur10")
+    assert "unknown arm 'ur10'; did you mean 'ur10e'?" in problems("cell.source_arm.model=ur10")
     assert "specimen: must be a section of keys and values, but is empty" in problems("specimen=")
     assert "must be a whole number, but is 'many'" in problems("trajectory.views=many")
     file = tmp_path / "x.yaml"
@@ -159,7 +157,7 @@ def test_another_method_starts_afresh_too(tmp_path: Path) -> None:
     assert "metal.method: method 'nmr' is not one of 'nmar', 'known'" in problems(
         f"{key}={{method: nmr}}"
     )
-    assert problems(f"{key}={{}}").endswith("this key needs a 'method'")
+    assert problems(f"{key}={{}}").endswith("this section needs the key 'method'")
 
 
 def test_another_kind_replaces_the_whole_section(tmp_path: Path) -> None:
@@ -174,7 +172,7 @@ def test_messages_name_file_and_line(tmp_path: Path) -> None:
     file.write_text(f"extends: {DEMO}\n\ndetector:\n  rows: -4\n", encoding="utf-8")
     assert f"{file}:4: detector.rows" in problems(path=file)
     file.write_text("a: 1\na: 2\n", encoding="utf-8")
-    assert ":2: the key 'a' stands twice" in problems(path=file)
+    assert ":2: the key 'a' appears twice" in problems(path=file)
     file.write_text("a: [1\n", encoding="utf-8")
     assert "not valid YAML" in problems(path=file)
     file.write_text("extends: nowhere.yaml\n", encoding="utf-8")
@@ -241,7 +239,7 @@ def test_an_algorithm_in_words_is_its_keys_and_the_corrections() -> None:
     )
     assert words("algorithm=fdk", "metal={method: nmar}").endswith(", metal replaced (nmar)")
     known = "metal={method: known, implants: [{part: skull}]}"
-    assert words("algorithm=fdk", known).endswith(", 1 known implants taken out")
+    assert words("algorithm=fdk", known).endswith(", 1 known implants removed")
 
 
 def test_a_key_of_another_algorithm_is_refused_where_its_own_was_chosen(tmp_path: Path) -> None:
@@ -274,7 +272,10 @@ def test_another_algorithm_leaves_inherited_keys_it_lacks_and_keeps_the_rest(
     )
     file.write_text("extends: base.yaml\nreconstruction: {algorithm: fista_tv, subsets: 4}\n")
     by_file = load_scenario(file).reconstruction
-    place = f"{base}:4: reconstruction.relaxation is of sart and left out: fista_tv has no such key"
+    place = (
+        f"{base}:4: reconstruction.relaxation belongs to sart and is left out: "
+        "fista_tv has no such key"
+    )
     assert [record.getMessage() for record in caplog.records] == [place]
     by_override = load_scenario(base, ["reconstruction.algorithm=fista_tv"]).reconstruction
     for section in (by_file, by_override):
@@ -292,10 +293,10 @@ def test_another_algorithm_leaves_inherited_keys_it_lacks_and_keeps_the_rest(
 def test_the_engine_is_an_algorithm_now() -> None:
     text = problems("reconstruction.engine=rtk")
     assert text == (
-        "--set reconstruction.engine=rtk: reconstruction.engine: there is no such key any more: "
+        "--set reconstruction.engine=rtk: reconstruction.engine: this key no longer exists: "
         "use algorithm: rtk_sart"
     )
-    assert "any more: leave it out" in problems("reconstruction.engine=twinct")
+    assert "no longer exists: leave it out" in problems("reconstruction.engine=twinct")
     assert "algorithm 'x' is not" in problems("reconstruction={kind: y, algorithm: x}")
     assert "reconstruction: must be a section" in problems("reconstruction=sart")
     assert "has 4" in problems("reconstruction.grid.voxel_mm=[1, 1, 1, 1]")
@@ -364,7 +365,7 @@ TUBE = "source.spectrum={kind: tube, kvp: 90}"
         (
             ["detector.readout={bits: 8, offset: 5}"],
             "detector.readout: the free beam saturates: offset (5) + free_beam (50000) = 50005 "
-            "exceeds the largest value of 8 bits (255)",
+            "exceeds the largest 8-bit value (255)",
         ),
         (
             ["detector.readout={saturation: 50499}"],
@@ -441,4 +442,4 @@ def test_a_dotted_key_in_a_file_is_named_in_its_own_line(tmp_path: Path) -> None
     file = tmp_path / "x.yaml"
     file.write_text(f"extends: {DEMO}\n\nsource.spectrum: x\n")
     text = problems(path=file)
-    assert text.startswith(f"{file}:3: source.spectrum: unknown key; a file nests its keys")
+    assert text.startswith(f"{file}:3: source.spectrum: unknown key; nest keys in a file")

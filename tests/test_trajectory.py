@@ -211,8 +211,8 @@ def test_file_with_source_and_panel_only_gets_upright_panels(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no view"),
-        ("a,b\n1,2,3\n", ":2: a view is 6 numbers"),
+        ("", "contains no view"),
+        ("a,b\n1,2,3\n", ":2: a view has 6 numbers"),
         ("1,2,3,4,5,6\n1,x,3,4,5,6\n", ":2: .*not a number"),
         ("300,x,0,-300,0,0\n", ":1: .*not a number"),  # no line of names: a slip of the pen
         ("1,2,3,1,2,3\n", ":1: source and panel coincide"),
@@ -220,11 +220,11 @@ def test_file_with_source_and_panel_only_gets_upright_panels(tmp_path) -> None:
         (f"# axes\n{BEAM},0,1,0,0,0,1\n\n{BEAM},0,1,0,0,0.6,0.8\n", ":4: u and v are not orth"),
         (f"{BEAM},0,1,0,0,0,2\n", ":1: v is not a unit vector"),
         (f"{BEAM},0,0,0,0,0,1\n", ":1: u is not a unit vector"),
-        (f"{BEAM},2\n{BEAM},0\n", ":2: mAs of 0: it must be above 0"),
-        (f"{BEAM},0,1,0,0,0,1,-3\n", ":1: mAs of -3: it must be above 0"),
+        (f"{BEAM},2\n{BEAM},0\n", ":2: mAs is 0, but must be above 0"),
+        (f"{BEAM},0,1,0,0,0,1,-3\n", ":1: mAs is -3, but must be above 0"),
         (f"{BEAM},inf\n", ":1: .*not finite"),
-        (f"{BEAM},2\n{BEAM}\n", "some lines have 6 numbers and some 7; use one form"),
-        (f"a,b,c,d,e,f,tilt\n{BEAM},2\n", ":1: the last of 7 columns is mas, not 'tilt'"),
+        (f"{BEAM},2\n{BEAM}\n", "some lines have 6 numbers, others 7; use one form"),
+        (f"a,b,c,d,e,f,tilt\n{BEAM},2\n", ":1: the last of 7 columns must be mas, not 'tilt'"),
         (f"{BEAM},0,0,1,0,1,0\n", ":1: u x v points away from the source"),
     ],
 )

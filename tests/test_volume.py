@@ -44,7 +44,7 @@ def test_upright_grid_is_ras(tmp_path) -> None:
 
 def test_what_is_no_volume_is_named(tmp_path) -> None:
     (tmp_path / "v.nii").write_text("no")
-    with pytest.raises(InputError, match="not a readable NIfTI"):
+    with pytest.raises(InputError, match="the NIfTI volume cannot be read"):
         Volume.read(tmp_path / "v.nii")
 
 
@@ -61,7 +61,7 @@ def test_numpy_takes_it_and_nobody_changes_it() -> None:
 
 
 def test_another_shape_than_the_grid_is_refused() -> None:
-    with pytest.raises(InputError, match=r"shape \(2, 3\): its grid needs \(2, 3, 4\)"):
+    with pytest.raises(InputError, match=r"shape \(2, 3\), but its grid needs \(2, 3, 4\)"):
         Volume(np.zeros((2, 3)), VolumeGrid((2, 3, 4), 1.0))
 
 
@@ -159,7 +159,7 @@ def test_files_are_named_by_text_and_end_as_nifti_does(pair, tmp_path) -> None:
         np.testing.assert_array_equal(Volume.read(str(tmp_path / name)), v)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["v.nii", "v.nii.gz"]
     for name in ("v.dcm", "v", "v.gz"):
-        with pytest.raises(InputError, match=rf"{name}: .* ends in \.nii, \.nii\.gz"):
+        with pytest.raises(InputError, match=rf"{name}: .* end in \.nii or \.nii\.gz"):
             v.write(tmp_path / name)
 
 
@@ -168,7 +168,7 @@ def test_a_volume_is_shown_in_a_file(pair, tmp_path) -> None:
     v.show(str(tmp_path / "v.png"))
     assert (tmp_path / "v.png").read_bytes().startswith(b"\x89PNG")
     assert v._repr_png_().startswith(b"\x89PNG")
-    with pytest.raises(InputError, match=r"v\.xyz: a picture ends in one of .*\.png"):
+    with pytest.raises(InputError, match=r"v\.xyz: the name of a picture must end in .*\.png"):
         v.show(tmp_path / "v.xyz")
     with pytest.raises(InputError, match="no window .* name a file"):
         v.show()

@@ -55,7 +55,7 @@ def trial(folder, number, expected, seed):
     if sorted(codes) != [0, 2] and not (resumed and codes == [0, 0]):
         faults.append(f"exit codes {codes}")
     for code, word in zip(codes, words, strict=True):
-        if code and not ("works in this folder" in word or "already holds" in word):
+        if code and not ("is using this folder" in word or "already holds" in word):
             faults.append(f"the loser said {word}")
     if not (out / "report.html").exists() or contents(out / "scan.zarr") != expected:
         faults.append("the store differs from an undisturbed one, or the report is missing")

@@ -41,14 +41,14 @@ def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
         try:
             rivals = {_owner(other) for other in points.select(name=point.name)}
             if point.name in built_in:
-                raise ValueError("twinct itself has one of that name")
+                raise ValueError("this name is built into twinct")
             if len(rivals) > 1:
-                raise ValueError(f"several offer one of that name: {', '.join(sorted(rivals))}")
+                raise ValueError(f"several packages offer this name: {', '.join(sorted(rivals))}")
             loaded = point.load()
             if not isinstance(loaded, kind):
-                raise TypeError(f"it leads to {type(loaded).__name__}, not to {kind.__name__}")
+                raise TypeError(f"it points to {type(loaded).__name__}, not to {kind.__name__}")
             if (own := getattr(loaded, "name", None)) != point.name:
-                raise ValueError(f"it calls itself {own!r}")
+                raise ValueError(f"its own name is {own!r}")
             found[point.name] = loaded
         except Exception as error:  # an external module may fail in any way
             cannot = f"{point.name!r} of {_owner(point)} cannot be used"

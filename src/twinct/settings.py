@@ -12,9 +12,9 @@ def _sane(least: float, most: float) -> AfterValidator:
 
     def sane(value: float) -> float:
         if abs(value) > most:
-            raise ValueError(f"must be at most {most:g} in size, but is {value!r}")
+            raise ValueError(f"must be at most {most:g} in magnitude, but is {value!r}")
         if 0 < abs(value) < least:
-            raise ValueError(f"must be at least {least:g} in size, but is {value!r}")
+            raise ValueError(f"must be at least {least:g} in magnitude, but is {value!r}")
         return value
 
     return AfterValidator(sane)

@@ -41,7 +41,7 @@ def threads() -> int:
     if not text:
         return available_threads()
     if not (text.isascii() and text.isdigit() and int(text) >= 1):
-        raise InputError(f"{SETTING}={text!r}: a whole number of at least 1 needed")
+        raise InputError(f"{SETTING}={text!r}: must be a whole number of at least 1")
     return int(text)
 
 

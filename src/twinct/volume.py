@@ -55,7 +55,8 @@ class Volume(NDArrayOperatorsMixin):
         array = np.ascontiguousarray(self.array, dtype=np.float32).view()
         if array.shape != self.grid.shape:
             raise InputError(
-                f"the volume has shape {array.shape}: its grid needs {self.grid.shape} (z, y, x)"
+                f"the volume has shape {array.shape}, but its grid needs {self.grid.shape} (z, "
+                "y, x)"
             )
         array.flags.writeable = False
         object.__setattr__(self, "array", array)
@@ -196,7 +197,7 @@ class Volume(NDArrayOperatorsMixin):
         path = Path(path)
         if not path.name.lower().endswith(ENDINGS):
             raise InputError(
-                f"{path}: a volume is written as NIfTI: the name ends in .nii, .nii.gz"
+                f"{path}: a volume is written as NIfTI; its name must end in .nii or .nii.gz"
             )
         affine = self.grid.affine
         image: Any = nibabel.Nifti1Image(self.array.T, affine, dtype=self.array.dtype)  # type: ignore[no-untyped-call]
@@ -217,7 +218,7 @@ class Volume(NDArrayOperatorsMixin):
         Raises:
             InputError: the file is not readable as NIfTI, or has no voxel grid.
         """
-        voxels, image = read_nifti(Path(path), f"{path}: not a readable NIfTI volume: it")
+        voxels, image = read_nifti(Path(path), f"{path}: the NIfTI volume")
         try:
             note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")
             array = voxels.T
@@ -236,6 +237,9 @@ def _grid_of(shape: tuple[int, ...], affine: Floats) -> VolumeGrid:
     """Return the grid with a given ``affine``; raise ValueError if there is none."""
     linear, edges = affine[:3, :3], np.linalg.norm(affine[:3, :3], axis=0)
     if len(shape) != 3 or not np.linalg.det(linear) > 0 or not np.isfinite(affine).all():
-        raise ValueError(f"{len(shape)} axes with the matrix {linear.tolist()}")
+        raise ValueError(
+            f"a voxel grid needs 3 right-handed axes, but there are {len(shape)} with the "
+            f"matrix {linear.tolist()}"
+        )
     middle = affine @ [*((np.array(shape[::-1]) - 1) / 2), 1.0]
     return VolumeGrid(shape, edges, Pose.from_matrix(middle[:3], linear / edges))

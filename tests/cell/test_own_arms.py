@@ -223,7 +223,7 @@ def test_path_is_relative_to_the_scenario(tmp_path: Path) -> None:
     [
         ('effort="80"', 'effort="0"', "no torque limit for roll, bend .*effort"),
         ('velocity="3"', 'velocity="0"', "no speed limit for elbow, roll, bend: set joint_speed"),
-        ('velocity="4"', 'velocity="fast"', "joint spin: velocity 'fast' is no speed"),
+        ('velocity="4"', 'velocity="fast"', "joint spin: velocity 'fast' is not a speed"),
         ('"tool0"', '"tip"', "z of its flange 'flange' does not point along the last joint's axis"),
         ('<dynamics damping="1" friction="0.5"/>', '<mimic joint="turn"/>', "couples joints"),
         ('"revolute"', '"continuous"', "no range for turn, shoulder, elbow"),
@@ -231,12 +231,12 @@ def test_path_is_relative_to_the_scenario(tmp_path: Path) -> None:
         ("<collision>", "<visual>", "XML"),
         ("collision>", "visual>", "no collision geometry on column, upper_arm"),
         ("<robot", "<!DOCTYPE r [<!ENTITY e 'e'>]><robot", "has a DOCTYPE"),
-        ("</robot>", "", "is not XML that can be read"),
+        ("</robot>", "", "is not readable XML"),
         ('<parent link="wrist"/>', '<parent link="column"/>', "joints do not form one chain"),
         ('<child link="hand"/>', '<child link="nobody"/>', "not a model that MuJoCo can read"),
         ("robot", "arm", "neither MJCF.*nor URDF.*<arm>"),
-        ('<link name="tool0"/>', '<x:macro xmlns:x="http://ros.org/xacro"/>', "holds macros"),
-        ('<sphere radius="0.055"/>', '<mesh filename="w.dae"/>', "'w.dae' for collision"),
+        ('<link name="tool0"/>', '<x:macro xmlns:x="http://ros.org/xacro"/>', "contains macros"),
+        ('<sphere radius="0.055"/>', '<mesh filename="w.dae"/>', "collision mesh 'w.dae'"),
         (
             '<sphere radius="0.055"/>',
             '<mesh filename="package://arms/meshes/w.stl"/>',
@@ -291,14 +291,14 @@ def test_keys_that_do_not_fit_the_arm_are_refused(chain: Path) -> None:
     assert loaded(chain, flange="e").flange_site == "twinct_flange"
     assert "home: has 2 numbers, but the arm has 5 joints: a, b" in refusal(chain, home=(0, 0))
     assert "95 for b, whose range is -90 to 90" in refusal(chain, home=(0, 95, 0, 0, 0))
-    with pytest.raises(ValueError, match="flange: only with file"):
+    with pytest.raises(ValueError, match="flange: only allowed with file"):
         SourceArm(flange="tool0")
 
 
 def test_what_is_no_file_is_refused_at_once(tmp_path: Path, monkeypatch) -> None:
     pipe = tmp_path / "pipe.xml"
     os.mkfifo(pipe)
-    assert "is no regular file" in refusal(pipe)
+    assert "is not a regular file" in refusal(pipe)
     assert "is a folder" in refusal(tmp_path)
     assert "does not exist" in refusal(tmp_path / "none.xml")
     override = f"cell.source_arm={{model: null, file: {tmp_path / 'arm.xml'}}}"
@@ -307,12 +307,12 @@ def test_what_is_no_file_is_refused_at_once(tmp_path: Path, monkeypatch) -> None
     (tmp_path / "arm.xml").unlink()
     pipe.rename(tmp_path / "arm.xml")
     stage_digests(scenario)  # does not wait for a writer
-    with pytest.raises(ScenarioError, match=r"arm\.xml is no regular file"):
+    with pytest.raises(ScenarioError, match=r"arm\.xml is not a regular file"):
         load_scenario(DEMO, [override])
     large = tmp_path / "large.xml"
     large.write_bytes(b" ")
     os.truncate(large, LARGEST_BYTES + 1)
-    assert "at most" in refusal(large)
+    assert "the limit is" in refusal(large)
 
 
 def test_links_do_not_lead_out_of_the_folder(chain: Path, tmp_path_factory) -> None:

@@ -386,13 +386,13 @@ def test_output_that_cannot_be_written_is_named_before_any_work(
         for command in (["run", DEMO, *TINY, "--link", "local"], ["specimen", DEMO]):
             stderr = bad(capfd, *command, "--out", str(place))
             assert f"--out {place}: " in stderr and "folder" in stderr
-    assert "no folder" in bad(capfd, "render", DEMO, "--out", str(file / "room.png"))
+    assert "not a folder" in bad(capfd, "render", DEMO, "--out", str(file / "room.png"))
     assert "room.png" in bad(capfd, "render", DEMO, "--out", str(tmp_path / "room.xyz"))
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_text("meow")
     for more in ([], ["--resume"]):
         stderr = bad(capfd, "run", DEMO, *TINY, "--out", str(tmp_path / "photos"), *more)
-        assert "something else than a run (cat.jpg)" in stderr
+        assert "files that are not part of a run (cat.jpg)" in stderr
     assert file.read_text() == "mine"
 
 

@@ -166,7 +166,7 @@ def test_output_that_does_not_fit_or_may_not_be_written_is_named(
     assert "cannot be written" in stderr
     monkeypatch.setattr(store_module.shutil, "disk_usage", lambda _: type("U", (), {"free": 10})())
     stderr = bad(capfd, "export", run_folder, "--to", "cil")
-    assert "the export needs up to 0.06 GiB, only 0.00 GiB are free" in stderr
+    assert "the export needs up to 0.06 GiB, but only 0.00 GiB are free" in stderr
     assert not (run_folder / "export-cil").exists()
 
 

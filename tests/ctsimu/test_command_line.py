@@ -29,7 +29,7 @@ def test_render_writes_images_and_metadata(data, write, tmp_path, capsys):
         (["render", "none.json", "--out", "x", "--spot-points", "99999"], ["99999", "10000"]),
         (["render", "none.json", "--out", "x", "--seed", "-1"], ["--seed -1", "at least 0"]),
         (["render", "none.json", "--out", "file"], ["--out file", "this is a file"]),
-        (["render", "none.json", "--out", "file/x"], ["--out file/x", "file is no folder"]),
+        (["render", "none.json", "--out", "file/x"], ["--out file/x", "file is not a folder"]),
         (["qualify", "--out", "file"], ["--out file", "this is a file"]),
         (["export", "nowhere", "--out", "x"], ["nowhere", "scan.zarr"]),
         (["qualify", "--out", "x", "--tests", "2D-XX-9"], ["2D-XX-9", "2D-FB-1"]),

@@ -365,7 +365,7 @@ CURVES = {
     [
         ("1 2\n0 3\n", "the first column must rise"),
         ("1 2\n2 nan\n", "the numbers must be finite"),
-        ("1 2\ntwo 3\n", "not 2 columns of numbers"),
+        ("1 2\ntwo 3\n", "expected 2 columns of numbers"),
         ("", "holds no numbers"),
     ],
 )

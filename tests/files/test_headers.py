@@ -39,11 +39,11 @@ def test_arrays_have_the_bytes_that_they_tell_of(tmp_path: Path) -> None:
     assert read_npy(tmp_path / "right.npy", "x").shape == (5, 2)
     for shape in ((10**12,), (-1, 5), (2**62, 2**62), ()):
         npy(tmp_path / "lie.npy", shape or (10,), "<f8" if shape else "|O")
-        with pytest.raises(InputError, match="^x (cannot be read|holds no array)"):
+        with pytest.raises(InputError, match="^x (cannot be read|holds Python objects)"):
             read_npy(tmp_path / "lie.npy", "x")
         with zipfile.ZipFile(tmp_path / "lie.npz", "w") as archive:
             archive.write(tmp_path / "lie.npy", "a.npy")
-        with pytest.raises(InputError, match="^x (cannot be read|holds no array)"):
+        with pytest.raises(InputError, match="^x (cannot be read|holds Python objects)"):
             read_npz(tmp_path / "lie.npz", "x", 2**20)
 
 
@@ -52,7 +52,7 @@ def test_what_unpacks_to_more_is_not_unpacked(tmp_path: Path) -> None:
         with archive.open("a.npy", "w") as stream:
             for _ in range(64):
                 stream.write(b"\0" * 2**20)
-    with pytest.raises(InputError, match=f"x holds {2**26} bytes; at most {2**20} are read"):
+    with pytest.raises(InputError, match=f"x holds {2**26} bytes; the limit is {2**20}"):
         read_npz(tmp_path / "bomb.npz", "x", 2**20)
 
 
@@ -65,14 +65,14 @@ def test_a_volume_has_the_voxels_that_it_tells_of(tmp_path: Path, packed: bool) 
     data[42:48] = struct.pack("<3h", 30000, 30000, 30000)
     path = tmp_path / ("v.nii.gz" if packed else "v.nii")
     path.write_bytes(gzip.compress(data) if packed else data)
-    with pytest.raises(InputError, match="x is cut off: its header tells of 54000000000000 bytes"):
+    with pytest.raises(InputError, match="x is cut off: its header states 54000000000000 bytes"):
         read_nifti(path, "x")
 
 
 def test_meshes_have_the_elements_that_they_tell_of(tmp_path: Path) -> None:
     head = "ply\nformat binary_little_endian 1.0\nelement vertex 99999999999\n"
     (tmp_path / "a.ply").write_text(f"{head}property float x\nend_header\n")
-    with pytest.raises(SpecimenError, match="tells of 99999999999 elements"):
+    with pytest.raises(SpecimenError, match="states 99999999999 elements"):
         read_triangles(tmp_path / "a.ply", "x")
     (tmp_path / "a.stl").write_bytes(b"\0" * 80 + struct.pack("<I", 2**32 - 1) + b"\0" * 50)
     with pytest.raises(SpecimenError, match="^x "):

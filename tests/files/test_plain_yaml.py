@@ -40,16 +40,16 @@ def test_words_mean_what_yaml_1_2_says(text: str, value: Any) -> None:
 
 REFUSED = [
     *(("a: 1\nb: *x\n", ":2: b: *x: aliases"), ("a: &x 1\n", ":1: a: &x: anchors")),
-    *(("a: 1\na: 2\n", ":2: the key 'a' stands twice"), ("a:\n  <<: b\n", ":2: a: merge keys")),
+    *(("a: 1\na: 2\n", ":2: the key 'a' appears twice"), ("a:\n  <<: b\n", ":2: a: merge keys")),
     *(('a: !!null "x"\n', ":1: a: tag:yaml.org,2002:null: tags"), ("a: !x y\n", ":1: a: !x: tags")),
-    *(("[1]: 2\n", ":1: a key must be a text"), ("a: 010\n", ":1: a: 010 begins with a zero")),
+    *(("[1]: 2\n", ":1: a key must be text"), ("a: 010\n", ":1: a: 010 begins with a zero")),
     *(("a: 1\n---\nb: 2\n", ":2: not valid YAML: a second document"), ("a: [\n", ":1: not valid")),
     *(('a: "\\0"\n', r":1: a: the character '\x00'"), ("a: 1\nb: \x07\n", r":2: the character")),
-    *(("a: " + "9" * 5000, ":1: a: a number of 5000 digits"), ('a: "\\ud800"\n', ":1:")),
+    *(("a: " + "9" * 5000, ":1: a: the number has 5000 digits"), ('a: "\\ud800"\n', ":1:")),
     ("a:\n  b:\n" + "".join(f"{' ' * k}x:\n" for k in range(4, 4 + DEEPEST)), "nested too deep"),
     ("[" * 100_000, "nested too deep"),
     (f"a: [{'1,' * 4 * MOST_VALUES}]", f"at most {MOST_VALUES} keys and values"),
-    ("#" * (LARGEST_BYTES + 1), f"at most {LARGEST_BYTES} are read"),
+    ("#" * (LARGEST_BYTES + 1), f"the limit is {LARGEST_BYTES}"),
     # Each level ten times the one before (billion laughs).
     ("a: &a [x]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a,*a,*a]\n", ":1: a: &a: anchors"),
 ]

@@ -116,6 +116,6 @@ def test_two_runs_at_once_leave_one_good_scan(tiny_keys: list[str], tmp_path: Pa
     codes = [process.returncode for process in both]
     assert sorted(codes) == [0, 2], said
     refused = said[codes.index(2)]
-    assert "works in this folder" in refused or "already holds" in refused
+    assert "is using this folder" in refused or "already holds" in refused
     assert "Traceback" not in refused and "bug" not in refused
     assert json.loads((out / "metrics.json").read_text())["reached"] == 10

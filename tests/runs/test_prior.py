@@ -125,7 +125,7 @@ def test_a_prior_counts_by_its_content(file, tmp_path):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda path: path.write_text("no volume"), "not a readable NIfTI volume"),
+        (lambda path: path.write_text("no volume"), "the NIfTI volume cannot be read"),
         (lambda path: Volume(50_000 * TISSUE - 1000, GRID).write(path), "Hounsfield units"),
         (
             lambda path: Volume(

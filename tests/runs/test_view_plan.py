@@ -274,14 +274,14 @@ def test_it_goes_on_where_it_was_stopped(file: Path, tmp_path: Path, monkeypatch
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("task.dose={part: eye}", r"task\.dose\.part: there is no part 'eye'; there are 'block'"),
-        ("task.metal={parts: [pin, nail]}", r"task\.metal\.parts\.1: there is no part 'nail'"),
+        ("task.dose={part: eye}", r"task\.dose\.part: unknown part 'eye'; the parts are 'block'"),
+        ("task.metal={parts: [pin, nail]}", r"task\.metal\.parts\.1: unknown part 'nail'"),
         ("task.candidates=5", r"task\.views \(6\) must be at most task\.candidates \(5\)"),
-        ("task.completeness=null", "completeness, detectability or known must count"),
-        ("task.trying={}", r"task\.trying: whole paths are tried, .* it needs task\.family"),
-        ("task.metal={parts: []}", r"task\.metal: parts of the specimen, or seen in a volume"),
+        ("task.completeness=null", "completeness, detectability or known is required"),
+        ("task.trying={}", r"task\.trying: this goal needs task\.family, .* tries whole paths"),
+        ("task.metal={parts: []}", r"task\.metal: give either parts .* or seen"),
         (FAMILY[2].replace("80", "0"), r"parameters\.0: low \(0\) must be below high \(0\)"),
-        (FAMILY[2].replace("tilt_axis_deg", "tilt_deg"), r"'tilt_deg' is sought twice"),
+        (FAMILY[2].replace("tilt_axis_deg", "tilt_deg"), r"'tilt_deg' is listed twice"),
     ],
 )
 def test_what_does_not_go_together_is_told_by_its_key(file: Path, override, said) -> None:

@@ -229,7 +229,7 @@ def test_a_full_disk_loses_nothing(tmp_path, scenario, commanded, monkeypatch) -
 def test_too_little_space_is_said_before_the_start(tmp_path, scenario, monkeypatch) -> None:
     check_space(tmp_path / "not" / "there" / "yet", scenario, VIEWS)
     monkeypatch.setattr(store_module.shutil, "disk_usage", lambda _: type("U", (), {"free": 10})())
-    with pytest.raises(StorageError, match=r"need up to 0\.\d+ GiB, only 0\.00 GiB"):
+    with pytest.raises(StorageError, match=r"need up to 0\.\d+ GiB, but only 0\.00 GiB"):
         check_space(tmp_path, scenario, VIEWS)
 
 

@@ -52,16 +52,16 @@ def test_what_is_asked_for_is_read(file: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "replaced", "by", "said"),
     [
-        (11, "part: rod", "part: rot", "regions.2.shape.part: there is no part 'rot'; there are"),
-        (12, "region: inner", "region: inne", "contrasts.0.region: there is no region 'inne'"),
-        (12, "against: outer", "against: ball", "contrasts.0.against: there is no region 'ball'"),
+        (11, "part: rod", "part: rot", "regions.2.shape.part: unknown part 'rot'; choose from"),
+        (12, "region: inner", "region: inne", "contrasts.0.region: unknown region 'inne'"),
+        (12, "against: outer", "against: ball", "contrasts.0.against: unknown region 'ball'"),
         (13, "at: rod", "at: water", "mtf.1.at: 'water' is neither a sphere nor a cylinder"),
-        (13, "at: ball}}", "at: bowl}}", "mtf.0.at: there is no part or region 'bowl'; there are"),
-        (14, "region: outer", "region: out", "nps.0.region: there is no region 'out'; there are"),
-        (17, "mtf: ball", "mtf: inner", "tasks.0.mtf: there is no 'at' of evaluation.mtf 'inner'"),
-        (18, "part: rod", "part: screw", "streaks.0.part: there is no part 'screw'; there are"),
-        (9, "name: inner", "name: ball", "regions.0.name: a part is called 'ball', too"),
-        (10, "name: outer", "name: inner", "regions: 'inner' comes twice"),
+        (13, "at: ball}}", "at: bowl}}", "mtf.0.at: unknown part or region 'bowl'; choose from"),
+        (14, "region: outer", "region: out", "nps.0.region: unknown region 'out'; choose from"),
+        (17, "mtf: ball", "mtf: inner", "tasks.0.mtf: unknown entry of evaluation.mtf 'inner'"),
+        (18, "part: rod", "part: screw", "streaks.0.part: unknown part 'screw'; choose from"),
+        (9, "name: inner", "name: ball", "regions.0.name: a part is also called 'ball'"),
+        (10, "name: outer", "name: inner", "regions: 'inner' appears more than once"),
         (18, "to_mm: 10", "to_mm: 1", "to_mm (1) must be above from_mm (2)"),
         (10, "name: outer", "name: a.b", "regions.1.name"),
     ],
@@ -79,9 +79,9 @@ def test_what_is_wrong_is_told_where_it_is(
     (problem,) = [p for p in caught.value.problems if said in p]
     assert problem.startswith(f"{file}:") and "evaluation." in problem
     # A section that is wrong as a whole became so with the last of its keys.
-    assert f":{line}: " in problem or "comes twice" in problem
+    assert f":{line}: " in problem or "more than once" in problem
 
 
 def test_an_override_is_named(file: Path) -> None:
-    with pytest.raises(ScenarioError, match=r"--set.*nps.0.region: there is no region 'x'"):
+    with pytest.raises(ScenarioError, match=r"--set.*nps.0.region: unknown region 'x'"):
         load_scenario(file, ["evaluation.nps=[{region: x}]"])

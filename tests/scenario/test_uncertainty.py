@@ -41,7 +41,7 @@ def test_a_preset_is_its_keys() -> None:
         (
             "circle_gantry.yaml",
             ["uncertainty.arms.tool_mm=0.1"],
-            "uncertainty.arms: a gantry has no arms; uncertainty.views is of any machine",
+            "uncertainty.arms: a gantry has no arms; uncertainty.views applies to any machine",
         ),
         ("circle_gantry.yaml", ["uncertainty.preset=industrial"], "a gantry has no arms"),
         ("demo.yaml", ["uncertainty.preset=robot"], "must be 'industrial'"),

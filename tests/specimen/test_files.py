@@ -306,7 +306,7 @@ def test_open_mesh_is_refused_with_its_open_edges(tmp_path):
         ("none.stl", None, ["does not exist"]),
         ("empty.stl", b"solid a\nendsolid a\n", []),
         ("text.ply", b"hello", ["cannot be read"]),
-        ("mesh.foo", b"hello", ["is no mesh", "STL"]),
+        ("mesh.foo", b"hello", ["is not a mesh file", "STL"]),
     ],
 )
 def test_mesh_file_without_a_mesh_is_named(tmp_path, name, content, words):
@@ -321,7 +321,7 @@ def test_mesh_file_without_a_mesh_is_named(tmp_path, name, content, words):
 def test_what_is_no_mesh_is_told_without_its_readers_troubles(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # as where nobody asks for it
     (tmp_path / "noise.stl").write_bytes(bytes(range(128, 256)) * 9)
-    for path, said in ((tmp_path, "is a folder"), (tmp_path / "noise.stl", "is no mesh")):
+    for path, said in ((tmp_path, "is a folder"), (tmp_path / "noise.stl", "is not a mesh file")):
         part = {"shape": {"kind": "mesh", "path": path}}
         with pytest.raises(SpecimenError, match=said) as caught:
             build_specimen(Specimen.model_validate({"parts": [part]}))

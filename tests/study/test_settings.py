@@ -93,7 +93,7 @@ def search(key: str) -> str:
         ("repetitions: {number: 0}", "2: repetitions.number: must be greater than or equal to 1"),
         ("figures: []", "2: figures: must have at least 1 entry, but has 0"),
         ("max_trials: 0", "2: max_trials: must be greater than or equal to 1, but is 0"),
-        ("axes: []\naxes: []", "3: the key 'axes' stands twice"),
+        ("axes: []\naxes: []", "3: the key 'axes' appears twice"),
     ],
 )
 def test_a_problem_is_one_message_with_its_line(written, text: str, said: str) -> None:
@@ -108,9 +108,9 @@ def test_a_problem_is_one_message_with_its_line(written, text: str, said: str) -
     ("text", "said"),
     [
         ("", "the study is empty"),
-        ("3", "a study is a mapping"),
+        ("3", "a study must be a mapping"),
         ("a: [", ":1: not valid YAML"),
-        ("axes: []", ":1: scenario: this key is needed and missing"),
+        ("axes: []", ":1: scenario: this required key is missing"),
         ("name: x\nscenario: none.yaml", ":2: scenario: no file at .*none.yaml"),
         ("name: x\nscenario: 3", ":2: scenario: must be text, but is 3"),
     ],

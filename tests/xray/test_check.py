@@ -67,16 +67,16 @@ NO_FORMULA = {"material": {"formula": "Qq", "density_g_cm3": 9}, "thickness_mm":
 @pytest.mark.parametrize(
     ("content", "section", "reason"),
     [
-        ("20 1 3\n", SPECTRUM, "source.spectrum.path: FILE:1: columns: 3, not 2"),
-        ("20\n", SPECTRUM, "source.spectrum.path: FILE:1: columns: 1, not 2"),
+        ("20 1 3\n", SPECTRUM, "source.spectrum.path: FILE:1: expected 2 columns, found 3"),
+        ("20\n", SPECTRUM, "source.spectrum.path: FILE:1: expected 2 columns, found 1"),
         ("# nothing\n", SPECTRUM, "source.spectrum.path: FILE: the file holds no numbers"),
-        ("20 1\nhello 2\n", SPECTRUM, "source.spectrum.path: FILE:2: not 2 columns of numbers"),
+        ("20 1\nhello 2\n", SPECTRUM, "source.spectrum.path: FILE:2: expected 2 columns of num"),
         ("20 1\n30 nan\n", SPECTRUM, "source.spectrum.path: FILE:2: '30 nan': .* finite"),
         ("20 -7\n", SPECTRUM, "source.spectrum.path: FILE: a bin has -7 photons"),
         ("20 0\n", SPECTRUM, "source.spectrum.path: FILE: .* all bins are empty"),
         ("20 1\n20 2\n", SPECTRUM, "source.spectrum.path: FILE: the energies .* must rise"),
         ("20 1\n2000 2\n", SPECTRUM, "source.spectrum.path: FILE: photons of 20 to 2000 keV"),
-        (None, SPECTRUM | {"path": "."}, "source.spectrum.path: .*: it is a folder"),
+        (None, SPECTRUM | {"path": "."}, "source.spectrum.path: .*, but the file is a folder"),
         (None, TUBE | {"filters": [UNKNOWN]}, f"{FILTERS}.0.material: unknown material 'unobt"),
         (None, TUBE | {"filters": [HALF]}, f"{FILTERS}.0.material: .* add up to 0.5"),
         (None, TUBE | {"filters": [NO_FORMULA]}, f"{FILTERS}.0.material: formula 'Qq'"),
@@ -95,8 +95,8 @@ def test_a_spectrum_that_cannot_be_used_is_named(tmp_path, content, section, rea
         ([[1, np.nan]], "not NaN"),
         ([[1, -2.0]], "not have negative intensity, but has -2"),
         ([[0, 0]], "is 0 everywhere"),
-        ([["a", "b"]], "it holds no array of numbers"),
-        (np.array([[{}]]), "it holds no array of numbers"),
+        ([["a", "b"]], "it does not hold an array of numbers"),
+        (np.array([[{}]]), "it holds Python objects"),
     ],
 )
 def test_a_spot_image_that_cannot_be_used_is_named(tmp_path, content, reason):
@@ -109,7 +109,7 @@ def test_a_spot_image_that_cannot_be_used_is_named(tmp_path, content, reason):
 def test_what_is_no_image_at_all_is_said_in_our_words(tmp_path, name):
     for content in (b"", b"neither of them"):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match=f"{name}: cannot be read .* it holds no") as caught:
+        with pytest.raises(InputError, match=f"{name}: cannot be read .* does not hold") as caught:
             check(tmp_path, None, {"focal_spot": SPOT | {"path": name}})
         assert "pickle" not in str(caught.value)
 

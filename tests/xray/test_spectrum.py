@@ -67,7 +67,7 @@ def test_files_are_read_and_what_is_wrong_with_them_is_said(tmp_path):
     for text, reason in [
         ("20 1\n10 2\n", "must rise"),
         ("20 -1\n30 2\n", "not be negative"),
-        ("20 x\n", "1: not 2 columns"),
+        ("20 x\n", "1: expected 2 columns"),
         ("0 1\n20 1\n", "must be positive"),
     ]:
         file.write_text(text)

@@ -57,7 +57,7 @@ def read_arm_xml(path: Path, where: str) -> ArmXml:
         path = path.resolve()
         root, files = _parsed(path, where), [path]
         if any("xacro" in element.tag for element in root.iter()):
-            raise ScenarioError(f"{where} holds macros: write them out first (xacro IN > OUT.urdf)")
+            raise ScenarioError(f"{where} contains macros: expand them first (xacro IN > OUT.urdf)")
         if root.tag not in ("mujoco", "robot"):
             raise ScenarioError(
                 f"{where} is neither MJCF, which begins with <mujoco>, nor URDF, which begins with "
@@ -79,19 +79,19 @@ class _Plain(ElementTree.TreeBuilder):
     """XML without a document type, since its entities may grow or name other files."""
 
     def doctype(self, *_: object) -> None:
-        raise ValueError("it has a DOCTYPE, which an arm needs not: take it out")
+        raise ValueError("it has a DOCTYPE, which an arm does not need: remove it")
 
 
 def _parsed(path: Path, where: str) -> Any:
     if not path.is_file():
-        there = "is a folder" if path.is_dir() else "is no regular file"
+        there = "is a folder" if path.is_dir() else "is not a regular file"
         raise ScenarioError(f"{where} {there if path.exists() else 'does not exist'}")
     if (size := path.stat().st_size) > LARGEST_BYTES:
-        raise ScenarioError(f"{where} has {size} bytes; at most {LARGEST_BYTES} are read")
+        raise ScenarioError(f"{where} has {size} bytes; the limit is {LARGEST_BYTES}")
     try:
         return ElementTree.fromstring(path.read_bytes(), ElementTree.XMLParser(target=_Plain()))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise ScenarioError(f"{where} is not XML that can be read: {error}") from None
+        raise ScenarioError(f"{where} is not readable XML: {error}") from None
 
 
 def _inside(main: Path, name: str, where: str) -> Path:
@@ -102,7 +102,7 @@ def _inside(main: Path, name: str, where: str) -> Path:
             f"{where} names {name!r}, outside its folder {main.parent}: copy the file into it"
         )
     if not file.is_file():
-        raise ScenarioError(f"{where} names {name!r}, and there is no file {file}")
+        raise ScenarioError(f"{where} names {name!r}, but there is no file {file}")
     return file
 
 
@@ -177,7 +177,7 @@ def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
         name: str = mesh.get("filename", "")
         if Path(name).suffix.lower() not in MESHES:
             raise ScenarioError(
-                f"{where} names the mesh {name!r} for collision; {', '.join(MESHES)} can be read"
+                f"{where} names the collision mesh {name!r}; only {', '.join(MESHES)} can be read"
             )
         if name.startswith(_PACKAGE):
             with_package = name.removeprefix(_PACKAGE)
@@ -185,8 +185,9 @@ def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
             found = [t for t in tries if (main.parent / t).is_file()]
             if not found:
                 raise ScenarioError(
-                    f"{where} names {name!r}; packages are looked for in its folder alone, and "
-                    f"{main.parent} holds neither {tries[0]} nor {tries[1]}: copy the meshes there"
+                    f"{where} names {name!r}, but packages are searched only in its own folder, "
+                    f"and {main.parent} holds neither {tries[0]} nor {tries[1]}: copy the "
+                    "meshes there"
                 )
             name = found[0]
         files.append(_inside(main, str(Path(folder) / name), where))
@@ -204,7 +205,7 @@ def _speeds(root: Any, where: str) -> Iterator[tuple[str, float]]:
             speed = math.nan
         if not 0 <= speed < math.inf:
             raise ScenarioError(
-                f"{where}: joint {joint.get('name')}: velocity {text!r} is no speed in rad/s"
+                f"{where}: joint {joint.get('name')}: velocity {text!r} is not a speed in rad/s"
             )
         if speed > 0:  # exporters write 0 for an unknown limit
             yield joint.get("name", ""), speed

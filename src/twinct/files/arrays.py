@@ -42,7 +42,7 @@ def read_npz(
     with library_errors(where, kind), zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if (whole := sum(member.file_size for member in members)) > most:
-            raise kind(f"{where} holds {whole} bytes; at most {most} are read")
+            raise kind(f"{where} holds {whole} bytes; the limit is {most}")
         require_memory(where, 2 * whole, kind)
         arrays: dict[str, NDArray[Any]] = {}
         for member in members:
@@ -58,12 +58,14 @@ def _read(stream: IO[bytes], size: int, where: str, kind: type[InputError]) -> N
         # Version 3.0 differs only in the names of fields.
         shape, _, dtype = _HEADERS[min(version, (2, 0))](stream)
     except ValueError:
-        raise kind(f"{where} holds no array of numbers as numpy.save writes it") from None
+        raise kind(f"{where} does not hold an array of numbers as written by numpy.save") from None
     if dtype.hasobject:
-        raise kind(f"{where} holds no array of numbers, but Python objects, which are never read")
+        raise kind(
+            f"{where} holds Python objects, which are never read, instead of an array of numbers"
+        )
     told = math.prod(shape) * dtype.itemsize
     if min((0, *shape)) < 0 or told > size:
-        raise ValueError(f"its header tells of {told} bytes, there are {size}")
+        raise ValueError(f"its header states {told} bytes, but there are {size}")
     require_memory(where, 2 * told, kind)
     stream.seek(0)
     return np.lib.format.read_array(stream, allow_pickle=False)

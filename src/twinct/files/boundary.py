@@ -30,7 +30,9 @@ def absolute(folder: Path, name: str) -> Path:
     try:
         return (folder / Path(name).expanduser()).resolve()
     except (OSError, RuntimeError, ValueError) as error:  # no such user, circular links, NUL
-        raise ValueError(f"{shortened(repr(name))} is no name of a file: {reason(error)}") from None
+        raise ValueError(
+            f"{shortened(repr(name))} is not a valid file name: {reason(error)}"
+        ) from None
 
 
 def no_file(path: Path, *, folder: bool = False) -> str:
@@ -43,7 +45,7 @@ def no_file(path: Path, *, folder: bool = False) -> str:
         return f"cannot be read: {shortened(reason(error))}"
     if stat.S_ISREG(mode) or (folder and stat.S_ISDIR(mode)):
         return ""
-    return "is a folder; a file is needed" if stat.S_ISDIR(mode) else "is no regular file"
+    return "is a folder; a file is needed" if stat.S_ISDIR(mode) else "is not a regular file"
 
 
 def file_bytes(
@@ -64,7 +66,7 @@ def file_bytes(
         raise kind(f"{where} {why}")
     size = path.stat().st_size
     if most is not None and size > most:
-        raise kind(f"{where} has {size} bytes; at most {most} are read")
+        raise kind(f"{where} has {size} bytes; the limit is {most}")
     return size
 
 
@@ -81,14 +83,14 @@ def read_bytes(path: Path, where: str, most: int, kind: type[InputError] = Input
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(descriptor, "rb") as stream:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # replaced meanwhile
-                raise kind(f"{where} is no regular file")
+                raise kind(f"{where} is not a regular file")
             step = max(size + 1, 2**16)  # read(n) allocates n bytes before it reads any
             while len(data) <= most and (part := stream.read(min(step, most + 1 - len(data)))):
                 data += part
     except OSError as error:
         raise kind(f"{where} cannot be read: {reason(error)}") from None
     if len(data) > most:  # such as files of /proc, whose size is reported as 0
-        raise kind(f"{where} has more than the {most} bytes that are read")
+        raise kind(f"{where} has more than the limit of {most} bytes")
     return bytes(data)
 
 
@@ -117,7 +119,7 @@ def library_errors(where: str, kind: type[InputError] = InputError) -> Generator
     except (TwinctError, KeyboardInterrupt, SystemExit):
         raise
     except MemoryError:
-        raise kind(f"{where} cannot be read: it does not fit into the memory") from None
+        raise kind(f"{where} cannot be read: it does not fit into memory") from None
     except Exception as error:
         told = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         why = f"{type(error).__name__}: {told}" if told else type(error).__name__
@@ -133,8 +135,8 @@ def require_memory(where: str, needed: float, kind: type[InputError] = InputErro
     available, limit = available_bytes()
     if needed > available:
         raise kind(
-            f"{where} needs {needed / 2**30:.3g} GiB of memory; {available / 2**30:.3g} GiB are "
-            f"there ({limit})"
+            f"{where} needs {needed / 2**30:.3g} GiB of memory; only {available / 2**30:.3g} "
+            f"GiB are available ({limit})"
         )
 
 

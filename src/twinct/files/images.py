@@ -49,7 +49,7 @@ def read_image(
     else:
         path, image = file, _picture(file, what)
     if shape is not None and image.shape != shape:
-        raise InputError(f"{path}: an image of {image.shape} pixels for {what}, expected {shape}")
+        raise InputError(f"{path}: the image of {what} has {image.shape} pixels, expected {shape}")
     return image
 
 
@@ -58,8 +58,8 @@ def _raw(file: RawImage, shape: tuple[int, int]) -> NDArray[np.float64]:
     expected = file.header + math.prod(shape) * np.dtype(file.kind).itemsize
     if (size := file_bytes(file.path, where)) != expected:
         raise InputError(
-            f"{file.path}: cannot be read as an image: {size} bytes, and {expected} are needed for "
-            f"{shape} pixels"
+            f"{file.path}: cannot be read as an image: it has {size} bytes, but {shape} pixels "
+            f"need {expected}"
         )
     require_memory(where, 3 * 8 * math.prod(shape))
     data = read_bytes(file.path, where, expected)[file.header :]
@@ -83,8 +83,10 @@ def _picture(path: Path, what: str) -> NDArray[np.float64]:
     except InputError:
         raise
     except Exception as error:  # readers raise any exception, with texts about themselves
-        kind = "array of numbers as numpy.save writes it" if path.suffix == ".npy" else "picture"
-        cause = getattr(error, "strerror", None) or f"it holds no {kind}"
+        kind = (
+            "an array of numbers as written by numpy.save" if path.suffix == ".npy" else "a picture"
+        )
+        cause = getattr(error, "strerror", None) or f"it does not hold {kind}"
         raise InputError(f"{path}: cannot be read as the image of {what}: {cause}") from None
 
 

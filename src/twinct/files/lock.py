@@ -44,7 +44,7 @@ def _locked(path: Path) -> int:
             owner = _owner(descriptor)
             os.close(descriptor)
             raise FolderInUseError(
-                f"{path.parent}: {owner} works in this folder: wait for it, or choose another --out"
+                f"{path.parent}: {owner} is using this folder: wait for it, or choose another --out"
             ) from None
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), path.stat()):

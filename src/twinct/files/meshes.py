@@ -15,7 +15,7 @@ from twinct.files.boundary import no_file, read_bytes, require_memory, shortened
 if TYPE_CHECKING:
     import trimesh
 
-_KNOWN = "STL, PLY, OBJ and OFF files are known"
+_KNOWN = "STL, PLY, OBJ or OFF"
 _KINDS = ("stl", "ply", "obj", "off")
 
 LARGEST_BYTES = 2**30
@@ -37,7 +37,7 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
         raise SpecimenError(f"{where} {why}")
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _KINDS:
-        raise SpecimenError(f"{where} is no mesh: {_KNOWN}")
+        raise SpecimenError(f"{where} is not a mesh file; expected {_KNOWN}")
     data = read_bytes(path, where, LARGEST_BYTES, SpecimenError)
     require_memory(where, MEMORY_FACTOR * len(data), SpecimenError)
     if kind == "ply":
@@ -46,16 +46,16 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
         # From memory, so that other files that it names, such as textures, are not opened.
         mesh: Any = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh")
     except ImportError:  # trimesh asks for an encoding detector if text is in no encoding it knows
-        raise SpecimenError(f"{where} is no mesh: {_KNOWN}") from None
+        raise SpecimenError(f"{where} is not a mesh file; expected {_KNOWN}") from None
     except Exception as error:  # trimesh's readers raise any exception
         why = shortened(f"{type(error).__name__}: {error}")
-        raise SpecimenError(f"{where} cannot be read ({why}); {_KNOWN}") from None
+        raise SpecimenError(f"{where} cannot be read ({why}); expected {_KNOWN}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise SpecimenError(f"{where} holds no triangles")
     if not np.isfinite(mesh.vertices).all():
         raise SpecimenError(f"{where} holds vertices that are not finite")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise SpecimenError(f"{where} holds triangles of corners that it has not")
+        raise SpecimenError(f"{where} holds triangles whose corners do not exist")
     return mesh
 
 
@@ -65,7 +65,7 @@ def _check_ply(data: bytes, where: str) -> None:
     for number in re.findall(rb"^element\s+\S+\s+(\S+)", header, re.MULTILINE):
         if not number.isdigit() or len(number) > 18 or int(number) > len(data):
             told = shortened(number.decode(errors="replace"), 30)
-            raise SpecimenError(f"{where} is cut off: its header tells of {told} elements")
+            raise SpecimenError(f"{where} is cut off: its header states {told} elements")
 
 
 def read_mesh(path: Path, where: str) -> trimesh.Trimesh:

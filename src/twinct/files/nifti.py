@@ -35,8 +35,8 @@ def read_nifti(
         there = size * DENSEST if path.suffix.lower() == ".gz" else size
         if voxels * item > there:
             raise kind(
-                f"{where} is cut off: its header tells of {voxels * item} bytes of voxels, the "
-                f"file has {size}"
+                f"{where} is cut off: its header states {voxels * item} bytes of voxels, but "
+                f"the file has {size}"
             )
         require_memory(where, (item + 16) * voxels, kind)  # scaled in double precision
         return np.asarray(image.dataobj, dtype=np.float32), image

@@ -41,7 +41,9 @@ def show(
     path = Path(to)
     known = canvas.get_supported_filetypes()
     if path.suffix[1:].lower() not in known:
-        raise InputError(f"{path}: a picture ends in one of .{', .'.join(sorted(known))}")
+        raise InputError(
+            f"{path}: the name of a picture must end in one of .{', .'.join(sorted(known))}"
+        )
     with storage_errors(path), complete(path) as draft:
         figure.savefig(draft)
 
@@ -53,8 +55,8 @@ def _on_screen(draw: Callable[[Any], None], size_inch: tuple[float, float]) -> N
     # matplotlib chooses a backend that draws to memory if there is no display.
     if pyplot.get_backend().lower() in {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}:
         raise InputError(
-            f"there is no window to show a picture in (matplotlib's backend is {mpl.get_backend()})"
-            ": name a file, such as show('picture.png')"
+            f"no window can show a picture here (matplotlib's backend is {mpl.get_backend()}): "
+            "name a file, such as show('picture.png')"
         )
     draw(pyplot.figure(figsize=size_inch, layout="constrained"))
     pyplot.show()

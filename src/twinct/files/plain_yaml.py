@@ -109,7 +109,7 @@ class _Reader:
         """Return the content of the whole text; the value is None if it is empty."""
         for match in _UNFIT.finditer(self._text):
             line = self._text.count("\n", 0, match.start()) + 1
-            self._refuse(line, (), f"the character {match[0]!r} belongs in no {self._what}")
+            self._refuse(line, (), f"the character {match[0]!r} is not allowed in a {self._what}")
         self._events = self._parsed()
         next(self._events)  # the stream's start
         value, event = None, next(self._events)
@@ -140,12 +140,16 @@ class _Reader:
             deep = f"nested too deep: a {self._what} has at most {DEEPEST} levels"
             self._refuse(line, key[:3], deep)
         if isinstance(event, yaml.AliasEvent):
-            self._refuse(line, key, f"*{event.anchor}: aliases are not read; write it out")
+            self._refuse(
+                line, key, f"*{event.anchor}: aliases are not supported; write out the value"
+            )
         event = cast(Any, event)
         if event.anchor is not None:
-            self._refuse(line, key, f"&{event.anchor}: anchors are not read; write it out")
+            self._refuse(
+                line, key, f"&{event.anchor}: anchors are not supported; write out the value"
+            )
         if event.tag is not None:
-            self._refuse(line, key, f"{event.tag}: tags are not read; leave it out")
+            self._refuse(line, key, f"{event.tag}: tags are not supported; remove it")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(key)
         if isinstance(event, yaml.SequenceStartEvent):
@@ -161,18 +165,18 @@ class _Reader:
         while not isinstance(event := next(self._events), yaml.MappingEndEvent):
             line = _line(event)
             if not isinstance(event, yaml.ScalarEvent) or event.anchor or event.tag:
-                self._refuse(line, key, "a key must be a text without tag and anchor")
+                self._refuse(line, key, "a key must be text without a tag or an anchor")
             name = self._fit(str(event.value), line, key)
             if name == "<<" and not event.style:
-                self._refuse(line, key, "merge keys (<<) are not read; write it out")
+                self._refuse(line, key, "merge keys (<<) are not supported; write out the keys")
             if name in data:
-                self._refuse(line, key, f"the key {name!r} stands twice")
+                self._refuse(line, key, f"the key {name!r} appears twice")
             data[name] = self._value(next(self._events), (*key, name))
         return data
 
     def _fit(self, text: str, line: int, key: Key) -> str:
         if found := _UNFIT.search(text):
-            self._refuse(line, key, f"the character {found[0]!r} belongs in no {self._what}")
+            self._refuse(line, key, f"the character {found[0]!r} is not allowed in a {self._what}")
         return text
 
     def _meant(self, text: str, line: int, key: Key) -> Any:
@@ -182,11 +186,13 @@ class _Reader:
         if text[0] not in "-+.0123456789":
             return text
         if len(text) > MOST_DIGITS and (_FLOAT.fullmatch(text) or _IN_BASE.fullmatch(text)):
-            self._refuse(line, key, f"a number of {len(text)} digits; {MOST_DIGITS} are read")
+            self._refuse(
+                line, key, f"the number has {len(text)} digits; the limit is {MOST_DIGITS}"
+            )
         if _WHOLE.fullmatch(text):
             digits = text.lstrip("+-")
             if len(digits) > 1 and digits[0] == "0":
-                advice = "write it without, or in quotes if it is no number"
+                advice = "remove it, or quote the value if it is not a number"
                 self._refuse(line, key, f"{text} begins with a zero: {advice}")
             return int(text)
         if _IN_BASE.fullmatch(text):

@@ -23,8 +23,8 @@ def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.
     Raises:
         InputError: the file cannot be read; names the file.
     """
-    wanted = f"not {columns} columns of numbers"
-    text = read_text(path, f"{path}: {wanted}: it", LARGEST_BYTES)
+    wanted = f"expected {columns} columns of numbers"
+    text = read_text(path, f"{path}: {wanted}, but the file", LARGEST_BYTES)
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
@@ -35,7 +35,7 @@ def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.
         except ValueError as error:
             raise InputError(f"{path}:{number}: {wanted}: {shortened(str(error), 120)}") from None
         if len(row) != columns:
-            raise InputError(f"{path}:{number}: columns: {len(row)}, not {columns}")
+            raise InputError(f"{path}:{number}: expected {columns} columns, found {len(row)}")
         if not np.isfinite(row).all():
             raise InputError(
                 f"{path}:{number}: {shortened(line, 70)!r}: the numbers must be finite"

@@ -46,7 +46,7 @@ def write_json(path: Path, data: object) -> None:
 
 
 @contextlib.contextmanager
-def storage_errors(path: Path, left: str = "what was written before is kept") -> Iterator[None]:
+def storage_errors(path: Path, left: str = "earlier output is kept") -> Iterator[None]:
     """Turn a full disk or a missing permission into one clear message.
 
     ``left`` states the condition of the output after the disk filled up.
@@ -76,7 +76,8 @@ def require_space(folder: Path, size: int, what: str) -> None:
     free = shutil.disk_usage(existing).free
     if free < needed:
         raise StorageError(
-            f"{folder}: {what} up to {needed / 2**30:.2f} GiB, only {free / 2**30:.2f} GiB are free"
+            f"{folder}: {what} up to {needed / 2**30:.2f} GiB, but only {free / 2**30:.2f} GiB "
+            "are free"
         )
 
 
@@ -99,8 +100,8 @@ def check_folder(path: Path, own: Collection[str] | None = None) -> None:
     if others:
         listed = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
         raise InputError(
-            f"--out {path}: the folder holds something else than a run ({listed}): "
-            "choose an empty folder, or a new one"
+            f"--out {path}: the folder contains files that are not part of a run ({listed}): "
+            "choose an empty or a new folder"
         )
 
 
@@ -126,15 +127,15 @@ def check_film(path: Path, option: str = "--out") -> None:
 
 def _check_file(path: Path, kind: str, what: str, suffix: str, option: str = "--out") -> None:
     if path.is_dir():
-        raise InputError(f"{option} {path}: this is a folder; the name of {kind} is needed")
+        raise InputError(f"{option} {path}: this is a folder; give the name of {kind}")
     if path.suffix.lower() != suffix:
-        raise InputError(f"{option} {path}: {what} is {kind}: name it {path.stem}{suffix}")
+        raise InputError(f"{option} {path}: {what} must be {kind}: name it {path.stem}{suffix}")
     _check_parents(path, option)
 
 
 def _check_parents(path: Path, option: str = "--out") -> None:
     nearest = next(p for p in (path, *path.absolute().parents) if os.path.lexists(p))
     if nearest != path and not nearest.is_dir():
-        raise StorageError(f"{option} {path}: cannot be written: {nearest} is no folder")
+        raise StorageError(f"{option} {path}: cannot be written: {nearest} is not a folder")
     if not os.access(nearest, os.W_OK | (os.X_OK if nearest.is_dir() else 0)):
         raise StorageError(f"{option} {path}: cannot be written: no permission to write {nearest}")

@@ -36,7 +36,10 @@ class VolumeGrid:
         shape = tuple(int(n) for n in shape)
         edges = frozen(np.broadcast_to(np.asarray(voxel, dtype=np.float64), (3,)), (3,), "voxel")
         if len(shape) != 3 or min(shape) < 1 or (edges <= 0).any():
-            raise ValueError(f"a grid of {shape} voxels of {edges} mm holds nothing")
+            raise ValueError(
+                "a grid needs at least one voxel along each of 3 axes and positive edges, but "
+                f"has {shape} voxels of {edges} mm"
+            )
         object.__setattr__(self, "shape", shape)
         object.__setattr__(self, "voxel", edges)
         object.__setattr__(self, "world_from_grid", world_from_grid or Pose.identity())

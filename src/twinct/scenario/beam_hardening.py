@@ -16,7 +16,7 @@ class OneMaterialHardening(Section):
     kind: Literal["one_material"]
     material: str | Composition | None = setting(
         None,
-        "What is linearised; null: the specimen's part with the largest volume.",
+        "Material that is linearised; null: that of the specimen's part with the largest volume.",
         source="attenuation: xraylib",
     )
 
@@ -31,7 +31,9 @@ class TwoMaterialHardening(Section):
         source="Joseph and Spital, J. Comput. Assist. Tomogr. 2 (1978) 100",
     )
     dense: str | Composition = setting(
-        "bone", "Material that is segmented; it attenuates more than base.", source="the same"
+        "bone",
+        "Dense material, which is segmented; it must attenuate more than base.",
+        source="Joseph and Spital, J. Comput. Assist. Tomogr. 2 (1978) 100",
     )
     first_iterations: int = setting(3, "SART iterations of the volume that is segmented.", ge=1)
 

@@ -34,28 +34,28 @@ class Arm(Section):
 
     model: str | None = Field(
         default="ur10e",
-        description="ur10e, lbr_iiwa14, or menagerie:NAME.",
-        json_schema_extra=facts(source="makers' data sheets: docs/arms.md")
+        description="Model of the arm: ur10e, lbr_iiwa14, or menagerie:NAME.",
+        json_schema_extra=facts(source="manufacturers' data sheets: docs/arms.md")
         | {"pattern": r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$"},
     )
     file: Path | None = Field(
         default=None,
-        description="Instead of model: MJCF or URDF of an arm of your own, see docs/arms.md. What "
-        "it includes and its meshes lie in its folder or below.",
+        description="Instead of model: MJCF or URDF file of your own arm, see docs/arms.md. Its "
+        "includes and meshes must lie in its folder or below.",
     )
     base: str | None = Field(
         default=None,
-        description="With file: the body or link whose frame is the arm's base; the first one "
-        "where left out.",
+        description="With file: the body or link whose frame is the arm's base; null: the first "
+        "one.",
     )
     flange: str | None = Field(
         default=None,
-        description="With file: the site, body or link at the tool flange, z away from the arm; "
-        "where left out, one of the usual names.",
+        description="With file: the site, body or link at the tool flange, z pointing away from "
+        "the arm; null: one of the usual names.",
     )
     home: tuple[Finite, ...] | None = Field(
         default=None,
-        description="Joint positions from base to flange, where the search for a way starts.",
+        description="Joint positions from base to flange, at which the search for a path starts.",
         json_schema_extra=facts(unit="deg"),
     )
     base_position_mm: Vector = Field(description="Origin of the arm's base in the world.")
@@ -63,10 +63,10 @@ class Arm(Section):
         (0.0, 0.0, 0.0), "Extrinsic rotations of the base about x, y, z."
     )
     standoff_mm: Length = setting(
-        100.0, "From flange to focal spot, or to panel centre, along the flange axis."
+        100.0, "Distance from flange to focal spot, or to panel centre, along the flange axis."
     )
     tool_rotation_deg: Finite = setting(
-        0.0, "Turn of the tool about the flange axis when it was mounted."
+        0.0, "Rotation about the flange axis at which the tool is mounted."
     )
     tool_mass_kg: Positive = Field(description="Mass of the tool.")
     torque_scale: float = setting(
@@ -74,19 +74,19 @@ class Arm(Section):
         "Share of the published torque limits that may be used.",
         gt=0,
         le=1,
-        source="limits: the maker's",
+        source="limits: manufacturer",
     )
     speed_scale: float = setting(
         0.5,
         "Share of the published joint speeds that a move may use.",
         gt=0,
         le=1,
-        source="limits: the maker's",
+        source="limits: manufacturer",
     )
     joint_speed_deg_s: Positive = setting(
         90.0,
-        "Limit of every joint's speed where the model states none: those of Menagerie "
-        "do not, nor does MJCF. With file, what is to be 90 has to be written too.",
+        "Speed limit of every joint if the model states none, as in Menagerie and MJCF. With "
+        "file, write it even if it is 90.",
     )
 
     @field_validator("model")
@@ -100,8 +100,8 @@ class Arm(Section):
         near = difflib.get_close_matches(model, ARMS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near and not colon else ""
         raise ValueError(
-            f"{model!r} is no arm{hint} (known: {', '.join(ARMS)}, and menagerie:NAME for one of "
-            "MuJoCo Menagerie)"
+            f"unknown arm {model!r}{hint} (known: {', '.join(ARMS)}, and menagerie:NAME for an "
+            "arm of MuJoCo Menagerie)"
         )
 
     @model_validator(mode="after")
@@ -109,12 +109,14 @@ class Arm(Section):
         if self.file is not None and "model" not in self.model_fields_set:
             object.__setattr__(self, "model", None)  # the file replaces the default model
         if (self.model is None) == (self.file is None):
-            both = "exclude each other: with file, model is left out or null"
+            both = "exclude each other: with file, leave out model or set it to null"
             what = f"model and file {both if self.file else 'are both null: give one'}"
             raise ConflictError(Conflict(what, ("model", "file")))
         lone = [name for name in ("base", "flange") if getattr(self, name) and not self.file]
         if lone:
-            raise ConflictError(Conflict(f"{' and '.join(lone)}: only with file", tuple(lone)))
+            raise ConflictError(
+                Conflict(f"{' and '.join(lone)}: only allowed with file", tuple(lone))
+            )
         return self
 
     @property
@@ -148,7 +150,7 @@ class Table(Section):
     """The table and the post that carries the specimen."""
 
     present: bool = setting(True, "Whether there is a table.")
-    size_mm: Lengths = setting((500.0, 900.0, 50.0), "Top plate along x, y, z.")
+    size_mm: Lengths = setting((500.0, 900.0, 50.0), "Size of the top plate along x, y, z.")
     top_z_mm: Coordinate = setting(-450.0, "Height of the upper face of the plate.")
     holder_radius_mm: Length = setting(30.0, "Radius of the specimen holder's post.")
 
@@ -158,17 +160,17 @@ class Capsule(Section):
 
     kind: Literal["capsule"]
     radius_mm: Length = Field(description="Radius.")
-    length_mm: Length = Field(description="Between the centres of the round ends.")
+    length_mm: Length = Field(description="Distance between the centres of the round ends.")
 
 
 class Zone(Section):
     """Part of the room that the arms must not enter, such as a patient's shoulders or staff."""
 
-    name: str = Field(min_length=1, description="What messages call it.")
+    name: str = Field(min_length=1, description="Name of the zone in messages.")
     shape: Annotated[Box | Sphere | Cylinder | Capsule, Field(discriminator="kind")] = Field(
-        description="Its shape."
+        description="Shape of the zone."
     )
-    position_mm: Vector = setting((0.0, 0.0, 0.0), "Its middle in the world.")
+    position_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the zone in the world.")
     rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
 
     @property
@@ -190,7 +192,7 @@ class Cell(Section):
     floor_z_mm: Coordinate = setting(-1200.0, "Height of the floor.")
     timestep_ms: float = setting(2.0, "Step of the dynamic simulation.", gt=0, le=10)
     zones: tuple[Zone, ...] = setting(
-        (), "Forbidden zones: the arms keep clear of them; no image shows them."
+        (), "Forbidden zones, which the arms avoid; images do not show them."
     )
 
     @model_validator(mode="after")
@@ -211,9 +213,9 @@ class GantryCell(Section):
     kind: Literal["gantry"]
     view_s: float = setting(
         1.0,
-        "Simulated time from view to view. With motion_samples above 1 an exposure has its middle "
-        "at the view, and source and panel turn at this pace as they came from the view before, "
-        "along circle or helix; they stand still at the first.",
+        "Simulated time from view to view. With motion_samples above 1, each exposure is "
+        "centred on its view, and source and panel move at this pace as they came from the "
+        "previous view, along circle or helix; at the first view they stand still.",
         ge=1e-6,
         allow_inf_nan=False,
     )

@@ -11,7 +11,9 @@ class Composition(Section):
     """Material defined by its elements, or a known material at another density."""
 
     of: str | None = setting(
-        None, "A material by its name, such as brain: its elements, at the density given here."
+        None,
+        "Name of a known material, such as brain, whose elements are used at the density given "
+        "here.",
     )
     formula: str | None = setting(
         None,
@@ -20,7 +22,7 @@ class Composition(Section):
     )
     mass_fractions: dict[str, Positive] | None = setting(
         None,
-        "Element symbol to share of mass; the shares add up to 1.",
+        "Mass fraction of each element, by its symbol; the fractions add up to 1.",
         source="attenuation of the elements: xraylib",
     )
     density_g_cm3: Positive = Field(description="Density.")
@@ -28,5 +30,5 @@ class Composition(Section):
     @model_validator(mode="after")
     def _one_description(self) -> Composition:
         if [self.of, self.formula, self.mass_fractions].count(None) != 2:
-            raise ValueError("give either formula, mass_fractions or of")
+            raise ValueError("give exactly one of formula, mass_fractions and of")
         return self

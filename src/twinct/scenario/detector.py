@@ -40,10 +40,12 @@ class ScintillatorResponse(Section):
 
     kind: Literal["scintillator"]
     material: Literal["CsI", "Gd2O2S"] | Composition = setting(
-        "CsI", "Scintillator. CsI has 4.51, Gd2O2S 7.32 g/cm^3.", source="attenuation: xraylib"
+        "CsI",
+        "Scintillator. CsI has a density of 4.51 g/cm^3, Gd2O2S of 7.32 g/cm^3.",
+        source="attenuation: xraylib",
     )
     thickness_mm: Length = Field(
-        description="Its thickness: the share 1 - exp(-mu t) of the photons is absorbed.",
+        description="Thickness t; it absorbs the share 1 - exp(-mu t) of the photons.",
         json_schema_extra=facts(source="Beer-Lambert"),
     )
 
@@ -53,8 +55,8 @@ class FileResponse(Section):
 
     kind: Literal["file"]
     path: Path = Field(
-        description="Two columns: energy in keV (rising), share of photons absorbed (0 to 1). At "
-        "most 0.1 % of the source's photons may lie outside its energies."
+        description="Two columns: energy in keV (rising), share of photons absorbed (0 to 1). "
+        "At most 0.1 % of the source's photons may lie outside this energy range."
     )
 
 
@@ -69,7 +71,8 @@ class GaussianSpread(Section):
 
     kind: Literal["gaussian"]
     sigma_mm: Length = Field(
-        description="Standard deviation: the basic spatial resolution of ISO 19232-5 over 1.41.",
+        description="Standard deviation: the basic spatial resolution of ISO 19232-5 divided by "
+        "1.41.",
         json_schema_extra=facts(source="ISO 19232-5"),
     )
 
@@ -79,9 +82,10 @@ class FileSpread(Section):
 
     kind: Literal["mtf"]
     path: Path = Field(
-        description="Two columns: spatial frequency in 1/mm (rising from 0), modulation (1 at 0; 0 "
-        "to 1.05). Linear between, 0 beyond the last row, which is at the Nyquist frequency of the "
-        "physical pixels or above, or has a modulation of at most 0.1."
+        description="Two columns: spatial frequency in 1/mm (rising from 0), modulation (1 at "
+        "0; 0 to 1.05). It is interpolated linearly, and is 0 beyond the last row, which must "
+        "lie at or above the Nyquist frequency of the physical pixels, or have a modulation of "
+        "at most 0.1."
     )
 
 
@@ -99,7 +103,8 @@ class SnrNoise(Section):
 
     kind: Literal["snr"]
     snr: Positive = Field(
-        description="In the free beam, at the middle of the first view's panel.",
+        description="Signal-to-noise ratio of the free beam, at the centre of the first view's "
+        "panel.",
         json_schema_extra=facts(source="as in CTSimU files"),
     )
 
@@ -112,19 +117,21 @@ class Readout(Section):
 
     free_beam: Positive = setting(
         50000.0,
-        "Grey value of the free beam, above the offset, at the middle of the first "
-        "view's panel, with the largest mAs of all views: it sets the gain.",
+        "Grey value of the free beam above the offset, at the centre of the first view's panel, "
+        "for the largest mAs of all views. It sets the gain.",
         unit="grey values",
     )
     offset: NonNegative = setting(500.0, "Grey value without beam.", unit="grey values")
     electronic_noise: NonNegative = setting(
         0.0, "Standard deviation of the noise without beam.", unit="grey values"
     )
-    bits: int | None = setting(16, "Bit depth; null keeps fractions.", ge=1, le=32, unit="bit")
+    bits: int | None = setting(
+        16, "Bit depth; null: values keep their fractions.", ge=1, le=32, unit="bit"
+    )
     saturation: Positive | None = setting(
         None,
-        "Grey value of saturation; the converter's largest where null. The free beam "
-        "stays below it: offset + free_beam.",
+        "Grey value of saturation; null: the largest value of the converter. The free beam, "
+        "offset + free_beam, must not exceed it.",
         unit="grey values",
     )
 
@@ -139,11 +146,11 @@ class Readout(Section):
         beam = self.offset + self.free_beam
         if beam <= self.largest:
             return self
-        end = f"the largest value of {self.bits} bits ({self.largest:g})"
+        end = f"the largest {self.bits}-bit value ({self.largest:g})"
         if self.largest == self.saturation:
             end = f"saturation ({self.largest:g})"
         if self.offset >= self.largest:
-            message = f"offset ({self.offset:g}) must be below {end}: no signal could be read"
+            message = f"offset ({self.offset:g}) must be below {end}, or no signal can be read"
         else:
             message = (
                 f"the free beam saturates: offset ({self.offset:g}) + free_beam "
@@ -156,14 +163,16 @@ class RandomBadPixels(Section):
     """Dead pixels at random positions, drawn from the scenario's seed."""
 
     kind: Literal["random"]
-    share: float = Field(gt=0, lt=0.5, description="Of all pixels.")
+    share: float = Field(gt=0, lt=0.5, description="Share of all pixels that are dead.")
 
 
 class FileBadPixels(Section):
     """Dead pixels from a map."""
 
     kind: Literal["file"]
-    path: Path = Field(description=".npy or image of the panel's shape; a bad pixel is not zero.")
+    path: Path = Field(
+        description=".npy file or image of the panel's shape; bad pixels are nonzero."
+    )
 
 
 BadPixels = Annotated[RandomBadPixels | FileBadPixels, Field(discriminator="kind")]
@@ -172,14 +181,18 @@ BadPixels = Annotated[RandomBadPixels | FileBadPixels, Field(discriminator="kind
 class Correction(Section):
     """Flat and dark images, acquired without specimen before the scan."""
 
-    flat_frames: int = setting(0, "Flat frames averaged; 0 for a flat image without noise.", ge=0)
-    dark_frames: int = setting(0, "Dark frames averaged; 0 for a dark image without noise.", ge=0)
+    flat_frames: int = setting(
+        0, "Number of flat frames to average; 0: a flat image without noise.", ge=0
+    )
+    dark_frames: int = setting(
+        0, "Number of dark frames to average; 0: a dark image without noise.", ge=0
+    )
     flat_geometry: Literal["commanded", "first", "view"] = setting(
         "commanded",
-        "All but view take one flat image, at the first commanded view. commanded: "
-        "scaled by distance and tilt to where each view was commanded to be, so that what the arms "
-        "miss by stays in the image; first: as it is; view: as if one had been taken where each "
-        "view was executed, which no machine can do.",
+        "commanded and first use one flat image, taken at the first commanded view. commanded: "
+        "scaled by distance and tilt to each commanded view, so that the errors of the arms "
+        "stay in the image; first: unchanged; view: a flat image at each executed view, which "
+        "no machine can take.",
     )
 
 
@@ -189,7 +202,8 @@ class Scatter(Section):
     kind: Literal["kernel"]
     scale: NonNegative = setting(
         1.0,
-        "Factor: above 1 for scatter of higher order, below 1 for a grid.",
+        "Factor of the scatter: above 1 for higher-order scatter, below 1 for an anti-scatter "
+        "grid.",
         source="kernel: Ohnesorge et al., Eur. Radiol. 9 (1999) 563, and Klein-Nishina",
     )
 
@@ -202,40 +216,44 @@ class Detector(Section):
     pixel_pitch_mm: Length | Pair = setting(
         0.5, "Pixel pitch; two numbers for (u, v).", source="the paper"
     )
-    response: Response = setting(IntegratingResponse(), "What the detector makes of a photon.")
+    response: Response = setting(
+        IntegratingResponse(), "Signal that the detector produces for each photon."
+    )
     pixel_samples: int = setting(
         1,
-        "Samples along each edge of a pixel; its value is their mean. The cost grows "
-        "with their square.",
+        "Samples along each edge of a pixel; the pixel value is their mean. The cost grows with "
+        "the square.",
         ge=1,
         le=16,
         source="1: the paper's gVXR",
     )
     binning: Annotated[int, Field(ge=1, le=8)] = setting(
         1,
-        "Physical pixels along each edge of an image pixel; noise and spread happen in "
-        "the physical ones.",
+        "Physical pixels along each edge of an image pixel; noise and spread act on the "
+        "physical pixels.",
     )
     point_spread: PointSpread | None = setting(
-        None, "Spread of the signal.", source="none: the paper"
+        None, "Point spread of the signal.", source="none: the paper"
     )
     noise: Noise | None = setting(None, "Noise of the signal.", source="none: the paper")
-    readout: Readout | None = setting(None, "Grey values.")
+    readout: Readout | None = setting(None, "Conversion to grey values.")
     bad_pixels: BadPixels | None = setting(
         None, "Dead pixels; correction fills them from their neighbours."
     )
     lag: float = setting(
         0.0,
-        "Share of a view's signal that appears in the next one. It doubles the cost.",
+        "Share of a view's signal that remains in the next view. It doubles the cost.",
         ge=0,
         lt=1,
     )
-    correction: Correction = setting(Correction(), "How the raw images become transmission.")
-    scatter: Scatter | None = setting(None, "Scattered radiation; none where null.")
+    correction: Correction = setting(
+        Correction(), "Correction that turns raw images into transmission."
+    )
+    scatter: Scatter | None = setting(None, "Scattered radiation; null: none.")
     keep: tuple[Literal["raw", "flat", "dark"], ...] = setting(
         (),
-        "Images that the scan store keeps of each view beside the transmission, in grey values; "
-        "not of an ideal source and detector, which have none. Each view is then rendered twice.",
+        "Images that the scan store keeps for each view beside the transmission, in grey "
+        "values. An ideal source and detector have none. Each view is then rendered twice.",
     )
 
     @property

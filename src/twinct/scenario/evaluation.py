@@ -29,8 +29,8 @@ class Shell(Section):
 
     kind: Literal["shell"]
     part: str = Field(description="Name of the part.")
-    from_mm: NonNegative = setting(0.0, "Distance from the part at which it begins.")
-    to_mm: Length = Field(description="Distance from the part at which it ends.")
+    from_mm: NonNegative = setting(0.0, "Distance from the part at which the shell begins.")
+    to_mm: Length = Field(description="Distance from the part at which the shell ends.")
 
     @model_validator(mode="after")
     def _outwards(self) -> Shell:
@@ -42,9 +42,9 @@ class Shell(Section):
 class Region(Section):
     """Named region of all voxels whose centres lie in it."""
 
-    name: Name = Field(description="What figures call it.")
+    name: Name = Field(description="Name of the region in figures.")
     shape: Annotated[Sphere | Cylinder | Box | Shell, Field(discriminator="kind")] = Field(
-        description="Its shape; a shell is placed by its part."
+        description="Shape of the region; a shell is placed around its part."
     )
     position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the specimen's frame.")
     rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
@@ -59,7 +59,7 @@ class RegionContrast(Section):
     """Contrast and contrast-to-noise ratio of one region against another."""
 
     region: str = Field(description="Name of the region.")
-    against: str = Field(description="Name of the region that is its background.")
+    against: str = Field(description="Name of the background region.")
 
     @property
     def label(self) -> str:
@@ -71,8 +71,8 @@ class Transfer(Section):
     """Local modulation transfer, measured at the edge of a sphere or at the side of a cylinder."""
 
     at: str = Field(
-        description="Name of a part or a region that is a sphere or a cylinder; a region must have "
-        "the surface of a body of the specimen."
+        description="Name of a part or region that is a sphere or a cylinder; the surface of a "
+        "region must be that of a body of the specimen."
     )
 
     @property
@@ -97,7 +97,9 @@ class SphereSignal(Section):
 
     kind: Literal["sphere"]
     radius_mm: Length = Field(description="Radius.")
-    contrast_rel: Finite = Field(description="Of mu(reference).", json_schema_extra={"x-unit": "1"})
+    contrast_rel: Finite = Field(
+        description="Contrast relative to mu(reference).", json_schema_extra={"x-unit": "1"}
+    )
 
 
 class GaussianSignal(Section):
@@ -106,20 +108,23 @@ class GaussianSignal(Section):
     kind: Literal["gaussian"]
     sigma_mm: Length = Field(description="Sigma.")
     contrast_rel: Finite = Field(
-        description="In its middle, of mu(reference).", json_schema_extra={"x-unit": "1"}
+        description="Contrast at the centre, relative to mu(reference).",
+        json_schema_extra={"x-unit": "1"},
     )
 
 
 class Task(Section):
     """Detection of a signal in the noise of a region, rated by the index of detectability."""
 
-    name: Name = Field(description="What its figure is called.")
+    name: Name = Field(description="Name of the figure.")
     signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
-        description="What is looked for."
+        description="Signal to detect."
     )
-    region: str = Field(description="Name of the homogeneous region whose noise it is seen in.")
+    region: str = Field(
+        description="Name of the homogeneous region in whose noise the signal lies."
+    )
     mtf: str | None = setting(
-        None, "What blurs it: an `at` of `evaluation.mtf`; nothing where null."
+        None, "Measured blur of the signal: an `at` of `evaluation.mtf`; null: no blur."
     )
 
     @property
@@ -153,12 +158,16 @@ class Evaluation(Section):
     They need no new volume: `twinct report DIR --set evaluation...` measures in an existing one.
     """
 
-    regions: tuple[Region, ...] = setting((), "Regions by name; each has a mean and an RMSE.")
+    regions: tuple[Region, ...] = setting((), "Named regions; each has a mean and an RMSE.")
     contrasts: tuple[RegionContrast, ...] = setting((), "Contrasts between regions.")
-    mtf: tuple[Transfer, ...] = setting((), "Where the modulation transfer is measured.")
-    nps: tuple[NoisePower, ...] = setting((), "Where the noise power spectrum is measured.")
-    tasks: tuple[Task, ...] = setting((), "What shall be detected.")
-    streaks: tuple[Streaks, ...] = setting((), "Around which parts streaks are looked for.")
+    mtf: tuple[Transfer, ...] = setting(
+        (), "Parts and regions at which the modulation transfer is measured."
+    )
+    nps: tuple[NoisePower, ...] = setting(
+        (), "Regions in which the noise power spectrum is measured."
+    )
+    tasks: tuple[Task, ...] = setting((), "Detection tasks.")
+    streaks: tuple[Streaks, ...] = setting((), "Parts around which streaks are measured.")
 
     def region(self, name: str) -> Region:
         """Return the region with a given name."""
@@ -177,11 +186,11 @@ class Evaluation(Section):
             ("mtf", "at"): ("part or region", bodies),
             ("nps", "region"): ("region", regions),
             ("tasks", "region"): ("region", regions),
-            ("tasks", "mtf"): ("'at' of evaluation.mtf", measured),
+            ("tasks", "mtf"): ("entry of evaluation.mtf", measured),
             ("streaks", "part"): ("part", parts),
         }
         found = [
-            _conflict(f"{of}.{i}.{key}", f"there is no {what} {name!r}; there {_are(having)}")
+            _conflict(f"{of}.{i}.{key}", f"unknown {what} {name!r}; {_are(having)}")
             for (of, key), (what, having) in known.items()
             for i, one in enumerate(getattr(self, of))
             if (name := _at(one, key)) is not None and name not in having
@@ -193,7 +202,7 @@ class Evaluation(Section):
                     _conflict(f"mtf.{i}.at", f"{one.at!r} is neither a sphere nor a cylinder")
                 )
         found += [
-            _conflict(f"regions.{i}.name", f"a part is called {region.name!r}, too")
+            _conflict(f"regions.{i}.name", f"a part is also called {region.name!r}")
             for i, region in enumerate(self.regions)
             if region.name in parts
         ]
@@ -202,7 +211,7 @@ class Evaluation(Section):
             **{of: [one.label for one in getattr(self, of)] for of in KINDS},
         }.items():
             twice = [label for label, times in Counter(labels).items() if times > 1]
-            found += [_conflict(name, f"{label!r} comes twice") for label in twice]
+            found += [_conflict(name, f"{label!r} appears more than once") for label in twice]
         return found
 
 
@@ -229,4 +238,8 @@ def _conflict(key: str, message: str) -> Conflict:
 
 def _are(having: Iterable[str]) -> str:
     names = [repr(name) for name in having]
-    return f"{'are' if len(names) > 1 else 'is'} {', '.join(names)}" if names else "is none"
+    return (
+        f"{'choose from' if len(names) > 1 else 'the only one is'} {', '.join(names)}"
+        if names
+        else "none is defined"
+    )

@@ -144,7 +144,7 @@ def scenario_schema() -> dict[str, Any]:
     schema["title"] = "twinct scenario"
     schema["properties"]["extends"] = {
         "type": "string",
-        "description": "Scenario file this one builds on, relative to it.",
+        "description": "Scenario file that this one extends, relative to this one.",
     }
     return json.loads(json.dumps(schema), object_hook=_with_keys_left_out)
 
@@ -162,7 +162,7 @@ def _validate(draft: Draft) -> Scenario:
     try:
         text = json.dumps(draft.data, default=str)
     except (TypeError, ValueError, RecursionError) as error:  # plain data that came from no file
-        raise ScenarioError(f"a scenario is plain data: {error}") from None
+        raise ScenarioError(f"a scenario must consist of plain data: {error}") from None
     try:
         # In JSON mode, strict validation still takes lists for tuples and text for paths.
         return Scenario.model_validate_json(text, strict=True)

@@ -90,7 +90,7 @@ _PLAIN = {
     "bool_type": "must be true or false",
     "tuple_type": "must be a list",
     "list_type": "must be a list",
-    "path_type": "must be the name of a file",
+    "path_type": "must be a file name",
     "dict_type": "must be a mapping of names to values",
     "model_type": "must be a section of keys and values",
     "model_attributes_type": "must be a section of keys and values",
@@ -122,14 +122,14 @@ def _sentence(
         near = difflib.get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         if "." in str(key[-1]):
-            hint = "; a file nests its keys, dots are for --set"
+            hint = "; nest keys in a file, dotted keys are for --set only"
         return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
     if kind == "missing":
-        return "this key is needed and missing"
+        return "this required key is missing"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         if "tag" not in detail["ctx"]:
             by = detail["ctx"]["discriminator"]
-            return f"this key needs a {'method' if 'method' in by else 'kind'!r}"
+            return f"this section needs the key {'method' if 'method' in by else 'kind'!r}"
         given, allowed = detail["ctx"]["tag"], detail["ctx"]["expected_tags"]
         if given in (broken := _BROKEN.get(key, {})):
             return broken[given]

@@ -15,18 +15,18 @@ class Nmar(Section):
     """Normalised metal artefact reduction, before the reconstruction."""
 
     method: Literal["nmar"] = Field(
-        description="Rays through metal are replaced by what a prior of air, tissue and bone lets "
-        "expect (Meyer et al., Med. Phys. 37 (2010) 5482).",
+        description="Rays through metal are replaced by values predicted from a prior of air, "
+        "tissue and bone (Meyer et al., Med. Phys. 37 (2010) 5482).",
     )
     tissue: str | Composition = setting(
         "soft_tissue", "Soft tissue of the prior.", source="attenuation: xraylib"
     )
-    bone: str | Composition = setting("bone", "Bone of the prior; it attenuates more.")
+    bone: str | Composition = setting("bone", "Bone of the prior; it attenuates more than tissue.")
     metal: str | Composition = setting("titanium", "The metal; it attenuates more than bone.")
     threshold_per_mm: Positive | None = setting(
         None,
-        "What attenuates as much in the first volume is metal; null: the geometric mean of bone "
-        "and metal.",
+        "Attenuation from which a voxel of the first volume counts as metal; null: the "
+        "geometric mean of bone and metal.",
     )
     first_iterations: int = setting(
         3, "SART iterations of the volume that is segmented.", ge=1, le=10_000
@@ -37,15 +37,15 @@ class Implant(Section):
     """Implant of known shape and material. The search for its pose starts at the believed pose."""
 
     part: str = setting(
-        "", "The specimen's part that it is, by name: what is not given here is taken from there."
+        "", "Name of the specimen's part; it supplies the keys that are not given here."
     )
-    shape: Shape | None = setting(None, "Its shape.")
+    shape: Shape | None = setting(None, "Shape of the implant.")
     material: str | Composition | None = setting(
         None, "A name, or a composition with its density.", source="attenuation: xraylib"
     )
-    position_mm: Vector | None = setting(None, "Where it is believed, in the specimen's frame.")
+    position_mm: Vector | None = setting(None, "Believed position in the specimen's frame.")
     rotation_deg: Vector | None = setting(
-        None, "How it is believed to be turned: extrinsic rotations about x, y, z."
+        None, "Believed rotation: extrinsic rotations about x, y, z."
     )
 
     @model_validator(mode="after")
@@ -65,26 +65,30 @@ class KnownImplants(Section):
     """Implants of known shape, located in the projections and removed from them."""
 
     method: Literal["known"] = Field(
-        description="Poses of known implants and the anatomy are worked out in turns (Stayman et "
+        description="Poses of known implants and the anatomy are estimated in turn (Stayman et "
         "al., IEEE Trans. Med. Imaging 31 (2012) 1837)."
     )
     implants: tuple[Implant, ...] = Field(min_length=1, description="The implants.")
     position_sigma_mm: NonNegative = setting(
-        2.0, "How far off their believed positions may be, along each axis: standard deviation."
+        2.0, "Standard deviation of the error of the believed positions, along each axis."
     )
     rotation_sigma_deg: NonNegative = setting(
-        5.0, "How far their believed rotations may be off, about each axis: standard deviation."
+        5.0, "Standard deviation of the error of the believed rotations, about each axis."
     )
     slack_mm: NonNegative = setting(
         0.1,
-        "How far an implant may seem displaced in one view because poses of source and panel are "
-        "not exact: standard deviation.",
+        "Standard deviation of an implant's apparent displacement in one view, caused by "
+        "inexact poses of source and panel.",
     )
-    rounds: int = setting(1, "Poses and anatomy in turns, as often.", ge=1, le=100)
+    rounds: int = setting(
+        1, "Number of rounds; each estimates poses and anatomy once.", ge=1, le=100
+    )
     tissue: str | Composition = setting(
         "soft_tissue", "Soft tissue of the first volume, as with nmar."
     )
-    bone: str | Composition = setting("bone", "Bone of the first volume; it attenuates more.")
+    bone: str | Composition = setting(
+        "bone", "Bone of the first volume; it attenuates more than tissue."
+    )
     first_iterations: int = setting(3, "SART iterations of each volume.", ge=1, le=10_000)
 
 

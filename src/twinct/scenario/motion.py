@@ -13,11 +13,11 @@ class InverseKinematics(Section):
 
     position_tolerance_mm: Length = setting(
         0.1,
-        "Distance from the target at which an end-effector counts as there.",
+        "Distance from the target within which an end-effector counts as on target.",
         source="the paper",
     )
     rotation_tolerance_deg: Positive = setting(
-        0.05, "Angle from the target at which an end-effector counts as there."
+        0.05, "Angle from the target within which an end-effector counts as on target."
     )
     max_iterations: int = setting(200, "Steps of the solver before it gives up.", ge=1)
 
@@ -28,8 +28,9 @@ class Motion(Section):
     ik: InverseKinematics = setting(InverseKinematics(), "The inverse kinematics.")
     trigger: Literal["on_entry", "settled"] = setting(
         "on_entry",
-        "on_entry: first step with both end-effectors within the tolerance, still "
-        "moving; settled: at rest.",
+        "Moment at which an image is triggered. on_entry: at the first step with both "
+        "end-effectors within the tolerance, while they still move; settled: when they are at "
+        "rest.",
         source="the paper",
     )
     tolerance_mm: Length = setting(
@@ -38,36 +39,35 @@ class Motion(Section):
     clearance_mm: NonNegative = setting(10.0, "Smallest gap between bodies that a plan may have.")
     scheme: Literal["planned", "reactive"] = setting(
         "planned",
-        "planned: the arms follow the plan, and triggers only take images; reactive: each target "
-        "is solved when it arrives, from the joints as they are (the paper's figure 2).",
+        "planned: the arms follow the plan, and triggers only take images; reactive: each "
+        "target is solved on arrival, from the current joint positions (the paper's figure 2).",
     )
     plan: Path | None = setting(
         None,
-        "File of a plan (twinct check --save) that the arms shall follow; it is checked against "
-        "cell, views and limits. None: the plan is made.",
+        "Plan file (twinct check --save) that the arms follow; it is checked against cell, "
+        "views and limits. null: a plan is made.",
     )
     order: Literal["given", "shortest"] = setting(
         "given",
-        "Order in which the views are taken; shortest: a tour on which the arms move little, from "
-        "view 0 on.",
+        "Order in which the views are taken; shortest: a tour with little arm motion, starting "
+        "at view 0.",
     )
     source_roll: Literal["auto", "free", "fixed"] = setting(
         "auto",
-        "Whether the source may be turned about its axis. auto: where the panel may and the focal "
-        "spot looks the same from all sides.",
+        "Whether the source may turn about its axis. auto: only if the panel may turn and the "
+        "focal spot is rotationally symmetric.",
     )
     detector_roll: Literal["auto", "free", "fixed"] = setting(
         "auto",
-        "Whether the panel may be turned about its normal. auto: where the trajectory gives no "
-        "axes of the panel (a file of S and D).",
+        "Whether the panel may turn about its normal. auto: only if the trajectory gives no "
+        "panel axes (a file of S and D).",
     )
     tool_speed_mm_s: Positive | None = setting(
         None,
-        "Speed of the faster tool that a plan keeps to where nothing else limits it; none: as fast "
-        "as the joints' limits let it.",
+        "Largest speed of the faster tool in a plan; null: only the joints' limits apply.",
     )
     settle_s: Positive = setting(
-        0.35, "Time at rest that a plan gives each view with trigger: settled."
+        0.35, "Time at rest that a plan allows for each view with trigger: settled."
     )
     acceleration_deg_s2: Positive = setting(300.0, "Largest joint acceleration.")
     jerk_deg_s3: Positive = setting(5000.0, "Largest joint jerk.")
@@ -76,6 +76,6 @@ class Motion(Section):
     )
     timeout_s: Positive = setting(
         10.0,
-        "Simulated time in which a move must arrive; with scheme: planned, how much later than "
-        "planned the last one may.",
+        "Simulated time within which a move must arrive; with scheme: planned, how much later "
+        "than planned the last move may arrive.",
     )

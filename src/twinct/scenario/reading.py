@@ -144,7 +144,7 @@ def read_yaml(path: Path, what: str) -> Draft:
     if read.value is None:
         raise ScenarioError(f"{path}: the {what} is empty")
     if not is_mapping(read.value):
-        raise ScenarioError(f"{path}: a {what} is a mapping of keys to values")
+        raise ScenarioError(f"{path}: a {what} must be a mapping of keys to values")
     places = {key: f"{path}:{line}" for key, line in read.lines.items()}
     return Draft(_absolute_paths(read.value, path.parent, places), places)
 
@@ -173,7 +173,9 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
     if seen in chain:
         raise ScenarioError(f"{path}: extends itself: " + " -> ".join(p.name for p in chain))
     if len(chain) >= LONGEST_CHAIN:
-        raise ScenarioError(f"{path}: the last of {LONGEST_CHAIN} files that extend one another")
+        raise ScenarioError(
+            f"{path}: too many files extend one another; at most {LONGEST_CHAIN} are allowed"
+        )
     return _extended(read_yaml(path, "scenario"), path.parent, (*chain, seen))
 
 
@@ -234,13 +236,13 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
     for depth, step in enumerate(steps):
         if is_list(here):
             if not step.isdigit() or int(step) >= len(here):
-                what = f"{'.'.join(steps[:depth])} is a list of {len(here)}"
-                raise ScenarioError(f"{at}: {what}: {step!r} is not one of its indices")
+                what = f"{'.'.join(steps[:depth])} is a list of length {len(here)}"
+                raise ScenarioError(f"{at}: {what}; {step!r} is not a valid index")
             index: Any = int(step)
         elif is_mapping(here):
             index = step
         else:
-            raise ScenarioError(f"{at}: {'.'.join(steps[:depth])} is a value, it has no keys")
+            raise ScenarioError(f"{at}: {'.'.join(steps[:depth])} is a value and has no keys")
         if depth == len(steps) - 1:
             if is_mapping(here) and step in KIND_KEYS:
                 if here.get(step, DEFAULT_KINDS.get(key[:-1], value)) != value:
@@ -280,7 +282,8 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
     for name in [name for name in section if name in others and name not in kept]:
         if not draft.set_over((*key, name)):
             gone = (
-                f"{draft.origin((*key, name))}: reconstruction.{name} is of {before} and left out"
+                f"{draft.origin((*key, name))}: reconstruction.{name} belongs to {before} and "
+                "is left out"
             )
             draft.left_out.append(f"{gone}: {algorithm} has no such key")
             del section[name]

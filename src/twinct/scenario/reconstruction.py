@@ -61,13 +61,13 @@ class Surroundings(Section):
     """Coarse reconstruction of more than the grid, used to remove the surroundings of the grid."""
 
     margin_mm: Length = Field(
-        description="By how much the coarse grid is larger on each side; the specimen should end "
-        "inside of it.",
+        description="Margin by which the coarse grid exceeds the grid on each side; the "
+        "specimen should lie inside the coarse grid.",
         json_schema_extra=facts(source="Ziegler, Nielsen and Grass, Med. Phys. 35 (2008)"),
     )
     voxel_mm: Length = Field(description="Coarse voxel edge, such as four times the grid's.")
-    iterations: int = setting(20, "Of a coarse SART.", ge=1, le=10_000)
-    relaxation: float = setting(1.0, "Of the coarse SART.", gt=0, lt=2)
+    iterations: int = setting(20, "Iterations of the coarse SART.", ge=1, le=10_000)
+    relaxation: float = setting(1.0, "Relaxation of the coarse SART.", gt=0, lt=2)
 
 
 class Zoom(Section):
@@ -75,14 +75,15 @@ class Zoom(Section):
 
     centre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the region in the world.")
     size_mm: Length | Lengths = Field(description="Edges of the region; three for (x, y, z).")
-    voxel_mm: Length = Field(description="Voxel edge; changed a little to fit the region.")
+    voxel_mm: Length = Field(description="Voxel edge; adjusted slightly to fit the region.")
     iterations: int = setting(
         5,
-        "Of a SART on the whole grid: what of it lies around the region is taken out.",
+        "Iterations of a SART on the whole grid, which yields the surroundings of the region to "
+        "remove.",
         ge=1,
         le=10_000,
     )
-    relaxation: float = setting(0.3, "Of that SART.", gt=0, lt=2)
+    relaxation: float = setting(0.3, "Relaxation of that SART.", gt=0, lt=2)
 
 
 class Around(NamedTuple):
@@ -98,35 +99,40 @@ class Reconstruction(Section):
     """Reconstruction from projections: keys that all algorithms share. Each adds its own keys."""
 
     algorithm: str = setting(
-        DEFAULT_ALGORITHM, "docs/reconstruction.md says which for what.", source="the paper"
+        DEFAULT_ALGORITHM,
+        "Name of the algorithm; docs/reconstruction.md says which one suits which purpose.",
+        source="the paper",
     )
-    surroundings: Surroundings | None = setting(None, "Take out what lies around the grid first.")
+    surroundings: Surroundings | None = setting(None, "Remove the surroundings of the grid first.")
     beam_hardening: BeamHardening | None = setting(
         None, "Correction of line integrals before reconstruction."
     )
-    metal: Metal | None = setting(None, "What is done about rays through metal.")
+    metal: Metal | None = setting(None, "Treatment of rays through metal.")
     geometry: GeometryName | tuple[GeometryName, ...] = setting(
         "believed",
-        "Geometry to reconstruct from: commanded, executed, believed, or the name of one derived "
-        "from the scan (twinct geometry); several are judged side by side, and the first one's "
-        "volume is kept.",
+        "Geometry to reconstruct from: commanded, executed, believed, or the name of a geometry "
+        "derived from the scan (twinct geometry). Several are evaluated side by side, and the "
+        "volume of the first one is kept.",
         source="the paper",
     )
-    grid: Grid = setting(Grid(), "The voxels.")
+    grid: Grid = setting(Grid(), "Voxel grid.")
     zoom: Zoom | None = setting(
-        None, "Reconstruct a part of the grid alone, in finer voxels; the rest of it is taken out."
+        None,
+        "Reconstruct only a part of the grid, in finer voxels; the rest of the grid is removed.",
     )
 
     @model_validator(mode="after")
     def _distinct_geometries(self) -> Reconstruction:
         if not self.geometries or len(set(self.geometries)) != len(self.geometries):
-            raise ValueError("geometry must name at least one geometry, each once")
+            raise ValueError("geometry must name at least one geometry, and none twice")
         return self
 
     @model_validator(mode="after")
     def _zoom_in_grid(self) -> Reconstruction:
         if self.zoom is not None and (beyond := -np.min(self._sides())) > 1e-6:
-            raise ValueError(f"zoom reaches {beyond:.1f} mm beyond the grid: a part of it needed")
+            raise ValueError(
+                f"zoom reaches {beyond:.1f} mm beyond the grid; it must lie inside the grid"
+            )
         return self
 
     @property
@@ -173,7 +179,7 @@ class Reconstruction(Section):
         if self.beam_hardening:
             words.append(f"beam hardening of {self.beam_hardening.kind.replace('_', ' ')}")
         if self.surroundings:
-            words.append(f"surroundings of {self.surroundings.margin_mm:g} mm taken out")
+            words.append(f"surroundings of {self.surroundings.margin_mm:g} mm removed")
         if self.zoom:
             voxel = self.volume_grid.voxel.min()
             words.append(f"zoom with voxels of {voxel:.3g} mm")
@@ -181,7 +187,7 @@ class Reconstruction(Section):
             words.append(
                 "metal replaced (nmar)"
                 if self.metal.method == "nmar"
-                else f"{len(self.metal.implants)} known implants taken out"
+                else f"{len(self.metal.implants)} known implants removed"
             )
         return ", ".join(filter(None, words))
 
@@ -212,13 +218,15 @@ def _with_settings(algorithm: Algorithm[Any]) -> type[Reconstruction]:
     settings = algorithm.settings
     common = set(settings.model_fields) & set(Reconstruction.model_fields) - {"algorithm"}
     if common:
-        raise ValueError(f"{', '.join(sorted(common))}: a key of every algorithm")
+        raise ValueError(
+            f"they redefine keys that every algorithm has: {', '.join(sorted(common))}"
+        )
     name: Any = settings.model_fields["algorithm"].annotation
     section: Any = create_model(
         f"{settings.__name__}Reconstruction",
         __base__=(Reconstruction, settings),
         __doc__=settings.__doc__,
-        algorithm=(name, setting(algorithm.name, "Which algorithm it is.")),
+        algorithm=(name, setting(algorithm.name, "Name of the algorithm.")),
     )
     return section
 

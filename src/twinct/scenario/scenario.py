@@ -39,23 +39,25 @@ else:
 class Scenario(Section):
     """Complete description of one simulation."""
 
-    name: str = setting("scan", "Names the scan in the report and in messages.", min_length=1)
-    description: str = setting("", "What the scan is for; the report shows it.")
-    seed: int = setting(0, "Every random draw is keyed by it.", ge=0, lt=2**63)
+    name: str = setting("scan", "Name of the scan in the report and in messages.", min_length=1)
+    description: str = setting("", "Purpose of the scan; the report shows it.")
+    seed: int = setting(0, "Seed of all random draws.", ge=0, lt=2**63)
     source: Source = setting(Source(), "The X-ray source.")
     detector: Detector = setting(Detector(), "The flat panel.")
-    trajectory: AnyTrajectory = Field(description="Where source and panel shall go.")
-    specimen: Specimen = Field(description="What is imaged.")
+    trajectory: AnyTrajectory = Field(description="Commanded path of source and panel.")
+    specimen: Specimen = Field(description="Specimen to be imaged.")
     cell: AnyCell = setting(Cell(), "The room, with two arms or a gantry.")
-    motion: Motion = setting(Motion(), "How the arms move; not used with a gantry.")
-    uncertainty: Uncertainty = setting(Uncertainty(), "What the reported poses are off by.")
+    motion: Motion = setting(Motion(), "Motion of the arms; not used with a gantry.")
+    uncertainty: Uncertainty = setting(
+        Uncertainty(), "Differences between commanded, executed and believed poses."
+    )
     reconstruction: AnyReconstruction = setting(
-        SECTIONS[DEFAULT_ALGORITHM].model_validate({}), "How the volume is made."
+        SECTIONS[DEFAULT_ALGORITHM].model_validate({}), "Reconstruction of the volume."
     )
     evaluation: Evaluation | None = setting(
-        None, "What is measured in the volume beside the figures that every run has."
+        None, "Measurements in the volume, in addition to the figures that every run has."
     )
-    task: ViewTask | None = setting(None, "What `twinct plan` chooses views for.")
+    task: ViewTask | None = setting(None, "Goals for which `twinct plan` chooses views.")
 
     def with_(self, changes: Mapping[str, Any] | None = None, /, **keys: Any) -> Scenario:
         """Return the scenario with other values of some keys.
@@ -127,7 +129,7 @@ class Scenario(Section):
         if not self.detector.keep or not (self.source.ideal and self.detector.ideal):
             return None
         return Conflict(
-            "detector.keep: an ideal source and detector have no raw, flat and dark images: set "
+            "detector.keep: an ideal source and detector have no raw, flat or dark images: set "
             "detector.readout",
             ("detector.keep", "detector.readout"),
         )
@@ -153,14 +155,16 @@ class Scenario(Section):
         keys = tuple(key for key, asked in found.items() if asked)
         if not isinstance(self.cell, GantryCell) or not keys:
             return None
-        what = f"{' and '.join(keys)}: a gantry has no arms; uncertainty.views is of any machine"
+        what = (
+            f"{' and '.join(keys)}: a gantry has no arms; uncertainty.views applies to any machine"
+        )
         return Conflict(what, (*keys, "uncertainty.preset", "cell.kind"))
 
     def _plan_to_follow(self) -> Conflict | None:
         if self.motion.plan is None or self.motion.scheme == "planned":
             return None
         return Conflict(
-            f"motion.plan ({self.motion.plan}) is followed with motion.scheme: planned only",
+            f"motion.plan ({self.motion.plan}) needs motion.scheme: planned",
             ("motion.plan", "motion.scheme"),
         )
 

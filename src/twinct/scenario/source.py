@@ -20,7 +20,7 @@ class Filter(Section):
     material: str | Composition = setting(
         "aluminium", "Material of the plate.", source="attenuation: xraylib"
     )
-    thickness_mm: Length = Field(description="Its thickness.")
+    thickness_mm: Length = Field(description="Thickness of the plate.")
 
 
 class TubeSpectrum(Section):
@@ -34,22 +34,22 @@ class TubeSpectrum(Section):
         json_schema_extra=facts(source="SpekPy (Poludniowski et al., Med. Phys. 48 (2021) 3630)"),
     )
     anode_angle_deg: float = setting(
-        12.0, "Between anode face and central ray.", gt=0, le=90, source="SpekPy's default"
+        12.0, "Angle between anode face and central ray.", gt=0, le=90, source="SpekPy's default"
     )
     target: Literal["W", "Mo", "Rh"] = setting("W", "Element of the anode.", source="SpekPy")
     filters: tuple[Filter, ...] = setting(
         (Filter(thickness_mm=2.5),),
         "Plates between anode and specimen.",
-        source="2.5 mm Al: the least total filtration of IEC 60601-1-3",
+        source="2.5 mm Al: the smallest total filtration of IEC 60601-1-3",
     )
-    bins: int = setting(60, "Energy bins at most.", ge=1, le=1000)
+    bins: int = setting(60, "Largest number of energy bins.", ge=1, le=1000)
 
     @model_validator(mode="after")
     def _range_of_the_target(self) -> TubeSpectrum:
         if self.target != "W" and self.kvp > MOST_KV:
             message = (
-                f"kvp ({self.kvp:g}) must be at most {MOST_KV:g} with target {self.target}: SpekPy "
-                "knows no more of it"
+                f"kvp ({self.kvp:g}) must be at most {MOST_KV:g} with target {self.target}: "
+                "SpekPy supports no higher voltage"
             )
             raise ConflictError(Conflict(message, ("kvp", "target")))
         return self
@@ -60,17 +60,19 @@ class FileSpectrum(Section):
 
     kind: Literal["file"]
     path: Path = Field(
-        description="Two columns: energy in keV (rising, 0.1 to 800), photons of that bin."
+        description="Two columns: energy in keV (rising, 0.1 to 800), photons in that bin."
     )
     filters: tuple[Filter, ...] = setting((), "Plates between this spectrum and the specimen.")
-    bins: int = setting(60, "Energy bins at most.", ge=1, le=1000)
+    bins: int = setting(60, "Largest number of energy bins.", ge=1, le=1000)
 
 
 Spectrum = Annotated[TubeSpectrum | FileSpectrum, Field(discriminator="kind")]
 
 
 class _Spot(Section):
-    samples: int = setting(24, "Points of the spot; an image costs as many renders.", ge=1, le=1000)
+    samples: int = setting(
+        24, "Points that sample the spot; an image is rendered once for each.", ge=1, le=1000
+    )
 
 
 class GaussianSpot(_Spot):
@@ -78,8 +80,8 @@ class GaussianSpot(_Spot):
 
     kind: Literal["gaussian"]
     sigma_mm: Length | Pair = Field(
-        description="Standard deviation; two numbers for (x, y). 4 sigma are at most a quarter of "
-        "the distance to the panel."
+        description="Standard deviation; two numbers for (x, y). 4 sigma must be at most a "
+        "quarter of the distance to the panel."
     )
 
 
@@ -88,7 +90,7 @@ class SquareSpot(_Spot):
 
     kind: Literal["square"]
     size_mm: Length | Pair = Field(
-        description="Edge; two numbers for (x, y). At most a quarter of the distance to the panel."
+        description="Edge; two numbers for (x, y); at most a quarter of the distance to the panel."
     )
 
 
@@ -96,10 +98,12 @@ class ImageSpot(_Spot):
     """Measured focal spot."""
 
     kind: Literal["image"]
-    path: Path = Field(description="Intensity as .npy, or an image; row 0 at the lowest y.")
+    path: Path = Field(
+        description="Intensity as a .npy file or an image; row 0 is at the lowest y."
+    )
     size_mm: Length | Pair = Field(
-        description="Edge of the image; two numbers for (x, y). At most a quarter of the distance "
-        "to the panel."
+        description="Edge of the image; two numbers for (x, y); at most a quarter of the "
+        "distance to the panel."
     )
 
 
@@ -118,34 +122,35 @@ class Source(Section):
     )
     spectrum: Spectrum | None = setting(
         None,
-        "A tube, or a file; monochromatic where there is none.",
-        source="one energy: the paper",
+        "Spectrum of a tube, or from a file; null: monochromatic.",
+        source="monochromatic: the paper",
     )
     photons_per_mm2_mas: Positive | None = setting(
         None,
-        "Photons of the free beam per mm^2 at 1 m and mAs, behind the filters. A tube "
-        "knows its own number; noise of any other source needs this one.",
+        "Photons of the free beam per mm^2 and mAs at 1 m, behind the filters. A tube "
+        "determines its own number; noise with any other source needs this key.",
         unit="1/(mm^2 mAs)",
-        source="a tube's: SpekPy",
+        source="for a tube: SpekPy",
     )
     current_ma: Positive = setting(1.0, "Tube current.")
     exposure_ms: float = setting(
         10.0,
-        "How long the shutter is open. With motion_samples above 1 the arms are "
-        "simulated for as long in every view.",
+        "Time for which the shutter is open. With motion_samples above 1, the arms are "
+        "simulated for this time in every view.",
         gt=0,
         le=60_000,
     )
     motion_samples: int = setting(
         1,
-        "Instants of the exposure, at equal distances, whose mean the image is: motion "
-        "blur. 1: all stands as when the image was triggered. An image costs as many renders.",
+        "Number of equally spaced instants of the exposure; the image is their mean, which "
+        "shows motion blur. 1: everything stands still as at the trigger. An image is rendered "
+        "once for each instant.",
         ge=1,
         le=1000,
         source="1, no blur: the paper",
     )
     focal_spot: Spot | None = setting(
-        None, "A point where there is none.", source="a point: the paper"
+        None, "Focal spot; null: a point.", source="a point: the paper"
     )
 
     @property

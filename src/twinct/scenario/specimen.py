@@ -31,7 +31,7 @@ class Skull(Section):
     kind: Literal["skull"]
     scale: Scale = setting(1.0, "1 is adult size.")
     mesh_resolution_mm: Length = setting(
-        1.0, "Cell of the lattice on which the surface mesh is extracted."
+        1.0, "Cell edge of the lattice on which the surface mesh is extracted."
     )
 
 
@@ -41,7 +41,7 @@ class Head(Section):
     kind: Literal["head"]
     scale: Scale = setting(1.0, "1 is adult size.")
     mesh_resolution_mm: Length = setting(
-        2.0, "Cell of the lattice on which the surface mesh is extracted."
+        2.0, "Cell edge of the lattice on which the surface mesh is extracted."
     )
 
 
@@ -51,7 +51,7 @@ class Brain(Section):
     kind: Literal["brain"]
     scale: Scale = setting(1.0, "1 is adult size.")
     mesh_resolution_mm: Length = setting(
-        2.0, "Cell of the lattice on which the surface mesh is extracted."
+        2.0, "Cell edge of the lattice on which the surface mesh is extracted."
     )
 
 
@@ -93,16 +93,23 @@ class BallHelix(Section):
     """Balls on a helix about the part's z axis, for calibration."""
 
     kind: Literal["ball_helix"]
-    balls: int = setting(64, "How many.", ge=8, le=1000)
-    ball_radius_mm: Length = setting(1.5, "Radius of each.")
-    radius_mm: Length = setting(70.0, "Of the helix.")
-    height_mm: Length = setting(140.0, "From the first ball's centre to the last one's.")
-    turns: Positive = setting(4.3, "Of the helix; a whole number would put balls on one another.")
+    balls: int = setting(64, "Number of balls.", ge=8, le=1000)
+    ball_radius_mm: Length = setting(1.5, "Radius of each ball.")
+    radius_mm: Length = setting(70.0, "Radius of the helix.")
+    height_mm: Length = setting(
+        140.0, "Height from the centre of the first ball to that of the last."
+    )
+    turns: Positive = setting(
+        4.3, "Turns of the helix; a whole number would place balls directly above one another."
+    )
     tolerance_mm: NonNegative = setting(
         0.0,
-        "Standard deviation of each centre along each axis; a calibration knows nominal places.",
+        "Standard deviation of each centre along each axis; a calibration uses the nominal "
+        "positions.",
     )
-    tolerance_seed: int = setting(0, "Another seed is another phantom.", ge=0, lt=2**63)
+    tolerance_seed: int = setting(
+        0, "Seed of these deviations; each seed gives another phantom.", ge=0, lt=2**63
+    )
     mesh_resolution_mm: Length = setting(0.2, "Longest edge of a ball's triangles.")
 
 
@@ -112,22 +119,24 @@ class MeshFile(Section):
     kind: Literal["mesh"]
     path: Path = Field(description="Mesh file.")
     unit_mm: Length = setting(1.0, "Length of the file's unit.")
-    centre: bool = setting(False, "Move the middle of its bounds to the part's origin.")
+    centre: bool = setting(False, "Move the centre of its bounding box to the part's origin.")
 
 
 class CtVolume(Section):
     """A CT volume, segmented at a threshold into a closed surface."""
 
     kind: Literal["ct"]
-    path: Path = Field(description="NIfTI file, folder of one DICOM series, or InVesalius .inv3.")
-    threshold_hu: Finite = setting(300.0, "Bone is what lies above.")
+    path: Path = Field(
+        description="NIfTI file, folder of one DICOM series, or InVesalius .inv3 file."
+    )
+    threshold_hu: Finite = setting(300.0, "Everything above this value is bone.")
     smoothing_mm: NonNegative = setting(0.0, "Sigma of a Gaussian filter before the threshold.")
     smallest_part_cm3: NonNegative = setting(
         0.1,
-        "Connected pieces below this volume are left out: crumbs by default; a larger "
-        "number leaves out a head rest or other things around the patient.",
+        "Connected pieces below this volume are left out. The default drops crumbs; a larger "
+        "value also drops a head rest or other objects around the patient.",
     )
-    centre: bool = setting(True, "Move the middle of its bounds to the part's origin.")
+    centre: bool = setting(True, "Move the centre of its bounding box to the part's origin.")
 
 
 Shape = Annotated[
@@ -139,8 +148,8 @@ Shape = Annotated[
 class Part(Section):
     """One body of one material. Where parts overlap, the later one wins."""
 
-    name: str = setting("", "Shown in messages; the kind of shape where empty.")
-    shape: Shape = Field(description="Its shape.")
+    name: str = setting("", "Name in messages; empty: the kind of its shape.")
+    shape: Shape = Field(description="Shape of the part.")
     material: str | Composition = setting(
         "bone", "A name, or a composition with its density.", source="attenuation: xraylib"
     )
@@ -163,7 +172,7 @@ class Specimen(Section):
 
     parts: tuple[Part, ...] = Field(min_length=1, description="Bodies, each of one material.")
     reference: str = setting(
-        "", "Name of the part whose attenuation figures are relative to; the largest where empty."
+        "", "Name of the part to whose attenuation figures are relative; empty: the largest part."
     )
     position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the world.")
     rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
@@ -172,7 +181,7 @@ class Specimen(Section):
     def _reference_is_a_part(self) -> Specimen:
         names = [part.label for part in self.parts]
         if self.reference and self.reference not in names:
-            message = f"reference: no part is called {self.reference!r}; there are {names}"
+            message = f"reference: no part is called {self.reference!r}; the parts are {names}"
             raise ConflictError(Conflict(message, ("reference",)))
         return self
 

@@ -15,36 +15,38 @@ Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 _LIMIT = (
-    "Largest mean over the views, as a share of that of views spread evenly over all that can be "
-    "had; none: no limit."
+    "Largest mean over the views, relative to the mean of views spread evenly over all "
+    "reachable ones; null: no limit."
 )
 _ENOUGH = (
-    "Least of it, as a share of what views spread evenly over all that can be had have; none: as "
-    "much as comes of the weights."
+    "Smallest value, relative to that of views spread evenly over all reachable ones; null: "
+    "whatever the weights yield."
 )
 
 
 class CompletenessGoal(Section):
     """Planes through points of the region that the source crosses (Tuy): more is better."""
 
-    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
     at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
-    within_deg: Positive = setting(3.0, "Angle from a plane within which a view crosses it.")
+    within_deg: Positive = setting(
+        3.0, "Angle from a plane within which a view counts as crossing it."
+    )
 
 
 class DetectabilityGoal(Section):
     """Detectability d' of a signal in the middle of the region: more is better."""
 
-    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
     at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
     signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
-        description="What shall be detected."
+        description="Signal to detect."
     )
-    voxel_mm: Positive = setting(1.0, "Voxels of the reconstruction that it is predicted for.")
+    voxel_mm: Positive = setting(1.0, "Voxel edge of the reconstruction for which it is predicted.")
     penalty: Positive = setting(
         1.0,
-        "Strength of its quadratic penalty, as a share of what views spread evenly tell of the "
-        "signal's frequencies: at 1 half of it is smoothed away.",
+        "Strength of the reconstruction's quadratic penalty, relative to what evenly spread "
+        "views measure at the signal's frequencies: 1 smooths half of the signal away.",
         unit="1",
     )
 
@@ -53,32 +55,33 @@ class SeenMetal(Section):
     """Metal that a volume shows, such as a volume from a few scout views."""
 
     path: Path = Field(
-        description="NIfTI file of attenuation, 1/mm, in the world, as a run's volume.nii."
+        description="NIfTI file of attenuation in 1/mm, in world coordinates, such as a run's "
+        "volume.nii."
     )
     above_per_mm: Positive = setting(
-        0.1, "Attenuation above which a voxel is metal: bone stays below.", unit="1/mm"
+        0.1, "Attenuation above which a voxel is metal; bone stays below it.", unit="1/mm"
     )
-    material: str = setting("titanium", "What it is made of, by name.")
+    material: str = setting("titanium", "Material of the metal, by name.")
 
 
 class MetalGoal(Section):
     """Metal that rays cross: less is better."""
 
-    weight: Weight = setting(1.0, "How much it counts.", unit="1")
-    parts: tuple[str, ...] = setting((), "Names of the parts of metal.")
-    seen: SeenMetal | None = setting(None, "Metal as a volume shows it, instead of parts.")
+    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
+    parts: tuple[str, ...] = setting((), "Names of the metal parts.")
+    seen: SeenMetal | None = setting(None, "Metal that a volume shows, instead of parts.")
     counts: Literal["length", "starved", "shift"] = setting(
         "length",
-        "What counts of a ray: its length in metal; whether fewer photons than least_photons are "
-        "left of it; by how much metal hardens it.",
+        "Cost of a ray. length: its length in metal; starved: whether fewer than least_photons "
+        "photons remain; shift: how much metal hardens it.",
     )
     least_photons: Positive = setting(
         100.0, "Photons in a pixel below which a ray is starved.", unit="1"
     )
     rays: Literal["region", "metal"] = setting(
         "region",
-        "Whose rays: those through the region, or through the metal itself, where what lies about "
-        "it is looked for.",
+        "Rays that count. region: those through the region; metal: those through the metal "
+        "itself, if the surroundings of the metal are of interest.",
     )
     at_most_rel: Share | None = setting(None, _LIMIT, unit="1")
 
@@ -86,7 +89,7 @@ class MetalGoal(Section):
 class DoseGoal(Section):
     """Primary kerma in a part: less is better. Scattered photons are ignored."""
 
-    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
     part: str = Field(description="Name of the part.")
     at_most_rel: Share | None = setting(None, _LIMIT, unit="1")
 
@@ -94,11 +97,11 @@ class DoseGoal(Section):
 class MovingGoal(Section):
     """Time that the arms need from view to view at full speed: less is better."""
 
-    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
     at_most_rel: Share | None = setting(
         None,
-        "Most of it, as a share of what as many views spread evenly over all that can be had take; "
-        "none: no limit.",
+        "Largest time, relative to that of as many views spread evenly over all reachable ones; "
+        "null: no limit.",
         unit="1",
     )
 
@@ -106,41 +109,43 @@ class MovingGoal(Section):
 class KnownGoal(Section):
     """Knowledge of the region from few views, predicted by a linear model: more is better."""
 
-    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
     at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
     correlation_mm: Positive = setting(
-        20.0, "Distance at which attenuations are correlated by 1 / e, before any view."
+        20.0, "Distance at which the correlation of attenuations is 1 / e, before any view."
     )
     deviation_rel: Positive = setting(
         0.5,
-        "Standard deviation of attenuation before any view, as a share of the reference "
-        "material's.",
+        "Standard deviation of attenuation before any view, relative to the attenuation of the "
+        "reference material.",
         unit="1",
     )
-    voxels: int = setting(600, "Voxels of the coarse grid about the specimen.", ge=8, le=5000)
+    voxels: int = setting(
+        600, "Number of voxels of the coarse grid around the specimen.", ge=8, le=5000
+    )
 
 
 class TryingGoal(Section):
     """Error in the region of a volume made from images of each path: less is better."""
 
-    weight: Weight = setting(1.0, "How much it counts.", unit="1")
+    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
 
 
 class ExposureSharing(Section):
     """Distribution of the mAs among the chosen views for the best detectability, at a fixed sum."""
 
     least_rel: float = setting(
-        0.25, "Least mAs of a view, as a share of the source's.", unit="1", gt=0, le=1
+        0.25, "Smallest mAs of a view, relative to the source's mAs.", unit="1", gt=0, le=1
     )
     most_rel: float = setting(
-        4.0, "Most mAs of a view, as a share of the source's.", unit="1", ge=1, le=1000
+        4.0, "Largest mAs of a view, relative to the source's mAs.", unit="1", ge=1, le=1000
     )
 
 
 class FamilyParameter(Section):
     """Numeric key of the scenario's trajectory that is optimised."""
 
-    key: str = Field(description="Its key in `trajectory`, such as tilt_deg.")
+    key: str = Field(description="Key in `trajectory`, such as tilt_deg.")
     low: Finite = Field(description="Lowest value.")
     high: Finite = Field(description="Highest value.")
 
@@ -148,63 +153,66 @@ class FamilyParameter(Section):
 class FamilySearch(Section):
     """Best path of the scenario's kind of trajectory, found by CMA-ES, instead of free views."""
 
-    parameters: tuple[FamilyParameter, ...] = Field(min_length=2, description="What is sought.")
-    generations: int = setting(15, "Generations of the search, at most.", ge=1, le=1000)
-    population: int = setting(8, "Paths in each.", ge=4, le=1000)
+    parameters: tuple[FamilyParameter, ...] = Field(min_length=2, description="Keys to optimise.")
+    generations: int = setting(15, "Largest number of generations of the search.", ge=1, le=1000)
+    population: int = setting(8, "Number of paths in each generation.", ge=4, le=1000)
 
 
 class ViewTask(Section):
     """Goals for which `twinct plan` chooses views; a run does not read them."""
 
     position_mm: Vector = setting(
-        (0.0, 0.0, 0.0), "Middle of the region, a ball, in the specimen's frame."
+        (0.0, 0.0, 0.0), "Centre of the region, a ball, in the specimen's frame."
     )
-    radius_mm: NonNegative = setting(20.0, "Its radius; 0: a point.")
-    views: int = Field(ge=1, le=2000, description="How many views are chosen.")
+    radius_mm: NonNegative = setting(20.0, "Radius of the region; 0: a point.")
+    views: int = Field(ge=1, le=2000, description="Number of views to choose.")
     candidates: int = setting(
         400,
-        "Views all over the sphere, at the trajectory's distances, of which those that the arms "
-        "can have are chosen from.",
+        "Number of candidate views, spread over the sphere at the trajectory's distances. Views "
+        "are chosen from those that the arms can reach.",
         ge=2,
         le=20_000,
     )
     rounds: int = setting(2, "Rounds in which each view may be exchanged.", ge=0, le=20)
-    completeness: CompletenessGoal | None = setting(None, "Completeness counts.")
-    detectability: DetectabilityGoal | None = setting(None, "Detectability counts.")
-    known: KnownGoal | None = setting(None, "What few views tell counts.")
-    metal: MetalGoal | None = setting(None, "Metal counts.")
-    dose: DoseGoal | None = setting(None, "Dose counts.")
-    moving: MovingGoal | None = setting(None, "Time that the arms take counts.")
+    completeness: CompletenessGoal | None = setting(None, "Favour complete data.")
+    detectability: DetectabilityGoal | None = setting(None, "Favour the detectability of a signal.")
+    known: KnownGoal | None = setting(None, "Favour knowledge of the region from few views.")
+    metal: MetalGoal | None = setting(None, "Avoid metal in the rays.")
+    dose: DoseGoal | None = setting(None, "Avoid dose.")
+    moving: MovingGoal | None = setting(None, "Avoid long moving times of the arms.")
     trying: TryingGoal | None = setting(
         None,
-        "Paths of a family are tried: images as by a gantry, reconstructed as the scenario says; "
-        "the error in the region counts.",
+        "Favour a small error in the region. Paths of a family are tried: images as from a "
+        "gantry are reconstructed as in the scenario.",
     )
     exposure: ExposureSharing | None = setting(
-        None, "Views get mAs of their own; none: all have the source's."
+        None, "Give each view its own mAs; null: all views have the source's mAs."
     )
     family: FamilySearch | None = setting(
-        None, "The views are those of the best path of a family; none: they are chosen freely."
+        None, "Choose the views of the best path of a family; null: choose views freely."
     )
 
     def conflicts(self, specimen: Specimen) -> list[Conflict]:
         """Return conflicts: no goal, more views than candidates, or unknown parts."""
         names = [part.label for part in specimen.parts]
-        having = f"there {'are' if len(names) > 1 else 'is'} {', '.join(map(repr, names))}"
+        having = (
+            f"{'the parts are' if len(names) > 1 else 'the only part is'} "
+            f"{', '.join(map(repr, names))}"
+        )
         found: list[Conflict] = []
         if not (self.completeness or self.detectability or self.known or self.trying):
             found.append(
                 Conflict(
-                    "task: completeness, detectability or known must count: by metal, dose and "
-                    "moving alone all views would be the same one",
+                    "task: completeness, detectability or known is required: metal, dose and "
+                    "moving alone would choose the same view again and again",
                     ("task",),
                 )
             )
         if self.trying and not self.family:
             found.append(
                 Conflict(
-                    "task.trying: whole paths are tried, not views one by one: it needs "
-                    "task.family; twinct plan --try tries what was chosen",
+                    "task.trying: this goal needs task.family, because it tries whole paths, "
+                    "not single views; twinct plan --try tries the chosen views",
                     ("task.trying", "task.family"),
                 )
             )
@@ -219,7 +227,7 @@ class ViewTask(Section):
         if self.exposure and not self.detectability:
             found.append(
                 Conflict(
-                    "task.exposure: mAs are shared for the sake of detectability: it needs "
+                    "task.exposure: sharing the mAs serves detectability and needs "
                     "task.detectability",
                     ("task.exposure", "task.detectability"),
                 )
@@ -227,8 +235,8 @@ class ViewTask(Section):
         if self.exposure and self.family:
             found.append(
                 Conflict(
-                    "task.exposure: only a file of views has mAs of its own, not a path of "
-                    "task.family: one of them",
+                    "task.exposure: a file of views can give each view its own mAs, a path of "
+                    "task.family cannot; leave out one of the two",
                     ("task.exposure", "task.family"),
                 )
             )
@@ -239,11 +247,11 @@ class ViewTask(Section):
                 message = f"{key}: low ({one.low:g}) must be below high ({one.high:g})"
                 found.append(Conflict(message, (f"{key}.low", f"{key}.high")))
             if one.key in [other.key for other in family[:i]]:
-                found.append(Conflict(f"{key}.key: {one.key!r} is sought twice", (f"{key}.key",)))
+                found.append(Conflict(f"{key}.key: {one.key!r} is listed twice", (f"{key}.key",)))
         if self.metal and bool(self.metal.parts) == (self.metal.seen is not None):
             found.append(
                 Conflict(
-                    "task.metal: parts of the specimen, or seen in a volume: one of them",
+                    "task.metal: give either parts (of the specimen) or seen (in a volume)",
                     ("task.metal.parts", "task.metal.seen"),
                 )
             )
@@ -251,7 +259,7 @@ class ViewTask(Section):
         wanted = [(f"metal.parts.{i}", part) for i, part in enumerate(metal)]
         wanted += [("dose.part", self.dose.part)] if self.dose else []
         found += [
-            Conflict(f"task.{key}: there is no part {name!r}; {having}", (f"task.{key}",))
+            Conflict(f"task.{key}: unknown part {name!r}; {having}", (f"task.{key}",))
             for key, name in wanted
             if name not in names
         ]

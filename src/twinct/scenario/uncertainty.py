@@ -20,7 +20,7 @@ from twinct.settings import (
     setting,
 )
 
-RANDOM_WALK = "spread over that time as a random walk"
+RANDOM_WALK = "accumulated as a random walk"
 DALY = "Daly et al., Med. Phys. 35 (2008) 2124"
 
 
@@ -30,22 +30,25 @@ class PoseNoise(Section):
     sigma_mm: NonNegative = setting(0.1, "Standard deviation for each axis.", source="the paper")
     cutoff_mm: Length | None = setting(
         0.15,
-        "Largest deviation on each axis, beyond which it is drawn again; null: none.",
+        "Largest deviation along each axis; larger ones are drawn again. null: no limit.",
         source="the paper: repeatability",
     )
     rotation_sigma_deg: NonNegative = setting(
-        0.0, "Standard deviation of the turn about each of the tool's axes."
+        0.0, "Standard deviation of the rotation about each axis of the tool."
     )
     correlation_views: NonNegative = setting(
         0.0,
-        "Length in views over which the noise is alike: its correlation d views apart is "
-        "exp(-d^2 / 2 length^2). 0: none. Needs cutoff_mm: null.",
+        "Correlation length of the noise in views: d views apart, the correlation is exp(-d^2 / "
+        "2 length^2). 0: no correlation. Needs cutoff_mm: null.",
     )
 
     @model_validator(mode="after")
     def _smooth_is_not_cut(self) -> PoseNoise:
         if self.correlation_views and self.cutoff_mm is not None:
-            what = "correlation_views above 0 needs cutoff_mm: null: only white noise is cut off"
+            what = (
+                "correlation_views above 0 needs cutoff_mm: null, because only white noise can "
+                "be cut off"
+            )
             raise ConflictError(Conflict(what, ("cutoff_mm", "correlation_views")))
         return self
 
@@ -57,55 +60,65 @@ class ArmErrors(Section):
     and the encoders. So do the plan, its clearance and the trigger.
     """
 
-    joint_offset_deg: NonNegative = setting(0.0, "Of each joint's zero.")
+    joint_offset_deg: NonNegative = setting(0.0, "Error of each joint's zero.")
     link_mm: NonNegative = setting(
-        0.0, "Of each joint's place on the link before it, along each axis: lengths and offsets."
+        0.0,
+        "Error of each joint's position on the previous link, along each axis: lengths and "
+        "offsets.",
     )
-    link_deg: NonNegative = setting(0.0, "Of each joint's axis, about the two axes across it.")
-    base_mm: NonNegative = setting(0.0, "Of the base, along each axis: registration of the arm.")
-    base_deg: NonNegative = setting(0.0, "The same, about each axis.")
+    link_deg: NonNegative = setting(
+        0.0, "Tilt of each joint's axis about the two axes perpendicular to it."
+    )
+    base_mm: NonNegative = setting(
+        0.0, "Error of the base position along each axis: registration of the arm."
+    )
+    base_deg: NonNegative = setting(0.0, "Error of the base rotation about each axis.")
     tool_mm: NonNegative = setting(
-        0.0, "Of focal spot and panel on their flange, along each axis: hand-eye."
+        0.0, "Error of focal spot and panel on their flange, along each axis: hand-eye calibration."
     )
-    tool_deg: NonNegative = setting(0.0, "The same, about each axis.")
+    tool_deg: NonNegative = setting(
+        0.0, "Rotation error of source and panel on their flange, about each axis."
+    )
     windup_deg: NonNegative = setting(
         0.0,
-        "Each joint's deflection at its published torque limit, behind the encoder; gravity on "
-        "links and tool winds it up in proportion.",
+        "Deflection of each joint at its published torque limit, behind the encoder; the weight "
+        "of links and tool deflects it in proportion.",
     )
     windup_spread: float = setting(
-        0.0, "Its spread from joint to joint, as a share of it.", ge=0, le=0.3
+        0.0, "Spread of the deflection from joint to joint, as a share of windup_deg.", ge=0, le=0.3
     )
     gear_deg: NonNegative = setting(
-        0.0, "Amplitude of each joint's gear error, a sine of the joint's angle of any phase."
+        0.0, "Amplitude of each joint's gear error, a sine of the joint angle with a random phase."
     )
-    gear_periods: int = setting(1, "Periods of that sine in a turn of the joint.", ge=1)
+    gear_periods: int = setting(1, "Periods of that sine per turn of the joint.", ge=1)
     drift_mm: NonNegative = setting(
         0.0,
-        "By what each link, once warm, has grown along each axis. The arms are calibrated warm; "
-        "what is missing fades with warm_up_min.",
+        "Growth of each link along each axis once it is warm. The arms are calibrated warm; the "
+        "growth that is still missing fades with warm_up_min.",
     )
     warm_up_min: Positive = setting(60.0, "Time constant of warming up.", unit="min")
     running_min: NonNegative = setting(
-        0.0, "How long the arms have run when the scan begins.", unit="min"
+        0.0, "Time for which the arms have run when the scan begins.", unit="min"
     )
     ageing_mm: NonNegative = setting(
-        0.0, f"By what bases and tools move along each axis in a month, {RANDOM_WALK}."
+        0.0, f"Displacement of bases and tools along each axis in a month, {RANDOM_WALK}."
     )
-    ageing_deg: NonNegative = setting(0.0, "The same, about each axis.")
+    ageing_deg: NonNegative = setting(
+        0.0, "Rotation of bases and tools about each axis in a month, accumulated as a random walk."
+    )
     age_months: NonNegative = setting(
-        0.0, "Time since the arms were calibrated.", unit="months of 30 days"
+        0.0, "Time since the calibration of the arms.", unit="months of 30 days"
     )
     trigger_delay_ms: Finite = setting(
-        0.0, "From the encoders' reading to the image, while the arms go on."
+        0.0, "Delay from the encoders' reading to the image, while the arms move on."
     )
     trigger_jitter_ms: NonNegative = setting(
-        0.0, "Standard deviation of that from view to view, the same for both arms."
+        0.0, "Standard deviation of that delay from view to view; both arms share it."
     )
     seed: int | None = setting(
         None,
-        "Of what stays the same in a scan; the scenario's where null. The same arms serve scans of "
-        "several seeds with it.",
+        "Seed of the errors that are constant in a scan; null: the scenario's seed. It lets "
+        "scans of several seeds use the same arms.",
         ge=0,
         lt=2**63,
     )
@@ -124,15 +137,15 @@ class ArmErrors(Section):
 class ViewErrors(Section):
     """Errors of executed poses, drawn anew for each view: standard deviations for each axis."""
 
-    source_mm: NonNegative = setting(0.0, "Of the focal spot, along each axis.")
+    source_mm: NonNegative = setting(0.0, "Error of the focal spot along each axis.")
     detector_in_plane_mm: NonNegative = setting(
-        0.0, "Of the panel along its columns and rows: what moves the piercing point."
+        0.0, "Error of the panel along its columns and rows, which moves the piercing point."
     )
-    detector_normal_mm: NonNegative = setting(0.0, "Of the panel along its normal.")
-    detector_tilt_deg: NonNegative = setting(0.0, "Of the panel about its two axes.")
-    detector_turn_deg: NonNegative = setting(0.0, "Of the panel about its normal.")
+    detector_normal_mm: NonNegative = setting(0.0, "Error of the panel along its normal.")
+    detector_tilt_deg: NonNegative = setting(0.0, "Rotation error of the panel about its two axes.")
+    detector_turn_deg: NonNegative = setting(0.0, "Rotation error of the panel about its normal.")
     correlation_views: NonNegative = setting(
-        0.0, "Length in views over which they are alike, as of the reported poses' noise."
+        0.0, "Correlation length of these errors in views, as for the noise of the reported poses."
     )
 
     @property
@@ -148,13 +161,21 @@ class PatientMotion(Section):
     It starts at the scenario's pose. The truth stays at that pose.
     """
 
-    nod_mm: NonNegative = setting(0.0, "How far it goes and comes back, again and again.")
-    nod_deg: NonNegative = setting(0.0, "By how much it turns with that.")
-    nod_period_s: Positive = setting(20.0, "From one start to the next, of simulated time.")
-    jerk_mm: NonNegative = setting(0.0, "How far it goes at once, and stays.")
-    jerk_deg: NonNegative = setting(0.0, "By how much it turns with that.")
-    jerk_at_s: NonNegative = setting(5.0, "When it does, of simulated time; it takes 0.2 s.")
-    pivot_mm: Vector = setting((0.0, 0.0, 0.0), "The point in the world about which it turns.")
+    nod_mm: NonNegative = setting(
+        0.0, "Amplitude of a nod: the specimen moves this far and back, again and again."
+    )
+    nod_deg: NonNegative = setting(0.0, "Rotation during the nod.")
+    nod_period_s: Positive = setting(20.0, "Period of the nod, in simulated time.")
+    jerk_mm: NonNegative = setting(
+        0.0, "Displacement of a sudden jerk, after which the specimen stays there."
+    )
+    jerk_deg: NonNegative = setting(0.0, "Rotation during the jerk.")
+    jerk_at_s: NonNegative = setting(
+        5.0, "Simulated time at which the jerk starts; it takes 0.2 s."
+    )
+    pivot_mm: Vector = setting(
+        (0.0, 0.0, 0.0), "Point in the world about which the specimen rotates."
+    )
 
     @property
     def sizes(self) -> tuple[float, ...]:
@@ -219,24 +240,28 @@ class Uncertainty(Section):
 
     preset: Literal["industrial", "collaborative", "c_arm", "c_arm_uncalibrated"] | None = setting(
         None,
-        "Errors of a kind of machine: what it says holds where no key here says otherwise.",
+        "Typical errors of a kind of machine; keys that are set here take precedence.",
         source=f"{_OWN_SPLIT}; c_arm: {DALY}",
     )
-    arms: ArmErrors = setting(ArmErrors(), "What is wrong with the arms as they are known.")
-    views: ViewErrors = setting(ViewErrors(), "What differs from view to view.")
-    patient: PatientMotion = setting(PatientMotion(), "How the specimen moves.")
-    encoder_step_deg: NonNegative = setting(0.0, "Smallest step that the joints' encoders tell.")
+    arms: ArmErrors = setting(ArmErrors(), "Differences between the arms and their nominal models.")
+    views: ViewErrors = setting(ViewErrors(), "Errors that differ from view to view.")
+    patient: PatientMotion = setting(PatientMotion(), "Motion of the specimen.")
+    encoder_step_deg: NonNegative = setting(0.0, "Resolution of the joint encoders.")
     calibration: Path | None = setting(
         None,
-        "File of calibrated arms (twinct calibrate --with kinematics): believed poses are what "
-        "they make of the encoders. None: what the nominal arms do.",
+        "File of calibrated arms (twinct calibrate --with kinematics), which turn encoder "
+        "readings into believed poses. null: the nominal arms do.",
     )
-    source: PoseNoise = setting(PoseNoise(), "Of the source as reported.", source="the paper")
-    detector: PoseNoise = setting(PoseNoise(), "Of the panel as reported.", source="the paper")
+    source: PoseNoise = setting(
+        PoseNoise(), "Noise of the reported source poses.", source="the paper"
+    )
+    detector: PoseNoise = setting(
+        PoseNoise(), "Noise of the reported panel poses.", source="the paper"
+    )
     seed: int | None = setting(
         None,
-        "Of the reported poses' noise alone; the scenario's where null. Other seeds here are other "
-        "believed poses of the same images.",
+        "Seed of the reported poses' noise alone; null: the scenario's seed. Other seeds give "
+        "other believed poses for the same images.",
         ge=0,
         lt=2**63,
     )

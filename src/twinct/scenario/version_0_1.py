@@ -47,7 +47,7 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     if flat["nonnegative"] is None:
         gone.add("nonnegative")
     names = ", ".join(sorted(gone))
-    log.info("reconstruction of version 0.1: %s not used by %s and left out", names, name)
+    log.info("reconstruction of version 0.1: left out %s (not used by %s)", names, name)
     kept = {key: value for key, value in flat.items() if key not in gone}
     return data | {"reconstruction": kept | {"algorithm": name}}
 
@@ -77,4 +77,4 @@ def advice(key: tuple[str | int, ...], value: Any) -> str:
     if key != ("reconstruction", "engine"):
         return ""
     instead = "use algorithm: rtk_sart" if value == "rtk" else "leave it out"
-    return f"there is no such key any more: {instead}"
+    return f"this key no longer exists: {instead}"

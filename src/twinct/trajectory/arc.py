@@ -18,7 +18,7 @@ class ArcTrajectory(OrbitSettings, Tilted):
 
     kind: Literal["arc"]
     longitude_range_deg: float = setting(
-        210.0, "Arc of longitude.", gt=0, le=360, source="180 degrees and the paper's fan"
+        210.0, "Arc of longitude.", gt=0, le=360, source="180 degrees plus the paper's fan angle"
     )
     latitude_deg: float = setting(0.0, "Latitude of the source; 90 is +z.", gt=-90, lt=90)
 

@@ -28,9 +28,9 @@ class CircleArcTrajectory(OrbitSettings):
         le=360,
     )
     arc_latitude_deg: float = setting(
-        30.0, "The arc goes from minus this latitude to plus this.", gt=0, lt=90
+        30.0, "The arc runs from minus this latitude to plus this latitude.", gt=0, lt=90
     )
-    arc_share: float = setting(0.25, "Share of the views that are on the arc.", gt=0, lt=1)
+    arc_share: float = setting(0.25, "Share of the views on the arc.", gt=0, lt=1)
 
 
 def _views(section: CircleArcTrajectory, panel: Panel) -> ScanGeometry:

@@ -17,7 +17,7 @@ class HelixTrajectory(OrbitSettings):
 
     kind: Literal["helix"]
     turns: Positive = setting(2.0, "Turns about z.")
-    pitch_mm: Finite = setting(50.0, "Rise for each turn.")
+    pitch_mm: Finite = setting(50.0, "Rise per turn.")
 
 
 def _views(section: HelixTrajectory, panel: Panel) -> ScanGeometry:

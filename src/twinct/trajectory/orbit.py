@@ -28,13 +28,13 @@ class OrbitSettings(TrajectorySettings):
     isocentre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the orbit.")
     sod_mm: Length | Course = setting(
         300.0,
-        "Distance from source to isocentre; or several, at equal shares of the path, and linear "
-        "between them.",
+        "Distance from source to isocentre; or several distances, spaced equally along the path "
+        "and interpolated linearly.",
         source="the paper",
     )
     sdd_mm: Length | Course = setting(
         600.0,
-        "Distance from source to panel centre; or several, as ``sod_mm``.",
+        "Distance from source to panel centre; or several, as in ``sod_mm``.",
         source="the paper, as docs/paper.md reads it",
     )
     centre_longitude_deg: Finite = setting(
@@ -103,8 +103,8 @@ def panel_axes(towards_source: Floats) -> tuple[Floats, Floats]:
     length = np.linalg.norm(u, axis=1)
     if (length < _STEEPEST_BEAM).any():
         raise TrajectoryError(
-            f"view {int((length < _STEEPEST_BEAM).argmax())}: the beam is vertical, so no panel "
-            "axis is the horizontal one; give u and v in a file of views"
+            f"view {int((length < _STEEPEST_BEAM).argmax())}: the beam is vertical, so the "
+            "horizontal panel axis is undefined; give u and v in a file of views"
         )
     u /= length[:, None]
     v = np.cross(towards_source, u)

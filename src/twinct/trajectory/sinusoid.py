@@ -22,10 +22,10 @@ class SinusoidTrajectory(OrbitSettings):
     kind: Literal["sinusoid"]
     longitude_range_deg: float = setting(
         210.0,
-        "Arc of longitude; 360 for each turn.",
+        "Arc of longitude; 360 per turn.",
         gt=0,
         le=36_000,
-        source="the paper: 180 degrees and the fan",
+        source="the paper: 180 degrees plus the fan angle",
     )
     latitude_amplitude_deg: float = setting(
         30.0, "Amplitude of the sine of latitude.", ge=0, lt=90, source="the paper"
@@ -33,7 +33,7 @@ class SinusoidTrajectory(OrbitSettings):
     periods: Positive = setting(
         1.0, "Sine periods over the range.", source="the paper, as docs/paper.md reads it"
     )
-    phase_deg: Finite = setting(0.0, "Phase of the sine at the beginning.")
+    phase_deg: Finite = setting(0.0, "Phase of the sine at the start.")
 
 
 def _views(section: SinusoidTrajectory, panel: Panel) -> ScanGeometry:

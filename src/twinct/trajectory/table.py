@@ -77,26 +77,31 @@ def _table(path: Path) -> tuple[Floats, list[int]]:
             rows.append([float(cell) for cell in row])
         except ValueError:
             if position > 0 or any(map(_is_number, row)):
-                problems.append(f"{path}:{number}: {_told(row)} holds something not a number")
+                problems.append(
+                    f"{path}:{number}: {_told(row)} holds something that is not a number"
+                )
             elif len(row) in (7, 13) and (name := row[-1].strip()) != _MAS:
-                what = f"the last of {len(row)} columns is {_MAS}, not {shortened(name, 50)!r}"
+                what = f"the last of {len(row)} columns must be {_MAS}, not {shortened(name, 50)!r}"
                 problems.append(f"{path}:{number}: {what}")
             continue
         numbers.append(number)
         if len(row) not in _FORMS:
-            forms = "a view is 6 numbers (S, D) or 12 (S, D, u, v), mm, and may have its mAs last"
+            forms = (
+                "a view has 6 numbers (S, D) or 12 (S, D, u, v) in mm, and optionally its mAs "
+                "at the end"
+            )
             problems.append(f"{path}:{number}: {forms}; this line has {len(row)}")
         elif not np.isfinite(rows[-1]).all():
             problems.append(f"{path}:{number}: {_told(row)} holds a number that is not finite")
         elif len(row) in (7, 13) and rows[-1][-1] <= 0:
-            problems.append(f"{path}:{number}: mAs of {rows[-1][-1]:g}: it must be above 0")
+            problems.append(f"{path}:{number}: mAs is {rows[-1][-1]:g}, but must be above 0")
     if len(rows) > MOST_VIEWS:
-        problems.append(f"{path}: more than the {MOST_VIEWS} views that a scan may have")
+        problems.append(f"{path}: more than {MOST_VIEWS} views, the limit of a scan")
     if not problems and not rows:
-        problems.append(f"{path}: holds no view")
+        problems.append(f"{path}: contains no view")
     if not problems and len(forms := sorted({len(row) for row in rows})) > 1:
         problems.append(
-            f"{path}: some lines have {forms[0]} numbers and some {forms[1]}; use one form"
+            f"{path}: some lines have {forms[0]} numbers, others {forms[1]}; use one form"
         )
     if problems:
         raise TrajectoryError(problems)
