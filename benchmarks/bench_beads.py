@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from twinct.calibration import PARAMETERS, aligned, calibrated, calibrated_view, moved
+from twinct.calibration.scan_calibration import phantom_of
 from twinct.evaluation import region_of_interest
 from twinct.geometry import ScanGeometry
 from twinct.runs import simulate
-from twinct.runs.calibrating import phantom_of
 from twinct.runs.volumes import line_integrals
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario, parse_scenario
 from twinct.trajectory import OrbitSettings
 from twinct.xray.build import effective_energy_kev
@@ -159,15 +159,15 @@ def volumes(views, voxels):
         print(f"view {view}: {problem}", flush=True)
 
     skull = skull_of(views, voxels, scenario)
-    workshop = Workshop(skull)
-    taken = simulate(skull, workshop=workshop)
+    builder = SimulationBuilder(skull)
+    taken = simulate(skull, builder=builder)
     panel, grid = skull.detector.panel, skull.reconstruction.volume_grid
     there = taken.executed.geometry(panel)
     np.testing.assert_allclose(there.source, executed.source, atol=1e-9)
     np.testing.assert_allclose(there.detector, executed.detector, atol=1e-9)
     energy = effective_energy_kev(skull.source, skull.detector)
-    truth = workshop.specimen.truth(grid, energy, taken.stands)
-    mu, region = workshop.specimen.reference_mu(energy), region_of_interest(there, grid)
+    truth = builder.specimen.truth(grid, energy, taken.stands)
+    mu, region = builder.specimen.reference_mu(energy), region_of_interest(there, grid)
     p = line_integrals(taken.transmission)
     points = 30.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1]])
     # What is believed is moved as a whole to where the executed lies; what is found stays.

@@ -31,7 +31,7 @@ from twinct.geometry import ScanGeometry
 from twinct.runs import simulate
 from twinct.runs.volumes import line_integrals
 from twinct.scenario import Scenario, parse_scenario
-from twinct.uncertainty.alike import view_normals
+from twinct.uncertainty.correlation import view_normals
 
 WHOLE_MM = 560
 POINTS = 30.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1]])

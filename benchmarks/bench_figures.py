@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from twinct.core.threads import limit_threads
 from twinct.evaluation import (
     edge_width,
     image_figures,
@@ -21,7 +22,6 @@ from twinct.evaluation import (
 )
 from twinct.scenario import load_scenario
 from twinct.specimen import build_specimen
-from twinct.threads import limit_threads
 from twinct.trajectory import commanded_views
 
 PAPER = Path(__file__).parents[1] / "scenarios" / "paper.yaml"

@@ -23,19 +23,19 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from twinct.calibration import Seen, Shadows, calibrated_arms, resected
+from twinct.calibration.arm_calibration import arm_prior, calibrate_kinematics, view_covariance
+from twinct.calibration.scan_calibration import phantom_of
 from twinct.calibration.shadows import overlapping, shadow_radius_px
-from twinct.cell import chains_of
-from twinct.errors import CalibrationError
+from twinct.core.errors import CalibrationError
 from twinct.geometry import Pose, ScanGeometry
-from twinct.reach import Holder, Poses
+from twinct.geometry.wire import Instant, PosePairs, to_seven
+from twinct.robots.cell import chains_of
+from twinct.robots.reach import Holder, Poses
 from twinct.runs import load_scan, run
-from twinct.runs.calibrating import phantom_of
-from twinct.runs.kinematics import arm_prior, calibrate_kinematics, view_covariance
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Uncertainty, ViewErrors, load_scenario
 from twinct.trajectory import panel_axes
 from twinct.uncertainty import TrueCell
-from twinct.views import Instant, PosePairs, to_seven
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "balls.yaml"
 SHADOW_PX = 0.01
@@ -45,9 +45,9 @@ RADII_MM = 260.0, 400.0
 ABOUT_MM = 15.0
 
 
-def drawn_joints(workshop, count, rng):
+def drawn_joints(builder, count, rng):
     """So many configurations of both arms, rad, over what they can hold with the phantom seen."""
-    holder = Holder(workshop.cell, workshop.scenario.motion, rolls=4, seed=int(rng.integers(1e9)))
+    holder = Holder(builder.cell, builder.scenario.motion, rolls=4, seed=int(rng.integers(1e9)))
     found = []
     while len(found) < count:
         directions = rng.normal(size=(4 * count, 3))
@@ -61,7 +61,7 @@ def drawn_joints(workshop, count, rng):
         geometry = ScanGeometry(
             middle + rng.uniform(*RADII_MM, size) * directions,
             middle - rng.uniform(*RADII_MM, size) * directions,
-            *(u, v, workshop.scenario.detector.panel),
+            *(u, v, builder.scenario.detector.panel),
         )
         poses = Poses.of(geometry.source_poses(), geometry.detector_poses())
         of_arms = holder.alone(poses.source, 0), holder.alone(poses.detector, 1)
@@ -123,9 +123,9 @@ def off_mm(executed, source, detector):
 
 def rendered(views):
     """Both arms from a whole scan; what that makes of the paper's path, 40 views."""
-    workshop = Workshop(load_scenario(SCENARIO))
-    chains = chains_of(workshop.cell)
-    joints = drawn_joints(workshop, views, np.random.default_rng(3))
+    builder = SimulationBuilder(load_scenario(SCENARIO))
+    chains = chains_of(builder.cell)
+    joints = drawn_joints(builder, views, np.random.default_rng(3))
     places = [np.array([p.position for p in side]) for side in nominal(chains, joints)]
     keys = [
         "uncertainty={preset: collaborative, arms: {seed: 7}, source: {sigma_mm: 0}, "
@@ -167,8 +167,8 @@ def main() -> None:
         rendered(asked.views[0])
         return
     scenario = load_scenario(SCENARIO)
-    workshop, phantom = Workshop(scenario), phantom_of(scenario)
-    chains, panel = chains_of(workshop.cell), scenario.detector.panel
+    builder, phantom = SimulationBuilder(scenario), phantom_of(scenario)
+    chains, panel = chains_of(builder.cell), scenario.detector.panel
     section = Uncertainty.model_validate({"preset": asked.preset})
     quiet = section.model_copy(update={"views": ViewErrors()})
     step = np.radians(section.encoder_step_deg)
@@ -177,7 +177,7 @@ def main() -> None:
     errors = {views: [] for views in asked.views}
     for seed in range(asked.seeds):
         rng = np.random.default_rng(seed)
-        joints = drawn_joints(workshop, max(asked.views) + asked.unseen, rng)
+        joints = drawn_joints(builder, max(asked.views) + asked.unseen, rng)
         encoders = step * np.round(joints / step)
         new, read = joints[-asked.unseen :], encoders[-asked.unseen :]
         cells = [TrueCell(one, seed, seed, chains) for one in (section, quiet)]

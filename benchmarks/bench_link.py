@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from bench_xray import bare_loop
 
-from twinct.scan import LocalRig, Rig, ScanStore, Stopwatch, View, Workshop, acquire
+from twinct.scan import LocalRig, Rig, ScanStore, SimulationBuilder, Stopwatch, View, acquire
 from twinct.scenario import load_scenario
 
 LOOPS = ("bare", "local", "ros")
@@ -30,16 +30,16 @@ LARGEST_RATIO, LARGEST_EXTRA_MS = 1.15, 15.0
 """What the ROS link may cost against the bare loop: one or the other."""
 
 
-def bare(workshop: Workshop, views: int) -> list[float]:
+def bare(builder: SimulationBuilder, views: int) -> list[float]:
     """Seconds of each view of a loop that only calls gVXR."""
-    energy_kev = workshop.scenario.source.energy_kev
-    bodies = [(p.mesh, p.material.mu_per_mm(energy_kev)) for p in workshop.specimen.parts]
-    geometry = workshop.commanded[:views]
-    specimen_from_world = workshop.specimen.world_from_specimen.inverse()
+    energy_kev = builder.scenario.source.energy_kev
+    bodies = [(p.mesh, p.material.mu_per_mm(energy_kev)) for p in builder.specimen.parts]
+    geometry = builder.commanded[:views]
+    specimen_from_world = builder.specimen.world_from_specimen.inverse()
     return bare_loop(specimen_from_world @ geometry, bodies, energy_kev).seconds.tolist()
 
 
-def scan(workshop: Workshop, views: int, rig: Rig) -> tuple[list[float], dict[str, float]]:
+def scan(builder: SimulationBuilder, views: int, rig: Rig) -> tuple[list[float], dict[str, float]]:
     """Seconds from the end of one view to the end of the next, and the shares of both halves."""
     ends = []
     with tempfile.TemporaryDirectory() as folder, closing(rig):
@@ -50,8 +50,8 @@ def scan(workshop: Workshop, views: int, rig: Rig) -> tuple[list[float], dict[st
             if store is None:
                 store = ScanStore.create(
                     Path(folder) / "scan.zarr",
-                    workshop.scenario,
-                    workshop.commanded_poses,
+                    builder.scenario,
+                    builder.commanded_poses,
                     view.reached.joint_names,
                     len(view.reached.state),
                 )
@@ -60,7 +60,7 @@ def scan(workshop: Workshop, views: int, rig: Rig) -> tuple[list[float], dict[st
 
         start = time.perf_counter()
         watch = Stopwatch()
-        acquire(rig, workshop.targets[:views], keep, watch=watch)
+        acquire(rig, builder.targets[:views], keep, watch=watch)
     shares = {"move": watch.motion_s / views, "expose": watch.xray_s / views}
     return np.diff([start, *ends]).tolist(), shares
 
@@ -68,20 +68,20 @@ def scan(workshop: Workshop, views: int, rig: Rig) -> tuple[list[float], dict[st
 def run(task: tuple[str, Path, tuple[str, ...], int]) -> tuple[list[float], dict[str, float]]:
     """One run of one loop."""
     loop, path, overrides, views = task
-    workshop = Workshop(load_scenario(path, overrides))
+    builder = SimulationBuilder(load_scenario(path, overrides))
     if loop == "bare":
-        return bare(workshop, views), {}
+        return bare(builder, views), {}
     rigs: dict[str, Callable[[], Rig]] = {
-        "local": lambda: LocalRig(workshop.robots(), workshop.imager(), workshop.commanded.panel),
-        "ros": lambda: _ros_rig(workshop),
+        "local": lambda: LocalRig(builder.robots(), builder.imager(), builder.commanded.panel),
+        "ros": lambda: _ros_rig(builder),
     }
-    return scan(workshop, views, rigs[loop]())
+    return scan(builder, views, rigs[loop]())
 
 
-def _ros_rig(workshop: Workshop) -> Rig:
-    from twinct.ros import RosRig
+def _ros_rig(builder: SimulationBuilder) -> Rig:
+    from twinct.link import RosRig
 
-    return RosRig(workshop.scenario)
+    return RosRig(builder.scenario)
 
 
 def main() -> None:

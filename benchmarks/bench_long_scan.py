@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from twinct.ros import RosRig
-from twinct.ros.rig import NODE_COMMAND
+from twinct.link import RosRig
+from twinct.link.rig import NODE_COMMAND
 from twinct.runs import acquire_to_store
-from twinct.scan import Rig, Workshop
+from twinct.scan import Rig, SimulationBuilder
 from twinct.scenario import load_scenario
 
 ROOT = Path(__file__).parents[1]
@@ -69,9 +69,9 @@ def main() -> None:
     scenario = load_scenario(ROOT / "scenarios" / base, keys)
     rows: list[tuple[float, ...]] = []
 
-    def rigs(workshop: Workshop, first: int, state: Any) -> Rig:
+    def rigs(builder: SimulationBuilder, first: int, state: Any) -> Rig:
         command = NODE_COMMAND if real else FAKE_COMMAND
-        plan = workshop.plan if real else None
+        plan = builder.plan if real else None
         rig = RosRig(scenario, plan=plan, first_view=first, start_state=state, node_command=command)
         pids = [os.getpid(), *(node.pid for node in rig._nodes)]
         move = rig.move
@@ -90,7 +90,9 @@ def main() -> None:
     heads = [f"PSS {name}" for name in NAMES] + [f"fds {name}" for name in NAMES]
     sys.stdout.write("view   " + "  ".join(f"{head:>10}" for head in (*heads, "shm MB")) + "\n")
     with tempfile.TemporaryDirectory() as folder:
-        acquire_to_store(Workshop(scenario), Path(folder) / "scan.zarr", rigs, resume=False)
+        acquire_to_store(
+            SimulationBuilder(scenario), Path(folder) / "scan.zarr", rigs, resume=False
+        )
     settled = np.array([row for row in rows if row[0] >= SETTLED])
     grown = settled[-1, 1:] - settled[0, 1:]
     sys.stdout.write(line((float("nan"), *grown)) + f"   grown from view {SETTLED} on\n")

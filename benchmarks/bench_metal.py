@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from twinct.geometry import Pose
 from twinct.observers import IterationDone, Observer
 from twinct.runs import acquire_to_store, reconstruct, truth_of
-from twinct.scan import Scan, Workshop, local_rig
+from twinct.scan import Scan, SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 
 SCREWS = Path(__file__).parents[1] / "scenarios" / "head_screws.yaml"
@@ -40,7 +40,9 @@ WAYS = ("sart", "nmar", "known", "off", "alloy", "thick", "kvp")
 
 
 def scan(scenario: Scenario, folder: Path) -> Scan:
-    store = acquire_to_store(Workshop(scenario), folder / "scan.zarr", local_rig, resume=True)
+    store = acquire_to_store(
+        SimulationBuilder(scenario), folder / "scan.zarr", local_rig, resume=True
+    )
     return replace(store.read(), scenario=scenario)  # reconstructed as it says now
 
 
@@ -138,8 +140,8 @@ def compare(
         "without": scan(plain_scenario, folder / "without"),
     }
     grid = scenario.reconstruction.grid.volume_grid
-    workshops = {"with": Workshop(scenario), "without": Workshop(plain_scenario)}
-    truth, bare = (truth_of(scans[which], workshops[which]) for which in scans)
+    builders = {"with": SimulationBuilder(scenario), "without": SimulationBuilder(plain_scenario)}
+    truth, bare = (truth_of(scans[which], builders[which]) for which in scans)
     gap = distance_transform_edt(
         truth.volume <= 1.01 * bare.volume.max(), sampling=grid.voxel[::-1]
     )
@@ -154,7 +156,7 @@ def compare(
         given = with_kvp(scans[which], more_kvp)
         goal = bare
         if more_kvp:  # the same specimen at the energy that is believed
-            goal = truth_of(with_kvp(scans["without"], more_kvp), workshops["without"])
+            goal = truth_of(with_kvp(scans["without"], more_kvp), builders["without"])
 
         def judge(event: IterationDone) -> None:
             for name, shell in shells.items():

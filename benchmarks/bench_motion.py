@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from twinct.cell import build_cell
 from twinct.geometry import Pose
-from twinct.motion import RobotSimulation, plan_motion
+from twinct.geometry.wire import PosePairs, Target
+from twinct.robots.cell import build_cell
+from twinct.robots.motion import RobotSimulation, plan_motion
 from twinct.scenario import Cell, Detector, Motion, load_scenario
 from twinct.trajectory import SinusoidTrajectory, commanded_views
-from twinct.views import PosePairs, Target
 
 HEAD_SEMI_AXES_MM = (72.0, 90.0, 110.0)
 """A skull's size with its jaw."""

@@ -19,9 +19,9 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
-from twinct.cell import CellModel, build_cell
 from twinct.geometry import Floats, Pose, fibonacci_directions
-from twinct.reach import Bounds, Holder, Poses, place, poses_of
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.reach import Bounds, Holder, Poses, place, poses_of
 from twinct.scenario import Cell, Detector, DetectorArm, Motion, SourceArm
 from twinct.trajectory import on_sphere
 

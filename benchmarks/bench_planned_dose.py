@@ -29,16 +29,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from twinct.core.progress import SILENT
 from twinct.geometry import Pose, ScanGeometry
-from twinct.planning import Goal, Mean, search_views
-from twinct.progress import SILENT
 from twinct.runs import acquire_to_store
-from twinct.runs.view_candidates import candidates_of, reachable, spread_evenly
-from twinct.runs.view_goals import goals_of
-from twinct.runs.view_scout import scouted
-from twinct.scan import Workshop, local_rig
+from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.trajectory import commanded_views, write_views
+from twinct.view_planning import Goal, Mean, search_views
+from twinct.view_planning.candidates import candidates_of, reachable, spread_evenly
+from twinct.view_planning.scout import scouted
+from twinct.view_planning.task_goals import goals_of
 
 HEAD = Path(__file__).parents[1] / "scenarios" / "head.yaml"
 VIEWS, CANDIDATES, PHOTONS = 40, 400, 9e5
@@ -81,10 +81,12 @@ def measures(
 ) -> tuple[Goal, Goal]:
     """D' and the mean kerma of both lenses, Gy."""
     right, left = LENSES
-    found = goals_of(Workshop(with_part(scenario, right)), geometry, candidates, even, SILENT)
+    found = goals_of(
+        SimulationBuilder(with_part(scenario, right)), geometry, candidates, even, SILENT
+    )
     quick = {"detectability": None, "completeness": {"within_deg": 3.0}}
     other = goals_of(
-        Workshop(with_part(scenario, left, **quick)), geometry, candidates, even, SILENT
+        SimulationBuilder(with_part(scenario, left, **quick)), geometry, candidates, even, SILENT
     )
     doses = [goal.measure.each for goal in (found[1], other[1]) if isinstance(goal.measure, Mean)]
     assert len(doses) == len(LENSES)
@@ -112,9 +114,9 @@ def scout_scan(seed: int, store: Path) -> ScanGeometry:
         f"trajectory.centre_longitude_deg={FROM_DEG}",
         f"source.photons_per_mm2_mas={SCOUT_MAS_REL * PHOTONS}",
     ]
-    workshop = Workshop(load_scenario(HEAD, keys))
-    acquire_to_store(workshop, store, local_rig, resume=True)
-    return workshop.commanded
+    builder = SimulationBuilder(load_scenario(HEAD, keys))
+    acquire_to_store(builder, store, local_rig, resume=True)
+    return builder.commanded
 
 
 def best_baseline(paths: list[range], found: Goal, dose: Goal) -> tuple[int, float]:
@@ -155,7 +157,9 @@ def main() -> None:
     truth = with_part(load_scenario(HEAD, KEYS), LENSES[0])
     everywhere, kept = candidates_of(truth), options.out / "reachable.json"
     if not kept.exists():
-        kept.write_text(json.dumps(reachable(Workshop(truth), everywhere, SILENT).tolist()))
+        kept.write_text(
+            json.dumps(reachable(SimulationBuilder(truth), everywhere, SILENT).tolist())
+        )
     within = everywhere[json.loads(kept.read_text())]
     count, even = len(within), spread_evenly(within.source, VIEWS)
     print(f"{count} of {CANDIDATES} candidates within reach", flush=True)

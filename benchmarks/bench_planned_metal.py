@@ -35,11 +35,11 @@ from scipy.ndimage import distance_transform_edt
 
 from twinct.evaluation import region_of_interest
 from twinct.observers import IterationDone, Observer
-from twinct.planning import best_parameters
 from twinct.runs import acquire_to_store, reconstruct
-from twinct.runs.view_plan import plan_views
-from twinct.scan import Workshop, local_rig
+from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
+from twinct.view_planning import best_parameters
+from twinct.view_planning.planner import plan_views
 from twinct.xray.build import effective_energy_kev
 
 VIEWS, ITERATIONS = 120, 4
@@ -73,8 +73,10 @@ class Bench:
         plain = without_screws(truth)
         self.energy = effective_energy_kev(truth.source, truth.detector)
         self.grid = truth.reconstruction.volume_grid
-        volumes = [Workshop(one).specimen.truth(self.grid, self.energy) for one in (truth, plain)]
-        self.bare, self.mu = volumes[1], Workshop(plain).specimen.reference_mu(self.energy)
+        volumes = [
+            SimulationBuilder(one).specimen.truth(self.grid, self.energy) for one in (truth, plain)
+        ]
+        self.bare, self.mu = volumes[1], SimulationBuilder(plain).specimen.reference_mu(self.energy)
         metal = volumes[0] > 1.01 * volumes[1].max()
         gap = distance_transform_edt(~metal, sampling=self.grid.voxel[::-1])
         shell = (gap > SHELL_MM[0]) & (gap < SHELL_MM[1])
@@ -96,7 +98,7 @@ class Bench:
     def seen_by_all(self, paths: list[str]) -> None:
         """Leave out of the shell what a view of some path does not see."""
         for path in paths:
-            geometry = Workshop(self.scenario(path, 0)).commanded
+            geometry = SimulationBuilder(self.scenario(path, 0)).commanded
             self.shell &= region_of_interest(geometry, self.grid)
         print(f"{np.count_nonzero(self.shell)} voxels are judged", flush=True)
 
@@ -108,7 +110,9 @@ class Bench:
             if not metal:
                 scenario = without_screws(scenario)
             store = self.folder / "scans" / f"{path}-{seed}-{'with' if metal else 'without'}.zarr"
-            scan = acquire_to_store(Workshop(scenario), store, local_rig, resume=True).read()
+            scan = acquire_to_store(
+                SimulationBuilder(scenario), store, local_rig, resume=True
+            ).read()
             errors: list[float] = []
 
             def judge(event: IterationDone) -> None:
@@ -138,7 +142,9 @@ class Bench:
             found: list[float] = []
             for one in sets:
                 path = f"circle_{one['tilt_deg']:.0f}_{one['tilt_axis_deg']:.0f}"
-                seen = region_of_interest(Workshop(self.scenario(path, 0)).commanded, self.grid)
+                seen = region_of_interest(
+                    SimulationBuilder(self.scenario(path, 0)).commanded, self.grid
+                )
                 if not seen[self.shell].all():
                     print(f"{path}: some view does not see the whole shell", flush=True)
                     found.append(-1.0)

@@ -30,15 +30,15 @@ import numpy as np
 from bench_planned_dose import prior
 from numpy.typing import NDArray
 
+from twinct.core.progress import SILENT
 from twinct.evaluation import region_of_interest
-from twinct.pool import LocalPool
-from twinct.progress import SILENT
 from twinct.runs import acquire_to_store, reconstruct
-from twinct.runs.view_candidates import candidates_of, reachable, spread_evenly
-from twinct.runs.view_plan import plan_views
-from twinct.scan import Workshop, local_rig
+from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.trajectory import write_views
+from twinct.view_planning.candidates import candidates_of, reachable, spread_evenly
+from twinct.view_planning.planner import plan_views
+from twinct.workers import LocalPool
 from twinct.xray.build import effective_energy_kev
 
 HEAD = Path(__file__).parents[1] / "scenarios" / "head.yaml"
@@ -90,11 +90,11 @@ class Bench:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.log = folder, folder / "errors.jsonl"
         truth = head(PLANNED_FOR, TUNED_ON, GANTRY)
-        workshop, self.grid = Workshop(truth), truth.reconstruction.volume_grid
+        builder, self.grid = SimulationBuilder(truth), truth.reconstruction.volume_grid
         energy = effective_energy_kev(truth.source, truth.detector)
-        self.truth = workshop.specimen.truth(self.grid, energy)
-        self.mu = workshop.specimen.reference_mu(energy)
-        place = workshop.specimen.world_from_specimen.apply(np.array(TASK["position_mm"]))
+        self.truth = builder.specimen.truth(self.grid, energy)
+        self.mu = builder.specimen.reference_mu(energy)
+        place = builder.specimen.world_from_specimen.apply(np.array(TASK["position_mm"]))
         z, y, x = np.meshgrid(*self.grid.axes()[::-1], indexing="ij", sparse=True)
         far = (x - place[0]) ** 2 + (y - place[1]) ** 2 + (z - place[2]) ** 2
         self.region: NDArray[np.bool_] = far < TASK["radius_mm"] ** 2
@@ -105,7 +105,9 @@ class Bench:
         scenario = parse_scenario(told | {"task": TASK})
         everywhere, kept = candidates_of(scenario), self.folder / "reachable.json"
         if not kept.exists():
-            kept.write_text(json.dumps(reachable(Workshop(scenario), everywhere, SILENT).tolist()))
+            kept.write_text(
+                json.dumps(reachable(SimulationBuilder(scenario), everywhere, SILENT).tolist())
+            )
         self.within = everywhere[json.loads(kept.read_text())]
         print(f"{len(self.within)} of {len(everywhere)} candidates within reach", flush=True)
 
@@ -155,12 +157,12 @@ class Bench:
         key = (path, views, seed, strength, PASSES[views])
         if (before := self.known().get(key)) is not None:
             return before
-        workshop = Workshop(self.scenario(path, views, seed))
-        seen = region_of_interest(workshop.commanded, self.grid)
+        builder = SimulationBuilder(self.scenario(path, views, seed))
+        seen = region_of_interest(builder.commanded, self.grid)
         assert seen[self.region].all(), f"{path}: some view does not see the whole region"
         (self.folder / "scans").mkdir(exist_ok=True)
         store = self.folder / "scans" / f"{path.replace(' ', '_')}-{views}-{seed}.zarr"
-        scan = acquire_to_store(workshop, store, local_rig, resume=True).read()
+        scan = acquire_to_store(builder, store, local_rig, resume=True).read()
         volume = reconstruct(
             scan, algorithm="fista_tv", iterations=PASSES[views], regularisation=strength
         ).array

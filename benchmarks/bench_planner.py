@@ -17,17 +17,17 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from twinct.cell import CellModel, build_cell
-from twinct.errors import TrajectoryError
+from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats, Pose
-from twinct.motion.branches import Branches, matrices
-from twinct.motion.detour import SEARCHES, Detours
-from twinct.motion.feasible import Feasible
-from twinct.motion.way import find_way, kept_mm
+from twinct.geometry.wire import PosePairs
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.motion.branches import Branches, matrices
+from twinct.robots.motion.feasible import Feasible
+from twinct.robots.motion.path_planner import SEARCHES, Detours
+from twinct.robots.motion.path_search import find_joint_path, kept_mm
 from twinct.scenario import Cell, Detector, InverseKinematics, Motion
 from twinct.trajectory import ArcTrajectory, SinusoidTrajectory, commanded_views, on_sphere
 from twinct.trajectory.orbit import orbit_views
-from twinct.views import PosePairs
 
 HEAD_SEMI_AXES_MM = (72.0, 90.0, 110.0)
 PANEL = Detector().panel
@@ -140,7 +140,7 @@ def main() -> None:
         ("spiral, 200 views, both rolls free", spiral(200), (True, True)),
     ):
         seconds, way = timed(
-            lambda p=poses, f=free: find_way(cell, MOTION, p.targets(), roll_free=f)
+            lambda p=poses, f=free: find_joint_path(cell, MOTION, p.targets(), roll_free=f)
         )
         told = way if isinstance(way, str) else f"{len(getattr(way, 'joints'))} knots"  # noqa: B009
         print(f"{name}: {seconds:.1f} s, {told}", flush=True)  # noqa: T201

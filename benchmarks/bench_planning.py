@@ -15,8 +15,14 @@ import time
 import numpy as np
 
 from twinct.geometry import Panel, ScanGeometry
-from twinct.planning import covered_share, crossed_planes, exact_choice, exchanged, greedy_choice
 from twinct.trajectory import panel_axes
+from twinct.view_planning import (
+    covered_share,
+    crossed_planes,
+    exact_choice,
+    exchanged,
+    greedy_choice,
+)
 
 CANDIDATES, NUMBER, POINTS, NORMALS = 60, 12, 12, 25
 PANEL = Panel(480, 640, 0.5, 0.5)

@@ -9,8 +9,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from twinct.cluster import RayPool
-from twinct.pool import Done, LocalPool, Work, each
+from twinct.workers import Done, LocalPool, Work, each
+from twinct.workers.cluster import RayPool
 
 
 def resident_bytes():

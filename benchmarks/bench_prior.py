@@ -24,10 +24,10 @@ import numpy as np
 
 from twinct.evaluation import image_figures
 from twinct.geometry import Pose
+from twinct.recon.volume import Volume
 from twinct.runs import acquire_to_store, reconstruct, truth_of
-from twinct.scan import Scan, Workshop, local_rig
+from twinct.scan import Scan, SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
-from twinct.volume import Volume
 
 HEAD = Path(__file__).parents[1] / "scenarios" / "head.yaml"
 PLACE_MM = 0.0, -20.0, 32.0
@@ -78,7 +78,7 @@ def now(factor: int, photons: float, overrides: list[str]) -> Scenario:
 
 
 def scanned(of: Scenario, folder: Path) -> Scan:
-    store = acquire_to_store(Workshop(of), folder / "scan.zarr", local_rig, resume=True)
+    store = acquire_to_store(SimulationBuilder(of), folder / "scan.zarr", local_rig, resume=True)
     return replace(store.read(), scenario=of)  # reconstructed as it says now
 
 
@@ -87,7 +87,7 @@ class Judge:
 
     def __init__(self, scan: Scan) -> None:
         self.grid = scan.scenario.reconstruction.volume_grid
-        self.truth = truth_of(scan, Workshop(scan.scenario))
+        self.truth = truth_of(scan, SimulationBuilder(scan.scenario))
         stands = scan.scenario.specimen.world_from_specimen
         x, y, z = self.grid.axes()
         cx, cy, cz = self.grid.world_from_grid.inverse().apply(stands.apply(PLACE_MM))

@@ -33,9 +33,9 @@ from twinct.recon import (
 )
 from twinct.recon.resolution import binned
 from twinct.recon.surroundings import coarse_grid
-from twinct.runs.again import load_scan
+from twinct.recon.volume import Volume
+from twinct.runs.reconstruction import load_scan
 from twinct.runs.volumes import line_integrals
-from twinct.volume import Volume
 
 MARGIN_MM, COARSE_MM = 50.0, 2.5
 """Of the surroundings: the defaults; the skulls reach 25 mm beyond the paper's grid."""

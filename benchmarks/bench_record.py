@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.record import recorder_of
-from twinct.ros import ros_rigs
-from twinct.scan import Workshop
+from twinct.link import ros_rigs
+from twinct.link.recording import recorder_of
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 
 BYTES = 4 + 1
@@ -28,16 +28,16 @@ HERE = Path(__file__).parent
 
 def main() -> None:
     views = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    workshop = Workshop(load_scenario(HERE.parent / "scenarios" / "paper.yaml"))
-    targets, panel = workshop.targets[:views], workshop.scenario.detector.panel
+    builder = SimulationBuilder(load_scenario(HERE.parent / "scenarios" / "paper.yaml"))
+    targets, panel = builder.targets[:views], builder.scenario.detector.panel
     taken = np.zeros((views, 2))
     with tempfile.TemporaryDirectory() as folder:
         recording = recorder_of("ros2", Path(folder))
         make_rigs = ros_rigs(), recording.rigs(ros_rigs(hear=recording.hear))
         with (
             closing(recording),
-            closing(make_rigs[0](workshop, 0, None)) as plain,
-            closing(make_rigs[1](workshop, 0, None)) as recorded,
+            closing(make_rigs[0](builder, 0, None)) as plain,
+            closing(make_rigs[1](builder, 0, None)) as recorded,
         ):
             rigs = plain, recorded
             for view, target in enumerate(targets):

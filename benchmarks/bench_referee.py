@@ -20,16 +20,16 @@ from bench_planner import PANEL
 from bench_trajectories import MOTION, cell_of, mark, simulated, told_in
 from referee import Referee
 
-from twinct.cell import CellModel
-from twinct.errors import TrajectoryError
+from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.motion import Way, find_way
-from twinct.motion.plan import timed
-from twinct.motion.way import kept_mm
+from twinct.geometry.wire import PosePairs, Target
+from twinct.robots.cell import CellModel
+from twinct.robots.motion import JointPath, find_joint_path
+from twinct.robots.motion.path_search import kept_mm
+from twinct.robots.motion.plan import timed
 from twinct.scenario import Cell
 from twinct.trajectory import ArcTrajectory, on_sphere
 from twinct.trajectory.orbit import orbit_views
-from twinct.views import PosePairs, Target
 
 RESULTS = Path(__file__).parent / "results" / "referee.jsonl"
 
@@ -56,7 +56,7 @@ def drawn(index: int, within_deg: tuple[float, float]) -> Target:
     return PosePairs.from_geometry(orbit_views(section, PANEL, source)).targets()[0]
 
 
-def right(cell: CellModel, way: Way, referee: Referee) -> bool:
+def right(cell: CellModel, way: JointPath, referee: Referee) -> bool:
     """Whether forward kinematics, limits and all distances agree with a way's view."""
     joints = way.joints[-1]
     low, high = cell.joint_ranges.T
@@ -81,7 +81,7 @@ def judged(
     """Both verdicts on a view."""
     held = referee.holds(target.source, target.detector, (free, free)) is not None
     try:
-        way = find_way(cell, MOTION, [target], roll_free=(free, free))
+        way = find_joint_path(cell, MOTION, [target], roll_free=(free, free))
     except TrajectoryError as error:
         return {"held": held, "planned": False} | ({"refusal": str(error)} if held else {})
     told = {"held": held, "planned": True, "right": right(cell, way, referee)}

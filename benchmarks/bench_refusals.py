@@ -13,8 +13,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from twinct.errors import ScenarioError
-from twinct.files.plain_yaml import LARGEST_BYTES, MOST_VALUES, read_file
+from twinct.core.errors import ScenarioError
+from twinct.core.files.plain_yaml import LARGEST_BYTES, MOST_VALUES, read_file
 
 HOSTILE = {
     "nested lists": "[" * 100_000,

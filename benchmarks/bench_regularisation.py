@@ -22,7 +22,7 @@ import numpy as np
 from twinct.evaluation import image_figures, region_of_interest
 from twinct.geometry import VolumeGrid
 from twinct.recon import Projector, fista_tv, sart
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 
 PAPER = Path(__file__).parents[1] / "scenarios" / "paper.yaml"
@@ -44,16 +44,16 @@ class Scan:
             f"detector={{columns: {columns}, rows: {columns * 3 // 4}, pixel_pitch_mm: {pitch}}}"
         )
         scenario = load_scenario(PAPER, [panel])
-        workshop = Workshop(scenario)
-        chosen = np.linspace(0, len(workshop.commanded) - 1, VIEWS).round().astype(int)
-        geometry = workshop.commanded[chosen]
-        stand = workshop.specimen.world_from_specimen
-        with workshop.imager() as imager:
+        builder = SimulationBuilder(scenario)
+        chosen = np.linspace(0, len(builder.commanded) - 1, VIEWS).round().astype(int)
+        geometry = builder.commanded[chosen]
+        stand = builder.specimen.world_from_specimen
+        with builder.imager() as imager:
             self.transmission = np.stack([imager.render(view, stand) for view in geometry])
         self.grid = VolumeGrid((voxels,) * 3, 158.72 / voxels)
         energy = scenario.source.energy_kev
-        self.truth = workshop.specimen.truth(self.grid, energy)
-        self.mu = workshop.specimen.reference_mu(energy)
+        self.truth = builder.specimen.truth(self.grid, energy)
+        self.mu = builder.specimen.reference_mu(energy)
         self.region = region_of_interest(geometry, self.grid)
         self.projector = Projector(geometry, self.grid)
 

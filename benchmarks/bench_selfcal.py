@@ -31,9 +31,9 @@ from twinct.geometry import Pose, ScanGeometry
 from twinct.recon import Projector, sart
 from twinct.runs import simulate
 from twinct.runs.volumes import line_integrals
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario, parse_scenario
-from twinct.uncertainty.alike import view_normals
+from twinct.uncertainty.correlation import view_normals
 from twinct.xray.build import effective_energy_kev
 
 CRANIUM = Path(__file__).parents[1] / "scenarios" / "paper_cranium.yaml"
@@ -68,17 +68,17 @@ def scanned(scenario: Scenario, kept: Path):
     """Line integrals, executed geometry, truth and its mu, region; made once."""
     if kept.exists():
         return pickle.loads(kept.read_bytes())
-    workshop = Workshop(scenario)
-    scan = simulate(scenario, workshop=workshop)
+    builder = SimulationBuilder(scenario)
+    scan = simulate(scenario, builder=builder)
     executed = scan.executed.geometry(scenario.detector.panel)
     grid = scenario.reconstruction.volume_grid
     energy = effective_energy_kev(scenario.source, scenario.detector)
-    truth = workshop.specimen.truth(grid, energy, scan.stands)
+    truth = builder.specimen.truth(grid, energy, scan.stands)
     told = (
         line_integrals(scan.transmission),
         executed,
         truth,
-        workshop.specimen.reference_mu(energy),
+        builder.specimen.reference_mu(energy),
         region_of_interest(executed, grid),
     )
     kept.write_bytes(pickle.dumps(told))

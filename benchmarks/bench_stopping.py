@@ -27,11 +27,11 @@ from bench_quality import COARSE_MM, Case
 from scipy import ndimage
 
 import twinct
-from twinct.files.writing import complete
+from twinct.core.files.writing import complete
 from twinct.recon import fast, sart, without_surroundings
 from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.stopping import error_change
-from twinct.runs.again import derive_geometry
+from twinct.runs.reconstruction import derive_geometry
 from twinct.runs.volumes import line_integrals
 from twinct.scenario import load_scenario
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from twinct.geometry import Pose
+from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.runs import verify
 from twinct.scan import ScanStore, View
 from twinct.scenario import load_scenario
 from twinct.trajectory import commanded_views
-from twinct.views import Instant, PosePairs, Reached, to_seven
 
 PAPER = Path(__file__).parents[1] / "scenarios" / "paper.yaml"
 NAMES = tuple(f"joint_{number}" for number in range(12))

@@ -19,15 +19,15 @@ from statistics import median
 
 os.environ["TWINCT_THREADS"] = "1"
 
-from twinct.pool import LocalPool  # noqa: E402 - threads are bounded before anything is loaded
+from twinct.core.threads import limit_threads  # noqa: E402
 from twinct.study import dry_run, load_results, load_study, run_study  # noqa: E402
 from twinct.study.checking import Checker  # noqa: E402
 from twinct.study.driver import Driver  # noqa: E402
 from twinct.study.estimate import bytes_below  # noqa: E402
 from twinct.study.folder import StudyFolder  # noqa: E402
 from twinct.study.rows import Rows  # noqa: E402
-from twinct.study.taking import take_scan, try_trial  # noqa: E402
-from twinct.threads import limit_threads  # noqa: E402
+from twinct.study.trial import take_scan, try_trial  # noqa: E402
+from twinct.workers import LocalPool  # noqa: E402 - threads are bounded before anything is loaded
 
 ROOT = Path(__file__).parents[1]
 SMALL = {
@@ -78,7 +78,7 @@ def pool_of(kind, workers, folder):
     if kind == "local":
         pool = LocalPool(folder, workers=workers, threads=1)
     else:
-        from twinct.cluster import RayPool
+        from twinct.workers.cluster import RayPool
 
         pool = RayPool("local", name=f"bench-{workers}", threads=1)
     with pool:
@@ -92,10 +92,10 @@ def seconds_of(call, *arguments):
     return time.perf_counter() - start
 
 
-def call_all(errands, place):
+def call_all(specs, place):
     """The bare calls of some trials."""
-    for errand in errands:
-        try_trial(errand, place)
+    for spec in specs:
+        try_trial(spec, place)
 
 
 def overhead(kind, folder, number):
@@ -107,10 +107,10 @@ def overhead(kind, folder, number):
     with pool_of(kind, 1, folder / "work") as pool:
         driver = bench.on(pool)
         driver.run(bench.trials[:2])
-        errands = [driver.errand(one, shared=False) for one in bench.trials]
-        for errand in errands[:2]:
-            try_trial(errand, here)
-        by_key = {errand.key: errand for errand in errands}
+        specs = [driver.spec(one, shared=False) for one in bench.trials]
+        for spec in specs[:2]:
+            try_trial(spec, here)
+        by_key = {spec.key: spec for spec in specs}
         for turn, block in enumerate(blocks):
             tried = seconds_of(driver.run, block)
             called = seconds_of(call_all, [by_key[one.key] for one in block], here)
@@ -163,12 +163,12 @@ def sharing(kind, folder, number):
             warm = Bench(seeds(1, "circle_gantry.yaml", **SMALL), folder / f"warm{turn}")
             warm.on(pool).run(warm.trials)
             driver = bench.on(pool)
-            errands = [driver.errand(one, shared=True) for one in bench.trials]
+            specs = [driver.spec(one, shared=True) for one in bench.trials]
             studied = seconds_of(driver.run, bench.trials)
         rows = load_results(bench.folder.path)
         own = sum(rows[f"seconds.{stage}"].sum() for stage in (*SCAN, "reconstruction"))
-        alone = seconds_of(take_scan, errands[0], here)
-        parts = [try_trial(errand, here).value["seconds"]["reconstruction"] for errand in errands]
+        alone = seconds_of(take_scan, specs[0], here)
+        parts = [try_trial(spec, here).value["seconds"]["reconstruction"] for spec in specs]
         ratios.append((studied / own, studied / (alone + sum(parts))))
         each = median(parts)
         print(

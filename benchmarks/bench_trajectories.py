@@ -23,10 +23,10 @@ from roadmap import Roadmap
 from sixty import Named, sixty
 from trimesh.creation import icosphere
 
-from twinct.cell import CellModel, build_cell
-from twinct.errors import TargetRefusedError, TrajectoryError
+from twinct.core.errors import TargetRefusedError, TrajectoryError
 from twinct.geometry import Pose
-from twinct.motion import MotionPlan, RobotSimulation, plan_motion
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.motion import MotionPlan, RobotSimulation, plan_motion
 from twinct.scenario import Cell, Motion, load_scenario
 
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"

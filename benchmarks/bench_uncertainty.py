@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from twinct.runs.propagating import nominal_scan
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import PRESETS, Uncertainty, load_scenario
 from twinct.uncertainty.propagation import propagate
 
@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--preset", default="collaborative")
     asked = parser.parse_args()
     scenario = load_scenario(DEMO, [f"trajectory.views={asked.views}"])
-    scan = nominal_scan(Workshop(scenario))
+    scan = nominal_scan(SimulationBuilder(scenario))
     quiet = {"source": {"sigma_mm": 0}, "detector": {"sigma_mm": 0}}
     section = Uncertainty.model_validate({"arms": PRESETS[asked.preset]["arms"], **quiet})
     begun = time.perf_counter()

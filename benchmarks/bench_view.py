@@ -21,18 +21,18 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.files.writing import write_text
+from twinct.core.files.writing import write_text
+from twinct.geometry.wire import Instant, Reached, to_seven
 from twinct.observers import Event, JointSample, Observer, ViewStored, audience_of
+from twinct.recon.volume import Volume
 from twinct.runs import Folder, acquire_to_store
 from twinct.runs.acquisition import rig_factory
 from twinct.runs.folder import as_yaml
-from twinct.scan import ScanStore, View, Workshop
+from twinct.scan import ScanStore, SimulationBuilder, View
 from twinct.scenario import load_scenario
-from twinct.view.following import LivePage
-from twinct.view.page import Page
-from twinct.view.server import LOOPBACK, close, serve
-from twinct.views import Instant, Reached, to_seven
-from twinct.volume import Volume
+from twinct.viewer.following import LivePage
+from twinct.viewer.live_page import Page
+from twinct.viewer.server import LOOPBACK, close, serve
 
 HERE = Path(__file__).parent
 SCENARIOS = HERE.parent / "scenarios"
@@ -103,10 +103,10 @@ def drawn(folder: Path) -> dict:
 def write_paper_size(out: Path) -> None:
     """A finished run's folder of the paper's size, but for its report."""
     scenario = load_scenario(SCENARIOS / "paper.yaml")
-    workshop, folder = Workshop(scenario), Folder(out)
+    builder, folder = SimulationBuilder(scenario), Folder(out)
     out.mkdir()
     write_text(folder.scenario, as_yaml(scenario))
-    plan, poses = workshop.plan, workshop.commanded_poses
+    plan, poses = builder.plan, builder.commanded_poses
     assert plan is not None
     place = to_seven(scenario.specimen.world_from_specimen)
     names = plan.joint_names
@@ -202,8 +202,8 @@ def live(out: Path) -> dict:
         closing(Page(server, live=True)) as page,
         closing(Listener(server.get_port(), note=come)) as browser,
     ):
-        workshop = Workshop(scenario)
-        live_page = LivePage(page, out, workshop)
+        builder = SimulationBuilder(scenario)
+        live_page = LivePage(page, out, builder)
         off = False
 
         def hear(event: Event) -> None:
@@ -220,7 +220,7 @@ def live(out: Path) -> dict:
             Observer(hear, joints_hz=10.0, waiting=64),
             Observer(note, (ViewStored,), lossless=True),
         ]
-        run_scan(workshop, out, observers)
+        run_scan(builder, out, observers)
         browser.catch_up(page)
         sent = first_sent(messages)
     close(server)
@@ -255,16 +255,16 @@ def heard(view: int) -> bool:
     return view // BLOCK % 2 == 0
 
 
-def run_scan(workshop: Workshop, out: Path, observers: list[Observer]) -> None:
+def run_scan(builder: SimulationBuilder, out: Path, observers: list[Observer]) -> None:
     """Acquire into a store, as a run does."""
     out.mkdir()
     folder = Folder(out)
-    write_text(folder.scenario, as_yaml(workshop.scenario))
+    write_text(folder.scenario, as_yaml(builder.scenario))
     with (
         audience_of(observers) as audience,
         rig_factory("ros2", folder.logs, audience) as make_rig,
     ):
-        acquire_to_store(workshop, folder.scan, make_rig, resume=False, observers=audience)
+        acquire_to_store(builder, folder.scan, make_rig, resume=False, observers=audience)
 
 
 def first_sent(messages: list) -> dict[int, float]:

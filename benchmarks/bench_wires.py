@@ -31,7 +31,7 @@ from twinct.recon.surroundings import without_surroundings
 from twinct.runs import simulate
 from twinct.runs.volumes import line_integrals
 from twinct.scenario import Scenario, parse_scenario
-from twinct.uncertainty.alike import view_normals
+from twinct.uncertainty.correlation import view_normals
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

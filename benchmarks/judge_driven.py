@@ -22,12 +22,12 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twinct.cell import CellModel
 from twinct.geometry import MM_PER_M, Floats
-from twinct.motion.branches import Branches
-from twinct.motion.feasible import Feasible
-from twinct.motion.way import kept_mm
-from twinct.scan import Workshop
+from twinct.robots.cell import CellModel
+from twinct.robots.motion.branches import Branches
+from twinct.robots.motion.feasible import Feasible
+from twinct.robots.motion.path_search import kept_mm
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Motion, load_scenario
 
 ROLLS_DEG = np.arange(0.0, 360.0, 5.0)
@@ -143,7 +143,7 @@ def main() -> None:
     if not args.answers.exists():
         raise SystemExit(f"{args.answers} does not exist: run benchmarks/drive_nodes.py first")
     scenario = load_scenario(args.scenario)
-    judge = Judge(Workshop(scenario).cell, scenario.motion)
+    judge = Judge(SimulationBuilder(scenario).cell, scenario.motion)
     lines = [json.loads(text) for text in args.answers.read_text().splitlines()]
     kept = args.answers.with_suffix(".judged.jsonl")
     done = [json.loads(text) for text in kept.read_text().splitlines()] if kept.exists() else []

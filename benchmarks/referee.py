@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twinct.cell import CellModel
 from twinct.geometry import MM_PER_M, Floats, Pose
-from twinct.motion.branches import Branches, matrices
+from twinct.robots.cell import CellModel
+from twinct.robots.motion.branches import Branches, matrices
 from twinct.scenario import InverseKinematics
 
 ROLLS = np.radians(np.arange(0.0, 360.0, 5.0))

@@ -14,10 +14,10 @@ import numpy as np
 from referee import Referee
 from scipy.cluster.hierarchy import DisjointSet
 
-from twinct.cell import CellModel
 from twinct.geometry import MM_PER_M, Floats
+from twinct.geometry.wire import Target
+from twinct.robots.cell import CellModel
 from twinct.scenario import InverseKinematics
-from twinct.views import Target
 
 NEIGHBOURS = 12
 """Nodes that a new one is connected to, at most."""

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats, Panel
+from twinct.geometry.wire import PosePairs, Target
 from twinct.trajectory import (
     ArcTrajectory,
     SinusoidTrajectory,
@@ -19,7 +20,6 @@ from twinct.trajectory import (
     on_sphere,
 )
 from twinct.trajectory.orbit import orbit_views
-from twinct.views import PosePairs, Target
 
 SEED = 60
 

@@ -17,14 +17,14 @@ from numba.core import event as numba_event
 from scipy.spatial.transform import Rotation
 from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
 
+from twinct.core.threads import available_threads, limit_threads
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.threads import available_threads, limit_threads
 
 if TYPE_CHECKING:
     import trimesh
     from xdist.remote import Producer
 
-    from twinct.cell import CellModel
+    from twinct.robots.cell import CellModel
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # As in a shell's background job: what a test starts would not hear of Ctrl-C either.
@@ -75,7 +75,7 @@ _compilations = _Compilations()
 numba_event.register("numba:compile", _compilations)
 
 
-TOGETHER = {"cluster": "pools", "pool": "pools", "study": "pools"}
+TOGETHER = {"cluster": "pools", "workers": "pools", "study": "pools"}
 """Folders that share a worker: of pools of processes, one at a time is enough for a machine."""
 
 LAST = "test_rtk.py"
@@ -193,7 +193,7 @@ def head() -> trimesh.Trimesh:
 @pytest.fixture(scope="session")
 def cell(head: trimesh.Trimesh) -> CellModel:
     """The paper's room about it."""
-    from twinct.cell import build_cell
+    from twinct.robots.cell import build_cell
     from twinct.scenario import Cell, Detector, load_scenario
 
     section = load_scenario(Path(__file__).parents[1] / "scenarios" / "paper.yaml").cell

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from twinct.errors import ScenarioError
+from twinct.core.errors import ScenarioError
 from twinct.scenario import Detector, Source, load_scenario
 
 ROOT = Path(__file__).parents[1]

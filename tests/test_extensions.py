@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct.extensions import offers
+from twinct.core.extensions import offers
 
 HERE = Path(__file__).parent
 GROUP = "twinct.tests"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from twinct.errors import InputError, MissingExtraError
-from twinct.extras import require
+from twinct.core.errors import InputError, MissingExtraError
+from twinct.core.extras import require
 
 DEMO = Path(__file__).parents[1] / "scenarios" / "demo.yaml"
 

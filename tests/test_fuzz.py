@@ -19,7 +19,7 @@ KIND = """
 import os, signal
 from pathlib import Path
 from cases import Case
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 
 def refused():
     raise InputError("no")

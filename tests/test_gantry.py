@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from twinct.errors import MotionError
-from twinct.gantry import Gantry
+from twinct.core.errors import MotionError
 from twinct.geometry import Panel, Pose
+from twinct.geometry.wire import PosePairs, Reached, Target
+from twinct.robots.gantry import Gantry
 from twinct.scenario import GantryCell, Source, parse_scenario
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs, Reached, Target
 
 STANDS = Pose.from_euler((1, 2, 3), (10, 20, 30))
 ON_THE_WAY_MM = 1e-9

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from twinct.errors import ScenarioError
+from twinct.core.errors import ScenarioError
 from twinct.scenario import load_scenario, parse_scenario, scenario_schema
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
@@ -123,7 +123,7 @@ def test_deep_nesting_is_refused(tmp_path: Path, depth: int) -> None:
 
 
 def test_problems_found_later_get_the_place_of_their_key(tmp_path: Path) -> None:
-    from twinct.errors import SpecimenError
+    from twinct.core.errors import SpecimenError
     from twinct.scenario import named_places
 
     file = tmp_path / "x.yaml"

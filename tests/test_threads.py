@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from twinct.errors import InputError
-from twinct.threads import available_threads, threads
+from twinct.core.errors import InputError
+from twinct.core.threads import available_threads, threads
 
 DEMO = Path(__file__).parents[1] / "scenarios" / "demo.yaml"
 ASK = """
 import json, sys
 from pathlib import Path
-from twinct.threads import limit_threads
+from twinct.core.threads import limit_threads
 if sys.argv[1] == "early":
     limit_threads()
 import numpy, numba, threadpoolctl
@@ -67,7 +67,7 @@ def test_a_bound_that_is_none_is_named(text: str, monkeypatch: pytest.MonkeyPatc
 
 TOLD = """
 import os
-from twinct.threads import limit_threads
+from twinct.core.threads import limit_threads
 os.environ.pop("TWINCT_THREADS", None)
 limit_threads()
 told = os.environ["LP_NUM_THREADS"]
@@ -92,7 +92,7 @@ LATE = """
 import os
 os.environ.pop("TWINCT_THREADS", None)
 import numba, numpy, threadpoolctl
-from twinct.threads import limit_threads
+from twinct.core.threads import limit_threads
 numba.set_num_threads(1)
 limit_threads()
 blas = [p["num_threads"] for p in threadpoolctl.threadpool_info() if p["user_api"] == "blas"]
@@ -112,7 +112,7 @@ def test_libraries_told_by_their_user_are_left_alone_unless_a_bound_is_asked_for
 
 
 MORE = """
-from twinct.threads import limit_threads, load_numba
+from twinct.core.threads import limit_threads, load_numba
 load_numba()
 limit_threads(1)
 import numba

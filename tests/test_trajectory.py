@@ -7,7 +7,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from scipy.spatial import cKDTree
 
-from twinct.errors import TrajectoryError
+from twinct.core.errors import TrajectoryError
 from twinct.geometry import Panel
 from twinct.scenario import AnyTrajectory
 from twinct.trajectory import commanded_mas, commanded_views, leaves_roll, write_views

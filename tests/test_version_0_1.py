@@ -13,13 +13,13 @@ import zarr
 
 from twinct import load_scan, reconstruct
 from twinct.cli import run_command
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Pose
+from twinct.geometry.wire import PosePairs
+from twinct.recon.volume import Volume
 from twinct.runs import reconstruct_again, report_again
 from twinct.scan import reported
 from twinct.scenario import load_scenario
-from twinct.views import PosePairs
-from twinct.volume import Volume
 
 KEPT = Path(__file__).parent / "version_0_1"
 DEMO = Path(__file__).parents[1] / "scenarios" / "demo.yaml"

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Pose, VolumeGrid
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 def test_voxels_lie_where_the_grid_says(tmp_path) -> None:

@@ -37,11 +37,12 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from twinct.errors import TwinctError
-from twinct.ros import Domain, RosRig, messages
-from twinct.ros.messages import Stamp
-from twinct.ros.rig import NODE_COMMAND
-from twinct.ros.topics import (
+from twinct.core.errors import TwinctError
+from twinct.geometry.wire import Instant, Reached, Target
+from twinct.link import Domain, RosRig, messages
+from twinct.link.messages import Stamp
+from twinct.link.rig import NODE_COMMAND
+from twinct.link.topics import (
     CLOCK,
     COMMANDED,
     DIAGNOSTICS,
@@ -56,9 +57,8 @@ from twinct.ros.topics import (
     VIEWS,
 )
 from twinct.runs import acquire_to_store
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario, parse_scenario
-from twinct.views import Instant, Reached, Target
 
 ROOT = Path(__file__).parents[1]
 KEYS = [
@@ -344,10 +344,10 @@ class Log(logging.Handler):
 def scan(scenario, path, command, domain=None, before=None):
     """Run a scan into a store; call ``before(view)`` before each view is requested."""
 
-    def rigs(workshop, first, state):
+    def rigs(builder, first, state):
         rig = RosRig(
             scenario,
-            plan=workshop.plan if command == NODE_COMMAND else None,
+            plan=builder.plan if command == NODE_COMMAND else None,
             first_view=first,
             start_state=state,
             node_command=command,
@@ -364,7 +364,7 @@ def scan(scenario, path, command, domain=None, before=None):
         rig.move = attacked if before else move
         return rig
 
-    return acquire_to_store(Workshop(scenario), path, rigs, resume=False)
+    return acquire_to_store(SimulationBuilder(scenario), path, rigs, resume=False)
 
 
 class Attacked:
@@ -386,7 +386,7 @@ class Attacked:
             "domain": self.domain.id,
             "scenario": json.loads(scenario.resolved()),
             "epoch": str(messages.Epoch.of(scenario)),
-            "targets": [(t.source_m, t.detector_m) for t in Workshop(scenario).targets],
+            "targets": [(t.source_m, t.detector_m) for t in SimulationBuilder(scenario).targets],
             "taken_s": taken_s.tolist(),
         }
         self.stranger = None

@@ -86,7 +86,7 @@ def _voxelise() -> None:
 
 def _cast_shadows() -> None:
     from twinct.geometry import Panel, Pose
-    from twinct.shadow import Body, Rays
+    from twinct.recon.shadow import Body, Rays
     from twinct.trajectory import CircleTrajectory, commanded_views
 
     mesh = _specimen().parts[0].mesh

@@ -34,7 +34,7 @@ from pathlib import Path
 from store_damages import KINDS, contents, differ, restore
 
 from twinct import run
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.runs import verify
 from twinct.scan import ScanStore
 from twinct.scenario import load_scenario

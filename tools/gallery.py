@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from twinct.geometry import Pose, ScanGeometry
 from twinct.runs import reconstruct, simulate
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario
 from twinct.xray.build import effective_energy_kev
 
@@ -112,15 +112,15 @@ def turned(view: ScanGeometry, degrees: float) -> ScanGeometry:
     return Pose.from_euler((0, 0, 0), (0, 0, degrees)) @ view
 
 
-def take(workshop: Workshop) -> NDArray[np.float32]:
+def take(builder: SimulationBuilder) -> NDArray[np.float32]:
     """Return the image of the middle view, with all effects of the scenario."""
-    view = workshop.commanded[1]
-    pose = workshop.specimen.world_from_specimen
-    samples = workshop.scenario.source.motion_samples
+    view = builder.commanded[1]
+    pose = builder.specimen.world_from_specimen
+    samples = builder.scenario.source.motion_samples
     shares = (np.arange(samples) + 0.5) / samples - 0.5
     path = [(turned(view, TURN_DEG * share), pose) for share in shares]
-    before = (turned(view, -2 * TURN_DEG), pose) if workshop.scenario.detector.lag else None
-    with workshop.imager() as imager:
+    before = (turned(view, -2 * TURN_DEG), pose) if builder.scenario.detector.lag else None
+    with builder.imager() as imager:
         return imager.expose(path, 1, before)
 
 
@@ -149,10 +149,10 @@ def draw(name: str, ideal: NDArray[np.float32], image: NDArray[np.float32]) -> N
 def draw_hardening() -> None:
     """Draw a slice of the ground truth, and the error of the volume with each correction."""
     base = parse_scenario(HEAD)
-    workshop = Workshop(base)
-    scan = simulate(base, workshop=workshop)
+    builder = SimulationBuilder(base)
+    scan = simulate(base, builder=builder)
     grid = base.reconstruction.grid.volume_grid
-    truth = workshop.specimen.truth(grid, effective_energy_kev(base.source, base.detector))
+    truth = builder.specimen.truth(grid, effective_energy_kev(base.source, base.detector))
     middle = truth.shape[0] * 5 // 8
     slices = {}
     for name, correction in CORRECTIONS.items():
@@ -178,12 +178,12 @@ def main() -> None:
     """Draw the effects given on the command line, or all."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     wanted = sys.argv[1:] or [*EFFECTS, "beam_hardening"]
-    ideal = take(Workshop(scenario({})))
+    ideal = take(SimulationBuilder(scenario({})))
     for name in wanted:
         if name == "beam_hardening":
             draw_hardening()
             continue
-        image = take(Workshop(scenario(EFFECTS[name])))
+        image = take(SimulationBuilder(scenario(EFFECTS[name])))
         coarse = ideal.shape[0] // image.shape[0]
         draw(name, ideal, image.repeat(coarse, axis=0).repeat(coarse, axis=1))
 

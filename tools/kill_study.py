@@ -101,7 +101,7 @@ class LocalProcesses:
 
     def workers(self):
         """Return the workers that a driver has started."""
-        return {p: line for p, line in alive(self.mark).items() if "twinct.pool.worker" in line}
+        return {p: line for p, line in alive(self.mark).items() if "twinct.workers.worker" in line}
 
     busy = workers
 

@@ -75,7 +75,7 @@ def victim_pid(victim, process, mark):
     """Return the pid of the process to kill, or None if it is not running."""
     if victim == "scan":
         return process.pid
-    wanted = f"twinct.ros {victim} "
+    wanted = f"twinct.link {victim} "
     return next((pid for pid, line in alive(mark).items() if wanted in line), None)
 
 

@@ -28,10 +28,10 @@ from twinct.recon import (
     sirt,
     without_surroundings,
 )
-from twinct.scan import Workshop
+from twinct.recon.volume import Volume
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 from twinct.trajectory import commanded_views
-from twinct.volume import Volume
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
@@ -53,17 +53,17 @@ ALGORITHMS: dict[str, Callable[..., Volume]] = {
 }
 
 demo = load_scenario(ROOT / "scenarios" / "demo.yaml")
-workshop = Workshop(demo)
+builder = SimulationBuilder(demo)
 grid = demo.reconstruction.grid.volume_grid
 energy = demo.source.energy_kev
-truth = workshop.specimen.truth(grid, energy)
-mu = workshop.specimen.reference_mu(energy)
+truth = builder.specimen.truth(grid, energy)
+mu = builder.specimen.reference_mu(energy)
 
 
 def line_integrals(geometry: ScanGeometry, noisy: bool = True) -> np.ndarray:
     """Return the line integrals of the skull, with Poisson noise unless ``noisy`` is False."""
-    stand = workshop.specimen.world_from_specimen
-    with workshop.imager() as imager:
+    stand = builder.specimen.world_from_specimen
+    with builder.imager() as imager:
         transmission = np.stack([imager.render(view, stand) for view in geometry])
     if not noisy:
         return -np.log(transmission)
@@ -104,7 +104,7 @@ def draw(path: Path, panels: Panels, columns: int) -> None:
 
 def main() -> None:
     """Reconstruct with each algorithm, print the errors and draw both pictures."""
-    geometry = workshop.commanded
+    geometry = builder.commanded
     region = region_of_interest(geometry, grid)
     p, A = line_integrals(geometry), Projector(geometry, grid)
     panels: Panels = {"truth": (truth, region)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from twinct import renamed
+from twinct.core import renamed
 from twinct.version import __version__
 
 if TYPE_CHECKING:

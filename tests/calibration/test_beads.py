@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twinct.calibration import BallPhantom, calibrated, calibrated_view
-from twinct.errors import CalibrationError
+from twinct.core.errors import CalibrationError
 
 from .conftest import PANEL, image, off, phantom, views
 

@@ -9,7 +9,7 @@ from twinct.calibration.consistency import Round, self_calibrated
 from twinct.calibration.freedom import PosePrior
 from twinct.calibration.modes import aligned
 from twinct.calibration.resection import moved
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
 from twinct.trajectory import ArcTrajectory, on_sphere

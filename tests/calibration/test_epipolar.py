@@ -12,7 +12,7 @@ from twinct.calibration.modes import aligned
 from twinct.calibration.plane_integrals import PlaneIntegrals
 from twinct.calibration.plane_pairs import PlanePairs
 from twinct.calibration.resection import moved
-from twinct.errors import CalibrationError, InputError
+from twinct.core.errors import CalibrationError, InputError
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.trajectory import ArcTrajectory, on_sphere
 from twinct.trajectory.orbit import orbit_views

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from twinct.calibration import CalibratedArms, KinematicCalibration, Seen, calibrated_arms, moved
+from twinct.calibration.arm_calibration import arm_prior
 from twinct.calibration.kinematics import ArmPrior, minimal_from_full
-from twinct.cell import CellModel, chains_of
-from twinct.errors import CalibrationError, InputError
+from twinct.core.errors import CalibrationError, InputError
 from twinct.geometry import Chain, Floats, Misfit, Panel, Pose, ScanGeometry
-from twinct.runs.kinematics import arm_prior
+from twinct.robots.cell import CellModel, chains_of
 from twinct.scenario import Uncertainty
 from twinct.uncertainty.arms import Moment, drawn, true_tools
 

@@ -14,7 +14,7 @@ from twinct.calibration import (
     online_calibrated,
     tracked,
 )
-from twinct.errors import CalibrationError
+from twinct.core.errors import CalibrationError
 from twinct.trajectory import ArcTrajectory, on_sphere
 from twinct.trajectory.orbit import orbit_views
 

@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from twinct.cell import build_cell
-from twinct.cell.arms import load_arm
-from twinct.errors import MissingExtraError, ScenarioError
+from twinct.core.errors import MissingExtraError, ScenarioError
 from twinct.geometry import Pose
+from twinct.robots.cell import build_cell
+from twinct.robots.cell.arms import load_arm
 from twinct.scenario import Cell, Detector, SourceArm
 
 EXACT_M = 1e-9

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, build_cell, chains_of
 from twinct.geometry import MM_PER_M, Misfit, Pose
+from twinct.robots.cell import CellModel, build_cell, chains_of
 from twinct.scenario import Cell, Detector
 
 URDF = Path(__file__).with_name("six_axis.urdf")

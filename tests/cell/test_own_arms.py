@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import CellModel, build_cell
-from twinct.cell.arms import ArmModel, load_arm
-from twinct.errors import ScenarioError
-from twinct.files.arm_xml import LARGEST_BYTES
+from twinct.core.errors import ScenarioError
+from twinct.core.files.arm_xml import LARGEST_BYTES
 from twinct.geometry import Pose
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.cell.arms import ArmModel, load_arm
 from twinct.scenario import Cell, Detector, SourceArm, load_scenario, stage_digests
 
 URDF = Path(__file__).with_name("six_axis.urdf")

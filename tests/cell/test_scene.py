@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import CellModel, Clearance, build_cell, build_gantry, render_cell
-from twinct.errors import ScenarioError
+from twinct.core.errors import ScenarioError
 from twinct.geometry import Pose
+from twinct.robots.cell import CellModel, Clearance, build_cell, build_gantry, render_cell
 from twinct.scenario import Cell, Detector, GantryCell
 
 ROUNDING_M = 1e-6

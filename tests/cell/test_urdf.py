@@ -10,8 +10,8 @@ import pytest
 import trimesh
 from yourdfpy import URDF
 
-from twinct.cell import CellModel, build_cell, cell_urdf
 from twinct.geometry import Pose
+from twinct.robots.cell import CellModel, build_cell, cell_urdf
 from twinct.scenario import Cell, Detector
 
 OWN = Path(__file__).with_name("six_axis.urdf")

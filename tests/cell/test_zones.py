@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import Clearance, build_cell
-from twinct.errors import ScenarioError
+from twinct.core.errors import ScenarioError
 from twinct.geometry import Pose
+from twinct.robots.cell import Clearance, build_cell
 from twinct.scenario import Cell, Detector, load_scenario, stage_digests
 
 BASE = {

@@ -339,9 +339,11 @@ def test_a_gantry_is_checked_without_mujoco() -> None:
 def test_a_specimen_that_no_view_sees_is_refused_before_planning(
     capfd, tmp_path: Path, monkeypatch
 ) -> None:
-    from twinct.scan import Workshop
+    from twinct.scan import SimulationBuilder
 
-    monkeypatch.setattr(Workshop, "plan", property(lambda self: pytest.fail("planning started")))
+    monkeypatch.setattr(
+        SimulationBuilder, "plan", property(lambda self: pytest.fail("planning started"))
+    )
     away = [*TINY, "--set", "specimen.position_mm=[5000,0,0]"]
     for command in (["check", DEMO], ["run", DEMO, "--out", str(tmp_path / "o"), "--link=local"]):
         assert "no view sees the specimen at (5000, 0, 0) mm" in bad(capfd, *command, *away)
@@ -367,13 +369,13 @@ def test_an_image_without_bone_in_its_region_is_judged_as_far_as_it_goes(
 @pytest.fixture
 def no_work(monkeypatch) -> None:
     """Whatever builds or plans anything fails the test."""
-    from twinct.scan import Workshop
+    from twinct.scan import SimulationBuilder
 
     def work(self) -> None:
         raise AssertionError("work started")
 
     for name in ("specimen", "plan", "cell"):
-        monkeypatch.setattr(Workshop, name, property(work))
+        monkeypatch.setattr(SimulationBuilder, name, property(work))
 
 
 @pytest.mark.process

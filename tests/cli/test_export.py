@@ -12,12 +12,12 @@ import pytest
 
 from twinct.cli import run_command
 from twinct.geometry import Pose
+from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.runs import line_integrals
 from twinct.scan import ScanStore, View
 from twinct.scan import store as store_module
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
-from twinct.views import Instant, PosePairs, Reached, to_seven
 
 VIEWS = 5
 

@@ -41,10 +41,10 @@ def test_place_saves_a_scenario(
 ) -> None:
     import sys
 
-    import twinct.reach  # noqa: F401
+    import twinct.robots.reach  # noqa: F401
 
     for name, value in {"PAIRS": 2, "IMPROVED": 1, "IMPROVED_ALONE": 1, "STEPS": ()}.items():
-        monkeypatch.setattr(sys.modules["twinct.reach.place"], name, value)
+        monkeypatch.setattr(sys.modules["twinct.robots.reach.place"], name, value)
     saved = tmp_path / "mine.yaml"
     views = ("--set", "trajectory.views=6")
     asked = ("--samples", "2", "--save", str(saved), *views, *BALL)

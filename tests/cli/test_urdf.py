@@ -9,9 +9,9 @@ import pytest
 from yourdfpy import URDF
 
 from twinct.cli import run_command
-from twinct.scan import Workshop
+from twinct.geometry.wire import PosePairs
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
-from twinct.views import PosePairs
 
 DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")
 BALL = (
@@ -30,8 +30,8 @@ def test_the_room_is_written_with_meshes_and_camera(tmp_path: Path) -> None:
     assert Path(look.geometry.mesh.filename.removeprefix("file://")).parent == out
 
     # The camera is at the source of the first view: 600 mm before the panel, upside down.
-    workshop = Workshop(load_scenario(DEMO, [BALL]))
-    source, detector = PosePairs.from_geometry(workshop.asked)[0]
+    builder = SimulationBuilder(load_scenario(DEMO, [BALL]))
+    source, detector = PosePairs.from_geometry(builder.asked)[0]
     found = detector.matrix @ _mm(urdf.get_transform("detector_optical", "detector"))
     np.testing.assert_allclose(found[:3, 3], source.position, atol=1e-6)
     np.testing.assert_allclose(found[:3, :3] @ [1, 0, 0], detector.rotation[:, 0], atol=1e-9)

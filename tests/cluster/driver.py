@@ -8,8 +8,8 @@ from pathlib import Path
 
 from pool_jobs import hold
 
-from twinct.cluster import RayPool
-from twinct.pool import Work
+from twinct.workers import Work
+from twinct.workers.cluster import RayPool
 
 if __name__ == "__main__":
     os.environ["TWINCT_CACHE"] = sys.argv[1]

@@ -19,10 +19,10 @@ import pool_jobs as jobs
 import pytest
 from waiting import HANG_S, Patience, until
 
-from twinct.cluster import RayPool, local
-from twinct.cluster.content import pack, unpack
-from twinct.errors import InputError, LinkError, MemoryShortageError
-from twinct.pool import Died, Done, Event, Failed, LocalPool, Pool, Work, each
+from twinct.core.errors import InputError, LinkError, MemoryShortageError
+from twinct.workers import Died, Done, Event, Failed, LocalPool, Pool, Work, each
+from twinct.workers.cluster import RayPool, local
+from twinct.workers.cluster.content import pack, unpack
 
 GIB = 2**30
 HERE = Path(__file__).parent
@@ -79,7 +79,7 @@ def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts(monkeypatch) -
     with pytest.raises(InputError, match="nonsense: no Ray answers"):
         RayPool("nonsense", name="study")
     with socket.create_server(("127.0.0.1", 0)) as server:  # accepts, and says nothing
-        monkeypatch.setattr("twinct.cluster.pool.ANSWER_S", 0.01)  # it never would
+        monkeypatch.setattr("twinct.workers.cluster.pool.ANSWER_S", 0.01)  # it never would
         with pytest.raises(InputError, match="127.0.0.1:.*no Ray answers"):
             RayPool(f"127.0.0.1:{server.getsockname()[1]}", name="study")
 
@@ -87,7 +87,7 @@ def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts(monkeypatch) -
 def test_what_killed_processes_left_is_removed(monkeypatch) -> None:
     place = tempfile.mkdtemp(prefix="pytest-", dir="/tmp")
     try:
-        monkeypatch.setattr("twinct.cluster.local._PREFIX", f"{Path(place).name}/ray-")
+        monkeypatch.setattr("twinct.workers.cluster.local._PREFIX", f"{Path(place).name}/ray-")
         folders = [Path(f"/tmp/{local._PREFIX}{name}") for name in ("held", "left", "starting")]
         for folder in folders:
             folder.mkdir()
@@ -202,8 +202,8 @@ def _told(pool: Pool, content: Path, out: Path) -> list[object]:
             told.append((event.key, Path(event.value[0]).name, event.value[1]))
         else:
             told.append((event.key, event.value))
-        for name, parcel in event.parcels.items() if isinstance(event, Done) else ():
-            parcel.save(out / name)
+        for name, artifact in event.artifacts.items() if isinstance(event, Done) else ():
+            artifact.save(out / name)
     told += [(str(p.relative_to(out)), p.is_file() and p.read_bytes()) for p in out.rglob("*")]
     return told
 
@@ -306,7 +306,7 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
         assert [isinstance(event, Done) for event in finish(pool).values()] == [True]
         for key, event in written.items():
             assert isinstance(event, Done)
-            event.parcels["folder"].save(tmp_path / key)
+            event.artifacts["folder"].save(tmp_path / key)
             assert (tmp_path / key / "deep" / "a.txt").read_text() == key
         steer("add")
         until(lambda: pool.slots == 2)  # a dead node counts until it is missed
@@ -322,4 +322,4 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
             list(each(pool, [Work("late", jobs.double, 1)]))
     assert isinstance(written["w"], Done)
     with pytest.raises(ValueError, match="closed"):
-        written["w"].parcels["file"].save(tmp_path / "late")
+        written["w"].artifacts["file"].save(tmp_path / "late")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
+from twinct.core.errors import InputError
+from twinct.core.files.images import RawImage
 from twinct.ctsimu.digitiser import Digitiser
 from twinct.ctsimu.sampling import sampling
 from twinct.ctsimu.scene import FocalSpot, PanelResponse
-from twinct.errors import InputError
-from twinct.files.images import RawImage
 from twinct.geometry import Panel
 from twinct.xray.readout import binned
 

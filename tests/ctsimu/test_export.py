@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import tifffile
 
+from twinct.core.errors import InputError, ScanExistsError
 from twinct.ctsimu import Options, load_ctsimu, render
 from twinct.ctsimu.digitiser import Digitiser
 from twinct.ctsimu.export import export_scan
 from twinct.ctsimu.scene import FieldImages
-from twinct.errors import InputError, ScanExistsError
 from twinct.geometry import Pose
+from twinct.geometry.wire import PosePairs
 from twinct.runs import simulate
-from twinct.scan import NamedGeometry, Scan, Workshop
+from twinct.scan import NamedGeometry, Scan, SimulationBuilder
 from twinct.scenario import Correction, Detector, Source, load_scenario
-from twinct.views import PosePairs
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 TINY = [
@@ -32,13 +32,13 @@ ROUNDING_MM = 1e-8
 
 
 @pytest.fixture(scope="module")
-def workshop() -> Workshop:
-    return Workshop(load_scenario(DEMO, TINY))
+def builder() -> SimulationBuilder:
+    return SimulationBuilder(load_scenario(DEMO, TINY))
 
 
 @pytest.fixture(scope="module")
-def scan(workshop: Workshop) -> Scan:
-    return simulate(workshop.scenario, workshop=workshop)
+def scan(builder: SimulationBuilder) -> Scan:
+    return simulate(builder.scenario, builder=builder)
 
 
 def assert_same(found, expected):
@@ -47,8 +47,8 @@ def assert_same(found, expected):
         np.testing.assert_allclose(own, other, atol=ROUNDING_MM, err_msg=name)
 
 
-def test_export_reads_back_as_executed_and_as_believed(scan, workshop, tmp_path):
-    files = export_scan(scan, workshop.specimen, tmp_path)
+def test_export_reads_back_as_executed_and_as_believed(scan, builder, tmp_path):
+    files = export_scan(scan, builder.specimen, tmp_path)
     panel = scan.scenario.detector.panel
     scenario = load_ctsimu(files.scenario)
     assert_same(scenario.geometry(), scan.executed.geometry(panel))
@@ -61,13 +61,13 @@ def test_export_reads_back_as_executed_and_as_believed(scan, workshop, tmp_path)
     )
     np.testing.assert_array_equal(image[::-1], scan.transmission[3])
     with pytest.raises(ScanExistsError, match="another --out"):
-        export_scan(scan, workshop.specimen, tmp_path)
+        export_scan(scan, builder.specimen, tmp_path)
 
 
-def test_the_trajectory_is_in_the_frame_of_the_grid(scan, workshop, tmp_path):
+def test_the_trajectory_is_in_the_frame_of_the_grid(scan, builder, tmp_path):
     """As a bundle for other toolkits is: the format's box cannot be turned."""
     turned = of(scan, "reconstruction.grid={voxels: [8, 9, 7], centre_mm: [9, -6, 4]}")
-    files = export_scan(turned, workshop.specimen, tmp_path)
+    files = export_scan(turned, builder.specimen, tmp_path)
     trajectory = json.loads(files.trajectory.read_text())
     matrices = np.array(trajectory["projections"]["matrices"])
     geometry = scan.believed.geometry(scan.scenario.detector.panel)
@@ -78,9 +78,9 @@ def test_the_trajectory_is_in_the_frame_of_the_grid(scan, workshop, tmp_path):
     assert trajectory["geometry"]["objectBoundingBox"]["centerXYZ"] == [0, 0, 0]
 
 
-def test_toolbox_reads_the_export(scan, workshop, tmp_path):
+def test_toolbox_reads_the_export(scan, builder, tmp_path):
     toolbox = pytest.importorskip("ctsimu.scenario", reason="needs the extra ctsimu")
-    files = export_scan(scan, workshop.specimen, tmp_path)
+    files = export_scan(scan, builder.specimen, tmp_path)
     for believed, poses in ((False, scan.executed), (True, scan.believed)):
         theirs = toolbox.Scenario(str(files.scenario))
         for view in range(len(scan)):
@@ -91,8 +91,8 @@ def test_toolbox_reads_the_export(scan, workshop, tmp_path):
                 np.testing.assert_allclose(found, pose.position, atol=ROUNDING_MM)
 
 
-def test_export_renders_as_the_scan_did(scan, workshop, tmp_path):
-    files = export_scan(scan, workshop.specimen, tmp_path / "export")
+def test_export_renders_as_the_scan_did(scan, builder, tmp_path):
+    files = export_scan(scan, builder.specimen, tmp_path / "export")
     render(load_ctsimu(files.scenario), tmp_path / "out", Options(samples=1))
     name = files.scenario.stem
     for view in range(len(scan)):
@@ -123,15 +123,15 @@ UNSAID = {
 }
 
 
-def test_what_ctsimu_cannot_say_is_refused_by_name(scan, workshop, tmp_path):
+def test_what_ctsimu_cannot_say_is_refused_by_name(scan, builder, tmp_path):
     photons = "source.photons_per_mm2_mas=1e6"
     noisy = of(scan, photons, *(f"{key}={value}" for key, value in UNSAID.items()))
     with pytest.raises(InputError) as refused:
-        export_scan(noisy, workshop.specimen, tmp_path / "out")
+        export_scan(noisy, builder.specimen, tmp_path / "out")
     *named, advice = refused.value.problems
     assert [problem.split(":")[0] for problem in named] == list(UNSAID)
     assert "--ideal" in advice and not (tmp_path / "out").exists()
-    files = export_scan(noisy, workshop.specimen, tmp_path / "out", ideal=True)
+    files = export_scan(noisy, builder.specimen, tmp_path / "out", ideal=True)
     found = load_ctsimu(files.scenario)
     assert files.options == "" and found.flat == FieldImages(1, 1, True, False)
 
@@ -153,7 +153,7 @@ def test_every_key_of_source_and_detector_is_said_refused_or_sampling():
     assert set(Correction.model_fields) == {"flat_frames", "dark_frames", "flat_geometry"}
 
 
-def test_flat_and_dark_frames_binning_and_noise_are_written(scan, workshop, tmp_path):
+def test_flat_and_dark_frames_binning_and_noise_are_written(scan, builder, tmp_path):
     described = of(
         scan,
         "detector.correction={flat_frames: 20, dark_frames: 5, flat_geometry: first}",
@@ -162,7 +162,7 @@ def test_flat_and_dark_frames_binning_and_noise_are_written(scan, workshop, tmp_
         "detector.pixel_samples=3",
         "source.exposure_ms=40",
     )
-    files = export_scan(described, workshop.specimen, tmp_path)
+    files = export_scan(described, builder.specimen, tmp_path)
     found = load_ctsimu(files.scenario)
     assert found.flat == FieldImages(1, 20, False, False)
     assert found.dark == FieldImages(1, 5, False, False)
@@ -176,9 +176,9 @@ def test_flat_and_dark_frames_binning_and_noise_are_written(scan, workshop, tmp_
     assert 60000 / (deviation / 2) == pytest.approx(200)
 
 
-def test_spot_names_its_own_option(scan, workshop, tmp_path):
+def test_spot_names_its_own_option(scan, builder, tmp_path):
     spot = of(scan, "source.focal_spot={kind: gaussian, sigma_mm: 0.3, samples: 7}")
-    assert export_scan(spot, workshop.specimen, tmp_path).options == "--spot-points 7"
+    assert export_scan(spot, builder.specimen, tmp_path).options == "--spot-points 7"
 
 
 def test_materials_of_one_name_stay_apart(scan, tmp_path):
@@ -189,13 +189,13 @@ def test_materials_of_one_name_stay_apart(scan, tmp_path):
     )
     layer = "detector.response={kind: scintillator, material: CsI, thickness_mm: 0.2}"
     mixed = of(scan, f"specimen.parts=[{parts}]", layer)
-    files = export_scan(mixed, Workshop(mixed.scenario).specimen, tmp_path)
+    files = export_scan(mixed, SimulationBuilder(mixed.scenario).specimen, tmp_path)
     frame = load_ctsimu(files.scenario).frame(0)
     assert [sample.material.density_g_cm3 for sample in frame.samples] == [1.0, 2.0, 4.51, 1.0]
     assert frame.response.scintillator.material.density_g_cm3 == 4.51
 
 
-def test_a_geometry_is_taken_by_name(scan, workshop, tmp_path):
+def test_a_geometry_is_taken_by_name(scan, builder, tmp_path):
     shifted = PosePairs(
         tuple(Pose(p.position + [1, 0, 0], p.quat) for p in scan.executed.source),
         scan.executed.detector,
@@ -203,9 +203,9 @@ def test_a_geometry_is_taken_by_name(scan, workshop, tmp_path):
     known = replace(scan, derived={"calibrated": NamedGeometry("calibrated", shifted, {})})
     told = []
     for name in ("calibrated", "executed"):
-        files = export_scan(known, workshop.specimen, tmp_path / name, geometry=name)
+        files = export_scan(known, builder.specimen, tmp_path / name, geometry=name)
         told.append(files.trajectory.read_text())
     assert told[0] != told[1]
     with pytest.raises(InputError, match="'xyz'; choose from commanded, executed, believed, calib"):
-        export_scan(known, workshop.specimen, tmp_path / "xyz", geometry="xyz")
+        export_scan(known, builder.specimen, tmp_path / "xyz", geometry="xyz")
     assert not (tmp_path / "xyz").exists()

@@ -9,12 +9,12 @@ import pytest
 import tifffile
 import trimesh
 
+from twinct.core.errors import ScanExistsError, SpecimenError
 from twinct.ctsimu import Options, load_ctsimu, render
 from twinct.ctsimu.camera import Camera
 from twinct.ctsimu.scene import Sample
 from twinct.ctsimu.solids import Solids
 from twinct.ctsimu.writing import material_entry, quantity, vector
-from twinct.errors import ScanExistsError, SpecimenError
 from twinct.geometry import Pose
 from twinct.specimen import material as substance
 from twinct.specimen.surface import refined

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twinct.core.errors import ScenarioError
 from twinct.ctsimu import load_ctsimu
 from twinct.ctsimu.reader import JsonSection, Moment
 from twinct.ctsimu.writing import material_entry, quantity, vector
-from twinct.errors import ScenarioError
 
 ROUNDING_MM = 1e-9
 """Coordinates of 1e3 mm through a dozen rotations in double precision."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twinct.core.errors import InputError
+from twinct.core.files.meshes import open_edges
 from twinct.ctsimu import suite
 from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify, samples
 from twinct.ctsimu.suite.cases import WEDGE_PANEL_MM, WEDGE_PITCH_MM, cases
 from twinct.ctsimu.suite.verdicts import verdicts
-from twinct.errors import InputError
-from twinct.files.meshes import open_edges
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import material
 from twinct.xray.paths import Body, PathRenderer

@@ -9,7 +9,7 @@ from scipy import ndimage
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 import twinct.evaluation.image
-from twinct.errors import InputError, TwinctError
+from twinct.core.errors import InputError, TwinctError
 from twinct.evaluation import ImageFigures, image_figures
 from twinct.geometry import VolumeGrid
 

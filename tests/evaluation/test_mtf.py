@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.evaluation.mtf import Mtf, edge_mtf
 
 MTF_TOLERANCE = 0.03

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twinct.evaluation.places import ball, centres, cuboid, cylinder, shell
+from twinct.evaluation.region_voxels import ball, centres, cuboid, cylinder, shell
 from twinct.geometry import Pose, VolumeGrid
 
 GRID = VolumeGrid((20, 24, 28), (1.0, 0.8, 1.2), Pose.from_euler((5, -3, 2), (10, 20, 30)))
@@ -52,7 +52,7 @@ def test_a_shell_lies_around_a_body() -> None:
 def test_slabs_of_a_shell_do_not_show(monkeypatch) -> None:
     body = ball(GRID, PLACE, 3)
     whole_shell = whole(shell(body, GRID, 1.0, 2.6))
-    monkeypatch.setattr("twinct.evaluation.places._SHELL_VOXELS", 1)
+    monkeypatch.setattr("twinct.evaluation.region_voxels._SHELL_VOXELS", 1)
     np.testing.assert_array_equal(whole(shell(body, GRID, 1.0, 2.6)), whole_shell)
     assert whole_shell.sum() > 50
 

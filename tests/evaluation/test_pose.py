@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from twinct.evaluation import pose_errors, tool_speeds
 from twinct.geometry import Pose
-from twinct.views import PosePairs
+from twinct.geometry.wire import PosePairs
 
 ROUNDING = 1e-9
 """mm and degrees: float64 arithmetic on lengths of some hundred mm and half-angle square roots."""

@@ -13,7 +13,7 @@ import sys
 import numpy as np
 import pytest
 
-from twinct.errors import InputError, ScanExistsError
+from twinct.core.errors import InputError, ScanExistsError
 from twinct.exchange import TOOLKITS, bundle_bytes, write_bundle
 from twinct.geometry import VolumeGrid
 

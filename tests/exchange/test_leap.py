@@ -7,7 +7,7 @@ import runpy
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.exchange import write_bundle
 from twinct.exchange.leap import leap_arrays
 from twinct.geometry import VolumeGrid

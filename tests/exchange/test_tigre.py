@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy import cos, sin
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.exchange.tigre import tigre_arrays
 from twinct.geometry import Panel, ScanGeometry
 

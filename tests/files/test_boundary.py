@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from twinct.errors import InputError, SpecimenError, TrajectoryError
-from twinct.files.boundary import (
+from twinct.core.errors import InputError, SpecimenError, TrajectoryError
+from twinct.core.files.boundary import (
     absolute,
     library_errors,
     no_file,

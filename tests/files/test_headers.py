@@ -12,10 +12,10 @@ import nibabel
 import numpy as np
 import pytest
 
-from twinct.errors import InputError, SpecimenError
-from twinct.files.arrays import read_npy, read_npz
-from twinct.files.meshes import read_triangles
-from twinct.files.nifti import read_nifti
+from twinct.core.errors import InputError, SpecimenError
+from twinct.core.files.arrays import read_npy, read_npz
+from twinct.core.files.meshes import read_triangles
+from twinct.core.files.nifti import read_nifti
 
 
 @pytest.fixture(autouse=True)

@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 from waiting import HANG_S
 
-from twinct.errors import FolderInUseError
-from twinct.files.lock import sole_owner
+from twinct.core.errors import FolderInUseError
+from twinct.core.files.lock import sole_owner
 
 pytestmark = pytest.mark.process
 
 HOLD = """
 import sys
 from pathlib import Path
-from twinct.files.lock import sole_owner
+from twinct.core.files.lock import sole_owner
 with sole_owner(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
@@ -31,8 +31,8 @@ print("done")
 TAKE_TURNS = """
 import os, sys
 from pathlib import Path
-from twinct.errors import FolderInUseError
-from twinct.files.lock import sole_owner
+from twinct.core.errors import FolderInUseError
+from twinct.core.files.lock import sole_owner
 lock, turns = Path(sys.argv[1]), 0
 while turns < 200:
     try:

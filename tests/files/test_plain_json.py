@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from twinct.files.plain_json import json_of, read_json
+from twinct.core.files.plain_json import json_of, read_json
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "1" * 5000, b"\xff", "{"])

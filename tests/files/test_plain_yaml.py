@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import yaml
 
-from twinct.errors import ScenarioError
-from twinct.files import plain_yaml
-from twinct.files.plain_yaml import (
+from twinct.core.errors import ScenarioError
+from twinct.core.files import plain_yaml
+from twinct.core.files.plain_yaml import (
     DEEPEST,
     LARGEST_BYTES,
     MOST_VALUES,

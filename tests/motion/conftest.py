@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import pytest
 
-from twinct.cell import CellModel
-from twinct.motion import MotionPlan, plan_motion
+from twinct.geometry.wire import PosePairs, Target
+from twinct.robots.cell import CellModel
+from twinct.robots.motion import MotionPlan, plan_motion
 from twinct.scenario import Detector, Motion
 from twinct.trajectory import SinusoidTrajectory, commanded_views
-from twinct.views import PosePairs, Target
 
 VIEWS = 24
 

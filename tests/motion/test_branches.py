@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import CellModel, build_cell
 from twinct.geometry import Pose
-from twinct.motion.branches import Branches, matrices
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.motion.branches import Branches, matrices
 from twinct.scenario import Cell, Detector, InverseKinematics
 from twinct.trajectory import ArcTrajectory, commanded_views
 

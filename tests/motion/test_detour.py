@@ -9,10 +9,10 @@ import sys
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, Clearance
 from twinct.geometry import Floats
-from twinct.motion.detour import Detours
-from twinct.motion.feasible import SHORTFALL_MM, Feasible
+from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible
+from twinct.robots.motion.path_planner import Detours
 
 LEAST_MM = 10.5
 
@@ -28,10 +28,10 @@ ELSEWHERE = """
 import hashlib
 import numpy as np
 import trimesh
-from twinct.cell import build_cell
+from twinct.robots.cell import build_cell
 from twinct.geometry import Pose
-from twinct.motion.detour import Detours
-from twinct.motion.feasible import Feasible
+from twinct.robots.motion.path_planner import Detours
+from twinct.robots.motion.feasible import Feasible
 from twinct.scenario import Detector, load_scenario
 head = trimesh.creation.icosphere(subdivisions=3)
 head.apply_scale((72.0, 90.0, 110.0))

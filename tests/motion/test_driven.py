@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, Clearance
-from twinct.errors import NoWayError, TargetRefusedError, TrajectoryError
+from twinct.core.errors import NoWayError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Floats, Pose
-from twinct.motion import MotionPlan, RobotSimulation, plan_motion
-from twinct.motion.detour import Detours
-from twinct.motion.feasible import Feasible
-from twinct.motion.homeward import way_home
-from twinct.motion.refusals import arms_in
-from twinct.motion.way import Way, find_way, kept_mm
+from twinct.geometry.wire import Target
+from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.motion import MotionPlan, RobotSimulation, plan_motion
+from twinct.robots.motion.feasible import Feasible
+from twinct.robots.motion.path_planner import Detours
+from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
+from twinct.robots.motion.refusals import arms_in
+from twinct.robots.motion.return_path import path_home
 from twinct.scenario import Motion
-from twinct.views import Target
 
 PLANNED = Motion(scheme="planned")
 NOT_KNOWN = np.zeros((0, 12))
@@ -103,13 +103,13 @@ def aside(cell: CellModel, home: Floats) -> Floats:
 
 def test_the_way_home_goes_round_what_stands_between(cell: CellModel, plan: MotionPlan) -> None:
     start = aside(cell, plan.home)
-    way = way_home(cell, PLANNED, start, plan.home, NOT_KNOWN)
+    way = path_home(cell, PLANNED, start, plan.home, NOT_KNOWN)
     assert np.array_equal(way.joints[[0, -1]], [start, plan.home])
     assert way.views.tolist() == [-1] * (len(way.joints) - 1) + [0]
     legs = [np.linspace(a, b, 200) for a, b in zip(way.joints[:-1], way.joints[1:], strict=True)]
     assert len(legs) > 1
     assert Clearance(cell).over(np.vstack(legs)).distance_mm >= kept_mm(PLANNED) - 0.2
-    again = way_home(cell, PLANNED, start, plan.home, NOT_KNOWN)
+    again = path_home(cell, PLANNED, start, plan.home, NOT_KNOWN)
     assert np.array_equal(again.joints, way.joints)
 
 
@@ -117,12 +117,12 @@ def test_the_way_home_is_the_way_that_was_come_but_shorter(
     cell: CellModel, plan: MotionPlan
 ) -> None:
     start = aside(cell, plan.home)
-    direct = way_home(cell, PLANNED, start, plan.home, NOT_KNOWN).joints
-    errand = direct[-1] + [*np.zeros(11), 0.5]
-    come = np.vstack([direct[-1], errand, direct[::-1]])
-    way = way_home(cell, PLANNED, start, plan.home, come[::-1]).joints
+    direct = path_home(cell, PLANNED, start, plan.home, NOT_KNOWN).joints
+    spec = direct[-1] + [*np.zeros(11), 0.5]
+    come = np.vstack([direct[-1], spec, direct[::-1]])
+    way = path_home(cell, PLANNED, start, plan.home, come[::-1]).joints
     known = {knot.tobytes() for knot in come}
-    assert {knot.tobytes() for knot in way} <= known - {errand.tobytes()}
+    assert {knot.tobytes() for knot in way} <= known - {spec.tobytes()}
     assert 2 < len(way) <= len(direct)
     legs = [np.linspace(a, b, 200) for a, b in zip(way[:-1], way[1:], strict=True)]
     assert Clearance(cell).over(np.vstack(legs)).distance_mm >= kept_mm(PLANNED) - 0.2
@@ -133,10 +133,10 @@ def test_a_search_ends_by_its_count(
 ) -> None:
     start = aside(cell, plan.home)
     with pytest.raises(TrajectoryError, match=r"no path home found after checking 1\d\d configu"):
-        way_home(cell, PLANNED, start, plan.home, NOT_KNOWN, most_looks=100)
+        path_home(cell, PLANNED, start, plan.home, NOT_KNOWN, most_looks=100)
     monkeypatch.setattr(Feasible, "straight", lambda self, a, b, least_mm: np.zeros(len(a), bool))
     with pytest.raises(TrajectoryError, match=r"from the start to view 0: no path found in 1 sear"):
-        find_way(cell, PLANNED, plan.targets[:1], start=start, most_looks=100)
+        find_joint_path(cell, PLANNED, plan.targets[:1], start=start, most_looks=100)
     touching = plan.home.copy()
     touching[2] = 3.0  # the elbow
     detours = Detours(cell, Feasible(cell), np.zeros(12, bool), seed=0)
@@ -153,14 +153,14 @@ def test_where_no_way_is_found_one_over_home_is(
     """Wherever a search from elsewhere than home fails."""
     came = []
 
-    def from_home_only(*args: object, start: Floats, **keys: object) -> Way:
+    def from_home_only(*args: object, start: Floats, **keys: object) -> JointPath:
         if not np.array_equal(start, plan.home):
             raise NoWayError("no path found")
-        return find_way(*args, start=start, **keys)
+        return find_joint_path(*args, start=start, **keys)
 
     simulation = RobotSimulation(cell, PLANNED, plan)
     simulation.move(None, targets[20])
-    monkeypatch.setattr("twinct.motion.guide.find_way", from_home_only)
+    monkeypatch.setattr("twinct.robots.motion.guide.find_joint_path", from_home_only)
     simulation.move(
         None, targets[10], lambda data: came.append(np.abs(data.qpos - plan.home).max())
     )
@@ -177,7 +177,7 @@ def test_a_start_that_touches_is_named(cell: CellModel, plan: MotionPlan) -> Non
     folded = plan.home.copy()
     folded[2] = 3.0  # the elbow
     with pytest.raises(TrajectoryError, match=r"start: source_\w+ and source_\w+ overlap by \d"):
-        way_home(cell, PLANNED, folded, plan.home, NOT_KNOWN)
+        path_home(cell, PLANNED, folded, plan.home, NOT_KNOWN)
 
 
 def test_a_time_limit_too_short_is_named_before_anything_moves(

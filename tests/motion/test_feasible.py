@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, Clearance
-from twinct.motion import MotionPlan
-from twinct.motion.feasible import SHORTFALL_MM, Feasible
+from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.motion import MotionPlan
+from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible
 
 ASKED_MM = 10.5
 

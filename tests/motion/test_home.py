@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel
-from twinct.errors import TrajectoryError
+from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats
-from twinct.motion.home import home_off
-from twinct.motion.kinematics import Kinematics
-from twinct.motion.way import find_way
+from twinct.geometry.wire import Target
+from twinct.robots.cell import CellModel
+from twinct.robots.motion.home import home_off
+from twinct.robots.motion.kinematics import Kinematics
+from twinct.robots.motion.path_search import find_joint_path
 from twinct.scenario import Motion
-from twinct.views import Target
 
 MOTION = Motion(trigger="settled")
 
@@ -21,7 +21,7 @@ def test_where_the_beam_is_barred_home_lies_across_it(
     cell: CellModel, paper_targets: list[Target]
 ) -> None:
     first = paper_targets[200]
-    joints = find_way(cell, MOTION, [first]).joints[-1]
+    joints = find_joint_path(cell, MOTION, [first]).joints[-1]
     kinematics = Kinematics(cell, MOTION.ik)
     beam = first.source.position - first.detector.position
     beam /= np.linalg.norm(beam)

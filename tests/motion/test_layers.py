@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from twinct.motion.layers import Choice, Speeds, clear_pairs, lifted, promising
+from twinct.robots.motion.layers import Choice, Speeds, clear_pairs, lifted, promising
 
 SPEEDS = Speeds(np.array([1.0, 2.0]), np.array([True, False]))
 

@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, build_cell
 from twinct.geometry import Pose
-from twinct.motion import RobotSimulation, plan_motion
+from twinct.geometry.wire import PosePairs, Target
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.motion import RobotSimulation, plan_motion
 from twinct.scenario import Cell, Detector, Motion
 from twinct.trajectory import ArcTrajectory, commanded_views
-from twinct.views import PosePairs, Target
 
 URDF = Path(__file__).parents[1] / "cell" / "six_axis.urdf"
 BRANCHES = ((-30, 45, 150, -30, -100, -90), (-150, -45, -150, 30, 100, 90))
@@ -52,7 +52,7 @@ def test_views_are_reached(targets: list[Target], scheme: Literal["planned", "re
 def test_the_search_begins_at_home(
     targets: list[Target], branch: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinct.motion.follow.RESTARTS", 1)
+    monkeypatch.setattr("twinct.robots.motion.follow.RESTARTS", 1)
     homes = branch, (*branch[:5], -branch[5])
     planned = plan_motion(room(*homes), Motion(scheme="reactive"), targets)
     assert np.abs(np.degrees(planned.joints[1]) - np.hstack(homes)).max() < 15

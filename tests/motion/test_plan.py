@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import CellModel, build_cell
-from twinct.errors import TrajectoryError
+from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.motion import Kinematics, MotionPlan, plan_motion
+from twinct.geometry.wire import PosePairs, Target
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.motion import Kinematics, MotionPlan, plan_motion
 from twinct.scenario import Cell, Detector, InverseKinematics, Motion
 from twinct.trajectory import ArcTrajectory, commanded_views
-from twinct.views import PosePairs, Target
 
 LARGEST_STEP_RAD = 0.1
 """Views 3 mm apart need joint steps of a few hundredths; a flip would be a radian."""

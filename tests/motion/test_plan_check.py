@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import CellModel, build_cell
-from twinct.errors import TrajectoryError
+from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.motion import Asked, MotionPlan, checked_plan
-from twinct.motion.plan_check import _moving
+from twinct.geometry.wire import Target
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.motion import Asked, MotionPlan, checked_plan
+from twinct.robots.motion.plan_check import _moving
 from twinct.scenario import Cell, Detector, Motion
-from twinct.views import Target
 
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
 

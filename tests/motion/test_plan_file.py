@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
-from twinct.motion import MotionPlan, load_plan, plan_arrays, plan_of_arrays, save_plan
+from twinct.core.errors import InputError
+from twinct.robots.motion import MotionPlan, load_plan, plan_arrays, plan_of_arrays, save_plan
 
 
 def test_a_plan_comes_back_as_it_was_and_the_file_has_the_same_bytes(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from twinct.motion.roll import roll_free
+from twinct.robots.motion.roll import roll_free
 from twinct.scenario import GaussianSpot, Motion, Source
 from twinct.trajectory import ArcTrajectory, FileTrajectory
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Pose, ScanGeometry
-from twinct.motion import Shutter
-from twinct.motion.kinematics import site_pose
-from twinct.scan import LocalRig, Workshop
+from twinct.geometry.wire import Instant, to_seven
+from twinct.robots.motion import Shutter
+from twinct.robots.motion.kinematics import site_pose
+from twinct.scan import LocalRig, SimulationBuilder
 from twinct.scenario import parse_scenario
-from twinct.views import Instant, to_seven
 
 EXPOSURE_MS = 60.0
 SCENARIO = {
@@ -56,19 +56,19 @@ def test_an_image_that_takes_no_time_takes_no_steps():
 
 
 def test_a_moving_edge_is_as_wide_as_the_executed_path_says(figure):
-    workshop = Workshop(parse_scenario(SCENARIO))
-    panel = workshop.scenario.detector.panel
-    robots = workshop.robots()
-    view = min(range(8, 22), key=lambda i: abs(workshop.targets[i].source.position[1]))
+    builder = SimulationBuilder(parse_scenario(SCENARIO))
+    panel = builder.scenario.detector.panel
+    robots = builder.robots()
+    view = min(range(8, 22), key=lambda i: abs(builder.targets[i].source.position[1]))
     for earlier in range(view):
-        robots.move(earlier, workshop.targets[earlier])
+        robots.move(earlier, builder.targets[earlier])
     # The path, noted at every step by another way than the one that makes the image.
     steps = []
 
     def note(data):
-        steps.append([site_pose(data, site) for site in workshop.cell.site_ids])
+        steps.append([site_pose(data, site) for site in builder.cell.site_ids])
 
-    target = workshop.targets[view]
+    target = builder.targets[view]
     reached = robots.move(view, target, on_step=note)
     path = steps[-round(EXPOSURE_MS / 2) - 1 :]
     travel = np.linalg.norm(path[-1][0].position - path[0][0].position)
@@ -76,7 +76,7 @@ def test_a_moving_edge_is_as_wide_as_the_executed_path_says(figure):
     geometry = ScanGeometry.from_poses([s for s, _ in path], [d for _, d in path], panel)
     columns, rows = geometry.project([[80, 0, 0.0]])[:, 0].T
     assert np.ptp(rows) < 5
-    with workshop.imager() as imager:
+    with builder.imager() as imager:
         image = imager.expose([i.placed(panel) for i in reached.path])
     line = np.abs(np.diff(image[10].astype(float)))
     x = np.arange(len(line)) + 0.5
@@ -111,19 +111,19 @@ def test_a_rig_takes_its_path_and_the_last_view_for_lag_after_a_resume_too():
             },
         }
     )
-    workshop = Workshop(scenario)
+    builder = SimulationBuilder(scenario)
 
     def take(robots, first):
-        with LocalRig(robots, workshop.imager(), scenario.detector.panel) as rig:
+        with LocalRig(robots, builder.imager(), scenario.detector.panel) as rig:
             taken = []
             for view in range(first, 3):
-                reached = rig.move(view, workshop.targets[view])
+                reached = rig.move(view, builder.targets[view])
                 taken.append((reached, rig.expose(view)))
             return taken
 
-    straight = take(workshop.robots(), 0)
+    straight = take(builder.robots(), 0)
     assert straight[0][0].before is None
-    robots = workshop.robots()
+    robots = builder.robots()
     robots.restore(straight[1][0].state)
     resumed = take(robots, 2)
     assert resumed[0][0].exposure == straight[2][0].exposure

@@ -10,15 +10,15 @@ import pytest
 import trimesh
 from scipy.interpolate import CubicSpline
 
-from twinct.cell import CellModel, Clearance, build_cell
-from twinct.errors import MotionError, TargetRefusedError, TrajectoryError
+from twinct.core.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Pose
-from twinct.motion import MotionPlan, RobotSimulation, Shutter, plan_motion
-from twinct.motion.kinematics import Kinematics, site_pose
-from twinct.motion.simulation import SAMPLE_S, SATURATED
+from twinct.geometry.wire import JointSample, PosePairs, Reached, Target
+from twinct.robots.cell import CellModel, Clearance, build_cell
+from twinct.robots.motion import MotionPlan, RobotSimulation, Shutter, plan_motion
+from twinct.robots.motion.kinematics import Kinematics, site_pose
+from twinct.robots.motion.simulation import SAMPLE_S, SATURATED
 from twinct.scenario import Cell, Detector, Motion
 from twinct.trajectory import ArcTrajectory, commanded_views
-from twinct.views import JointSample, PosePairs, Reached, Target
 
 SIDES = ("source", "detector")
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, chains_of
-from twinct.motion import MotionPlan, RobotSimulation, Shutter
+from twinct.geometry.wire import Reached, Target
+from twinct.robots.cell import CellModel, chains_of
+from twinct.robots.motion import MotionPlan, RobotSimulation, Shutter
 from twinct.scenario import Motion, Uncertainty
 from twinct.uncertainty import TrueCell
-from twinct.views import Reached, Target
 
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
 SHUTTER = Shutter(exposure_s=0.02, samples=2, remember=True)

@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, Clearance
-from twinct.errors import TrajectoryError
+from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.motion.way import Way, find_way, kept_mm
+from twinct.geometry.wire import PosePairs, Target
+from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
 from twinct.scenario import Detector, Motion
 from twinct.trajectory import ArcTrajectory, SinusoidTrajectory, commanded_views
-from twinct.views import PosePairs, Target
 
 MOTION = Motion(trigger="settled")
 
@@ -23,7 +23,9 @@ def targets_of(section: ArcTrajectory | SinusoidTrajectory) -> list[Target]:
     return PosePairs.from_geometry(commanded_views(section, Detector().panel)).targets()
 
 
-def checked(cell: CellModel, way: Way, targets: list[Target], motion: Motion = MOTION) -> Way:
+def checked(
+    cell: CellModel, way: JointPath, targets: list[Target], motion: Motion = MOTION
+) -> JointPath:
     """The way, after MuJoCo has confirmed poses, ranges, and clearance between all knots."""
     data = mujoco.MjData(cell.model)
     assert sorted(way.views[way.views >= 0]) == list(range(len(targets)))
@@ -54,7 +56,7 @@ def checked(cell: CellModel, way: Way, targets: list[Target], motion: Motion = M
 def test_the_papers_path_is_one_branch(cell: CellModel, paper_targets: list[Target]) -> None:
     targets = paper_targets[::8]
     motion = Motion()
-    way = checked(cell, find_way(cell, motion, targets), targets, motion)
+    way = checked(cell, find_joint_path(cell, motion, targets), targets, motion)
     assert way.views.tolist() == [-1, *range(len(targets))]
     assert way.targets == tuple(targets)
     assert np.abs(np.diff(way.joints[1:], axis=0)).max() < 0.5  # 25 mm a step
@@ -63,7 +65,7 @@ def test_the_papers_path_is_one_branch(cell: CellModel, paper_targets: list[Targ
 def test_a_shuffled_arc(cell: CellModel) -> None:
     targets = targets_of(ArcTrajectory(kind="arc", views=12, longitude_range_deg=120))
     targets = [targets[k] for k in np.random.default_rng(1).permutation(12)]
-    way = checked(cell, find_way(cell, MOTION, targets), targets)
+    way = checked(cell, find_joint_path(cell, MOTION, targets), targets)
     assert [v for v in way.views if v >= 0] == list(range(12))
 
 
@@ -71,9 +73,11 @@ def test_a_tour_moves_less_than_a_shuffled_order(cell: CellModel) -> None:
     targets = targets_of(ArcTrajectory(kind="arc", views=12, longitude_range_deg=120))
     targets = [targets[k] for k in np.random.default_rng(1).permutation(12)]
     motion = Motion(trigger="settled", order="shortest")
-    way = checked(cell, find_way(cell, motion, targets), targets)
+    way = checked(cell, find_joint_path(cell, motion, targets), targets)
     moved = np.abs(np.diff(way.joints[1:], axis=0)).max(axis=1).sum()
-    given = np.abs(np.diff(find_way(cell, MOTION, targets).joints[1:], axis=0)).max(axis=1).sum()
+    given = (
+        np.abs(np.diff(find_joint_path(cell, MOTION, targets).joints[1:], axis=0)).max(axis=1).sum()
+    )
     assert moved < 0.7 * given
 
 
@@ -83,7 +87,7 @@ def test_the_free_roll_is_told_in_the_targets(cell: CellModel) -> None:
         Target.from_poses(t.source, _turned(t.detector, angle))
         for t, angle in zip(targets, (0, 180, 0), strict=True)
     ]
-    way = checked(cell, find_way(cell, MOTION, turned, roll_free=(False, True)), turned)
+    way = checked(cell, find_joint_path(cell, MOTION, turned, roll_free=(False, True)), turned)
     for found, asked in zip(way.targets, turned, strict=True):
         assert found.source_m == asked.source_m
         axes = (found.detector.rotation[:, 2], asked.detector.rotation[:, 2])
@@ -99,9 +103,9 @@ def _turned(pose: Pose, degrees: float) -> Pose:
 
 
 def test_from_where_the_arms_are_to_one_target(cell: CellModel, targets: list[Target]) -> None:
-    start = find_way(cell, MOTION, targets[:2]).joints[0]
+    start = find_joint_path(cell, MOTION, targets[:2]).joints[0]
     goal = targets_of(ArcTrajectory(kind="arc", views=1, centre_longitude_deg=60))
-    way = checked(cell, find_way(cell, MOTION, goal, start=start), goal)
+    way = checked(cell, find_joint_path(cell, MOTION, goal, start=start), goal)
     np.testing.assert_array_equal(way.joints[0], start)
     assert way.views[0] == -1 and way.views[-1] == 0
 
@@ -114,7 +118,7 @@ def test_out_of_reach_and_in_the_table_are_told_with_views(
     low = Pose.from_matrix((-200.0, 0.0, -380.0), turn)
     bad = [targets[0], Target.from_poses(away, low)]
     with pytest.raises(TrajectoryError) as caught:
-        find_way(cell, MOTION, bad)
+        find_joint_path(cell, MOTION, bad)
     reach, table = list(caught.value.problems)
     assert reach.startswith("view 1: source arm: out of reach by ")
     assert 300 < float(reach.split("reach by ")[1].split(" mm")[0]) < 1500
@@ -126,18 +130,18 @@ def test_arms_in_each_others_way_are_told(cell: CellModel) -> None:
     source = Pose.from_matrix((100.0, 300.0, 200.0), turn)
     panel = Pose.from_matrix((80.0, 300.0, 200.0), np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]))
     with pytest.raises(TrajectoryError, match="view 0: .*(overlap|come within)"):
-        find_way(cell, MOTION, [Target.from_poses(source, panel)])
+        find_joint_path(cell, MOTION, [Target.from_poses(source, panel)])
 
 
 def test_a_start_that_overlaps_is_refused(cell: CellModel, targets: list[Target]) -> None:
     folded = np.zeros(12)
     folded[[2, 8]] = 3.1
     with pytest.raises(TrajectoryError, match="start: .* overlap by"):
-        find_way(cell, MOTION, targets[:1], start=folded)
+        find_joint_path(cell, MOTION, targets[:1], start=folded)
 
 
 def test_three_views_over_210_degrees_and_the_same_bytes_again(cell: CellModel) -> None:
     few = targets_of(SinusoidTrajectory(kind="sinusoid", views=3))
-    way = checked(cell, find_way(cell, MOTION, few, seed=4), few)
-    find_way(cell, MOTION, few[:2], seed=9)
-    np.testing.assert_array_equal(way.joints, find_way(cell, MOTION, few, seed=4).joints)
+    way = checked(cell, find_joint_path(cell, MOTION, few, seed=4), few)
+    find_joint_path(cell, MOTION, few[:2], seed=9)
+    np.testing.assert_array_equal(way.joints, find_joint_path(cell, MOTION, few, seed=4).joints)

@@ -23,7 +23,7 @@ from twinct.observers import (
     audience,
     audience_of,
 )
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 @pytest.fixture(autouse=True)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import CellModel, build_cell
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Pose, fibonacci_directions
-from twinct.reach import Bounds, Holder, Placement, place, poses_of
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.reach import Bounds, Holder, Placement, place, poses_of
 from twinct.scenario import Cell, Detector, DetectorArm, Motion, SourceArm
 
 MOTION = Motion(trigger="settled")
@@ -32,7 +32,7 @@ def build(head: trimesh.Trimesh) -> Callable[[Cell], CellModel]:
 @pytest.fixture(autouse=True)
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"PAIRS": 3, "IMPROVED": 1, "IMPROVED_ALONE": 1, "STEPS": (200.0,)}.items():
-        monkeypatch.setattr(sys.modules["twinct.reach.place"], name, value)
+        monkeypatch.setattr(sys.modules["twinct.robots.reach.place"], name, value)
 
 
 def searched(build: Callable[[Cell], CellModel]) -> Placement:

@@ -11,16 +11,16 @@ import pytest
 from PIL import Image
 from scipy.spatial import KDTree
 
-from twinct.cell import CellModel, Clearance
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.core.progress import SILENT
 from twinct.geometry import fibonacci_directions
-from twinct.motion import Kinematics
-from twinct.motion.feasible import Feasible
-from twinct.motion.way import kept_mm
-from twinct.progress import SILENT
-from twinct.reach import Holder, Reach, poses_of, reach
-from twinct.reach.connected import joined
-from twinct.reach.results import draw_room, draw_sphere, write_tables
+from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.motion import Kinematics
+from twinct.robots.motion.feasible import Feasible
+from twinct.robots.motion.path_search import kept_mm
+from twinct.robots.reach import Holder, Reach, poses_of, reach
+from twinct.robots.reach.connected import joined
+from twinct.robots.reach.results import draw_room, draw_sphere, write_tables
 from twinct.scenario import Motion
 
 MOTION = Motion(trigger="settled")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.cell import CellModel, build_cell
 from twinct.geometry import Pose
-from twinct.motion import Kinematics
-from twinct.reach import Holder, Poses, poses_of, reasons, shown
+from twinct.robots.cell import CellModel, build_cell
+from twinct.robots.motion import Kinematics
+from twinct.robots.reach import Holder, Poses, poses_of, reasons, shown
 from twinct.scenario import Capsule, Cell, Detector, DetectorArm, Motion, SourceArm, Zone
 from twinct.trajectory import on_sphere
 

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import (
     Problem,
@@ -21,7 +21,7 @@ from twinct.recon import (
     sart,
     sirt,
 )
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 def with_prior(A, line_integrals, **settings):

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.recon import Projector, engine
 from twinct.recon.engine import Ratio
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skimage.restoration import denoise_tv_chambolle
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart

@@ -12,7 +12,7 @@ import pytest
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, cgls, fast, fdk, fista_tv, os_sart, prior_tv, sart, sirt
 from twinct.recon.algorithms import BUILT_IN
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 def with_prior(A, p):
@@ -80,7 +80,7 @@ def test_peak_is_as_stated(name, large, circle):
 def test_job_that_cannot_fit_is_refused_with_the_figures():
     code = """
 import resource, numpy as np
-from twinct.errors import MemoryShortageError
+from twinct.core.errors import MemoryShortageError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, sirt
 from twinct.trajectory import CircleTrajectory, commanded_views

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, cgls, sart, without_metal
 from twinct.recon.metal import _filled, _laplacian
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 TISSUE, BONE, METAL = 0.02, 0.05, 0.4
 ATTENUATION = {"tissue": TISSUE, "bone": BONE, "metal": METAL}

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fista_tv, random_order, sart, spread_order, weighted_distance
 from twinct.recon.order import subsets_of

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, fista_tv, prior_tv
 from twinct.recon.fista import KnownBefore, Variation
 from twinct.recon.prior_tv import _seams
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 RADIUS, VALUE = 22.0, 0.02
 

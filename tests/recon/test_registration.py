@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, registered
 from twinct.recon.registration import covered, moved, resampled
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 NEAR_MM, NEAR_DEG = 0.1, 0.5
 """Ten noisy views of bodies that are nearly balls, in voxels of 2 mm. Measured 0.02 to 0.1 and

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from twinct.errors import MissingExtraError
+from twinct.core.errors import MissingExtraError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, rtk_sart, sart, spread_order
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, peak_bytes, sart, stopping, without_surroundings
 from twinct.recon.fast import FAST

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, cgls, sart, without_surroundings

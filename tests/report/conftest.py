@@ -6,10 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from twinct.evaluation import image_figures, pose_errors
 from twinct.geometry import Panel, Pose, VolumeGrid
+from twinct.geometry.wire import PosePairs
 from twinct.report import ReportData, build_metrics, cross_sections
 from twinct.scenario import parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
 
 MU = 0.043
 

@@ -1,7 +1,7 @@
 """Figures that a scenario asks for, as the report shows them."""
 
 from twinct.report.measured import KINDS, curves_picture, depth_picture, measured_rows, nested
-from twinct.runs.named import OF_KIND
+from twinct.runs.regions import OF_KIND
 
 CURVE = {"frequency_per_mm": [0.0, 0.5, 1.0], "mtf": [1.0, 0.6, 0.2]}
 COLUMNS = {

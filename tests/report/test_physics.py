@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from twinct.geometry.wire import PosePairs
 from twinct.report import figures, physics_in_words, render_report
 from twinct.scenario import parse_scenario
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
 
 BASE = {
     "detector": {"columns": 80, "rows": 60, "pixel_pitch_mm": 4.0},

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from twinct import load_scan, reconstruct, run
-from twinct.errors import InputError, ScanExistsError
+from twinct.core.errors import InputError, ScanExistsError
 from twinct.recon.algorithms import algorithms
 from twinct.runs import Run, derive_geometry, reconstruct_again, report_again, verify
-from twinct.runs.kept import Reconstruction
+from twinct.runs.reconstruction_folder import Reconstruction
 from twinct.scan import NamedGeometry
 from twinct.scenario import Scenario, load_scenario
 from twinct.uncertainty import believed_poses
@@ -232,7 +232,7 @@ def test_each_algorithm_gives_the_volume_of_a_fresh_run(
     asked = run(load_scenario(DEMO, [*tiny_keys, *circle]), tmp_path / "asked", link="local")
     # What is drawn and written of a result is the other tests' matter, and takes longest.
     monkeypatch.setattr("twinct.runs.job.write_results", lambda *_: None)
-    monkeypatch.setattr("twinct.runs.again.report_again", lambda *_: None)
+    monkeypatch.setattr("twinct.runs.reconstruction.report_again", lambda *_: None)
     names = sorted(algorithms())
     assert len(names) >= 7
     for name in names:

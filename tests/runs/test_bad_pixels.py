@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.geometry.wire import PosePairs
 from twinct.recon.projector import Projector
 from twinct.runs import reconstruct
 from twinct.scan import Scan, ScanStore
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
 from twinct.xray.build import build_bad_pixels
 from twinct.xray.readout import mend_bad_pixels
 

@@ -10,10 +10,10 @@ import pytest
 
 from twinct import run
 from twinct.calibration import PosePrior
+from twinct.calibration.scan_calibration import calibrate_balls, calibrate_beads, calibrate_self
 from twinct.cli import run_command
-from twinct.errors import CalibrationError, InputError
+from twinct.core.errors import CalibrationError, InputError
 from twinct.runs import load_scan, reconstruct_again
-from twinct.runs.calibrating import calibrate_balls, calibrate_beads, calibrate_self
 from twinct.scenario import load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twinct import compare
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.report import cross_sections
 from twinct.runs import Run, reconstruct_again
 
@@ -23,7 +23,7 @@ def folder(finished: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = shutil.copytree(finished.paths.path, tmp_path_factory.mktemp("compare") / "a" / "out")
     keys = ["reconstruction.algorithm=cgls", f"reconstruction.grid={GRID}"]
     with pytest.MonkeyPatch.context() as patch:  # its report is not needed
-        patch.setattr("twinct.runs.again.report_again", lambda *_: None)
+        patch.setattr("twinct.runs.reconstruction.report_again", lambda *_: None)
         reconstruct_again(out, keys, geometry="executed", name="other")
     return out
 
@@ -77,7 +77,7 @@ def test_two_runs_are_named_by_what_tells_them_apart(
 def test_what_cannot_be_compared_is_named_before_any_work(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinct.scan.workshop.build_specimen", lambda _: pytest.fail("work"))
+    monkeypatch.setattr("twinct.scan.builder.build_specimen", lambda _: pytest.fail("work"))
     link = tmp_path / "link"
     link.symlink_to(folder)
     empty = tmp_path / "empty"

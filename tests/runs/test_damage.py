@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from twinct.errors import DamagedError, InputError
+from twinct.core.errors import DamagedError, InputError
 from twinct.runs import Run, verify
 from twinct.scan import ScanStore
-from twinct.scan.findings import make_way
+from twinct.scan.damage import make_way
 from twinct.scan.manifest import FRAME_FILE, digest_of, sealed, unsealed
 
 STATE, IMAGE = "state/c.4.0", "transmission/c.2.0.0"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from twinct import run
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.runs import acquire_to_store, machine_frames, verify
-from twinct.scan import ScanStore, Workshop, local_rig
+from twinct.scan import ScanStore, SimulationBuilder, local_rig
 from twinct.scenario import Scenario
 
 KEYS = [
@@ -25,9 +25,9 @@ KEYS = [
 KEEP = "detector.keep=[raw, flat, dark]"
 
 
-def same_as_rendered_again(store: ScanStore, workshop: Workshop) -> None:
+def same_as_rendered_again(store: ScanStore, builder: SimulationBuilder) -> None:
     scan = store.read()
-    for view, images in enumerate(machine_frames(scan, workshop, range(len(scan)))):
+    for view, images in enumerate(machine_frames(scan, builder, range(len(scan)))):
         for name in ("raw", "flat", "dark"):
             np.testing.assert_array_equal(store.frame(name, view), getattr(images, name))
         np.testing.assert_array_equal(store.transmission(view), images.transmission)
@@ -38,26 +38,26 @@ def same_as_rendered_again(store: ScanStore, workshop: Workshop) -> None:
 def test_they_are_those_that_the_transmission_came_from(
     tiny: Callable[..., Scenario], tmp_path: Path
 ) -> None:
-    workshop = Workshop(tiny(*KEYS, KEEP))
-    store = acquire_to_store(workshop, tmp_path / "scan.zarr", local_rig, resume=False)
-    same_as_rendered_again(store, workshop)
+    builder = SimulationBuilder(tiny(*KEYS, KEEP))
+    store = acquire_to_store(builder, tmp_path / "scan.zarr", local_rig, resume=False)
+    same_as_rendered_again(store, builder)
     assert verify(store.path).problems == ()
     (store.path / "flat" / "c.1.0.0").write_bytes(b"changed")
     assert "view 1, flat: changed" in verify(store.path).problems[0]
-    mended = acquire_to_store(workshop, store.path, local_rig, resume=True)
-    same_as_rendered_again(mended, workshop)
+    mended = acquire_to_store(builder, store.path, local_rig, resume=True)
+    same_as_rendered_again(mended, builder)
 
 
 @pytest.mark.process
 @pytest.mark.tutorial
 def test_over_ros_too(tiny: Callable[..., Scenario], tmp_path: Path) -> None:
     found = run(tiny(*KEYS, KEEP), tmp_path / "out", link="ros2")
-    same_as_rendered_again(ScanStore(found.paths.scan), Workshop(found.scenario))
+    same_as_rendered_again(ScanStore(found.paths.scan), SimulationBuilder(found.scenario))
 
 
 def test_none_are_kept_unasked(tiny: Callable[..., Scenario], tmp_path: Path) -> None:
     scenario = tiny(*KEYS[:2], "detector.readout={}", "detector.keep=[raw]")
-    store = acquire_to_store(Workshop(scenario), tmp_path / "s", local_rig, resume=False)
+    store = acquire_to_store(SimulationBuilder(scenario), tmp_path / "s", local_rig, resume=False)
     assert store.kept == ("raw",)
     with pytest.raises(InputError, match=r"keeps raw and no 'dark' images; .* detector\.keep"):
         store.frame("dark", 0)

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from twinct import run
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.geometry.wire import Target
 from twinct.runs import Run, acquire_to_store, findings, report_again
-from twinct.scan import ScanStore, Workshop, local_rig
+from twinct.scan import ScanStore, SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario
-from twinct.views import Target
 
 VIEWS = 9
-ROBOTS = ("mujoco", "mink", "daqp", "ruckig", "ompl", "twinct.motion")
+ROBOTS = ("mujoco", "mink", "daqp", "ruckig", "ompl", "twinct.robots.motion")
 
 
 @pytest.fixture(scope="module")
@@ -61,11 +61,11 @@ def test_executed_is_commanded_all_the_way_round(scenario: Scenario, finished: R
     assert scan.joints.shape == (VIEWS, 0) and np.isnan(scan.clearance_mm).all()
     assert scan.simulated_s.tolist() == [1.0 + view for view in range(VIEWS)]
     assert scan.transmission.min() < 0.5 < scan.transmission.max()
-    workshop = Workshop(scenario)
-    assert not workshop.plan_chooses
-    assert findings(workshop)["motion"].startswith("a gantry")
+    builder = SimulationBuilder(scenario)
+    assert not builder.plan_chooses
+    assert findings(builder)["motion"].startswith("a gantry")
     with pytest.raises(InputError, match=r"cell\.kind: a gantry has no arms to build"):
-        workshop.cell  # noqa: B018
+        builder.cell  # noqa: B018
 
 
 @pytest.mark.tutorial
@@ -90,13 +90,13 @@ def test_the_report_is_complete_with_and_without_what_draws(finished: Run, tmp_p
 def test_both_links_give_the_same_bytes_and_go_on_from_each_other(
     scenario: Scenario, finished: Run, tmp_path: Path
 ) -> None:
-    from twinct.ros import ros_rigs
+    from twinct.link import ros_rigs
 
-    path, workshop = tmp_path / "scan.zarr", Workshop(scenario)
-    acquire_to_store(workshop, path, ros_rigs(), resume=False)
+    path, builder = tmp_path / "scan.zarr", SimulationBuilder(scenario)
+    acquire_to_store(builder, path, ros_rigs(), resume=False)
     assert stored(path) == stored(finished.paths.scan)
     for view in range(4, VIEWS):
         (path / "status" / f"c.{view}").unlink()
     assert ScanStore(path).acquired == 4
-    acquire_to_store(workshop, path, local_rig, resume=True)
+    acquire_to_store(builder, path, local_rig, resume=True)
     assert stored(path) == stored(finished.paths.scan)

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Pose
-from twinct.recon.known import FoundImplant
+from twinct.geometry.wire import PosePairs
+from twinct.recon.known_components import FoundImplant
+from twinct.recon.shadow import Rays
 from twinct.runs import reconstruct, require_feasible
 from twinct.runs.implants import TakenOut, check_implants, known_implants
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Scan
 from twinct.scenario import parse_scenario
-from twinct.shadow import Rays
 from twinct.specimen import material
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
 
 TISSUE = 0.02
 SCREW = {

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import twinct
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.recon import Projector
+from twinct.recon.volume import Volume
 from twinct.runs import Run, truth_of
-from twinct.scan import Workshop
-from twinct.volume import Volume
+from twinct.scan import SimulationBuilder
 
 
 def test_a_scan_gives_its_geometry_and_line_integrals(finished: Run) -> None:
@@ -54,7 +54,7 @@ def test_a_volume_is_evaluated_on_its_own_grid(finished: Run) -> None:
     fine = twinct.reconstruct(scan, grid={"voxels": 27, "voxel_mm": 6}, iterations=1)
     figures = twinct.evaluate(scan, fine)
     assert 0 < figures.rmse_rel < figures.zero["rmse_rel"]
-    truth = truth_of(scan, Workshop(scan.scenario))
+    truth = truth_of(scan, SimulationBuilder(scan.scenario))
     with pytest.raises(InputError, match="different grids"):
         twinct.evaluate(scan, fine, truth)
 

@@ -17,12 +17,12 @@ import pytest
 from waiting import HANG_S
 
 from twinct import run
-from twinct.errors import FolderInUseError, InputError, ScanExistsError
-from twinct.files.lock import sole_owner
+from twinct.core.errors import FolderInUseError, InputError, ScanExistsError
+from twinct.core.files.lock import sole_owner
+from twinct.recon.volume import Volume
 from twinct.runs import Run, report_again, truth_of
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
-from twinct.volume import Volume
 
 Tiny = Callable[..., Scenario]
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
@@ -46,7 +46,7 @@ def test_a_run_gives_scan_volume_figures_and_paths_and_says_nothing(
 def test_the_truth_lies_beside_the_volume_on_its_grid(finished: Run) -> None:
     truth, volume = Volume.read(finished.paths.truth), finished.volume
     np.testing.assert_array_equal(truth.grid.affine, volume.grid.affine)
-    expected = truth_of(finished.scan, Workshop(finished.scenario))
+    expected = truth_of(finished.scan, SimulationBuilder(finished.scenario))
     np.testing.assert_array_equal(truth.array, expected.volume)
     errors = truth.array[expected.region] - volume.array[expected.region]
     rmse = float(np.sqrt(np.mean(errors.astype(float) ** 2))) / expected.mu_reference

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from twinct import run, simulate
+from twinct.calibration.arm_calibration import apply_kinematics, calibrate_kinematics
 from twinct.cli import run_command
-from twinct.errors import CalibrationError, InputError
+from twinct.core.errors import CalibrationError, InputError
 from twinct.evaluation import pose_errors
 from twinct.runs import load_scan
-from twinct.runs.kinematics import apply_kinematics, calibrate_kinematics
 from twinct.runs.propagating import errors_of
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -83,7 +83,7 @@ def test_the_scenario_may_name_the_arms(found, balls, later):
             np.testing.assert_array_equal(mine.position, its.position)
             np.testing.assert_array_equal(mine.quat, its.quat)
     with pytest.raises(InputError, match="uncertainty.calibration: .* others are drawn"):
-        errors_of(Workshop(scenario), draws=2)
+        errors_of(SimulationBuilder(scenario), draws=2)
 
 
 def test_arms_from_a_file_serve_later_scans(found, balls, later):

@@ -6,9 +6,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from twinct.errors import ScanExistsError
+from twinct.core.errors import ScanExistsError
 from twinct.runs import simulate
-from twinct.scan import ScanStore, Workshop
+from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import parse_scenario
 from twinct.trajectory import commanded_views, write_views
 
@@ -44,7 +44,7 @@ def test_a_scan_takes_and_keeps_the_mas_of_its_file(tmp_path):
 def test_other_mas_are_another_scan(tmp_path):
     first = scenario(tmp_path / "a.csv", MAS)
     path = tmp_path / "scan.zarr"
-    store = ScanStore.create(path, first, Workshop(first).commanded_poses, (), 15, mas=MAS)
+    store = ScanStore.create(path, first, SimulationBuilder(first).commanded_poses, (), 15, mas=MAS)
     assert store.refuse_other(first) is None
     for other in (MAS[::-1], None):
         with pytest.raises(ScanExistsError, match="of another scenario"):
@@ -56,7 +56,7 @@ def test_mas_stay_with_their_views_where_the_plan_chooses_the_order(tmp_path):
     arms = parse_scenario(
         given.model_dump(mode="json", exclude={"cell"}) | {"motion": {"order": "shortest"}}
     )
-    turned = Workshop(given).targets[::-1]
-    workshop = Workshop(arms, kept_plan=cast(Any, SimpleNamespace(targets=tuple(turned))))
-    assert workshop.plan_chooses
-    np.testing.assert_array_equal(workshop.mas, MAS[::-1])
+    turned = SimulationBuilder(given).targets[::-1]
+    builder = SimulationBuilder(arms, kept_plan=cast(Any, SimpleNamespace(targets=tuple(turned))))
+    assert builder.plan_chooses
+    np.testing.assert_array_equal(builder.mas, MAS[::-1])

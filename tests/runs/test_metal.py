@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.geometry.wire import PosePairs
 from twinct.observers import Observer, Said
 from twinct.recon import Projector, sart, without_metal
 from twinct.runs import line_integrals, reconstruct
-from twinct.runs.metal import check_metal
+from twinct.runs.metal_reduction import check_metal
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Scan
 from twinct.scenario import parse_scenario
 from twinct.specimen import material
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
 
 TISSUE, METAL = 0.02, 0.2
 NMAR = {"method": "nmar", "metal": "titanium", "first_iterations": 2}

@@ -14,12 +14,12 @@ import pytest
 from scipy import ndimage
 
 from twinct import run
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Pose, VolumeGrid
 from twinct.runs import Run, reconstruct_again, report_again
 from twinct.runs.checks import check_places
-from twinct.runs.named import OF_KIND, Places, named_figures
-from twinct.scan import Workshop
+from twinct.runs.regions import OF_KIND, Places, named_figures
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
 from twinct.specimen import build_specimen
 from twinct.study.figures import figure_names, flat_figures
@@ -165,7 +165,7 @@ def test_what_the_grid_does_not_hold_is_told_before_any_work(scenario: Scenario)
     def told(*keys: str) -> list[str]:
         other = load_scenario(DEMO, [*KEYS, *keys])
         with pytest.raises(InputError) as caught:
-            check_places(Workshop(other))
+            check_places(SimulationBuilder(other))
         return list(caught.value.problems)
 
     (away,) = told("evaluation.regions.1.position_mm=[0, 500, 0]")
@@ -181,7 +181,7 @@ def test_what_the_grid_does_not_hold_is_told_before_any_work(scenario: Scenario)
         "evaluation.mtf.0.at: 'ball.1' has a radius of 1.5 mm; its edge needs 2 mm"
         in (told(small)[0])
     )
-    check_places(Workshop(scenario))
+    check_places(SimulationBuilder(scenario))
 
 
 def test_a_body_without_contrast_has_no_transfer_and_stops_nobody(places: Places) -> None:
@@ -202,7 +202,9 @@ def test_other_figures_make_no_volume_anew(
     finished: Run, tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("twinct.runs.job.reconstruct", lambda *_, **__: 1 / 0)
-    monkeypatch.setattr("twinct.runs.again.report_again", lambda *_: None)  # which takes seconds
+    monkeypatch.setattr(
+        "twinct.runs.reconstruction.report_again", lambda *_: None
+    )  # which takes seconds
     monkeypatch.setattr("twinct.runs.reporting._room", lambda _: None)
     out = shutil.copytree(finished.paths.path, tmp_path / "out")
     beside = ["reconstruction.algorithm=cgls", "reconstruction.grid={voxels: 12, voxel_mm: 12}"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from twinct import needs
-from twinct.errors import MemoryShortageError
+from twinct.core.errors import MemoryShortageError
 from twinct.runs import require_memory
 from twinct.scenario import load_scenario
 from twinct.specimen.shapes import shape_surface, triangles
@@ -60,7 +60,7 @@ def test_each_stage_grows_with_what_it_holds(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_nothing_is_planned_and_a_gantry_takes_no_arms(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("twinct.motion.plan_motion", None)
+    monkeypatch.setattr("twinct.robots.motion.plan_motion", None)
     arms = needs(load_scenario(DEMO, [*FEW, "motion.order=shortest"]))
     gantry = needs(load_scenario(DEMO, [*FEW, "cell={kind: gantry}"]))
     assert gantry["plan"].memory_bytes == gantry["specimen"].memory_bytes

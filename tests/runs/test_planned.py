@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Floats
+from twinct.geometry.wire import PosePairs
 from twinct.runs import acquire_to_store, report_again, run
-from twinct.scan import Scan, ScanStore, Workshop, local_rig
+from twinct.scan import Scan, ScanStore, SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import write_views
-from twinct.views import PosePairs
 
 VIEWS = 5
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
@@ -48,7 +48,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
 @pytest.fixture(scope="module")
 def scan(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Scan]:
     path = tmp_path_factory.mktemp("planned") / "scan.zarr"
-    store = acquire_to_store(Workshop(scenario), path, local_rig, resume=False)
+    store = acquire_to_store(SimulationBuilder(scenario), path, local_rig, resume=False)
     return path, store.read()
 
 
@@ -62,7 +62,7 @@ def test_commanded_poses_are_those_the_plan_chose(
     found = [int(np.linalg.norm(asked - place, axis=1).argmin()) for place in taken]
     assert sorted(found) == list(range(VIEWS)) and found != list(range(VIEWS))
     np.testing.assert_allclose(taken, asked[found], atol=1e-6)
-    upright = PosePairs.from_geometry(Workshop(scenario).asked[found])
+    upright = PosePairs.from_geometry(SimulationBuilder(scenario).asked[found])
     turned = [
         here.angle_deg(pose)
         for view in range(VIEWS)
@@ -81,9 +81,9 @@ def test_commanded_poses_are_those_the_plan_chose(
 def test_both_links_follow_one_plan_and_go_on_from_each_other(
     scenario: Scenario, scan: tuple[Path, Scan], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from twinct.ros import ros_rigs
+    from twinct.link import ros_rigs
 
-    workshop = Workshop(scenario)
+    builder = SimulationBuilder(scenario)
     path = tmp_path / "scan.zarr"
     taken = 0
 
@@ -100,13 +100,15 @@ def test_both_links_follow_one_plan_and_go_on_from_each_other(
     write = ScanStore.write
     monkeypatch.setattr(ScanStore, "write", keep)
     with pytest.raises(Enough):
-        acquire_to_store(workshop, path, local_rig, resume=False)
+        acquire_to_store(builder, path, local_rig, resume=False)
     monkeypatch.undo()
     # What goes on has its plan from the store: nobody plans again.
-    monkeypatch.setattr("twinct.motion.plan_motion", None)
+    monkeypatch.setattr("twinct.robots.motion.plan_motion", None)
     kept = ScanStore(path).plan
-    assert kept is not None and kept.digest == workshop.plan.digest  # type: ignore[union-attr]
-    acquire_to_store(Workshop(scenario, kept), path, ros_rigs(tmp_path / "log"), resume=True)
+    assert kept is not None and kept.digest == builder.plan.digest  # type: ignore[union-attr]
+    acquire_to_store(
+        SimulationBuilder(scenario, kept), path, ros_rigs(tmp_path / "log"), resume=True
+    )
     files = {p.relative_to(scan[0]) for p in scan[0].rglob("*") if p.is_file()}
     assert files == {p.relative_to(path) for p in path.rglob("*") if p.is_file()}
     for name in files:
@@ -117,9 +119,9 @@ def test_the_xray_node_has_its_views_from_the_plan(
     scenario: Scenario, scan: tuple[Path, Scan], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("rclpy")
-    from twinct.ros.xray_node import _AsPlanned
+    from twinct.link.xray_node import _AsPlanned
 
-    monkeypatch.setattr("twinct.motion.plan_motion", None)
+    monkeypatch.setattr("twinct.robots.motion.plan_motion", None)
     path, whole = scan
     plan = ScanStore(path).plan
     assert plan is not None
@@ -139,7 +141,7 @@ def test_a_run_goes_on_with_the_plan_it_has(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shutil.copytree(scan[0], tmp_path / "out" / "scan.zarr")
-    monkeypatch.setattr("twinct.motion.plan_motion", None)
+    monkeypatch.setattr("twinct.robots.motion.plan_motion", None)
     finished = run(scenario, tmp_path / "out", link="local", resume=True)
     assert report_again(tmp_path / "out").figures["views"] == finished.figures["views"] == VIEWS
 
@@ -161,10 +163,10 @@ def test_a_scan_of_before_plans_is_a_reactive_one(scan: tuple[Path, Scan], tmp_p
 
 def test_a_file_of_axes_is_taken_as_it_is(scenario: Scenario, tmp_path: Path) -> None:
     file = tmp_path / "axes.csv"
-    asked = Workshop(scenario).asked
+    asked = SimulationBuilder(scenario).asked
     write_views(file, asked)
     fixed = load_scenario(
         DEMO, [f"trajectory={{kind: file, path: {file}}}", "motion.scheme=planned"]
     )
-    assert not Workshop(fixed).plan_chooses
-    assert Workshop(scenario).plan_chooses
+    assert not SimulationBuilder(fixed).plan_chooses
+    assert SimulationBuilder(scenario).plan_chooses

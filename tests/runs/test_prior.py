@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError, ScenarioError
+from twinct.core.errors import InputError, ScenarioError
 from twinct.geometry import Pose, VolumeGrid
+from twinct.geometry.wire import PosePairs
 from twinct.recon import Projector, prior_tv, without_surroundings
 from twinct.recon.registration import moved, registered, resampled
+from twinct.recon.volume import Volume
 from twinct.runs import line_integrals, reconstruct, require_feasible
 from twinct.scan import Scan
 from twinct.scenario import load_scenario, parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
-from twinct.volume import Volume
 
 GRID = VolumeGrid((24, 24, 24), 4.0)
 POINTS = np.stack(np.meshgrid(*(GRID.axes()[::-1]), indexing="ij"))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct.errors import InputError, MemoryShortageError
+from twinct.core.errors import InputError, MemoryShortageError
 from twinct.evaluation import pose_errors
 from twinct.geometry import Pose
 from twinct.recon import Projector, cgls, fista_tv, os_sart, random_order, sart, sirt
@@ -24,7 +24,7 @@ from twinct.runs import (
     volumes,
 )
 from twinct.runs.integrals import hardening_corrected
-from twinct.scan import Scan, Workshop
+from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.xray.build import effective_energy_kev
 
@@ -53,13 +53,13 @@ def scenario() -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def workshop(scenario: Scenario) -> Workshop:
-    return Workshop(scenario)
+def builder(scenario: Scenario) -> SimulationBuilder:
+    return SimulationBuilder(scenario)
 
 
 @pytest.fixture(scope="module")
-def scan(scenario: Scenario, workshop: Workshop) -> Scan:
-    return simulate(scenario, workshop=workshop)
+def scan(scenario: Scenario, builder: SimulationBuilder) -> Scan:
+    return simulate(scenario, builder=builder)
 
 
 def test_a_scan_is_shown_in_one_line(scan: Scan) -> None:
@@ -106,7 +106,7 @@ def test_belief_changes_the_volume_and_never_the_images(scenario: Scenario, scan
     )
     other = simulate(lost)
     np.testing.assert_array_equal(other.transmission, scan.transmission)
-    truth = truth_of(scan, Workshop(scenario))
+    truth = truth_of(scan, SimulationBuilder(scenario))
     good = judge(scan, reconstruct(scan), truth).rmse_rel
     bad = judge(other, reconstruct(other), truth).rmse_rel
     exact = judge(other, reconstruct(other, geometry="executed"), truth).rmse_rel
@@ -231,11 +231,13 @@ def test_surroundings_and_mask_are_passed_on(scan: Scan) -> None:
     assert np.isfinite(reconstruct(broken, mask=mask).array).all()
 
 
-def test_what_cannot_be_done_is_refused_before_work(scenario: Scenario, workshop: Workshop) -> None:
+def test_what_cannot_be_done_is_refused_before_work(
+    scenario: Scenario, builder: SimulationBuilder
+) -> None:
     def changed(*keys: str) -> Scenario:
         return load_scenario(SCENARIOS / "demo.yaml", [*TINY, *keys])
 
-    views = workshop.commanded
+    views = builder.commanded
     require_feasible(scenario, views)
     with pytest.raises(InputError, match="fdk needs a circular scan"):
         require_feasible(changed("reconstruction={algorithm: fdk}"), views)
@@ -264,12 +266,12 @@ def test_fdk_reconstructs_what_the_arms_scanned_on_an_arc() -> None:
             "reconstruction={algorithm: fdk, window: hann, grid: {voxels: 32, voxel_mm: 5}}",
         ],
     )
-    workshop = Workshop(scenario)
-    require_feasible(scenario, workshop.commanded)
-    scan = simulate(scenario, workshop=workshop)
-    figures = judge(scan, reconstruct(scan), truth_of(scan, workshop))
+    builder = SimulationBuilder(scenario)
+    require_feasible(scenario, builder.commanded)
+    scan = simulate(scenario, builder=builder)
+    figures = judge(scan, reconstruct(scan), truth_of(scan, builder))
     iterated = reconstruct(replace(scan, scenario=load_scenario(SCENARIOS / "demo.yaml", TINY)))
-    assert figures.rmse_rel < 1.5 * judge(scan, iterated, truth_of(scan, workshop)).rmse_rel
+    assert figures.rmse_rel < 1.5 * judge(scan, iterated, truth_of(scan, builder)).rmse_rel
 
 
 def test_opaque_pixels_give_finite_line_integrals() -> None:
@@ -289,9 +291,9 @@ def test_raw_images_are_those_that_the_transmission_came_from(blur):
         "trajectory": {"kind": "arc", "views": 3, "longitude_range_deg": 10},
         "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 60}}]},
     }
-    workshop = Workshop(parse_scenario(physics))
-    scan = simulate(workshop.scenario, workshop=workshop)
-    frames = list(machine_frames(scan, workshop, range(3)))
+    builder = SimulationBuilder(parse_scenario(physics))
+    scan = simulate(builder.scenario, builder=builder)
+    frames = list(machine_frames(scan, builder, range(3)))
     for frame, transmission in zip(frames, scan.transmission, strict=True):
         np.testing.assert_array_equal(frame.transmission, transmission)
         light = np.maximum(frame.raw - frame.dark, 0.5) / (frame.flat - frame.dark)
@@ -320,9 +322,9 @@ def test_hardened_line_integrals_are_brought_to_one_energy(kind):
             "reconstruction": {"grid": {"voxels": 48, "voxel_mm": 3}, "beam_hardening": hardening},
         }
     )
-    workshop = Workshop(scenario)
-    geometry = workshop.commanded
-    with workshop.imager() as imager:
+    builder = SimulationBuilder(scenario)
+    geometry = builder.commanded
+    with builder.imager() as imager:
         images = np.stack([imager.render(view, Pose.identity()) for view in geometry])
     A = Projector(geometry, scenario.reconstruction.grid.volume_grid)
     found = hardening_corrected(scenario, line_integrals(images), A)
@@ -330,7 +332,7 @@ def test_hardened_line_integrals_are_brought_to_one_energy(kind):
         scenario.model_dump(mode="json", exclude={"source", "reconstruction"})
         | {"source": {"energy_kev": effective_energy_kev(scenario.source, scenario.detector)}}
     )
-    with Workshop(ideal).imager() as imager:
+    with SimulationBuilder(ideal).imager() as imager:
         truth = line_integrals(np.stack([imager.render(v, Pose.identity()) for v in geometry]))
     raw = line_integrals(images)
     dark = truth > 0.5 * truth.max()

@@ -11,11 +11,11 @@ import pytest
 
 from twinct import run, simulate
 from twinct.cli import run_command
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.evaluation import pose_errors, reprojection_px
 from twinct.runs import Run
 from twinct.runs.propagating import errors_of
-from twinct.scan import ScanStore, Workshop
+from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
 
 GANTRY = Path(__file__).parents[2] / "scenarios" / "circle_gantry.yaml"
@@ -31,8 +31,8 @@ def uncertain(
     """A run by the plan of another whose arms are as they are known."""
     scenario = tiny(*KEYS, "reconstruction.geometry=[believed, executed]")
     out = tmp_path_factory.mktemp("uncertain") / "out"
-    workshop = Workshop(scenario, ScanStore(finished.paths.scan).plan)
-    return run(scenario, out, link="local", workshop=workshop)
+    builder = SimulationBuilder(scenario, ScanStore(finished.paths.scan).plan)
+    return run(scenario, out, link="local", builder=builder)
 
 
 def test_reached_is_what_the_controllers_believe(uncertain: Run) -> None:
@@ -66,10 +66,10 @@ def test_figures_and_report_tell_both(uncertain: Run) -> None:
 def test_the_same_arms_serve_another_scan(tiny: Callable[..., Scenario], uncertain: Run) -> None:
     """What stays the same is of the arms' seed; what is a view's own of the scenario's."""
     scan = uncertain.scan
-    workshop = Workshop(tiny(*KEYS, "seed=8"), ScanStore(uncertain.paths.scan).plan)
-    robots = workshop.robots()
+    builder = SimulationBuilder(tiny(*KEYS, "seed=8"), ScanStore(uncertain.paths.scan).plan)
+    robots = builder.robots()
     for view in range(3):
-        other = robots.move(view, workshop.targets[view])
+        other = robots.move(view, builder.targets[view])
         assert 0 < other.executed.source.distance_mm(scan.executed.source[view]) < 0.5
         assert scan.told.source[view].distance_mm(scan.executed.source[view]) > 0.5
 
@@ -121,11 +121,11 @@ def test_errors_of_a_scenario_without_a_move(tmp_path: Path, capfd: pytest.Captu
 
 
 def test_points_are_those_that_every_view_sees() -> None:
-    workshop = Workshop(load_scenario(GANTRY, ["trajectory.views=5"]))
-    found = errors_of(workshop, 10)
-    panel = workshop.scenario.detector.panel
-    images = workshop.commanded.project(found.points)
+    builder = SimulationBuilder(load_scenario(GANTRY, ["trajectory.views=5"]))
+    found = errors_of(builder, 10)
+    panel = builder.scenario.detector.panel
+    images = builder.commanded.project(found.points)
     assert len(found.points) > 5
     assert (images >= 0).all() and (images <= [panel.columns - 1, panel.rows - 1]).all()
     with pytest.raises(InputError, match="at least 2"):
-        errors_of(workshop, 1)
+        errors_of(builder, 1)

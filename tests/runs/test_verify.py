@@ -14,11 +14,11 @@ import zarr
 
 from twinct import run
 from twinct.cli import run_command
-from twinct.errors import DamagedError, ScanExistsError
+from twinct.core.errors import DamagedError, ScanExistsError
 from twinct.geometry import Floats
 from twinct.runs import Run, acquire_to_store, verify
-from twinct.runs.mending import mend_frame
-from twinct.scan import Rig, ScanStore, Workshop, frame_damage, local_rig, view_damage
+from twinct.runs.repair import mend_frame
+from twinct.scan import Rig, ScanStore, SimulationBuilder, frame_damage, local_rig, view_damage
 from twinct.scan.checked import CheckedStore
 from twinct.scan.manifest import FRAME_FILE, view_of
 from twinct.scenario import Scenario
@@ -126,8 +126,8 @@ class Counted:
     def __init__(self) -> None:
         self.taken: list[int] = []
 
-    def __call__(self, workshop: Workshop, first: int, state: Floats | None) -> Rig:
-        rig = local_rig(workshop, first, state)
+    def __call__(self, builder: SimulationBuilder, first: int, state: Floats | None) -> Rig:
+        rig = local_rig(builder, first, state)
         expose = rig.expose
         rig.expose = lambda view: self.taken.append(view) or expose(view)
         return rig
@@ -138,36 +138,39 @@ class Counted:
 def test_views_in_the_middle_are_taken_again_from_the_state_before(
     tiny: Callable[..., Scenario], tmp_path: Path, scheme: str
 ) -> None:
-    workshop, path = Workshop(tiny(f"motion.scheme={scheme}", "detector.lag=0.1")), tmp_path / "s"
-    acquire_to_store(workshop, path, local_rig, resume=False)
+    builder, path = (
+        SimulationBuilder(tiny(f"motion.scheme={scheme}", "detector.lag=0.1")),
+        tmp_path / "s",
+    )
+    acquire_to_store(builder, path, local_rig, resume=False)
     store = contents(path)
     (path / "transmission" / "c.3.0.0").unlink()
     (path / "state" / "c.6.0").write_bytes(b"short")
     (path / "executed" / "u" / "c.7.0").write_bytes(bytes(24))
     assert {d.view for d in view_damage(path)} == {3, 6, 7}
     (path / "somebody.txt").write_text("else's")
-    ScanStore.resume(path, workshop.scenario)  # and is killed then
+    ScanStore.resume(path, builder.scenario)  # and is killed then
     rigs = Counted()
-    acquire_to_store(workshop, path, rigs, resume=True)
+    acquire_to_store(builder, path, rigs, resume=True)
     assert rigs.taken == [3, 6, 7]
     assert contents(path) == store | {"somebody.txt": b"else's"}
     assert [file.name for file in verify(path).unknown] == ["somebody.txt"]
 
 
 @pytest.fixture(scope="module")
-def workshop(finished: Run) -> Workshop:
-    return Workshop(finished.scenario)
+def builder(finished: Run) -> SimulationBuilder:
+    return SimulationBuilder(finished.scenario)
 
 
 @pytest.fixture(scope="module")
-def shorter(tiny: Callable[..., Scenario]) -> Workshop:
-    return Workshop(tiny("trajectory.views=2"))
+def shorter(tiny: Callable[..., Scenario]) -> SimulationBuilder:
+    return SimulationBuilder(tiny("trajectory.views=2"))
 
 
 @pytest.mark.tutorial
 @pytest.mark.parametrize("lost", ["zarr.json", FRAME_FILE, "plan/views/zarr.json", "manifest"])
 def test_what_is_of_no_view_is_made_anew(
-    folder: Path, workshop: Workshop, shorter: Workshop, lost: str
+    folder: Path, builder: SimulationBuilder, shorter: SimulationBuilder, lost: str
 ) -> None:
     path = folder / "scan.zarr"
     store = contents(path)
@@ -181,7 +184,7 @@ def test_what_is_of_no_view_is_made_anew(
     with pytest.raises(DamagedError, match=r"json cannot be recreated: this scenario, or"):
         mend_frame(path, shorter, error.value)
     assert contents(path) == left
-    mend_frame(path, workshop, error.value)
+    mend_frame(path, builder, error.value)
     rows = {file for file in store if file.startswith("manifest/views/c.")}
     views = rows if lost == "manifest" else set()  # their views are taken again
     assert contents(path) == {file: store[file] for file in store.keys() - views}

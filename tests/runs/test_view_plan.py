@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct.errors import InputError, ScanExistsError, ScenarioError
+from twinct.core.errors import InputError, ScanExistsError, ScenarioError
 from twinct.geometry import Pose, VolumeGrid
-from twinct.pool import LocalPool
-from twinct.runs import view_family, view_plan
-from twinct.runs.view_goals import Patient
-from twinct.runs.view_plan import plan_views
-from twinct.scan import Workshop
+from twinct.recon.volume import Volume
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 from twinct.trajectory import CircleTrajectory, commanded_mas, commanded_views
-from twinct.volume import Volume
+from twinct.view_planning import family_search, planner
+from twinct.view_planning.planner import plan_views
+from twinct.view_planning.task_goals import Patient
+from twinct.workers import LocalPool
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
@@ -116,7 +116,7 @@ def test_mas_go_where_they_tell_most(file: Path, tmp_path: Path) -> None:
     keys = [DETECT, "task.completeness.weight=20", "task.exposure={}", "source.current_ma=2"]
     plan_views(file, tmp_path / "out", keys)
     written = load_scenario(tmp_path / "out" / "planned.yaml")
-    mas, geometry = commanded_mas(written.trajectory), Workshop(written).commanded
+    mas, geometry = commanded_mas(written.trajectory), SimulationBuilder(written).commanded
     assert mas is not None and mas.mean() == pytest.approx(each := 0.02)
     assert mas.min() >= 0.25 * each * (1 - 1e-9) and mas.max() <= 4 * each * (1 + 1e-9)
     along_y = np.abs(geometry.source[:, 1]) / 300
@@ -219,7 +219,7 @@ def test_a_search_in_a_family_goes_on_where_it_was_stopped(
     file: Path, tmp_path: Path, monkeypatch
 ) -> None:
     whole = plan_views(file, tmp_path / "whole", FAMILY)
-    judged, calls = view_family._judged, []
+    judged, calls = family_search._judged, []
 
     def stopped(*args):
         calls.append(1)
@@ -227,7 +227,7 @@ def test_a_search_in_a_family_goes_on_where_it_was_stopped(
             raise KeyboardInterrupt
         return judged(*args)
 
-    monkeypatch.setattr(view_family, "_judged", stopped)
+    monkeypatch.setattr(family_search, "_judged", stopped)
     with pytest.raises(KeyboardInterrupt):
         plan_views(file, tmp_path / "out", FAMILY)
     assert plan_views(file, tmp_path / "out", FAMILY, resume=True).views == whole.views
@@ -241,7 +241,7 @@ def test_paths_that_cannot_be_had_are_told_with_the_nearest(file: Path, tmp_path
 
 
 def test_points_of_a_part_lie_in_it(file: Path) -> None:
-    patient = Patient(Workshop(load_scenario(file, ["specimen.position_mm=[0, 0, 7]"])))
+    patient = Patient(SimulationBuilder(load_scenario(file, ["specimen.position_mm=[0, 0, 7]"])))
     points = patient.points_of("lens", 0)
     assert len(points) > 50
     assert np.linalg.norm(points - [0, 50, 7], axis=1).max() < 4.5
@@ -250,7 +250,7 @@ def test_points_of_a_part_lie_in_it(file: Path) -> None:
 
 def test_it_goes_on_where_it_was_stopped(file: Path, tmp_path: Path, monkeypatch) -> None:
     whole = plan_views(file, tmp_path / "whole")
-    search = view_plan.search_views
+    search = planner.search_views
 
     def stopped(*args, heard, **options):
         def some(state):
@@ -260,7 +260,7 @@ def test_it_goes_on_where_it_was_stopped(file: Path, tmp_path: Path, monkeypatch
 
         return search(*args, heard=some, **options)
 
-    monkeypatch.setattr(view_plan, "search_views", stopped)
+    monkeypatch.setattr(planner, "search_views", stopped)
     with pytest.raises(KeyboardInterrupt):
         plan_views(file, tmp_path / "out")
     monkeypatch.undo()

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from twinct.calibration import CalibratedArms
-from twinct.calibration.arms import Change
-from twinct.cell import nominal_chains
 from twinct.cli import main
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Pose
+from twinct.robots.calibrated_arms import Change
+from twinct.robots.cell import nominal_chains
 from twinct.runs.propagating import nominal_scan
-from twinct.runs.view_plan import plan_views
-from twinct.runs.view_rejudged import _blur_mm, rejudged
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 from twinct.uncertainty.arms import drawn
+from twinct.view_planning.goals_with_errors import _blur_mm, rejudged
+from twinct.view_planning.planner import plan_views
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 SCENARIO = f"""\
@@ -50,7 +50,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_without_errors_it_is_as_planned(planned: Path) -> None:
-    found, blur_mm = rejudged(Workshop(load_scenario(planned)), 2)
+    found, blur_mm = rejudged(SimulationBuilder(load_scenario(planned)), 2)
     assert blur_mm == pytest.approx([0, 0], abs=1e-9)
     for goal in found.values():
         assert goal.drawn == pytest.approx(goal.commanded, rel=1e-6)
@@ -60,8 +60,8 @@ def test_blur_is_that_of_the_poses_and_lowers_what_is_detected(planned: Path) ->
     """Of panels displaced by sigma along u and v, at half the SDD: half of it, but for a shift."""
     sigma_mm, equations = 4.0, 2 * 8
     views = "{detector_in_plane_mm: 4}"
-    workshop = Workshop(load_scenario(planned, [f"uncertainty.views={views}"]))
-    found, blur_mm = rejudged(workshop, 40)
+    builder = SimulationBuilder(load_scenario(planned, [f"uncertainty.views={views}"]))
+    found, blur_mm = rejudged(builder, 40)
     expected = sigma_mm / 2 * np.sqrt(1 - 3 / equations)
     assert np.sqrt((blur_mm**2).mean()) == pytest.approx(expected, rel=0.1)
     d = found["detectability"]
@@ -73,14 +73,14 @@ def test_blur_is_that_of_the_poses_and_lowers_what_is_detected(planned: Path) ->
 
 
 def test_what_all_views_agree_upon_blurs_nothing(planned: Path) -> None:
-    workshop = Workshop(load_scenario(planned))
-    scan, place = nominal_scan(workshop), np.array([3.0, -2.0, 1.0])
+    builder = SimulationBuilder(load_scenario(planned))
+    scan, place = nominal_scan(builder), np.array([3.0, -2.0, 1.0])
     believed = scan.poses[:, None]
     true = believed.copy()
     true[..., :3, 3] += (0.4, -0.3, 0.5)
-    assert _blur_mm(true, believed, workshop.commanded, place) == pytest.approx([0], abs=2e-3)
+    assert _blur_mm(true, believed, builder.commanded, place) == pytest.approx([0], abs=2e-3)
     true[1, :, ::2, :3, 3] += 1.0
-    assert _blur_mm(true, believed, workshop.commanded, place) > 0.1
+    assert _blur_mm(true, believed, builder.commanded, place) > 0.1
 
 
 def test_the_command_tells_it(planned: Path, tmp_path: Path, capsys) -> None:
@@ -126,9 +126,9 @@ def test_arms_that_were_calibrated_are_believed_where_they_are(
     block, found = arms
     found.write(tmp_path / "arms.json")
     calibrated = f"uncertainty.calibration={tmp_path / 'arms.json'}"
-    _, blur_mm = rejudged(Workshop(load_scenario(block, ARMS)), 3)
+    _, blur_mm = rejudged(SimulationBuilder(load_scenario(block, ARMS)), 3)
     assert blur_mm.min() > 0.1 and np.ptp(blur_mm) > 0.01  # other arms in each draw
-    goals, blur_mm = rejudged(Workshop(load_scenario(block, [*ARMS, calibrated])), 3)
+    goals, blur_mm = rejudged(SimulationBuilder(load_scenario(block, [*ARMS, calibrated])), 3)
     assert blur_mm == pytest.approx([0, 0, 0], abs=1e-6)
     d = goals["detectability"]
     assert np.ptp(d.drawn) == pytest.approx(0, abs=1e-9)
@@ -147,4 +147,4 @@ def test_arms_of_another_cell_are_refused(
     keys = [*ARMS, f"uncertainty.calibration={tmp_path / 'arms.json'}"]
     moved = "cell.source_arm.base_position_mm=[760, 0, -150]"
     with pytest.raises(InputError, match=r"arms\.json"):
-        rejudged(Workshop(load_scenario(block, [*keys, moved])), 2)
+        rejudged(SimulationBuilder(load_scenario(block, [*keys, moved])), 2)

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.core.progress import SILENT
 from twinct.geometry import Pose
-from twinct.progress import SILENT
 from twinct.runs import acquire_to_store
-from twinct.runs.view_plan import plan_views
-from twinct.runs.view_scout import scouted
-from twinct.scan import Workshop, local_rig
+from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import load_scenario, parse_scenario
+from twinct.view_planning.planner import plan_views
+from twinct.view_planning.scout import scouted
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
@@ -56,7 +56,7 @@ def scout(file: Path) -> Path:
     """A scan of the specimen where it lies."""
     scenario = load_scenario(file, MOVED)
     store = file.parent / "scan.zarr"
-    acquire_to_store(Workshop(scenario), store, local_rig, resume=False)
+    acquire_to_store(SimulationBuilder(scenario), store, local_rig, resume=False)
     return store
 
 
@@ -92,6 +92,6 @@ def test_scout_views_of_something_else_are_refused(file: Path, scout: Path, tmp_
         scouted(load_scenario(file), tmp_path / "nothing", SILENT)
     one = tmp_path / "one.zarr"
     scenario = load_scenario(file, ["trajectory.views=1"])
-    acquire_to_store(Workshop(scenario), one, local_rig, resume=False)
+    acquire_to_store(SimulationBuilder(scenario), one, local_rig, resume=False)
     with pytest.raises(InputError, match="1 scout view, but at least 2"):
         scouted(load_scenario(file), one, SILENT)

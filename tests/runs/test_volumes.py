@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twinct.errors import InputError, MemoryShortageError
+from twinct.core.errors import InputError, MemoryShortageError
+from twinct.geometry.wire import PosePairs
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import VOLUMES
 from twinct.runs import line_integrals, reconstruct, require_feasible, volumes
@@ -15,7 +16,6 @@ from twinct.runs.volumes import memory_needed
 from twinct.scan import Scan
 from twinct.scenario import parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
-from twinct.views import PosePairs
 
 TWO = {"kind": "two_materials", "base": "water", "dense": "bone", "first_iterations": 2}
 AROUND = {"margin_mm": 20, "voxel_mm": 10, "iterations": 1}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from twinct.geometry.wire import Instant, PosePairs, Reached, Target
 from twinct.scan import Scan, View, acquire
 from twinct.scenario import parse_scenario
-from twinct.views import Instant, PosePairs, Reached, Target
 
 
 class Still:

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 import zarr
 
-from twinct.errors import InputError, ScanExistsError, StorageError
+from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
+from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.scan import ScanStore, View, check_space, view_damage
 from twinct.scan import store as store_module
 from twinct.scan.checked import CheckedStore
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
 from twinct.uncertainty import believed_poses
-from twinct.views import Instant, PosePairs, Reached, to_seven
 
 VIEWS = 5
 NAMES = ("source_a", "detector_b")

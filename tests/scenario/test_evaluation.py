@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from twinct.errors import ScenarioError
+from twinct.core.errors import ScenarioError
 from twinct.scenario import load_scenario
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from twinct.errors import ScenarioError
+from twinct.core.errors import ScenarioError
 from twinct.scenario import PRESETS, Uncertainty, load_scenario, parse_scenario, stage_digests
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

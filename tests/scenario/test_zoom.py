@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.scenario import parse_scenario
 from twinct.scenario.reconstruction import Grid, Reconstruction
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.shadow import Body, Rays
+from twinct.recon.shadow import Body, Rays
 
 PANEL = Panel(21, 31, 2.0, 1.5)
 

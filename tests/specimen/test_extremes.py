@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 from twinct.scenario import Specimen
 from twinct.specimen import BuiltSpecimen, build_specimen
 

@@ -15,7 +15,7 @@ import trimesh
 from pydicom.dataset import FileDataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 from twinct.geometry import VolumeGrid
 from twinct.scenario import Specimen
 from twinct.specimen import build_specimen

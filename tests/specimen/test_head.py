@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct.errors import ScenarioError
+from twinct.core.errors import ScenarioError
 from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario import Specimen, load_scenario
 from twinct.specimen import build_specimen, material

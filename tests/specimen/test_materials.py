@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from xraylib import SymbolToAtomicNumber
 
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 from twinct.scenario import Composition
 from twinct.specimen import Material, material, material_names
 from twinct.specimen.materials import BUILT_IN, METALS

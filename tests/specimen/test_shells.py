@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 from twinct.geometry import VolumeGrid
 from twinct.scenario import Specimen
 from twinct.specimen import build_specimen

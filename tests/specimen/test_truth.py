@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario import Specimen
 from twinct.specimen import build_specimen, material, volume_fractions

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from twinct.pool import LocalPool
-from twinct.pool.parcel import remove
+from twinct.workers import LocalPool
+from twinct.workers.artifact import remove
 
 SCENARIO: dict[str, Any] = {
     "cell": {"kind": "gantry"},

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from twinct.study.book import Book
+from twinct.study.timings import Book
 
 
 @pytest.fixture(autouse=True)

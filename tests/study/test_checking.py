@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.study import dry_run, load_study
 from twinct.study.checking import MOST_PROBLEMS, Checked, Checker
 

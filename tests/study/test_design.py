@@ -8,7 +8,7 @@ import trimesh
 import yaml
 from scipy import stats
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.study import load_study
 from twinct.study.design import Trial
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import trimesh
 
-from twinct.files.arm_xml import read_arm_xml
+from twinct.core.files.arm_xml import read_arm_xml
 from twinct.scenario import load_scenario
 from twinct.study.inputs import Inputs
 

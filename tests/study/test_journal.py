@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from twinct.errors import InputError, StorageError
+from twinct.core.errors import InputError, StorageError
 from twinct.study import journal as journals
 from twinct.study.journal import Journal, Row
 

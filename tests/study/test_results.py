@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import twinct
-from twinct.errors import InputError, MissingExtraError
+from twinct.core.errors import InputError, MissingExtraError
 from twinct.study import results
 from twinct.study.journal import Journal, Row
 from twinct.study.results import load_results, results_table, write_results

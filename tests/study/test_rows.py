@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from twinct.errors import InputError
-from twinct.pool import Done, Failed
+from twinct.core.errors import InputError
 from twinct.study.checking import Checked, Cost
 from twinct.study.design import Trial
 from twinct.study.folder import StudyFolder
 from twinct.study.rows import MOST_BEST, Rows, sections_of
 from twinct.study.settings import Study
+from twinct.workers import Done, Failed
 
 
 def ranked_by(figure: str) -> Study:

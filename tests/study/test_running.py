@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from twinct.cli import run_command
-from twinct.errors import FolderInUseError, InputError, ScanExistsError
-from twinct.files.lock import sole_owner
+from twinct.core.errors import FolderInUseError, InputError, ScanExistsError
+from twinct.core.files.lock import sole_owner
 from twinct.scenario import parse_scenario
 from twinct.study import StudyRun, Tally, load_results, run_study
 from twinct.study.figures import figure_names

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.study import load_study
 from twinct.study.settings import Study
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from waiting import HANG_S, until
 
-from twinct.study.shelf import Shelf
+from twinct.study.cache import Cache
 
 # Forked: a process that imports all of twinct takes seconds.
 PROCESSES = multiprocessing.get_context("fork")
@@ -42,7 +42,7 @@ def ask(folder: Path, die: bool) -> None:
             lock(descriptor, how)
 
     fcntl.flock = told  # of this process alone
-    Shelf(folder).path("things", "digest", lambda draft: make(draft, folder, die=die))
+    Cache(folder).path("things", "digest", lambda draft: make(draft, folder, die=die))
 
 
 @pytest.mark.process
@@ -76,33 +76,33 @@ def test_of_two_processes_one_makes_it_and_goes_on_from_a_dead_ones_draft(tmp_pa
 
 
 def test_things_are_made_once_and_come_back_the_same(tmp_path: Path) -> None:
-    shelf, calls = Shelf(tmp_path), []
+    cache, calls = Cache(tmp_path), []
 
     def make() -> np.ndarray:
         calls.append(1)
         return np.arange(6.0).reshape(2, 3)
 
     for _ in range(2):
-        np.testing.assert_array_equal(shelf.array("a", make), np.arange(6.0).reshape(2, 3))
-        assert shelf.thing("b", lambda: calls.append(1) or {"x": (1, 2)}) == {"x": (1, 2)}
+        np.testing.assert_array_equal(cache.array("a", make), np.arange(6.0).reshape(2, 3))
+        assert cache.thing("b", lambda: calls.append(1) or {"x": (1, 2)}) == {"x": (1, 2)}
     assert len(calls) == 2
-    shelf.array("other", make)
+    cache.array("other", make)
     assert len(calls) == 3
 
 
 def test_a_thing_of_another_version_is_made_again(tmp_path: Path, monkeypatch) -> None:
-    shelf = Shelf(tmp_path)
-    assert shelf.thing("a", lambda: "old") == "old"
-    monkeypatch.setattr("twinct.study.shelf.__version__", "another")
-    assert shelf.thing("a", lambda: "new") == "new"
+    cache = Cache(tmp_path)
+    assert cache.thing("a", lambda: "old") == "old"
+    monkeypatch.setattr("twinct.study.cache.__version__", "another")
+    assert cache.thing("a", lambda: "new") == "new"
 
 
 def test_what_could_not_be_made_is_not_there_and_may_be_asked_for_again(tmp_path: Path) -> None:
-    shelf = Shelf(tmp_path)
+    cache = Cache(tmp_path)
 
     def fail() -> np.ndarray:
         raise RuntimeError("no")
 
     with pytest.raises(RuntimeError, match="no"):
-        shelf.array("a", fail)
-    assert shelf.array("a", lambda: np.zeros(1)).tolist() == [0]
+        cache.array("a", fail)
+    assert cache.array("a", lambda: np.zeros(1)).tolist() == [0]

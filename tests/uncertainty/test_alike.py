@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.draws import view_rng
-from twinct.uncertainty.alike import view_normals
+from twinct.core.draws import view_rng
+from twinct.uncertainty.correlation import view_normals
 
 
 def test_white_draws_are_those_of_the_view() -> None:

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, chains_of
 from twinct.geometry import Floats, Pose
-from twinct.scan.told import seen_from
+from twinct.geometry.wire import Instant, PosePairs, to_seven
+from twinct.robots.cell import CellModel, chains_of
+from twinct.scan.encoder_model import seen_from
 from twinct.scenario import ArmErrors, Uncertainty
 from twinct.uncertainty import TrueCell
 from twinct.uncertainty.arms import drawn
-from twinct.views import Instant, PosePairs, to_seven
 
 STANDS = Pose.from_euler((5, -3, 2), (0, 0, 40))
 SEED, ARMS_SEED = 4, 9

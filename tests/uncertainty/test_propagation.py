@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twinct.cell import CellModel, chains_of
 from twinct.geometry import Panel, Pose
+from twinct.geometry.wire import Instant, to_seven
+from twinct.robots.cell import CellModel, chains_of
 from twinct.scenario import PRESETS, Uncertainty
 from twinct.uncertainty import TrueCell
 from twinct.uncertainty.propagation import (
@@ -19,7 +20,6 @@ from twinct.uncertainty.propagation import (
     project,
     propagate,
 )
-from twinct.views import Instant, to_seven
 
 PANEL = Panel(48, 64, 5.0, 5.0)
 POINTS = [[0.0, 0.0, 0.0], [30.0, 10.0, -20.0], [-20.0, 30.0, 20.0]]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from twinct.scan import Workshop, acquire
+from twinct.scan import SimulationBuilder, acquire
 from twinct.scenario import load_scenario
 
 SEEDS = range(10)
@@ -19,8 +19,8 @@ SEEDS = range(10)
 class WithoutImages:
     """A rig that moves as version 0.1 does, in one process."""
 
-    def __init__(self, workshop):
-        self._robots = workshop.robots()
+    def __init__(self, builder):
+        self._robots = builder.robots()
 
     def move(self, view, target):
         return self._robots.move(target)
@@ -35,7 +35,7 @@ def seven(pose):
 
 def scan(seed):
     """Executed and believed poses, (views, 2, 7), joints, (views, 12), and their names."""
-    workshop = Workshop(load_scenario(sys.argv[1], [f"seed={seed}"]))
+    builder = SimulationBuilder(load_scenario(sys.argv[1], [f"seed={seed}"]))
     views, names = [], []
 
     def keep(_, view, reached):
@@ -43,7 +43,7 @@ def scan(seed):
         names[:] = reached.joint_names
 
     of_then: Any = acquire  # which takes other arguments than today's
-    of_then(WithoutImages(workshop), workshop.scenario, workshop.targets, keep)
+    of_then(WithoutImages(builder), builder.scenario, builder.targets, keep)
     poses = [[[seven(p) for p in pair] for pair in (v.executed, v.believed)] for v in views]
     executed, believed = np.array(poses).swapaxes(0, 1)
     return executed, believed, np.array([v.joints for v in views]), names

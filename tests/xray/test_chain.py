@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from xray_scenes import box, front_view, sphere
 
-from twinct.errors import InputError, ScenarioError
+from twinct.core.errors import InputError, ScenarioError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import (
     Correction,

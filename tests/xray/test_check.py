@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.xray.check import check_parts

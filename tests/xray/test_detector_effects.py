@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.xray.noise import normal_noise, quantum_noise
 from twinct.xray.readout import Amplifier, correct, mend_bad_pixels
 from twinct.xray.spread import CUT_OFF, PointSpreadFunction

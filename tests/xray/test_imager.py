@@ -13,7 +13,7 @@ import trimesh
 from waiting import HANG_S
 from xray_scenes import box, chords, front_view, specimen, sphere
 
-from twinct.errors import InputError, MissingExtraError, SpecimenError, TwinctError
+from twinct.core.errors import InputError, MissingExtraError, SpecimenError, TwinctError
 from twinct.geometry import Panel, Pose
 from twinct.scenario import Detector, Source
 from twinct.xray import Imager
@@ -241,7 +241,7 @@ def test_without_opengl_the_remedy_is_named():
     code = (
         SCENE
         + """
-    from twinct.errors import InputError
+    from twinct.core.errors import InputError
     try:
         Imager(Source(), detector, parts)
     except InputError as error:

@@ -11,7 +11,7 @@ import pytest
 from scipy import ndimage
 from xray_scenes import box, chords, front_view, random_pose, random_view, specimen, sphere
 
-from twinct.errors import SpecimenError, TwinctError
+from twinct.core.errors import SpecimenError, TwinctError
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.specimen.materials import material

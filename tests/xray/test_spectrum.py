@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import interpolate
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.specimen.materials import material
 from twinct.xray.response import PhotonResponse
 from twinct.xray.spectrum import PhotonSpectrum

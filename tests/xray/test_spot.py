@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from xray_scenes import box
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.scenario import Detector, GaussianSpot, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen

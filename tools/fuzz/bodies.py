@@ -9,10 +9,10 @@ import numpy as np
 from cases import Case
 from scenario_files import Kind as ScenarioFiles
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Panel
 from twinct.runs import require_memory
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, load_scenario
 
 SECTIONS = (("specimen", "parts", 0, "shape"), ("specimen",), ("cell",), ("detector",))
@@ -34,15 +34,15 @@ class Kind(ScenarioFiles):
 def _built(path: Path) -> str:
     scenario = load_scenario(path)
     require_memory(scenario)
-    workshop = Workshop(scenario)
-    hull = workshop.hull
+    builder = SimulationBuilder(scenario)
+    hull = builder.hull
     if not np.isfinite(hull.vertices).all():
         raise AssertionError("a hull that is not finite")
     if isinstance(scenario.cell, Cell):
         assert isinstance(scenario.detector.panel, Panel)
-        _ = workshop.cell
+        _ = builder.cell
     try:
-        _ = workshop.asked
+        _ = builder.asked
     except InputError:
         return "specimen and room"
     return "all"

@@ -15,8 +15,8 @@ class Case:
 
     Attributes:
         told: description of the case for the reader of a failure.
-        act: runs the case and returns its outcome in a word; a ``twinct.errors.InputError`` counts
-            as refused, any other exception is a failure.
+        act: runs the case and returns its outcome in a word; an ``InputError`` of twinct counts as
+            refused, any other exception is a failure.
     """
 
     told: str

@@ -16,18 +16,18 @@ from cases import Case
 from mutations import NASTY_TEXTS, broken
 from valid_files import chains, write_all
 
-from twinct.calibration.arms import CalibratedArms
-from twinct.cell.own_arms import read_own_arm
+from twinct.core.files.images import RawImage, read_image
+from twinct.core.files.tables import read_curve
 from twinct.ctsimu.scenario import load_ctsimu
-from twinct.files.images import RawImage, read_image
-from twinct.files.tables import read_curve
 from twinct.geometry import Panel
-from twinct.motion import load_plan
+from twinct.recon.volume import Volume
+from twinct.robots.calibrated_arms import CalibratedArms
+from twinct.robots.cell.own_arms import read_own_arm
+from twinct.robots.motion import load_plan
 from twinct.scenario import CtVolume, DetectorArm, MeshFile
 from twinct.specimen.shapes import shape_surface
 from twinct.trajectory import commanded_views
 from twinct.trajectory.table import FileTrajectory
-from twinct.volume import Volume
 
 SPECIAL = 0.04
 """Share of cases that replace the file with a pipe, device, folder, link or nothing."""

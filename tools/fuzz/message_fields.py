@@ -18,18 +18,18 @@ from store_files import everything
 from valid_scans import SCANS, make_scans
 
 from twinct import load_scan
-from twinct.draws import view_rng
-from twinct.errors import InputError, TwinctError
-from twinct.motion import MotionPlan
-from twinct.record.bag import Bag
-from twinct.ros import messages
-from twinct.ros.messages import Epoch, MalformedError, Stamp
-from twinct.ros.node import Diagnostics
-from twinct.ros.plan import PARTS, PlanListener
-from twinct.ros.rig import RosRig
-from twinct.ros.robots_node import RobotsNode, Turns
-from twinct.ros.senders import Members, Sender
-from twinct.ros.topics import (
+from twinct.core.draws import view_rng
+from twinct.core.errors import InputError, TwinctError
+from twinct.geometry.wire import Reached
+from twinct.link import messages
+from twinct.link.joint_trajectory import PARTS, PlanListener
+from twinct.link.messages import Epoch, MalformedError, Stamp
+from twinct.link.node import Diagnostics
+from twinct.link.recording.bag import Bag
+from twinct.link.rig import RosRig
+from twinct.link.robots_node import RobotsNode, Turns
+from twinct.link.senders import Members, Sender
+from twinct.link.topics import (
     DIAGNOSTICS,
     IMAGE,
     JOINTS,
@@ -43,10 +43,10 @@ from twinct.ros.topics import (
     XRAY,
     Topic,
 )
-from twinct.ros.xray_node import XRayNode
+from twinct.link.xray_node import XRayNode
+from twinct.robots.motion import MotionPlan
 from twinct.runs import import_scan
-from twinct.scan import ScanStore, Workshop
-from twinct.views import Reached
+from twinct.scan import ScanStore, SimulationBuilder
 
 KINDS = {topic.name: topic for topic in TOPICS}
 ANSWERS = (VIEWS, REACHED, JOINTS, STATE, IMAGE)
@@ -96,7 +96,7 @@ class _Recorded:
         self.arms = bool(self.store.joint_names)
         self.epoch = Epoch.of(self.scenario)
         self.targets = self.store.commanded.targets()
-        self.robots = None if self.arms else Workshop(self.scenario)
+        self.robots = None if self.arms else SimulationBuilder(self.scenario)
         self.file = path / "scan.mcap"
         with self.file.open("rb") as file:
             reader = make_reader(file)
@@ -382,8 +382,8 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
 
 def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
     """Make a case in which the robots node, alone or in a scan, gets a changed target."""
-    workshop, own = of.robots, rng.random() < 0.5
-    if workshop is None:
+    builder, own = of.robots, rng.random() < 0.5
+    if builder is None:
         return _decoded(rng, folder, of)
     view = rng.randrange(len(of.targets)) if not own else 0
     good = serialize_message(messages.target_message(of.epoch.at(view), of.targets[view]))
@@ -394,7 +394,7 @@ def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Ca
         turns = Turns(of.epoch, of.targets, 0) if own else None
         said = Diagnostics(station, lambda _: None)
         members = _members(folder) if own else None
-        RobotsNode(station, said, workshop.robots(), turns, members)
+        RobotsNode(station, said, builder.robots(), turns, members)
         station.hear(TARGET, data, MEMBERS[SCAN])
         reached = station.out[REACHED.name].sent
         if not reached:

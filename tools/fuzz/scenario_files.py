@@ -16,8 +16,8 @@ from cases import Case
 from mutations import NASTY_TEXTS, broken, nasty, number_near
 from schema import Schema
 
-from twinct.errors import MemoryShortageError
-from twinct.files.plain_yaml import read_file, written
+from twinct.core.errors import MemoryShortageError
+from twinct.core.files.plain_yaml import read_file, written
 from twinct.runs import needs, require_memory
 from twinct.scenario import load_scenario, parse_scenario, scenario_schema
 

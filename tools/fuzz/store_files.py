@@ -18,11 +18,11 @@ from store_damages import KINDS, change, drawn, seal_anew
 from valid_scans import OLD, SCANS, make_scans
 
 from twinct import load_scan, reconstruct
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.runs import Folder, verify
 from twinct.runs.job import finished_run
-from twinct.runs.kept import kept_reconstructions
-from twinct.runs.mending import resumable
+from twinct.runs.reconstruction_folder import kept_reconstructions
+from twinct.runs.repair import resumable
 from twinct.scan import Scan, ScanStore
 from twinct.scenario import load_scenario
 

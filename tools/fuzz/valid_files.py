@@ -14,11 +14,11 @@ import tifffile
 import trimesh
 from numpy.typing import NDArray
 
-from twinct.calibration.arms import CalibratedArms, Change
 from twinct.ctsimu.writing import header, material_entry, placed, quantity
 from twinct.geometry import Chain, Pose
-from twinct.motion import MotionPlan, save_plan
-from twinct.views import Target
+from twinct.geometry.wire import Target
+from twinct.robots.calibrated_arms import CalibratedArms, Change
+from twinct.robots.motion import MotionPlan, save_plan
 
 VOLUME = (12, 10, 8)
 

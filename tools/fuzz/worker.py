@@ -21,7 +21,7 @@ from typing import TextIO
 
 from cases import Case, Kind
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 
 FRESH_BYTES = 64 * 2**20
 """Address space beyond the memory of a case: libraries map more than they touch."""

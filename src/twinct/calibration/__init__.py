@@ -1,6 +1,5 @@
 """Executed geometry of a scan, estimated from balls at known positions or from the scan itself."""
 
-from twinct.calibration.arms import CalibratedArms, Change, frames_of, require_same_arms
 from twinct.calibration.beads import BallCalibration, calibrated, calibrated_view
 from twinct.calibration.bundle import Bundle, bundled
 from twinct.calibration.consistency import Round, SelfCalibration, self_calibrated
@@ -19,6 +18,7 @@ from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.resection import PARAMETERS, Resection, moved, resected
 from twinct.calibration.shadows import Shadows, measured, spots
 from twinct.calibration.tracks import Tracks, tracked
+from twinct.robots.calibrated_arms import CalibratedArms, Change, frames_of, require_same_arms
 
 __all__ = [
     "tracked",

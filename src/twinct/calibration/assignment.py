@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.errors import CalibrationError
+from twinct.core.errors import CalibrationError
 from twinct.geometry import Floats
 
 LEAST_SHARE = 0.5

@@ -18,9 +18,9 @@ from twinct.calibration.shadows import (
     shadow_radius_px,
     spots,
 )
-from twinct.errors import CalibrationError
+from twinct.core.errors import CalibrationError
+from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry
-from twinct.progress import SILENT, Progress
 
 REACH_MM = 15.0
 """Radius on the panel within which shadows are searched for around their believed positions."""

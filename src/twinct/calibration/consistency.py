@@ -23,13 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.calibration.freedom import Freedom, PosePrior, What
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.progress import SILENT, Progress
 from twinct.recon import Projector, fista_tv, sart
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.surroundings import coarse_grid
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 ROBUST = 1.5
 """Residuals above so many standard deviations pull like one at this threshold (Huber)."""

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from twinct.calibration.freedom import Freedom, PosePrior, What
 from twinct.calibration.plane_integrals import PlaneIntegrals
 from twinct.calibration.plane_pairs import PlanePairs, axes, baselines
-from twinct.errors import CalibrationError, InputError
+from twinct.core.errors import CalibrationError, InputError
+from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.progress import SILENT, Progress
 from twinct.recon.checks import Checks
 from twinct.recon.resolution import binned
 

@@ -20,9 +20,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.calibration.arms import SIDES, CalibratedArms, Change, changed_tools
-from twinct.errors import CalibrationError
+from twinct.core.errors import CalibrationError
 from twinct.geometry import Chain, Floats, Pose, ScanGeometry
+from twinct.robots.calibrated_arms import SIDES, CalibratedArms, Change, changed_tools
 
 AXIS = (0, 1, 3, 4)
 """Components of a joint's twist that move its axis."""

@@ -13,9 +13,9 @@ from twinct.calibration.freedom import PosePrior
 from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.shadows import measured, overlapping, shadow_radius_px
 from twinct.calibration.tracks import inside, tracked
-from twinct.errors import CalibrationError
+from twinct.core.errors import CalibrationError
+from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry
-from twinct.progress import SILENT, Progress
 
 REACH = 3.5
 """Maximum distance of a shadow from its believed position, in standard deviations."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.shadows import Shadows
-from twinct.errors import CalibrationError
+from twinct.core.errors import CalibrationError
 from twinct.geometry import Floats, ScanGeometry
 
 PARAMETERS = (

@@ -9,8 +9,8 @@ import traceback
 from collections.abc import Sequence
 from types import FrameType
 
-from twinct.errors import InputError, TwinctError
-from twinct.threads import limit_threads
+from twinct.core.errors import InputError, TwinctError
+from twinct.core.threads import limit_threads
 from twinct.version import __version__
 
 EXIT_DONE, EXIT_OTHER, EXIT_BAD_INPUT = 0, 1, 2

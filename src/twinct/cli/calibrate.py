@@ -8,11 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from twinct.calibration import Aligned, EpipolarConsistency, PosePrior, What
+from twinct.calibration.arm_calibration import apply_kinematics, calibrate_kinematics
+from twinct.calibration.scan_calibration import (
+    Start,
+    calibrate_balls,
+    calibrate_beads,
+    calibrate_self,
+)
 from twinct.cli.progress import on_terminal, say
-from twinct.errors import InputError
-from twinct.runs.calibrating import Start, calibrate_balls, calibrate_beads, calibrate_self
+from twinct.core.errors import InputError
 from twinct.runs.folder import Folder
-from twinct.runs.kinematics import apply_kinematics, calibrate_kinematics
 
 
 def self_command(

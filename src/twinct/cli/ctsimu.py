@@ -47,9 +47,9 @@ def render(
         resume: Resume an interrupted rendering.
     """
     from twinct.cli.progress import on_terminal
+    from twinct.core.errors import MemoryShortageError
+    from twinct.core.files.writing import check_folder
     from twinct.ctsimu import Options, load_ctsimu, render
-    from twinct.errors import MemoryShortageError
-    from twinct.files.writing import check_folder
 
     _check_options(samples, spot_points, seed)
     check_folder(out)
@@ -85,17 +85,17 @@ def export(
         geometry: Geometry for the reconstruction: believed, executed, commanded, or one made by
             twinct geometry.
     """
+    from twinct.core.errors import InputError
+    from twinct.core.files.writing import check_folder
     from twinct.ctsimu.export import export_scan
-    from twinct.errors import InputError
-    from twinct.files.writing import check_folder
-    from twinct.scan import ScanStore, Workshop, named_geometries
+    from twinct.scan import ScanStore, SimulationBuilder, named_geometries
 
     store = scan if scan.suffix == ".zarr" else scan / "scan.zarr"
     if not store.is_dir():
         raise InputError(f"{scan} holds no scan; expected a scan.zarr, as 'twinct run' writes it")
     check_folder(out)
     taken = replace(ScanStore(store).read(), derived=named_geometries(store.parent / "geometries"))
-    specimen = Workshop(taken.scenario).specimen
+    specimen = SimulationBuilder(taken.scenario).specimen
     files = export_scan(taken, specimen, out, ideal=ideal, geometry=geometry)
     console = Console()
     console.print(f"wrote {files.scenario} and {files.trajectory}", highlight=False)
@@ -120,8 +120,8 @@ def qualify(
     """
     from rich.table import Table
 
+    from twinct.core.files.writing import check_folder
     from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify
-    from twinct.files.writing import check_folder
 
     check_folder(out)
     console, say = Console(), partial(Console(stderr=True).print, highlight=False)
@@ -138,7 +138,7 @@ def qualify(
 
 
 def _check_options(samples: int, spot_points: int, seed: int) -> None:
-    from twinct.errors import InputError
+    from twinct.core.errors import InputError
 
     wrong = []
     for name, value, least, most in (

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from twinct.cli.progress import on_terminal
-from twinct.errors import InputError, ScanExistsError
+from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.writing import require_space, storage_errors
 from twinct.exchange import Bundle, Toolkit, Values, bundle_bytes, write_bundle
-from twinct.files.writing import require_space, storage_errors
 from twinct.runs import line_integrals
 from twinct.scan import OWN, ScanStore, named_geometries
 

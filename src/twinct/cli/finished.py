@@ -13,7 +13,7 @@ from rich.table import Table
 
 from twinct.cli.arguments import Flag, Overrides, Threads
 from twinct.cli.progress import on_terminal, say
-from twinct.cli.results import percent, say_result
+from twinct.cli.summary import percent, say_result
 
 
 def import_(
@@ -109,7 +109,7 @@ def compare(
             ``twinct reconstruct``; two or more.
         out: File to write.
     """
-    from twinct.files.writing import check_page, storage_errors
+    from twinct.core.files.writing import check_page, storage_errors
     from twinct.runs import compare
 
     check_page(out)
@@ -160,9 +160,9 @@ def reconstruct(
         geometry: commanded, executed, believed, or one made by twinct geometry.
         as_: Name of the result, below DIR/reconstructions; after its algorithm unless given.
     """
+    from twinct.core.threads import limit_threads
     from twinct.runs import reconstruct_again
     from twinct.scenario import named_places
-    from twinct.threads import limit_threads
 
     limit_threads(threads)
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
@@ -187,7 +187,7 @@ def geometry(
         as_: Name of the new geometry; without it, existing geometries are listed.
         set_: Keys of uncertainty, such as --set uncertainty.seed=3.
     """
-    from twinct.errors import InputError
+    from twinct.core.errors import InputError
     from twinct.evaluation import pose_errors
     from twinct.runs import derive_geometry, load_scan
     from twinct.scan import OWN
@@ -258,7 +258,7 @@ def calibrate(
         kinematics_command,
         self_command,
     )
-    from twinct.errors import InputError
+    from twinct.core.errors import InputError
 
     if from_ is not None and with_ != "kinematics":
         raise InputError(f"--from {from_}: only --with kinematics takes arms")

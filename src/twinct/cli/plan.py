@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.table import Table
 
 from twinct.cli.progress import on_terminal
-from twinct.errors import InputError
-from twinct.extras import require
-from twinct.pool import LocalPool, Pool
+from twinct.core.errors import InputError
+from twinct.core.extras import require
+from twinct.core.threads import limit_threads
 from twinct.scenario import load_scenario, named_places
-from twinct.threads import limit_threads
+from twinct.workers import LocalPool, Pool
 
 
 def plan_command(
@@ -30,7 +30,7 @@ def plan_command(
     threads: int | None,
 ) -> None:
     """Plan, and print the quality of the views."""
-    from twinct.runs.view_plan import SCENARIO, plan_views
+    from twinct.view_planning.planner import SCENARIO, plan_views
 
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be at least 1")
@@ -91,7 +91,7 @@ def _pool(address: str | None, jobs: int | None, bound: int) -> Iterator[Pool | 
             share = max(bound // workers, 1)
             pool: Pool = LocalPool(Path(folder), workers=workers, threads=share)
         else:
-            from twinct.cluster import RayPool
+            from twinct.workers.cluster import RayPool
 
             pool = RayPool(address, name=Path(folder).name, workers=jobs)
         try:

@@ -64,7 +64,7 @@ def place(
         seed: Seed of the search.
     """
     from twinct.cli.reach import place_command
-    from twinct.reach import Bounds
+    from twinct.robots.reach import Bounds
 
     place_command(
         scenario, set_, sphere, save, Bounds(x, y, z, standoff, tool_rotation), samples, seed

@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.table import Table
 
 from twinct.cli.progress import on_terminal, say
-from twinct.errors import InputError, TrajectoryError
-from twinct.extras import require
-from twinct.files.writing import check_folder, check_picture, storage_errors
+from twinct.core.errors import InputError, TrajectoryError
+from twinct.core.extras import require
+from twinct.core.files.writing import check_folder, check_picture, storage_errors
 from twinct.geometry import fibonacci_directions
-from twinct.reach import (
+from twinct.robots.reach import (
     Bounds,
     Holder,
     Poses,
@@ -25,9 +25,9 @@ from twinct.reach import (
     reasons,
     shown,
 )
-from twinct.reach.results import draw_room, draw_sphere, shares, write_tables
-from twinct.reach.sphere import check_asked
-from twinct.scan import Workshop
+from twinct.robots.reach.results import draw_room, draw_sphere, shares, write_tables
+from twinct.robots.reach.sphere import check_asked
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, Scenario, load_scenario, named_places, write_scenario
 from twinct.trajectory import OrbitSettings
 
@@ -54,17 +54,17 @@ def arms_of(scenario: Scenario) -> Cell:
     return scenario.cell
 
 
-def _orbit(workshop: Workshop) -> tuple[float, float, np.ndarray]:
+def _orbit(builder: SimulationBuilder) -> tuple[float, float, np.ndarray]:
     """Return SOD, ODD and isocentre, mm; for views from a file, their means about the specimen.
 
     If distances change along the path, its middle counts.
     """
-    section = workshop.scenario.trajectory
+    section = builder.scenario.trajectory
     if isinstance(section, OrbitSettings):
         sod, sdd = float(section.sod_at(0.5)), float(section.sdd_at(0.5))
         return sod, sdd - sod, np.array(section.isocentre_mm)
-    centre = workshop.scenario.specimen.world_from_specimen.position
-    views = workshop.asked
+    centre = builder.scenario.specimen.world_from_specimen.position
+    views = builder.asked
     far = [
         np.linalg.norm(points - centre, axis=1).mean() for points in (views.source, views.detector)
     ]
@@ -86,11 +86,11 @@ def reach_command(
     arms_of(loaded)
     if out is not None:
         check_folder(out)
-    workshop = Workshop(loaded)
+    builder = SimulationBuilder(loaded)
     with named_places(scenario, set_), on_terminal() as audience:
-        sod, its_odd, centre = _orbit(workshop)
+        sod, its_odd, centre = _orbit(builder)
         found = reach(
-            workshop.cell,
+            builder.cell,
             loaded.motion,
             directions=directions,
             sod_mm=radii or (sod,),
@@ -119,7 +119,7 @@ def reach_command(
         write_tables(found, out)
         for k, one in enumerate(found.sod_mm.tolist()):
             draw_sphere(found, out / f"sphere_{one:g}.png", k, loaded.name)
-            draw_room(found, workshop.room, out / f"room_{one:g}.png", k, loaded.name)
+            draw_room(found, builder.room, out / f"room_{one:g}.png", k, loaded.name)
     Console().print(f"wrote {out}", highlight=False)
 
 
@@ -135,12 +135,12 @@ def place_command(
     """Search positions, print the keys for a scenario, and write such a scenario if requested."""
     loaded = load_scenario(scenario, set_)
     cell = arms_of(loaded)
-    workshop = Workshop(loaded)
+    builder = SimulationBuilder(loaded)
     with named_places(scenario, set_), on_terminal() as audience:
-        free, searched, judged = _views_to_serve(workshop, sphere)
+        free, searched, judged = _views_to_serve(builder, sphere)
         found = place(
             cell,
-            workshop.cell_of,
+            builder.cell_of,
             loaded.motion,
             searched,
             roll_free=free,
@@ -150,7 +150,7 @@ def place_command(
             progress=audience,
         )
         before, after = (
-            Holder(workshop.cell_of(one), loaded.motion, roll_free=free).held(judged).mean()
+            Holder(builder.cell_of(one), loaded.motion, roll_free=free).held(judged).mean()
             for one in (cell, found.cell)
         )
     what = "directions" if sphere else "views"
@@ -168,27 +168,29 @@ def place_command(
         say(f"wrote {save}")
 
 
-def _views_to_serve(workshop: Workshop, sphere: bool) -> tuple[tuple[bool, bool], Poses, Poses]:
+def _views_to_serve(
+    builder: SimulationBuilder, sphere: bool
+) -> tuple[tuple[bool, bool], Poses, Poses]:
     """Return the free rolls, the views for the search, and the views that evaluate its result."""
     if sphere:
-        sod, odd, centre = _orbit(workshop)
-        panel = workshop.scenario.detector.panel
+        sod, odd, centre = _orbit(builder)
+        panel = builder.scenario.detector.panel
         searched, judged = (
             poses_of(fibonacci_directions(count), sod, odd, centre, panel)
             for count in (SEARCHED_DIRECTIONS, JUDGED_DIRECTIONS)
         )
         return (True, True), searched, judged
-    poses = _asked(workshop)
+    poses = _asked(builder)
     some = np.unique(np.linspace(0, len(poses) - 1, SEARCHED_VIEWS).astype(int))
-    return workshop.roll_free, poses[some], poses
+    return builder.roll_free, poses[some], poses
 
 
-def _asked(workshop: Workshop) -> Poses:
-    return Poses.of(workshop.asked.source_poses(), workshop.asked.detector_poses())
+def _asked(builder: SimulationBuilder) -> Poses:
+    return Poses.of(builder.asked.source_poses(), builder.asked.detector_poses())
 
 
 @contextmanager
-def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
+def explained(builder: SimulationBuilder, picture: Path) -> Iterator[None]:
     """Add a remedy, and a picture of one view, to an error about infeasible views.
 
     The problem is reported before the search for a remedy, which may take minutes and be
@@ -200,48 +202,50 @@ def explained(workshop: Workshop, picture: Path) -> Iterator[None]:
     try:
         yield
     except TrajectoryError as error:
-        scenario = workshop.scenario
+        scenario = builder.scenario
         if not isinstance(scenario.cell, Cell) or scenario.motion.plan is not None:
             raise  # no search was made for a plan from a file
-        poses, free = _asked(workshop), workshop.roll_free
+        poses, free = _asked(builder), builder.roll_free
         first, *others = list[str](error.problems)
         more = f", and {len(others)} more" if others else ""
         say(f"{first}{more}; looking for a remedy (Ctrl-C skips this)", warning=True)
         try:
-            views, words = reasons(scenario.cell, workshop.cell_of, scenario.motion, poses, free)
+            views, words = reasons(scenario.cell, builder.cell_of, scenario.motion, poses, free)
         except KeyboardInterrupt:
             raise error from None
         if views:
-            words += _pictured(workshop, picture, views[0])
+            words += _pictured(builder, picture, views[0])
         raise TrajectoryError([*error.problems, *words]) from error
 
 
-def draw_anyway(workshop: Workshop, path: Path, view: int, width: int, height: int) -> list[str]:
+def draw_anyway(
+    builder: SimulationBuilder, path: Path, view: int, width: int, height: int
+) -> list[str]:
     """Draw a view, even if it is infeasible, and return its problems."""
-    from twinct.cell import render_cell
+    from twinct.robots.cell import render_cell
 
     try:
-        workshop.draw(path, view, width, height)
+        builder.draw(path, view, width, height)
         return []
     except TrajectoryError as error:
-        if not isinstance(workshop.scenario.cell, Cell):
+        if not isinstance(builder.scenario.cell, Cell):
             raise
-        one = shown(_holder(workshop), _asked(workshop), view)
-        render_cell(workshop.room, path, one.joints, width, height, one.marks)
+        one = shown(_holder(builder), _asked(builder), view)
+        render_cell(builder.room, path, one.joints, width, height, one.marks)
         return list(one.words or error.problems)
 
 
-def _pictured(workshop: Workshop, picture: Path, view: int) -> list[str]:
+def _pictured(builder: SimulationBuilder, picture: Path, view: int) -> list[str]:
     """Draw a view, and return a sentence with the path of the picture."""
-    from twinct.cell import render_cell
+    from twinct.robots.cell import render_cell
 
     check_picture(picture)
-    one = shown(_holder(workshop), _asked(workshop), view)
+    one = shown(_holder(builder), _asked(builder), view)
     with storage_errors(picture):
         picture.parent.mkdir(parents=True, exist_ok=True)
-        render_cell(workshop.room, picture, one.joints, marks=one.marks)
+        render_cell(builder.room, picture, one.joints, marks=one.marks)
     return [f"picture of view {view}: {picture}"]
 
 
-def _holder(workshop: Workshop) -> Holder:
-    return Holder(workshop.cell, workshop.scenario.motion, roll_free=workshop.roll_free)
+def _holder(builder: SimulationBuilder) -> Holder:
+    return Holder(builder.cell, builder.scenario.motion, roll_free=builder.roll_free)

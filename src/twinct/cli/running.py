@@ -21,7 +21,7 @@ from twinct.cli.arguments import (
     Threads,
 )
 from twinct.cli.progress import on_terminal
-from twinct.cli.results import say_result
+from twinct.cli.summary import say_result
 
 
 def run(
@@ -56,13 +56,13 @@ def run(
     loaded = load_scenario(scenario, set_)
     from twinct import runs  # a mistake in the scenario is told without waiting for this
     from twinct.cli.view import live_page
-    from twinct.scan import Workshop
+    from twinct.scan import SimulationBuilder
 
     with ExitStack() as page:
-        live, workshop = [], None
+        live, builder = [], None
         if view:
-            workshop = Workshop(loaded)  # shared by page and run, so that it is built once
-            told = live_page(out, workshop, host, port, allow_network)
+            builder = SimulationBuilder(loaded)  # shared by page and run, so that it is built once
+            told = live_page(out, builder, host, port, allow_network)
             live = [page.enter_context(told).observer]
         with named_places(scenario, set_), on_terminal(live) as audience:
             finished = runs.run(
@@ -72,7 +72,7 @@ def run(
                 resume=resume,
                 record=record,
                 threads=threads,
-                workshop=workshop,
+                builder=builder,
                 observers=audience,
             )
         say_result(finished)
@@ -123,10 +123,10 @@ def node(
     Args:
         which: The robot simulation or the X-ray simulation.
     """
-    from twinct.extras import require
-    from twinct.ros import spin_robots, spin_xray
+    from twinct.core.extras import require
+    from twinct.link import spin_robots, spin_xray
     from twinct.runs import check_physics
-    from twinct.scan import Workshop
+    from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
@@ -134,7 +134,7 @@ def node(
         require("robots" if which == "robots" else "xray")
     with named_places(scenario, set_):
         if which == "xray":
-            check_physics(Workshop(loaded))
+            check_physics(SimulationBuilder(loaded))
         code = spin_robots(loaded) if which == "robots" else spin_xray(loaded)
     if code:
         sys.exit(code)

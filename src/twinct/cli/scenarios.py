@@ -17,7 +17,7 @@ from twinct.cli.arguments import Overrides, ScenarioFile
 from twinct.cli.progress import say
 
 if TYPE_CHECKING:
-    from twinct.scan import Workshop
+    from twinct.scan import SimulationBuilder
 
 MIDDLE = -1
 """Placeholder for the view in the middle of the scan."""
@@ -51,45 +51,45 @@ def check(
         require_feasible,
         require_memory,
     )
-    from twinct.scan import Workshop
+    from twinct.scan import SimulationBuilder
 
     require_extras(loaded)
-    workshop = Workshop(loaded)
+    builder = SimulationBuilder(loaded)
     remedy = nullcontext
     if loaded.cell.kind == "arms":  # a gantry needs no MuJoCo
         from twinct.cli.reach import explained
 
-        remedy = partial(explained, workshop, picture)
+        remedy = partial(explained, builder, picture)
     with named_places(scenario, set_):
         require_memory(loaded)
         check_geometries(loaded)
-        if workshop.plan_chooses:  # otherwise, the views are known without a plan
+        if builder.plan_chooses:  # otherwise, the views are known without a plan
             with remedy():
-                _ = workshop.plan
-        check_physics(workshop)
-        require_feasible(loaded, workshop.commanded)
-        for warning in check_sight(workshop):
+                _ = builder.plan
+        check_physics(builder)
+        require_feasible(loaded, builder.commanded)
+        for warning in check_sight(builder):
             say(warning, warning=True)
         with remedy():
-            _ = workshop.plan
+            _ = builder.plan
         table = Table(title=f"{loaded.name}: can be run", show_header=False)
-        for name, words in findings(workshop).items():
+        for name, words in findings(builder).items():
             table.add_row(name, words.replace("×", "x"))
         if save is not None:
-            _save_plan(workshop, save)
+            _save_plan(builder, save)
     Console().print(table)
 
 
-def _save_plan(workshop: Workshop, path: Path) -> None:
-    from twinct.errors import InputError
-    from twinct.motion import save_plan
+def _save_plan(builder: SimulationBuilder, path: Path) -> None:
+    from twinct.core.errors import InputError
+    from twinct.robots.motion import save_plan
 
-    if workshop.followed is None:
-        why = "a gantry" if workshop.plan is None else "motion.scheme: reactive"
+    if builder.followed is None:
+        why = "a gantry" if builder.plan is None else "motion.scheme: reactive"
         raise InputError(f"--save {path}: {why} has no motion plan")
     if path.suffix != ".npz":
         raise InputError(f"--save {path}: a plan file must end in .npz")
-    save_plan(workshop.followed, path)
+    save_plan(builder.followed, path)
 
 
 def render(
@@ -112,12 +112,12 @@ def render(
         width: Width of the picture in pixels.
         height: Height of the picture in pixels.
     """
-    from twinct.cell import check_drawing, check_picture_size
     from twinct.cli.reach import draw_anyway
-    from twinct.errors import InputError
-    from twinct.extras import require
-    from twinct.files.writing import check_picture, storage_errors
-    from twinct.scan import Workshop
+    from twinct.core.errors import InputError
+    from twinct.core.extras import require
+    from twinct.core.files.writing import check_picture, storage_errors
+    from twinct.robots.cell import check_drawing, check_picture_size
+    from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
@@ -125,14 +125,14 @@ def render(
     check_picture_size(width, height)
     require("robots")
     check_drawing()
-    workshop = Workshop(loaded)
-    views = len(workshop.asked)  # commanded views need a plan, which may not exist
+    builder = SimulationBuilder(loaded)
+    views = len(builder.asked)  # commanded views need a plan, which may not exist
     view = views // 2 if view == MIDDLE else view
     if not 0 <= view < views:
         raise InputError(f"--view {view}: the scenario has views 0 to {views - 1}")
     with named_places(scenario, set_), storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        for problem in draw_anyway(workshop, out, view, width, height):
+        for problem in draw_anyway(builder, out, view, width, height):
             say(problem, warning=True)
     Console().print(f"wrote {out}", highlight=False)
 
@@ -148,18 +148,18 @@ def specimen(
     Args:
         out: Folder for PART.stl, truth.nii and specimen.png.
     """
-    from twinct.files.writing import check_folder, storage_errors
-    from twinct.scan import Workshop
+    from twinct.core.files.writing import check_folder, storage_errors
+    from twinct.recon.volume import Volume
+    from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
     from twinct.specimen.preview import preview_specimen
-    from twinct.volume import Volume
     from twinct.xray.build import effective_energy_kev
 
     loaded = load_scenario(scenario, set_)
     check_folder(out)
     with named_places(scenario, set_):
         energy = effective_energy_kev(loaded.source, loaded.detector)
-        built = Workshop(loaded).specimen
+        built = SimulationBuilder(loaded).specimen
     grid = loaded.reconstruction.volume_grid
     table = Table("part", "material", f"mu at {energy:g} keV, 1/mm", "triangles", "volume, cm3")
     with storage_errors(out):
@@ -185,9 +185,9 @@ def urdf(
     Args:
         out: Folder for cell.urdf and its meshes.
     """
-    from twinct.extras import require
-    from twinct.files.writing import check_folder, storage_errors, write_text
-    from twinct.scan import Workshop
+    from twinct.core.extras import require
+    from twinct.core.files.writing import check_folder, storage_errors, write_text
+    from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
@@ -195,7 +195,7 @@ def urdf(
     require("robots")
     file = out / "cell.urdf"
     with named_places(scenario, set_), storage_errors(out):
-        write_text(file, Workshop(loaded).urdf(meshes=out))
+        write_text(file, SimulationBuilder(loaded).urdf(meshes=out))
     Console().print(f"wrote {file}", highlight=False)
 
 

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from twinct.cli.arguments import Flag
 from twinct.cli.progress import on_terminal
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 
 if TYPE_CHECKING:
     from twinct.study import DryRun, Tally

@@ -12,12 +12,12 @@ from rich.table import Table
 
 from twinct.cli.progress import on_terminal
 from twinct.cli.reach import explained
-from twinct.extras import require
-from twinct.files.writing import check_folder, storage_errors, write_text
-from twinct.progress import Progress
+from twinct.core.extras import require
+from twinct.core.files.writing import check_folder, storage_errors, write_text
+from twinct.core.progress import Progress
 from twinct.report.errors import errors_picture
 from twinct.runs.propagating import errors_of, figures, summary, told_errors
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario, named_places
 from twinct.uncertainty.propagation import Propagation
 
@@ -36,23 +36,23 @@ def uncertainty_command(
         require("robots")
     if out is not None:
         check_folder(out)
-    workshop = Workshop(loaded)
+    builder = SimulationBuilder(loaded)
     told: dict[str, Any] = {}
     drawn = None
     # With calibrated arms, no other arms are drawn.
     if not (loaded.uncertainty.calibration and loaded.task):
-        with named_places(scenario, set_), explained(workshop, picture):
-            found = errors_of(workshop, draws)
+        with named_places(scenario, set_), explained(builder, picture):
+            found = errors_of(builder, draws)
         rows = _of_poses(found, f"{loaded.name}: executed minus believed, {draws} draws")
-        told = told_errors(found, workshop)
+        told = told_errors(found, builder)
         drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed minus believed")
     if loaded.task is not None:
         with (
             named_places(scenario, set_),
             on_terminal() as audience,
-            explained(workshop, picture),
+            explained(builder, picture),
         ):
-            told["task"] = _of_the_task(workshop, min(draws, TASK_DRAWS), audience)
+            told["task"] = _of_the_task(builder, min(draws, TASK_DRAWS), audience)
     if out is None:
         return
     with storage_errors(out):
@@ -84,11 +84,11 @@ def _of_poses(found: Propagation, title: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _of_the_task(workshop: Workshop, draws: int, progress: Progress) -> dict[str, Any]:
+def _of_the_task(builder: SimulationBuilder, draws: int, progress: Progress) -> dict[str, Any]:
     """Print, and return, the effects of the errors on the task of the views."""
-    from twinct.runs.view_rejudged import rejudged
+    from twinct.view_planning.goals_with_errors import rejudged
 
-    judged, blur_mm = rejudged(workshop, draws, progress)
+    judged, blur_mm = rejudged(builder, draws, progress)
     table = Table(
         title=f"effect on the task: {draws} scans, blurred by {blur_mm.mean():.3f} mm in the region"
     )

@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinct.cli.progress import on_terminal, say
-from twinct.errors import InputError
-from twinct.extras import require
-from twinct.files.writing import check_film, check_page
+from twinct.core.errors import InputError
+from twinct.core.extras import require
+from twinct.core.files.writing import check_film, check_page
 from twinct.scenario import load_scenario, named_places
-from twinct.view.found import folder_of_run
+from twinct.viewer.locate import folder_of_run
 
 if TYPE_CHECKING:
     import viser
 
-    from twinct.scan import Workshop
-    from twinct.view.following import LivePage
-    from twinct.view.show import Show
+    from twinct.scan import SimulationBuilder
+    from twinct.viewer.following import LivePage
+    from twinct.viewer.show import Show
 
 MOST_RUNS = 2
 
@@ -51,18 +51,18 @@ def view_command(
     if export is not None or movie is not None:
         if len(folders) > 1:
             raise InputError("--export and --movie take one folder")
-        from twinct.scan import Workshop
-        from twinct.view.folder import RunFolder
+        from twinct.scan import SimulationBuilder
+        from twinct.viewer.run_folder import RunFolder
 
         show = RunFolder(folders[0]).look()
-        _write(show, Workshop(show.scenario, show.plan), export, movie)
+        _write(show, SimulationBuilder(show.scenario, show.plan), export, movie)
         return
     # A browser loads the page while the modules that read the run are imported.
     with suppress(KeyboardInterrupt), serving(host, port, allow_network) as server:
-        from twinct.view.filling import fill
-        from twinct.view.folder import RunFolder
-        from twinct.view.following import Follower
-        from twinct.view.page import Page
+        from twinct.viewer.filling import fill
+        from twinct.viewer.following import Follower
+        from twinct.viewer.live_page import Page
+        from twinct.viewer.run_folder import RunFolder
 
         runs = [RunFolder(folder) for folder in folders]
         live = any(run.under_way for run in runs)
@@ -86,16 +86,16 @@ def _view_scenario(
     movie: Path | None,
     set_: Sequence[str],
 ) -> None:
-    from twinct.scan import Workshop
-    from twinct.view.filling import fill
-    from twinct.view.page import Page
-    from twinct.view.planned import planned
+    from twinct.scan import SimulationBuilder
+    from twinct.viewer.filling import fill
+    from twinct.viewer.live_page import Page
+    from twinct.viewer.planned import planned
 
-    workshop = Workshop(load_scenario(file, set_))
+    builder = SimulationBuilder(load_scenario(file, set_))
     if export is not None or movie is not None:
         with named_places(file, set_):
-            show = planned(workshop)
-        _write(show, workshop, export, movie)
+            show = planned(builder)
+        _write(show, builder, export, movie)
         return
     with (
         suppress(KeyboardInterrupt),
@@ -104,18 +104,18 @@ def _view_scenario(
     ):
         page.say("planning")
         with named_places(file, set_):
-            show = planned(workshop)
+            show = planned(builder)
         for problem in show.problems:
             say(problem, warning=True)
         page.say("")
-        fill(page, 0, show, workshop)
+        fill(page, 0, show, builder)
         _stay()
 
 
 @contextmanager
 def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserServer]:
     """Yield a server, and print its address."""
-    from twinct.view.server import address, by_ssh, close, is_loopback, serve
+    from twinct.viewer.server import address, by_ssh, close, is_loopback, serve
 
     server = serve(host, port, allow_network=allow_network, label="twinct")
     try:
@@ -135,16 +135,16 @@ def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserSe
 
 @contextmanager
 def live_page(
-    out: Path, workshop: Workshop, host: str, port: int, allow_network: bool
+    out: Path, builder: SimulationBuilder, host: str, port: int, allow_network: bool
 ) -> Iterator[LivePage]:
     """Yield a page that observes a run; it stays until interrupted, unless the run fails."""
     require("view")
-    from twinct.view.following import LivePage
-    from twinct.view.page import Page
+    from twinct.viewer.following import LivePage
+    from twinct.viewer.live_page import Page
 
     with serving(host, port, allow_network) as server:
         with closing(Page(server, live=True)) as page:
-            live = LivePage(page, out, workshop)
+            live = LivePage(page, out, builder)
             yield live
             live.close()
             say("the run has finished; the page stays up until Ctrl-C")
@@ -159,17 +159,17 @@ def _stay() -> None:
         return
 
 
-def _write(show: Show, workshop: Workshop, export: Path | None, movie: Path | None) -> None:
+def _write(show: Show, builder: SimulationBuilder, export: Path | None, movie: Path | None) -> None:
     """Write the page, the film, or both."""
     with on_terminal() as audience:
         if export is not None:
-            from twinct.view.export import export_page
+            from twinct.viewer.single_file import export_page
 
-            export_page(show, workshop, export, audience)
+            export_page(show, builder, export, audience)
         if movie is not None:
-            from twinct.view.movie import write_movie
+            from twinct.viewer.movie import write_movie
 
-            write_movie(show, workshop, movie, audience)
+            write_movie(show, builder, movie, audience)
     for path in (export, movie):
         if path is not None:
             say(f"wrote {path}: {path.stat().st_size / 1e6:.1f} MB")

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from trimesh import Trimesh
 
+from twinct.core.errors import InputError
+from twinct.core.files.tables import read_curve
 from twinct.ctsimu import scene
 from twinct.ctsimu.sampling import Sampling, sampling
 from twinct.ctsimu.scene import Frame, Layer, Tube
 from twinct.ctsimu.solids import Solids
-from twinct.errors import InputError
-from twinct.files.tables import read_curve
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.specimen import Material
 from twinct.xray.beam import fall_off

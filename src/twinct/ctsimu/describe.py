@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from twinct import scenario as sections
+from twinct.core.errors import InputError
+from twinct.core.files.tables import read_columns
 from twinct.ctsimu.camera import MM2_AT_1M_PER_SR
 from twinct.ctsimu.writing import Json, as_material, quantity
-from twinct.errors import InputError
-from twinct.files.tables import read_columns
 from twinct.geometry import Floats
 from twinct.scenario import Scenario
 from twinct.specimen import Material, material

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.files.images import read_image
+from twinct.core.files.tables import read_curve
 from twinct.ctsimu.scene import PanelResponse
-from twinct.files.images import read_image
-from twinct.files.tables import read_curve
 from twinct.geometry import Floats, Panel
 from twinct.xray.spread import PointSpreadFunction
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from twinct.errors import InputError
-from twinct.files.boundary import read_text
+from twinct.core.errors import InputError
+from twinct.core.files.boundary import read_text
 
 LARGEST_BYTES = 16 * 2**20
 """Size limit of one file: a million moments."""

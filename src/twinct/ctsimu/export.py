@@ -17,6 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from twinct.core.errors import ScanExistsError
+from twinct.core.files.images import write_tiff
+from twinct.core.files.writing import storage_errors, write_json
 from twinct.ctsimu.describe import describe, refuse_unsaid, render_options
 from twinct.ctsimu.writing import (
     Json,
@@ -28,14 +31,11 @@ from twinct.ctsimu.writing import (
     sample,
     write_mesh,
 )
-from twinct.errors import ScanExistsError
 from twinct.exchange.openct import openct_json
-from twinct.files.images import write_tiff
-from twinct.files.writing import storage_errors, write_json
 from twinct.geometry import Floats, Pose
+from twinct.geometry.wire import PosePairs
 from twinct.scan import Scan
 from twinct.specimen import BuiltSpecimen
-from twinct.views import PosePairs
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from twinct.errors import ScenarioError
-from twinct.files.boundary import read_text, shortened
+from twinct.core.errors import ScenarioError
+from twinct.core.files.boundary import read_text, shortened
 
 LARGEST_BYTES = 16 * 2**20
 """Size limit of one file; the largest in BAM's suite has 0.02 MB."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import xraylib
 
+from twinct.core.errors import SpecimenError
 from twinct.ctsimu.drifts import short
 from twinct.ctsimu.ranges import DENSITY, SHARE
 from twinct.ctsimu.reader import JsonSection
-from twinct.errors import SpecimenError
 from twinct.specimen import Material
 
 Materials = dict[str, Material | None]

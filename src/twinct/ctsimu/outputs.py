@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from twinct.core.files.writing import write_json
 from twinct.ctsimu.acquisition import FORMAT
 from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.ctsimu.scene import FieldImages, Frame
 from twinct.ctsimu.writing import quantity
-from twinct.files.writing import write_json
 from twinct.version import __version__
 
 

@@ -18,16 +18,16 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from twinct.core.draws import view_rng
+from twinct.core.errors import ScanExistsError, ScenarioError
+from twinct.core.files.images import RawImage, write_tiff
+from twinct.core.files.writing import storage_errors
 from twinct.ctsimu.camera import Camera
 from twinct.ctsimu.digitiser import Digitiser, Image
 from twinct.ctsimu.outputs import Files, Options, write_metadata
 from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.ctsimu.scene import FieldImages, Frame
 from twinct.ctsimu.writing import make_folder
-from twinct.draws import view_rng
-from twinct.errors import ScanExistsError, ScenarioError
-from twinct.files.images import RawImage, write_tiff
-from twinct.files.writing import storage_errors
 from twinct.xray.readout import binned
 
 LAG_LEFT = 1e-6

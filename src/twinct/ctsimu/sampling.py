@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twinct.core.files.images import read_image
 from twinct.ctsimu.scene import FocalSpot
-from twinct.files.images import read_image
 from twinct.geometry import Floats
 from twinct.xray.paths import LARGEST_TILE
 from twinct.xray.spot import gaussian_spot, image_spot

@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from twinct.core.errors import InputError, ScenarioError
+from twinct.core.files.images import read_image
+from twinct.core.files.tables import read_curve
 from twinct.ctsimu.acquisition import Plan, read_plan
 from twinct.ctsimu.jsonfile import read_json
 from twinct.ctsimu.reader import JsonSection, Moment
 from twinct.ctsimu.scene import Frame
 from twinct.ctsimu.sections import read_frame
-from twinct.errors import InputError, ScenarioError
-from twinct.files.images import read_image
-from twinct.files.tables import read_curve
 from twinct.geometry import ScanGeometry
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from twinct.files.images import RawImage
+from twinct.core.files.images import RawImage
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.specimen import Material
 

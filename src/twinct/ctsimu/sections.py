@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twinct.core.files.images import RawImage
 from twinct.ctsimu import ranges
 from twinct.ctsimu.acquisition import check_header, read_plan, read_turn
 from twinct.ctsimu.drifts import short
@@ -13,7 +14,6 @@ from twinct.ctsimu.materials import Materials, read_materials
 from twinct.ctsimu.placement import place
 from twinct.ctsimu.reader import UNITS, JsonSection
 from twinct.ctsimu.scene import FocalSpot, Frame, Layer, PanelResponse, Sample, Tube
-from twinct.files.images import RawImage
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import Material
 

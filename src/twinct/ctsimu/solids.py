@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from trimesh import Trimesh, transform_points
 
+from twinct.core.errors import SpecimenError
+from twinct.core.files.meshes import open_edges, read_triangles
 from twinct.ctsimu.scene import Sample
-from twinct.errors import SpecimenError
-from twinct.files.meshes import open_edges, read_triangles
 from twinct.geometry import Floats, Pose
 from twinct.specimen.surface import subtract, surface
 from twinct.xray._placement import corners, longest_edge, split

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from trimesh import Trimesh
 
+from twinct.core.errors import StorageError
+from twinct.core.files.reading import reason
 from twinct.ctsimu.acquisition import FORMAT
-from twinct.errors import StorageError
-from twinct.files.reading import reason
 from twinct.geometry import Floats
 from twinct.specimen import Material
 

@@ -13,11 +13,11 @@ from twinct.evaluation.image import ImageFigures, image_figures
 from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
 from twinct.evaluation.observer import detectability
-from twinct.evaluation.places import Voxels, ball, centres, cuboid, cylinder, part_of, shell
 from twinct.evaluation.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
 from twinct.evaluation.region import region_of_interest
-from twinct.evaluation.sight import Sight, sight
+from twinct.evaluation.region_voxels import Voxels, ball, centres, cuboid, cylinder, part_of, shell
 from twinct.evaluation.streaks import around_axis, streak_index
+from twinct.evaluation.visibility import Sight, sight
 
 __all__ = [
     "DEPTHS_MM",

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.errors import InputError, TwinctError
+from twinct.core.errors import InputError, TwinctError
+from twinct.core.threads import threads
 from twinct.evaluation.similarity import WINDOW, similarities, whole_windows
 from twinct.geometry import VolumeGrid
-from twinct.threads import threads
 
 BONE_SHARE = 0.5
 """A voxel counts as bone if its true value is at least this share of mu(bone)."""

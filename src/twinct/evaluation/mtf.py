@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Floats
 from twinct.geometry.arrays import lock
 

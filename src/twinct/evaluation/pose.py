@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from twinct.geometry import Floats, Pose, ScanGeometry
-from twinct.views import PosePairs
+from twinct.geometry.wire import PosePairs
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import ScanExistsError
+from twinct.core.errors import ScanExistsError
 from twinct.exchange.astra import astra_arrays
 from twinct.exchange.cil import cil_arrays
 from twinct.exchange.leap import leap_arrays

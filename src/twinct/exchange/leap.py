@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import ScanGeometry, VolumeGrid
 
 

@@ -1,5 +1,6 @@
 """Observers of a run: events, and their delivery without delaying the run."""
 
+from twinct.geometry.wire import JointSample
 from twinct.observers.audience import Audience, Observer, Observers, audience_of
 from twinct.observers.events import (
     Event,
@@ -12,7 +13,6 @@ from twinct.observers.events import (
     StageStep,
     ViewStored,
 )
-from twinct.views import JointSample
 
 __all__ = [
     "Audience",

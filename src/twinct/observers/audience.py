@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from threading import Condition, Thread
 from typing import Any
 
+from twinct.geometry.wire import JointSample
 from twinct.observers.events import (
     Event,
     IterationDone,
@@ -21,7 +22,6 @@ from twinct.observers.events import (
     StageStep,
     ViewStored,
 )
-from twinct.views import JointSample
 
 log = logging.getLogger(__name__)
 
@@ -72,12 +72,12 @@ class Audience:
                 seat.put(event)
 
     def say(self, text: str, *, warning: bool = False) -> None:
-        """See ``twinct.progress.Progress.say``."""
+        """See ``twinct.core.progress.Progress.say``."""
         self.tell(Said(text, warning))
 
     @contextmanager
     def stage(self, name: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
-        """See ``twinct.progress.Progress.stage``."""
+        """See ``twinct.core.progress.Progress.stage``."""
         start, broken = time.monotonic(), True
         self.tell(StageBegan(name, total, done))
 

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from twinct.views import JointSample, PosePairs
+from twinct.geometry.wire import JointSample, PosePairs
 
 if TYPE_CHECKING:
-    from twinct.motion import MotionPlan
+    from twinct.recon.volume import Volume
+    from twinct.robots.motion import MotionPlan
     from twinct.scan import View
     from twinct.scenario import Scenario
-    from twinct.volume import Volume
 
 
 @dataclass(frozen=True, eq=False)

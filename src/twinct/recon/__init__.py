@@ -5,7 +5,13 @@ from twinct.recon.cgls import cgls
 from twinct.recon.fast import fast
 from twinct.recon.fdk import fdk
 from twinct.recon.fista_tv import fista_tv
-from twinct.recon.known import FoundImplant, Implant, OneEnergy, WithoutImplants, without_implants
+from twinct.recon.known_components import (
+    FoundImplant,
+    Implant,
+    OneEnergy,
+    WithoutImplants,
+    without_implants,
+)
 from twinct.recon.memory import available_bytes, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, without_metal
 from twinct.recon.orbit import Circle, fit_circle

@@ -14,13 +14,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.settings import Section
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.checks import Mask
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
 from twinct.recon.steps import Callback
-from twinct.settings import Section
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 class AlgorithmSettings(Section):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from twinct.extensions import Offers, offers
+from twinct.core.extensions import Offers, offers
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.cgls import CGLS
 from twinct.recon.fast import FAST

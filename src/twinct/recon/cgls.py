@@ -13,9 +13,9 @@ from twinct.recon.checks import Checks, counting_rays, masked_image, start_volum
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.projector import Projector
-from twinct.recon.settings import Iterations
+from twinct.recon.shared_keys import Iterations
 from twinct.recon.steps import Callback, Listener, sum_of_squares
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 class Cgls(AlgorithmSettings):

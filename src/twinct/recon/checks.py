@@ -9,7 +9,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
 

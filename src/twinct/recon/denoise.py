@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from twinct.core.threads import threads
 from twinct.geometry import VolumeGrid
 from twinct.recon.engine import Kernels, Singles
-from twinct.threads import threads
 
 STEPS = 15
 """Steps of the dual iteration; they bring the objective within 2 % of the way to its minimum."""

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple, Protocol, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Floats
 
 log = logging.getLogger(__name__)

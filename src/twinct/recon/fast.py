@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
@@ -19,12 +20,11 @@ from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
 from twinct.recon.projector import LOWEST, Projector, check_grid
 from twinct.recon.resolution import binned, interpolated, resampled
-from twinct.recon.settings import Stop
+from twinct.recon.shared_keys import Stop
 from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import BestPass, StopName
 from twinct.recon.surroundings import coarse_grid
-from twinct.settings import NonNegative
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 SMALLEST = 8
 """Smallest number of voxels and pixels along an axis of a coarser level."""

@@ -11,7 +11,8 @@ import scipy
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.core.threads import threads
 from twinct.geometry import Floats, ScanGeometry
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
@@ -19,10 +20,9 @@ from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.orbit import Circle, fit_circle
 from twinct.recon.projector import Projector
-from twinct.recon.settings import Nonnegative
+from twinct.recon.shared_keys import Nonnegative
 from twinct.recon.steps import Callback, Listener
-from twinct.threads import threads
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 Window = Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"]
 

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from twinct.core.settings import NonNegative, Positive, facts
 from twinct.recon.algorithm import AlgorithmSettings
 from twinct.recon.checks import Mask, counting_rays, remainder
 from twinct.recon.engine import Singles
 from twinct.recon.order import subsets_of
 from twinct.recon.projector import LOWEST, Projector
-from twinct.recon.settings import Iterations, Nonnegative, Subsets
+from twinct.recon.shared_keys import Iterations, Nonnegative, Subsets
 from twinct.recon.steps import Callback, Listener, sum_of_squares
-from twinct.settings import NonNegative, Positive, facts
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 LEAST_WEIGHT = 0.05
 """Smallest curvature of a voxel, as a share of the mean; larger values make smaller, safe steps."""

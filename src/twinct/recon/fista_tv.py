@@ -14,7 +14,7 @@ from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.steps import Callback
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 class FistaTv(Regularised):

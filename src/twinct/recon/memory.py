@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from twinct.errors import MemoryShortageError
-from twinct.memory import available_bytes
+from twinct.core.errors import MemoryShortageError
+from twinct.core.memory import available_bytes
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.projector import Projector
 

@@ -10,14 +10,14 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import SPARE_BYTES, advice, refuse_if_short
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 OFFSET_MM = 20.0
 """Path in tissue that is added to both line integrals before their division.

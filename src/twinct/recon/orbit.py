@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry
 
 OFF_CIRCLE = 0.01

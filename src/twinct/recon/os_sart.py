@@ -12,9 +12,9 @@ from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number, subsets_of
 from twinct.recon.projector import Projector
-from twinct.recon.settings import Iterations, Nonnegative, Relaxation, Subsets
+from twinct.recon.shared_keys import Iterations, Nonnegative, Relaxation, Subsets
 from twinct.recon.steps import Callback, Listener, residual_of
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 class OsSart(AlgorithmSettings):

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.core.settings import Section, Vector, setting
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, start_volume
@@ -20,10 +21,9 @@ from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.registration import covered, moved, registered, resampled
-from twinct.recon.settings import Iterations
+from twinct.recon.shared_keys import Iterations
 from twinct.recon.steps import Callback
-from twinct.settings import Section, Vector, setting
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 DENSEST = 20.0
 """Largest plausible attenuation, 1/mm, above which the unit is wrong; gold has 10 at 80 keV."""

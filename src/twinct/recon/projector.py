@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.recon.engine import Ratio, Singles, kernels
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.checks import Checks, Mask, counting_rays
 from twinct.recon.engine import Singles
@@ -17,7 +17,7 @@ from twinct.recon.projector import Projector
 from twinct.recon.resolution import binned
 from twinct.recon.sart import sart
 from twinct.recon.surroundings import coarse_grid
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 log = logging.getLogger(__name__)
 

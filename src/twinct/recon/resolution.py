@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.threads import threads
 from twinct.geometry import Floats, VolumeGrid
 from twinct.recon.checks import Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
-from twinct.threads import threads
 
 
 def binned(

@@ -10,14 +10,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.errors import InputError, MissingExtraError
+from twinct.core.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks
 from twinct.recon.order import Order, Rng, view_order
-from twinct.recon.settings import Iterations, Nonnegative, Ordering, Relaxation
+from twinct.recon.shared_keys import Iterations, Nonnegative, Ordering, Relaxation
 from twinct.recon.steps import Callback, Listener
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 class RtkSart(AlgorithmSettings):

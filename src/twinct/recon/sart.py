@@ -12,10 +12,10 @@ from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import LOWEST, Projector
-from twinct.recon.settings import Iterations, Nonnegative, Ordering, Relaxation, Stop
+from twinct.recon.shared_keys import Iterations, Nonnegative, Ordering, Relaxation, Stop
 from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import VOLUMES, BestPass, StopName
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 class Sart(AlgorithmSettings):

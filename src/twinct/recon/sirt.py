@@ -12,9 +12,9 @@ from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
 from twinct.recon.memory import require_memory
 from twinct.recon.projector import Projector
-from twinct.recon.settings import Iterations, Nonnegative, Relaxation
+from twinct.recon.shared_keys import Iterations, Nonnegative, Relaxation
 from twinct.recon.steps import Callback, Listener, sum_of_squares
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 class Sirt(AlgorithmSettings):

@@ -19,9 +19,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from twinct.core.threads import threads
 from twinct.recon.checks import Checks
 from twinct.recon.engine import Singles
-from twinct.threads import threads
 
 StopName = Literal["auto"]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, mask_of, masked_image, remainder, start_volume
 from twinct.recon.engine import Singles

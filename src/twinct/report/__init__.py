@@ -1,8 +1,8 @@
 """Results of a run: ``metrics.json`` for scripts, ``report.html`` for people."""
 
+from twinct.report.algorithm_results import FOUND, found_of, with_found
 from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections
-from twinct.report.found import FOUND, found_of, with_found
 from twinct.report.metrics import STAGES, build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from twinct.files.writing import write_text
+from twinct.core.files.writing import write_text
 from twinct.report.data import CrossSection
 from twinct.report.measured import nested
 from twinct.report.page import image_figures, stage_title

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.geometry import Floats, Panel, VolumeGrid
+from twinct.geometry.wire import PosePairs
 from twinct.scenario import Scenario
-from twinct.views import PosePairs
 
 
 class CrossSection(NamedTuple):

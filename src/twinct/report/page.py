@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from twinct.core.files.writing import write_text
 from twinct.evaluation import DEPTHS_MM, depth_names, pose_errors
-from twinct.files.writing import write_text
+from twinct.report.algorithm_results import with_found
 from twinct.report.data import ReportData
-from twinct.report.found import with_found
 from twinct.report.measured import curves_picture, depth_picture, measured_rows, nested
 from twinct.report.physics import physics_in_words
 from twinct.report.style import Picture

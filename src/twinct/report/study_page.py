@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from twinct.files.writing import write_text
+from twinct.core.files.writing import write_text
 from twinct.report.data import CrossSection
 from twinct.report.figure_words import Best, FigureWords, figure_words
 from twinct.report.page import stage_title

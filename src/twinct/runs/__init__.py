@@ -1,7 +1,6 @@
 """Runs: from a scenario to a scan, a volume and its figures, in memory or in a folder."""
 
 from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
-from twinct.runs.again import derive_geometry, load_scan, reconstruct_again
 from twinct.runs.checks import (
     check_geometries,
     check_physics,
@@ -13,8 +12,9 @@ from twinct.runs.compare import compare
 from twinct.runs.folder import Folder
 from twinct.runs.importing import import_scan
 from twinct.runs.job import Run, report_again, run
-from twinct.runs.kept import Reconstruction
 from twinct.runs.needs import Need, needs, require_memory
+from twinct.runs.reconstruction import derive_geometry, load_scan, reconstruct_again
+from twinct.runs.reconstruction_folder import Reconstruction
 from twinct.runs.reporting import Truth, evaluate, judge, truth_of
 from twinct.runs.verify import Verdict, verify
 from twinct.runs.volumes import reconstruct, require_feasible

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from twinct.errors import InputError, MissingExtraError
-from twinct.extras import require
+from twinct.core.errors import InputError, MissingExtraError
+from twinct.core.extras import require
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
@@ -19,16 +19,16 @@ from twinct.scan import (
     RigFactory,
     Scan,
     ScanStore,
+    SimulationBuilder,
     Stopwatch,
     View,
-    Workshop,
     acquire,
     local_rig,
 )
 from twinct.scenario import Scenario
 
 if TYPE_CHECKING:
-    from twinct.ros.tap import Heard
+    from twinct.link.tap import Heard
     from twinct.xray import Imager
     from twinct.xray.chain import ViewImages
 
@@ -68,7 +68,7 @@ def rig_factory(
         prepare_engine()
         yield local_rig
         return
-    from twinct.ros import Domain, require_ros, ros_rigs
+    from twinct.link import Domain, require_ros, ros_rigs
 
     require_ros()
     with closing(Domain()) as domain:
@@ -77,11 +77,11 @@ def rig_factory(
 
 
 def simulate(
-    scenario: Scenario, *, workshop: Workshop | None = None, observers: Observers = ()
+    scenario: Scenario, *, builder: SimulationBuilder | None = None, observers: Observers = ()
 ) -> Scan:
     """Plan, move and expose every view in this process, without files and without ROS.
 
-    A workshop provides parts of this scenario that are already built. Observers are notified of
+    A builder provides parts of this scenario that are already built. Observers are notified of
     the plan, the moving joints and the views.
 
     Raises:
@@ -89,30 +89,30 @@ def simulate(
         TrajectoryError: a view is out of reach or would collide; raised before anything moves.
         MotionError: the arms did not arrive.
     """
-    workshop = workshop or Workshop(scenario)
-    check_physics(workshop)
+    builder = builder or SimulationBuilder(scenario)
+    check_physics(builder)
     views: list[View] = []
-    views_to_take = len(workshop.targets)
+    views_to_take = len(builder.targets)
     with (
         audience_of(observers) as audience,
-        local_rig(workshop, 0, None) as rig,
+        local_rig(builder, 0, None) as rig,
         audience.stage("views", views_to_take) as step,
     ):
         if audience.wants(JointSample):
             rig.listen(audience.tell)
-        audience.tell(PlanMade(scenario, workshop.commanded_poses, workshop.followed))
+        audience.tell(PlanMade(scenario, builder.commanded_poses, builder.followed))
 
         def keep(index: int, view: View) -> None:
             views.append(view)
             audience.tell(ViewStored(index, views_to_take, view.frozen()))
             step()
 
-        acquire(rig, workshop.targets, keep)
-    return Scan.from_views(scenario, workshop.commanded_poses, views, workshop.mas)
+        acquire(rig, builder.targets, keep)
+    return Scan.from_views(scenario, builder.commanded_poses, views, builder.mas)
 
 
 def acquire_to_store(
-    workshop: Workshop,
+    builder: SimulationBuilder,
     path: Path,
     make_rig: RigFactory,
     *,
@@ -127,7 +127,7 @@ def acquire_to_store(
     Raises:
         ScanExistsError: a scan exists and ``resume`` is false, or it belongs to another scenario.
     """
-    scenario, targets = workshop.scenario, workshop.targets
+    scenario, targets = builder.scenario, builder.targets
     store = ScanStore.resume(path, scenario) if resume and path.exists() else None
     missing = store.missing if store else [range(len(targets))]
 
@@ -137,9 +137,9 @@ def acquire_to_store(
         if imager is not None:
             view = with_frames(view, index, imager, scenario.detector.panel)
         if store is None:
-            robots = reached.joint_names, len(reached.state), workshop.followed
+            robots = reached.joint_names, len(reached.state), builder.followed
             store = ScanStore.create(
-                path, scenario, workshop.commanded_poses, *robots, mas=workshop.mas
+                path, scenario, builder.commanded_poses, *robots, mas=builder.mas
             )
         store.write(index, view)
         log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
@@ -150,17 +150,17 @@ def acquire_to_store(
         for views in missing:  # several ranges only if views were damaged
             state = store.state(views.start - 1) if store and views.start else None
             with ExitStack() as stack:
-                rig = stack.enter_context(closing(make_rig(workshop, views.start, state)))
+                rig = stack.enter_context(closing(make_rig(builder, views.start, state)))
                 imager = None
                 if scenario.detector.keep:
                     local = isinstance(rig, LocalRig)
-                    imager = rig.imager if local else stack.enter_context(workshop.imager())
+                    imager = rig.imager if local else stack.enter_context(builder.imager())
                 stage = audience.stage("views", len(targets), views.start)
                 step = stack.enter_context(stage)
                 if audience.wants(JointSample):
                     rig.listen(audience.tell)
                 if views is missing[0]:
-                    audience.tell(PlanMade(scenario, workshop.commanded_poses, workshop.followed))
+                    audience.tell(PlanMade(scenario, builder.commanded_poses, builder.followed))
                 acquire(rig, targets[: views.stop], keep, first=views.start, watch=watch)
     assert store is not None
     return store
@@ -174,7 +174,9 @@ def with_frames(view: View, index: int, imager: Imager, panel: Panel) -> View:
     return replace(view, frames=frames)
 
 
-def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iterator[ViewImages]:
+def machine_frames(
+    scan: Scan, builder: SimulationBuilder, views: Iterable[int]
+) -> Iterator[ViewImages]:
     """Yield raw, flat and dark images of views, rendered again from the executed poses.
 
     A scan stores transmission only, unless ``detector.keep`` requests more. The images are
@@ -196,7 +198,7 @@ def machine_frames(scan: Scan, workshop: Workshop, views: Iterable[int]) -> Iter
     def instant(view: int) -> tuple[ScanGeometry, Pose]:
         return geometry[view], scan.executed_object[view]
 
-    with workshop.imager() as imager:
+    with builder.imager() as imager:
         for view in views:
             path = [instant(view)]
             if scan.exposure:

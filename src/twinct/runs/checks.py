@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from twinct.errors import InputError, MissingExtraError, TrajectoryError
+from twinct.core.errors import InputError, MissingExtraError, TrajectoryError
+from twinct.core.extras import require
 from twinct.evaluation import sight
-from twinct.extras import require
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
-from twinct.runs.metal import check_metal
-from twinct.runs.named import Places
-from twinct.scan import OWN, RELATIVE, Workshop, named_geometries
+from twinct.runs.metal_reduction import check_metal
+from twinct.runs.regions import Places
+from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.size import SpecimenSize, specimen_size
 
 
-def check_sight(workshop: Workshop) -> list[str]:
+def check_sight(builder: SimulationBuilder) -> list[str]:
     """Check that the views see the specimen, and return warnings for the user.
 
     Raises:
@@ -25,9 +25,9 @@ def check_sight(workshop: Workshop) -> list[str]:
             by every view, so that the volume could not be judged.
         InputError: see ``check_places``.
     """
-    place = workshop.specimen.world_from_specimen
-    grid = workshop.scenario.reconstruction.volume_grid
-    seen = sight(workshop.commanded, place.apply(workshop.hull.vertices), grid)
+    place = builder.specimen.world_from_specimen
+    grid = builder.scenario.reconstruction.volume_grid
+    seen = sight(builder.commanded, place.apply(builder.hull.vertices), grid)
     x, y, z = place.position
     where = f"the specimen at ({x:g}, {y:g}, {z:g}) mm (specimen.position_mm)"
     problems: list[str] = []
@@ -49,11 +49,11 @@ def check_sight(workshop: Workshop) -> list[str]:
         )
     if problems:
         raise TrajectoryError(problems)
-    check_places(workshop)
+    check_places(builder)
     warnings: list[str] = []
     if seen.blind:
         warnings.append(f"{where} is not visible in {_views(seen.blind)}, of {seen.views} in all")
-    warnings += _size(workshop).warnings
+    warnings += _size(builder).warnings
     if not seen.in_region:
         warnings.append(
             f"{where} lies outside the voxels that every view sees: the image figures will "
@@ -62,24 +62,24 @@ def check_sight(workshop: Workshop) -> list[str]:
     return warnings
 
 
-def check_places(workshop: Workshop) -> None:
+def check_places(builder: SimulationBuilder) -> None:
     """Check that all regions and bodies of the section ``evaluation`` can be measured.
 
     Raises:
         InputError: regions without a voxel, or bodies that are too small, each with its key.
     """
-    scenario = workshop.scenario
+    scenario = builder.scenario
     if scenario.evaluation is None:
         return
-    specimen, grid = workshop.specimen, scenario.reconstruction.volume_grid
+    specimen, grid = builder.specimen, scenario.reconstruction.volume_grid
     if problems := Places(scenario, specimen, specimen.world_from_specimen, grid).check():
         raise InputError(problems)
 
 
-def _size(workshop: Workshop) -> SpecimenSize:
-    scenario = workshop.scenario
+def _size(builder: SimulationBuilder) -> SpecimenSize:
+    scenario = builder.scenario
     grid = scenario.reconstruction.volume_grid
-    return specimen_size(scenario.specimen, workshop.specimen, workshop.commanded, grid)
+    return specimen_size(scenario.specimen, builder.specimen, builder.commanded, grid)
 
 
 def _views(views: tuple[int, ...]) -> str:
@@ -87,7 +87,7 @@ def _views(views: tuple[int, ...]) -> str:
     return f"view {few}" if len(views) == 1 else f"{len(views)} views ({few})"
 
 
-def check_physics(workshop: Workshop) -> None:
+def check_physics(builder: SimulationBuilder) -> None:
     """Check that source, detector and corrections can be built, before any other work.
 
     Raises:
@@ -96,9 +96,9 @@ def check_physics(workshop: Workshop) -> None:
     """
     from twinct.xray.check import check_parts
 
-    scenario = workshop.scenario
+    scenario = builder.scenario
     _check_all(
-        lambda: check_parts(scenario.source, scenario.detector, workshop.commanded, scenario.seed),
+        lambda: check_parts(scenario.source, scenario.detector, builder.commanded, scenario.seed),
         lambda: check_corrections(scenario),
     )
 
@@ -125,32 +125,32 @@ def _check_all(*checks: Callable[[], object]) -> None:
         raise InputError(dict.fromkeys(problems))
 
 
-def findings(workshop: Workshop) -> dict[str, str]:
+def findings(builder: SimulationBuilder) -> dict[str, str]:
     """Plan a scenario and describe it in words, by topic.
 
     Raises:
         TrajectoryError: a view is out of reach or would collide.
     """
-    scenario, plan = workshop.scenario, workshop.plan
+    scenario, plan = builder.scenario, builder.plan
     grid = scenario.reconstruction.volume_grid
-    physics = physics_in_words(scenario, *workshop.commanded_poses[0], workshop.mas)
+    physics = physics_in_words(scenario, *builder.commanded_poses[0], builder.mas)
     if plan is None:
         clearance = {"motion": "a gantry, exactly at its commanded poses"}
     else:
         worst = int(plan.clearance_mm.argmin())
         clearance = (
-            {} if workshop.followed is None else {"motion": f"{plan.duration_s:.1f} s, planned"}
+            {} if builder.followed is None else {"motion": f"{plan.duration_s:.1f} s, planned"}
         )
         clearance |= {
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }
-    parts = (f"{part.name} of {part.material.name}" for part in workshop.specimen.parts)
+    parts = (f"{part.name} of {part.material.name}" for part in builder.specimen.parts)
     return {
-        "views": f"{len(workshop.targets)}, {scenario.trajectory.kind}",
+        "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",
         **{name.lower(): words for name, words in physics.items()},
         "specimen": ", ".join(parts),
-        "specimen size": str(_size(workshop)),
+        "specimen size": str(_size(builder)),
         **clearance,
         "grid": f"{' x '.join(map(str, grid.shape_xyz))} voxels of "
         f"{' x '.join(f'{edge:g}' for edge in grid.voxel)} mm",

@@ -7,19 +7,19 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.evaluation import region_of_interest
 from twinct.geometry import VolumeGrid
 from twinct.observers import Observers, audience_of
+from twinct.recon.volume import Volume
 from twinct.report import Compared, Comparison, CrossSection, plain, with_found
 from twinct.report.same_planes import Plane, layer_of, planes_through, section_at
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, finished_run
-from twinct.runs.kept import Reconstruction, check_files
-from twinct.scan import Workshop
+from twinct.runs.reconstruction_folder import Reconstruction, check_files
+from twinct.scan import SimulationBuilder
 from twinct.scenario import SECTIONS, Scenario, specimen_digest
 from twinct.specimen import BuiltSpecimen
-from twinct.volume import Volume
 
 
 def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Comparison:
@@ -45,7 +45,7 @@ def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Compari
         for entry, label in zip(found, labels, strict=True):
             truth = specimen_digest(entry.scenario)
             if truth not in specimens:
-                specimens[truth] = Workshop(entry.scenario).specimen
+                specimens[truth] = SimulationBuilder(entry.scenario).specimen
             compared.append(_compared(entry, label, specimens[truth], planes, truth))
             step()
     return Comparison(tuple(compared))

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from twinct.errors import InputError, ScanExistsError
-from twinct.files.below import Below, names_below
-from twinct.files.plain_json import read_json
-from twinct.files.plain_yaml import read_file, written
-from twinct.files.writing import check_folder, draft_of
-from twinct.record import recordings
+from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.folder_paths import Below, names_below
+from twinct.core.files.plain_json import read_json
+from twinct.core.files.plain_yaml import read_file, written
+from twinct.core.files.writing import check_folder, draft_of
+from twinct.link.recording import recordings
 from twinct.scan import OWN, named_geometries
 from twinct.scenario import Scenario, load_scenario, stage_digests
 

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Pose, ScanGeometry
-from twinct.recon.known import Beam, FoundImplant, Implant, outside, without_implants
+from twinct.recon.known_components import Beam, FoundImplant, Implant, outside, without_implants
 from twinct.recon.metal import without_metal
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
+from twinct.recon.shadow import Body
 from twinct.recon.steps import Callback
 from twinct.recon.surroundings import without_surroundings
+from twinct.recon.volume import Volume
 from twinct.runs.integrals import corrected_for, hardening_corrected, materials_of
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import KnownImplants, Part, Scenario
-from twinct.shadow import Body
-from twinct.volume import Volume
 
 if TYPE_CHECKING:
     from twinct.specimen.materials import Material
@@ -275,7 +275,7 @@ def _beam(
         materials = [material("soft_tissue")]
         energy = None
     elif not materials:
-        materials = [Workshop(scenario).specimen.largest_part.material]
+        materials = [SimulationBuilder(scenario).specimen.largest_part.material]
     metals = [one.material for one in known]
     model = MetalModel(spectrum, response, materials, metals, energy)
     if section is None or section.kind == "one_material":

@@ -7,14 +7,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twinct.files.lock import sole_owner
-from twinct.files.writing import storage_errors, write_text
+from twinct.core.files.lock import sole_owner
+from twinct.core.files.writing import storage_errors, write_text
 from twinct.runs.acquisition import with_frames
 from twinct.runs.folder import Folder, as_yaml
-from twinct.scan import View, Workshop
+from twinct.scan import SimulationBuilder, View
 
 if TYPE_CHECKING:
-    from twinct.record import Recorded
+    from twinct.link.recording import Recorded
 
 
 def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
@@ -33,7 +33,7 @@ def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
         ScanExistsError: the folder holds a scan.
         StorageError: the folder cannot be written.
     """
-    from twinct.record import read_recordings
+    from twinct.link.recording import read_recordings
 
     folder = Folder(Path(out))
     folder.refuse_others()
@@ -45,7 +45,9 @@ def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
             stack.enter_context(sole_owner(folder.lock))
             imager = None
             if recorded.scenario.detector.keep:
-                imager = stack.enter_context(Workshop(recorded.scenario, recorded.plan).imager())
+                imager = stack.enter_context(
+                    SimulationBuilder(recorded.scenario, recorded.plan).imager()
+                )
 
             def whole(index: int, view: View) -> View:
                 panel = recorded.scenario.detector.panel

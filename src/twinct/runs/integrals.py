@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.recon.checks import masked_image
 from twinct.recon.memory import SPARE_BYTES
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import BeamHardening, Scenario
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def hardening_corrected(
     known = build_spectrum(source), build_response(detector)
     materials = materials_of(section)
     if section.kind == "one_material":
-        substances = materials or [Workshop(scenario).specimen.largest_part.material]
+        substances = materials or [SimulationBuilder(scenario).specimen.largest_part.material]
         return _each(Hardening(*known, substances, energy), integrals)
 
     base = materials[0]

@@ -14,15 +14,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.cell import check_drawing
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.core.files.lock import sole_owner
+from twinct.core.files.plain_yaml import read_file
+from twinct.core.files.writing import storage_errors, write_text
+from twinct.core.threads import limit_threads, load_numba
 from twinct.evaluation import ImageFigures
-from twinct.files.lock import sole_owner
-from twinct.files.plain_yaml import read_file
-from twinct.files.writing import storage_errors, write_text
+from twinct.link.recording import recorder_of
 from twinct.observers import Audience, Observers, audience_of
-from twinct.record import recorder_of
+from twinct.recon.volume import Volume
 from twinct.report import found_of, physics_in_words
+from twinct.robots.cell import check_drawing
 from twinct.runs.acquisition import (
     Link,
     RigFactory,
@@ -38,22 +40,20 @@ from twinct.runs.checks import (
     require_extras,
 )
 from twinct.runs.folder import Folder, as_yaml, read_metrics, refuse_other_keys
-from twinct.runs.kept import kept_reconstructions
 from twinct.runs.log import logged_to
-from twinct.runs.mending import resumable
-from twinct.runs.named import OF_KIND
 from twinct.runs.needs import require_memory
+from twinct.runs.reconstruction_folder import kept_reconstructions
+from twinct.runs.regions import OF_KIND
+from twinct.runs.repair import resumable
 from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
-from twinct.scan import Rig, Scan, ScanStore, Workshop, check_space, named_geometries
+from twinct.scan import Rig, Scan, ScanStore, SimulationBuilder, check_space, named_geometries
 from twinct.scenario import SECTIONS, Scenario, load_scenario, stage_digests
 from twinct.scenario.version_0_1 import volume_digest
-from twinct.threads import limit_threads, load_numba
-from twinct.volume import Volume
 
 if TYPE_CHECKING:
-    from twinct.record import Recorder
+    from twinct.link.recording import Recorder
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +94,7 @@ def run(
     resume: bool = False,
     record: bool = False,
     threads: int | None = None,
-    workshop: Workshop | None = None,
+    builder: SimulationBuilder | None = None,
     observers: Observers = (),
 ) -> Run:
     """Run a scenario from the plan to the report.
@@ -108,7 +108,7 @@ def run(
             made with other settings is reconstructed again.
         record: write all messages of the scan to ``scan.mcap`` in the folder.
         threads: number of threads of each process; see ``limit_threads``.
-        workshop: provides parts of this scenario that are already built.
+        builder: provides parts of this scenario that are already built.
         observers: notified of the plan, moving joints, views, iterations, stages and warnings; see
             ``twinct.observers``.
 
@@ -141,10 +141,10 @@ def run(
             audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
     recorder = recorder_of(chosen, folder.path) if record else None
-    workshop = workshop or Workshop(scenario)
+    builder = builder or SimulationBuilder(scenario)
     if store:
-        workshop = replace(workshop, kept_plan=store.plan)
-    check_physics(workshop)
+        builder = replace(builder, kept_plan=store.plan)
+    check_physics(builder)
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         if link is None:
@@ -153,23 +153,23 @@ def run(
         with seconds.stage("link"):
             hear = recorder.hear if recorder else None
             make_rig = stack.enter_context(rig_factory(chosen, folder.logs, audience, hear))
-        warnings = _prepare(workshop, folder, seconds, audience)
+        warnings = _prepare(builder, folder, seconds, audience)
         stack.enter_context(storage_errors(folder.path))
         folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
         stack.enter_context(logged_to(folder.log))
         if not resume:  # another process may have written here while this one planned
             folder.refuse_if_taken()
-        _note(workshop, folder, chosen, warnings)
+        _note(builder, folder, chosen, warnings)
         if resume:
             seconds.go_on()
         with closing(recorder) if recorder else nullcontext():
-            take = workshop, folder, seconds, make_rig, audience, recorder
+            take = builder, folder, seconds, make_rig, audience, recorder
             _take_views(*take, resume=resume)
         if folder.finished(scenario):  # only damaged views had to be acquired again
             folder.seconds.unlink(missing_ok=True)
         else:
-            _make_volumes(workshop, folder, seconds, audience)
+            _make_volumes(builder, folder, seconds, audience)
     return Run(scenario, folder)
 
 
@@ -216,73 +216,73 @@ def report_again(path: str | Path, observers: Observers = (), overrides: Iterabl
 def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
     """Rewrite the figures of a run; the scenario may differ in its section ``evaluation``."""
     folder, now = made.paths, Run(scenario, made.paths)
-    workshop = Workshop(scenario, ScanStore(folder.scan).plan)
+    builder = SimulationBuilder(scenario, ScanStore(folder.scan).plan)
     asked_anew = scenario.evaluation != made.scenario.evaluation
     if asked_anew:
-        check_places(workshop)
+        check_places(builder)
     with storage_errors(folder.path), sole_owner(folder.lock), audience_of(observers) as audience:
         before = read_metrics(folder.metrics)
-        truth = truth_of(now.scan, workshop, audience)
+        truth = truth_of(now.scan, builder, audience)
         truth.write(folder.truth)
-        first = judge(now.scan, made.volume, truth, workshop.specimen)
+        first = judge(now.scan, made.volume, truth, builder.specimen)
         figures = {scenario.reconstruction.geometries[0]: first}
         for which, values in before.get("image_by_geometry", {}).items():
             # Only the first volume is stored: the others cannot be measured again.
             told = {k: v for k, v in values.items() if not (asked_anew and k in OF_KIND)}
             figures.setdefault(which, ImageFigures.of(told))
         if asked_anew:
-            _judge_others(now, workshop, audience)
+            _judge_others(now, builder, audience)
         volume = replace(made.volume, extras={**made.volume.extras, **found_of(before)})
         results = Results(volume, truth, figures, before.get("residuals", {}))
         timing = Timing(before["seconds"], before["real_time_factor"])
-        write_results(folder, workshop, now.scan, results, timing)
+        write_results(folder, builder, now.scan, results, timing)
         if asked_anew:
             write_text(folder.scenario, as_yaml(scenario))
     return now
 
 
-def _judge_others(run: Run, workshop: Workshop, audience: Audience) -> None:
+def _judge_others(run: Run, builder: SimulationBuilder, audience: Audience) -> None:
     """Judge the further reconstructions of a run, too."""
     for kept in kept_reconstructions(run.paths.reconstructions).values():
         section = SECTIONS[str(kept.settings["algorithm"])].model_validate(dict(kept.settings))
         scenario = run.scenario.model_copy(update={"reconstruction": section})
         scan = replace(run.scan, scenario=scenario)
-        of_it = replace(workshop, scenario=scenario, kept_specimen=workshop.specimen)
+        of_it = replace(builder, scenario=scenario, kept_specimen=builder.specimen)
         kept.write_figures(
-            judge(scan, kept.volume, truth_of(scan, of_it, audience), workshop.specimen)
+            judge(scan, kept.volume, truth_of(scan, of_it, audience), builder.specimen)
         )
 
 
-def _prepare(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Audience) -> list[str]:
+def _prepare(
+    builder: SimulationBuilder, folder: Folder, seconds: Seconds, audience: Audience
+) -> list[str]:
     """Check and plan before anything is written; return warnings for the user."""
-    require_feasible(workshop.scenario, workshop.commanded)
-    check_space(folder.path, workshop.scenario, len(workshop.targets))
+    require_feasible(builder.scenario, builder.commanded)
+    check_space(folder.path, builder.scenario, len(builder.targets))
     with seconds.stage("specimen"), audience.stage("specimen", 1) as step:
-        warnings = check_sight(workshop)
+        warnings = check_sight(builder)
         step()
     for warning in warnings:
         audience.say(warning, warning=True)
     with seconds.stage("plan"), audience.stage("plan", 1) as step:
-        workshop.plan  # noqa: B018 - planned here, before anything is written
+        builder.plan  # noqa: B018 - planned here, before anything is written
         step()
     return warnings
 
 
-def _note(workshop: Workshop, folder: Folder, link: Link, warnings: list[str]) -> None:
+def _note(builder: SimulationBuilder, folder: Folder, link: Link, warnings: list[str]) -> None:
     """Write the scenario, and log the run's settings and warnings."""
-    scenario = workshop.scenario
+    scenario = builder.scenario
     write_text(folder.scenario, as_yaml(scenario))
     log.info("twinct run %s, %s link, digests %s", scenario.name, link, stage_digests(scenario))
-    for name, words in physics_in_words(
-        scenario, *workshop.commanded_poses[0], workshop.mas
-    ).items():
+    for name, words in physics_in_words(scenario, *builder.commanded_poses[0], builder.mas).items():
         log.info("%s: %s", name.lower(), words)
     for warning in warnings:
         log.warning(warning)
 
 
 def _take_views(
-    workshop: Workshop,
+    builder: SimulationBuilder,
     folder: Folder,
     seconds: Seconds,
     make_rig: RigFactory,
@@ -293,15 +293,15 @@ def _take_views(
 ) -> None:
     make_rig = recorder.rigs(make_rig) if recorder else make_rig
 
-    def started(workshop: Workshop, first: int, state: NDArray[np.float64] | None) -> Rig:
+    def started(builder: SimulationBuilder, first: int, state: NDArray[np.float64] | None) -> Rig:
         with audience.stage("start of both simulations", 1) as step:
-            rig = make_rig(workshop, first, state)
+            rig = make_rig(builder, first, state)
             step()
         return rig
 
     with seconds.views() as watch:
         store = acquire_to_store(
-            workshop, folder.scan, started, resume=resume, watch=watch, observers=audience
+            builder, folder.scan, started, resume=resume, watch=watch, observers=audience
         )
     if recorder:
         recorder.finish(store.reported)
@@ -309,14 +309,16 @@ def _take_views(
             audience.say(problem, warning=True)
 
 
-def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience: Audience) -> None:
+def _make_volumes(
+    builder: SimulationBuilder, folder: Folder, seconds: Seconds, audience: Audience
+) -> None:
     """Reconstruct from each geometry, judge, store the first volume, and report."""
-    scenario = workshop.scenario
+    scenario = builder.scenario
     with seconds.stage("truth"):
         # The scenario in the store may state another reconstruction; this run's counts.
         scan = Run(scenario, folder).scan
         scan.reported.write(folder.geometries)
-        truth = truth_of(scan, workshop, audience)
+        truth = truth_of(scan, builder, audience)
         truth.write(folder.truth)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}
@@ -336,11 +338,11 @@ def _make_volumes(workshop: Workshop, folder: Folder, seconds: Seconds, audience
             with seconds.stage("storing"):
                 volume.write(folder.volume, _note_of(folder, scenario))
         with seconds.stage("judge"), audience.stage(f"judge, {which} geometry", 1) as step:
-            figures[which] = judge(scan, volume, truth, workshop.specimen)
+            figures[which] = judge(scan, volume, truth, builder.specimen)
             step()
         del volume
     assert kept is not None
-    write_results(folder, workshop, scan, Results(kept, truth, figures, residuals), seconds)
+    write_results(folder, builder, scan, Results(kept, truth, figures, residuals), seconds)
     shutil.rmtree(folder.checkpoints, ignore_errors=True)
     folder.seconds.unlink(missing_ok=True)
 

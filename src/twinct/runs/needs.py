@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from twinct.errors import MemoryShortageError
-from twinct.memory import available_bytes
+from twinct.core.errors import MemoryShortageError
+from twinct.core.memory import available_bytes
+from twinct.core.threads import threads
 from twinct.runs.acquisition import Link
 from twinct.runs.volumes import memory_needed
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Brain, CtVolume, Head, MeshFile, Scenario, Shape, Skull
 from twinct.specimen.shapes import triangles
-from twinct.threads import threads
 
 PROCESS_BYTES = 400 * 2**20
 """Memory of a process with its libraries and kernels, without any data of the scan."""
@@ -65,7 +65,9 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
         The stages in their order: ``specimen``, ``plan``, ``views``, ``truth``, ``reconstruction``
         and ``report``.
     """
-    views = Workshop(scenario).asked  # choices of the plan, such as an order, need no memory
+    views = SimulationBuilder(
+        scenario
+    ).asked  # choices of the plan, such as an order, need no memory
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"
@@ -96,7 +98,7 @@ def require_memory(scenario: Scenario) -> None:
         MemoryShortageError: one sentence for each object that is too large, with its keys.
     """
     available, limit = available_bytes()
-    panel, views = scenario.detector.panel, len(Workshop(scenario).asked)
+    panel, views = scenario.detector.panel, len(SimulationBuilder(scenario).asked)
     pixels, grid = math.prod(panel.shape), scenario.reconstruction.volume_grid
     zoomed = scenario.reconstruction.zoom is not None
     told = {

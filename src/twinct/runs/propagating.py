@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Floats
 from twinct.report import plain
-from twinct.scan import Workshop
+from twinct.scan import SimulationBuilder
 from twinct.scenario import GantryCell
 from twinct.uncertainty.propagation import NominalScan, Propagation, propagate
 
@@ -25,25 +25,25 @@ FRAME = (
 )
 
 
-def nominal_scan(workshop: Workshop) -> NominalScan:
+def nominal_scan(builder: SimulationBuilder) -> NominalScan:
     """Return the nominal views of a scenario, as its controllers expect them.
 
     Raises:
         TrajectoryError: a view is out of reach or would collide.
     """
-    cell = workshop.scenario.cell
+    cell = builder.scenario.cell
     if isinstance(cell, GantryCell):
-        views = workshop.commanded
+        views = builder.commanded
         return NominalScan.of_gantry(views, cell.view_s * np.arange(1.0, len(views) + 1))
-    from twinct.cell import chains_of
+    from twinct.robots.cell import chains_of
 
-    plan = workshop.plan
+    plan = builder.plan
     assert plan is not None
     speeds = plan.state[plan.waypoints, 1]
-    return NominalScan.of_arms(chains_of(workshop.cell), plan.joints, speeds, plan.exposures_s)
+    return NominalScan.of_arms(chains_of(builder.cell), plan.joints, speeds, plan.exposures_s)
 
 
-def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
+def errors_of(builder: SimulationBuilder, draws: int = 1000) -> Propagation:
     """Draw a scenario's errors repeatedly, and compute their first-order covariances.
 
     Raises:
@@ -52,7 +52,7 @@ def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
     """
     if draws < 2:
         raise InputError(f"draws ({draws}) must be at least 2: one has no spread")
-    scenario = workshop.scenario
+    scenario = builder.scenario
     if file := scenario.uncertainty.calibration:
         raise InputError(
             f"uncertainty.calibration: {file} describes one pair of arms, but here others are "
@@ -60,18 +60,18 @@ def errors_of(workshop: Workshop, draws: int = 1000) -> Propagation:
         )
     return propagate(
         scenario.uncertainty,
-        nominal_scan(workshop),
+        nominal_scan(builder),
         scenario.detector.panel,
-        seen_points(workshop),
+        seen_points(builder),
         draws=draws,
         seed=scenario.seed,
         arms_seed=scenario.arms_seed,
     )
 
 
-def seen_points(workshop: Workshop) -> Floats:
+def seen_points(builder: SimulationBuilder) -> Floats:
     """Return the isocentre and the points of a lattice that every view sees, (points, 3), mm."""
-    scenario, views = workshop.scenario, workshop.commanded
+    scenario, views = builder.scenario, builder.commanded
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     shares = np.arange(LATTICE) / (LATTICE - 1)
     ends = [axis[0] + shares * (axis[-1] - axis[0]) for axis in grid.axes()]
@@ -85,9 +85,9 @@ def seen_points(workshop: Workshop) -> Floats:
     return np.concatenate([[isocentre], places[seen]])
 
 
-def told_errors(found: Propagation, workshop: Workshop) -> dict[str, Any]:
+def told_errors(found: Propagation, builder: SimulationBuilder) -> dict[str, Any]:
     """Return propagated errors as plain data: distributions, causes and covariances."""
-    scenario, errors, analytic = workshop.scenario, found.errors, found.analytic
+    scenario, errors, analytic = builder.scenario, found.errors, found.analytic
     draws, views = errors.shape[:2]
     shown = sorted({k * (views - 1) // (TOLD_VIEWS - 1) for k in range(TOLD_VIEWS)})
     some = errors[:, shown].reshape(draws, -1)

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import MissingExtraError
+from twinct.core.errors import MissingExtraError
+from twinct.core.files.writing import write_json
 from twinct.evaluation import (
     Edges,
     ImageFigures,
@@ -28,9 +29,10 @@ from twinct.evaluation import (
     rmse_by_depth,
     tool_speeds,
 )
-from twinct.files.writing import write_json
 from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.geometry.wire import PosePairs
 from twinct.observers import Audience
+from twinct.recon.volume import Volume
 from twinct.report import (
     STAGES,
     Another,
@@ -43,14 +45,12 @@ from twinct.report import (
     write_report,
 )
 from twinct.runs.folder import Folder, as_yaml
-from twinct.runs.kept import Reconstruction, kept_reconstructions
-from twinct.runs.named import Places
+from twinct.runs.reconstruction_folder import Reconstruction, kept_reconstructions
+from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing
-from twinct.scan import Scan, Workshop
+from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import stage_digests
 from twinct.specimen import BuiltSpecimen, build_specimen
-from twinct.views import PosePairs
-from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
 
@@ -93,7 +93,7 @@ class Truth:
 
 def truth_of(
     scan: Scan,
-    workshop: Workshop,
+    builder: SimulationBuilder,
     audience: Audience | None = None,
     grid: VolumeGrid | None = None,
 ) -> Truth:
@@ -107,12 +107,12 @@ def truth_of(
     grid = grid or scenario.reconstruction.volume_grid
     energy = effective_energy_kev(scenario.source, scenario.detector)
     with (audience or Audience()).stage("truth", 2) as step:
-        volume = workshop.specimen.truth(grid, energy, scan.stands)
+        volume = builder.specimen.truth(grid, energy, scan.stands)
         step()
         executed = scan.relative.geometry(scenario.detector.panel)
         region = region_of_interest(executed, grid)
         step()
-    return Truth(volume, region, workshop.specimen.reference_mu(energy), grid, executed)
+    return Truth(volume, region, builder.specimen.reference_mu(energy), grid, executed)
 
 
 def judge(
@@ -151,9 +151,9 @@ def evaluate(scan: Scan, volume: Volume, truth: Truth | None = None) -> ImageFig
     Raises:
         InputError: volume and truth have different grids.
     """
-    workshop = Workshop(scan.scenario)
-    truth = truth or truth_of(scan, workshop, grid=volume.grid)
-    return judge(scan, volume, truth, workshop.specimen if scan.scenario.evaluation else None)
+    builder = SimulationBuilder(scan.scenario)
+    truth = truth or truth_of(scan, builder, grid=volume.grid)
+    return judge(scan, volume, truth, builder.specimen if scan.scenario.evaluation else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,15 +174,19 @@ class Results:
 
 
 def write_results(
-    folder: Folder, workshop: Workshop, scan: Scan, results: Results, timing: Seconds | Timing
+    folder: Folder,
+    builder: SimulationBuilder,
+    scan: Scan,
+    results: Results,
+    timing: Seconds | Timing,
 ) -> None:
     """Write report.html and metrics.json, each completely or not at all.
 
     The timing is a running ``Seconds``, or the ``Timing`` of a run that is reported again.
     """
-    scenario, others = workshop.scenario, kept_reconstructions(folder.reconstructions)
+    scenario, others = builder.scenario, kept_reconstructions(folder.reconstructions)
     with timing.stage("report") if isinstance(timing, Seconds) else nullcontext():
-        data = replace(_report_data(scan, workshop, results), others=_others(others.values()))
+        data = replace(_report_data(scan, builder, results), others=_others(others.values()))
         pictures = draw_pictures(data)
     if isinstance(timing, Seconds):
         timing = timing.finished()
@@ -208,7 +212,7 @@ def write_results(
             for kept in others.values()
         },
         geometries=_geometries(scan),
-        reference_material=workshop.specimen.reference_part.material.name,
+        reference_material=builder.specimen.reference_part.material.name,
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)
@@ -273,9 +277,9 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
     ]
 
 
-def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData:
+def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> ReportData:
     """Return the content of a report; of the figures, only the residuals."""
-    scenario, plan, truth = workshop.scenario, workshop.plan, results.truth
+    scenario, plan, truth = builder.scenario, builder.plan, results.truth
     grid = scenario.reconstruction.volume_grid
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
     return ReportData(
@@ -289,19 +293,19 @@ def _report_data(scan: Scan, workshop: Workshop, results: Results) -> ReportData
         projections=[(int(view), scan.transmission[view]) for view in shown],
         slices=cross_sections(results.volume.array, truth.volume, truth.region, grid),
         mu_reference=truth.mu_reference,
-        reference=workshop.specimen.reference_part.material.name,
-        room_png=_room(workshop),
+        reference=builder.specimen.reference_part.material.name,
+        room_png=_room(builder),
         nearest=plan.nearest[int(plan.clearance_mm.argmin())] if plan else (),
         mas=scan.mas,
     )
 
 
-def _room(workshop: Workshop) -> bytes | None:
+def _room(builder: SimulationBuilder) -> bytes | None:
     """Draw the room at the middle of the path; return None if MuJoCo is not installed."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "room.png"
         try:
-            workshop.draw(path, len(workshop.targets) // 2)
+            builder.draw(path, len(builder.targets) // 2)
         except MissingExtraError as error:
             log.warning("no picture of the room: %s", error)
             return None

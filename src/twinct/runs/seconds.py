@@ -10,8 +10,8 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from twinct.files.plain_json import read_json
-from twinct.files.writing import write_text
+from twinct.core.files.plain_json import read_json
+from twinct.core.files.writing import write_text
 from twinct.scan import Stopwatch
 
 

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
+from twinct.recon.volume import Volume
 from twinct.runs.folder import Folder, read_metrics
-from twinct.runs.kept import check_files
+from twinct.runs.reconstruction_folder import check_files
 from twinct.scan import NamedGeometry, ScanStore, frame_damage, unknown_files, view_damage
-from twinct.scan.findings import views_taken
-from twinct.volume import Volume
+from twinct.scan.damage import views_taken
 
 
 @dataclass(frozen=True)

@@ -16,24 +16,25 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.draws import view_rng
-from twinct.errors import InputError
-from twinct.files.plain_json import json_of
-from twinct.files.writing import complete, storage_errors
+from twinct.core.draws import view_rng
+from twinct.core.errors import InputError
+from twinct.core.files.plain_json import json_of
+from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.observers import Audience, IterationDone, Observers, audience_of
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.algorithms import algorithms
 from twinct.recon.engine import asked_for
-from twinct.recon.known import implant_bytes
+from twinct.recon.known_components import implant_bytes
 from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, metal_bytes
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.steps import Step
 from twinct.recon.surroundings import check_margin, surroundings_bytes, without_surroundings
+from twinct.recon.volume import Volume
 from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
-from twinct.runs.metal import metal_replaced, none_found
+from twinct.runs.metal_reduction import metal_replaced, none_found
 from twinct.scan import Scan, line_integrals
 from twinct.scenario import (
     SECTIONS,
@@ -44,7 +45,6 @@ from twinct.scenario import (
     parse_scenario,
     stage_digests,
 )
-from twinct.volume import Volume
 
 log = logging.getLogger(__name__)
 

@@ -1,14 +1,21 @@
 """Acquisition: the rig protocol, the rig in one process, the scan and its store."""
 
+from twinct.core.renamed import old_names
 from twinct.scan.acquire import Stopwatch, acquire
+from twinct.scan.builder import SimulationBuilder
+from twinct.scan.damage import frame_damage, unknown_files, view_damage
 from twinct.scan.data import Scan, View, reported
-from twinct.scan.findings import frame_damage, unknown_files, view_damage
 from twinct.scan.integrals import line_integrals
 from twinct.scan.layout import write_frame
-from twinct.scan.named import OWN, RELATIVE, NamedGeometry, checked_name, named_geometries
+from twinct.scan.named_geometries import (
+    OWN,
+    RELATIVE,
+    NamedGeometry,
+    checked_name,
+    named_geometries,
+)
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
 from twinct.scan.store import Readings, ScanStore, check_space
-from twinct.scan.workshop import Workshop
 
 __all__ = [
     "RigFactory",
@@ -22,7 +29,7 @@ __all__ = [
     "ScanStore",
     "Stopwatch",
     "View",
-    "Workshop",
+    "SimulationBuilder",
     "acquire",
     "check_space",
     "checked_name",
@@ -35,3 +42,5 @@ __all__ = [
     "view_damage",
     "write_frame",
 ]
+
+__getattr__ = old_names(__name__, {"Workshop": "SimulationBuilder"})

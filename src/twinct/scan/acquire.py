@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from twinct.geometry.wire import Target
 from twinct.scan.data import View
 from twinct.scan.rig import Rig
-from twinct.views import Target
 
 
 @dataclass

@@ -9,7 +9,7 @@ from zarr.abc.store import ByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
 from zarr.storage import LocalStore
 
-from twinct.files.plain_json import read_json
+from twinct.core.files.plain_json import read_json
 from twinct.scan.manifest import (
     ACQUIRED,
     FOLDER,

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import InputError
-from twinct.files.pictures import show
+from twinct.core.errors import InputError
+from twinct.core.files.pictures import show
 from twinct.geometry import Pose, ScanGeometry
+from twinct.geometry.wire import Instant, PosePairs, Reached
+from twinct.scan.encoder_model import evidence_of, seen_from
 from twinct.scan.integrals import line_integrals
-from twinct.scan.named import OWN, RELATIVE, NamedGeometry, poses_digest
-from twinct.scan.told import evidence_of, seen_from
+from twinct.scan.named_geometries import OWN, RELATIVE, NamedGeometry, poses_digest
 from twinct.scenario import Scenario, Uncertainty
 from twinct.uncertainty import reported_poses
-from twinct.views import Instant, PosePairs, Reached
 
 if TYPE_CHECKING:
     from twinct.xray.chain import ViewImages

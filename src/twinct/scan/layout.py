@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import Pose
+from twinct.geometry.wire import PosePairs
 from twinct.scan.data import View, bad_pixels_of
 from twinct.scan.manifest import BY_VIEW, chunk_name, write_frame_manifest
 from twinct.scan.metadata import BAD_PIXELS, EXPOSURE, MAS
 from twinct.scenario import Scenario, stage_digests
-from twinct.views import PosePairs
 
 if TYPE_CHECKING:
-    from twinct.motion import MotionPlan
+    from twinct.robots.motion import MotionPlan
 
 FORMAT = 4
 READABLE = (1, 2, 3, FORMAT)
@@ -62,7 +62,7 @@ def _write_plan(root: Any, plan: MotionPlan) -> None:
     """Write a plan: numbers as arrays, texts as attributes of the group."""
     from zarr.codecs import BloscCodec
 
-    from twinct.motion import plan_arrays
+    from twinct.robots.motion import plan_arrays
 
     group = root.create_group("plan")
     for name, values in plan_arrays(plan).items():

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from twinct.errors import DamagedError
+from twinct.core.errors import DamagedError
 
 FOLDER = "manifest"
 FRAME, VIEWS = f"{FOLDER}/frame", f"{FOLDER}/views"

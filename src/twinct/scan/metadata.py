@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from twinct.errors import InputError
-from twinct.files.plain_json import json_of
+from twinct.core.errors import InputError
+from twinct.core.files.plain_json import json_of
 
 EXPOSURE = "executed/exposure"
 """Present if an exposure has several instants."""

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import Panel
-from twinct.scan.workshop import Workshop
-from twinct.views import JointSample, Reached, Target
+from twinct.geometry.wire import JointSample, Reached, Target
+from twinct.scan.builder import SimulationBuilder
 
 if TYPE_CHECKING:
-    from twinct.gantry import Gantry
-    from twinct.motion import RobotSimulation
+    from twinct.robots.gantry import Gantry
+    from twinct.robots.motion import RobotSimulation
     from twinct.xray import Imager
 
 
@@ -54,7 +54,7 @@ class Rig(Protocol):
         ...
 
 
-RigFactory = Callable[[Workshop, int, NDArray[np.float64] | None], Rig]
+RigFactory = Callable[[SimulationBuilder, int, NDArray[np.float64] | None], Rig]
 """Factory of rigs from a scenario's parts, first view, and the simulator's state before it."""
 
 
@@ -101,17 +101,17 @@ class LocalRig:
 
 
 def local_rig(
-    workshop: Workshop, first_view: int, start_state: NDArray[np.float64] | None
+    builder: SimulationBuilder, first_view: int, start_state: NDArray[np.float64] | None
 ) -> LocalRig:
     """Return a rig with both simulations in this process.
 
     Args:
-        workshop: the scenario's parts.
+        builder: the scenario's parts.
         first_view: not used here.
         start_state: state of the robot simulation at the start; None for the planned home.
     """
     del first_view
-    robots = workshop.robots()
+    robots = builder.robots()
     if start_state is not None:
         robots.restore(start_state)
-    return LocalRig(robots, workshop.imager(), workshop.scenario.detector.panel)
+    return LocalRig(robots, builder.imager(), builder.scenario.detector.panel)

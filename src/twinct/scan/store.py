@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import DamagedError, InputError, ScanExistsError
-from twinct.files.plain_json import json_of
-from twinct.files.writing import require_space, storage_errors
+from twinct.core.errors import DamagedError, InputError, ScanExistsError
+from twinct.core.files.plain_json import json_of
+from twinct.core.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
+from twinct.geometry.wire import Instant, PosePairs
+from twinct.scan.damage import frame_damage, make_way, view_damage, views_taken
 from twinct.scan.data import Scan, View, bad_pixels_of, reported
-from twinct.scan.findings import frame_damage, make_way, view_damage, views_taken
 from twinct.scan.layout import FORMAT, READABLE, columns_of, kept_digests, write_frame
 from twinct.scan.manifest import (
     ACQUIRED,
@@ -43,12 +44,11 @@ from twinct.scan.metadata import (
     check_attributes,
     readable,
 )
-from twinct.scan.named import NamedGeometry
+from twinct.scan.named_geometries import NamedGeometry
 from twinct.scenario import Scenario, parse_scenario
-from twinct.views import Instant, PosePairs
 
 if TYPE_CHECKING:
-    from twinct.motion import MotionPlan
+    from twinct.robots.motion import MotionPlan
 
 log = logging.getLogger(__name__)
 
@@ -311,7 +311,7 @@ class ScanStore:
             return None
         import zarr
 
-        from twinct.motion import LARGEST_PLAN_BYTES, plan_of_arrays
+        from twinct.robots.motion import LARGEST_PLAN_BYTES, plan_of_arrays
 
         with readable(self.path, "plan"):
             group = self._group["plan"]

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from twinct.core.settings import Conflict, ConflictError, Section, setting
 from twinct.scenario.composition import Composition
-from twinct.settings import Conflict, ConflictError, Section, setting
 
 
 class OneMaterialHardening(Section):

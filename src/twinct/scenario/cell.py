@@ -9,9 +9,7 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from twinct.geometry import Pose
-from twinct.scenario.specimen import Box, Cylinder, Sphere
-from twinct.settings import (
+from twinct.core.settings import (
     Conflict,
     ConflictError,
     Coordinate,
@@ -24,6 +22,8 @@ from twinct.settings import (
     facts,
     setting,
 )
+from twinct.geometry import Pose
+from twinct.scenario.specimen import Box, Cylinder, Sphere
 
 ARMS = ("ur10e", "lbr_iiwa14")
 """Built-in arms."""

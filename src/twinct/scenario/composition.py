@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from twinct.settings import Positive, Section, setting
+from twinct.core.settings import Positive, Section, setting
 
 
 class Composition(Section):

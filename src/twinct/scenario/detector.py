@@ -8,9 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twinct.geometry import Panel
-from twinct.scenario.composition import Composition
-from twinct.settings import (
+from twinct.core.settings import (
     Conflict,
     ConflictError,
     Length,
@@ -21,6 +19,8 @@ from twinct.settings import (
     facts,
     setting,
 )
+from twinct.geometry import Panel
+from twinct.scenario.composition import Composition
 
 
 class CountingResponse(Section):

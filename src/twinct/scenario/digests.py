@@ -18,13 +18,13 @@ from typing import Any, Literal
 
 from pydantic_core import to_jsonable_python
 
-from twinct.errors import ScenarioError
-from twinct.files.arm_xml import read_arm_xml
+from twinct.core.errors import ScenarioError
+from twinct.core.files.arm_xml import read_arm_xml
+from twinct.core.settings import FILE_KEYS, Section
 from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.detector import RandomBadPixels
 from twinct.scenario.scenario import Scenario, sections_in
-from twinct.settings import FILE_KEYS, Section
 
 StageName = Literal["surface", "plan", "executed", "images", "believed", "volume"]
 

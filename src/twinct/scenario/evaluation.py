@@ -8,9 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from twinct.geometry import Pose
-from twinct.scenario.specimen import Box, Cylinder, Specimen, Sphere
-from twinct.settings import (
+from twinct.core.settings import (
     Conflict,
     Finite,
     Length,
@@ -19,6 +17,8 @@ from twinct.settings import (
     Vector,
     setting,
 )
+from twinct.geometry import Pose
+from twinct.scenario.specimen import Box, Cylinder, Specimen, Sphere
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 """Part of a figure's dotted name."""

@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from twinct.errors import InputError, ScenarioError
-from twinct.files.boundary import no_file
-from twinct.files.plain_yaml import written
-from twinct.files.writing import write_text
+from twinct.core.errors import InputError, ScenarioError
+from twinct.core.files.boundary import no_file
+from twinct.core.files.plain_yaml import written
+from twinct.core.files.writing import write_text
 from twinct.scenario.messages import place, problems
 from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from twinct.files.boundary import shortened
+from twinct.core.files.boundary import shortened
+from twinct.core.settings import Conflict, ConflictError
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
 from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
 from twinct.scenario.version_0_1 import advice
-from twinct.settings import Conflict, ConflictError
 from twinct.trajectory.families import families
 
 _BROKEN: dict[Key, dict[str, str]] = {

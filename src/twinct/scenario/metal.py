@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from twinct.core.settings import NonNegative, Positive, Section, Vector, setting
 from twinct.scenario.composition import Composition
 from twinct.scenario.specimen import Part, Shape
-from twinct.settings import NonNegative, Positive, Section, Vector, setting
 
 
 class Nmar(Section):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from twinct.settings import Length, NonNegative, Positive, Section, setting
+from twinct.core.settings import Length, NonNegative, Positive, Section, setting
 
 
 class InverseKinematics(Section):

@@ -10,13 +10,13 @@ from typing import Any, TypeGuard, cast
 
 import numpy as np
 
-from twinct.errors import ScenarioError
-from twinct.files.boundary import absolute, no_file, shortened
-from twinct.files.plain_yaml import Key, read_file, read_value
+from twinct.core.errors import ScenarioError
+from twinct.core.files.boundary import absolute, no_file, shortened
+from twinct.core.files.plain_yaml import Key, read_file, read_value
+from twinct.core.settings import FILE_KEYS
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
 from twinct.scenario.version_0_1 import upgraded
-from twinct.settings import FILE_KEYS
 
 LONGEST_CHAIN = 16
 """Largest number of files that extend one another."""

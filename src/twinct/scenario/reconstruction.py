@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Union, cast
 import numpy as np
 from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
+from twinct.core.settings import Length, Lengths, Section, Vector, facts, setting
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.algorithms import algorithms
 from twinct.scenario.beam_hardening import BeamHardening
 from twinct.scenario.metal import Metal
-from twinct.settings import Length, Lengths, Section, Vector, facts, setting
 
 log = logging.getLogger(__name__)
 

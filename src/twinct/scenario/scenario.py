@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, cast
 
 from pydantic import Field, model_validator
 
+from twinct.core.settings import FILE_KEYS, Conflict, ConflictError, Section, setting
 from twinct.scenario.cell import AnyCell, Cell, GantryCell
 from twinct.scenario.detector import Detector
 from twinct.scenario.evaluation import Evaluation
@@ -18,7 +19,6 @@ from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import Specimen
 from twinct.scenario.task import ViewTask
 from twinct.scenario.uncertainty import Uncertainty
-from twinct.settings import FILE_KEYS, Conflict, ConflictError, Section, setting
 from twinct.trajectory import TrajectorySettings
 from twinct.trajectory.families import families
 

@@ -7,8 +7,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from twinct.core.settings import (
+    Conflict,
+    ConflictError,
+    Length,
+    Pair,
+    Positive,
+    Section,
+    facts,
+    setting,
+)
 from twinct.scenario.composition import Composition
-from twinct.settings import Conflict, ConflictError, Length, Pair, Positive, Section, facts, setting
 
 MOST_KV = 50.0
 """Highest tube voltage that SpekPy supports for molybdenum and rhodium."""

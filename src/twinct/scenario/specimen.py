@@ -7,9 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twinct.geometry import Pose
-from twinct.scenario.composition import Composition
-from twinct.settings import (
+from twinct.core.settings import (
     Conflict,
     ConflictError,
     Finite,
@@ -21,6 +19,8 @@ from twinct.settings import (
     Vector,
     setting,
 )
+from twinct.geometry import Pose
+from twinct.scenario.composition import Composition
 
 Scale = Annotated[float, Field(gt=0, le=1000)]
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from twinct.core.settings import Conflict, Finite, NonNegative, Positive, Section, Vector, setting
 from twinct.scenario.evaluation import GaussianSignal, SphereSignal
 from twinct.scenario.specimen import Specimen
-from twinct.settings import Conflict, Finite, NonNegative, Positive, Section, Vector, setting
 
 Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 
 from pydantic import model_validator
 
-from twinct.settings import (
+from twinct.core.settings import (
     Conflict,
     ConflictError,
     Finite,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.draws import view_rng
+from twinct.core.draws import view_rng
 from twinct.geometry import Floats
 from twinct.scenario import BallHelix
 

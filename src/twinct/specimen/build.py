@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from twinct import scenario
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.specimen.materials import Material, material
 from twinct.specimen.shapes import shape_surface

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import xraylib
 
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 from twinct.scenario import Composition
 
 FRACTION_SUM_TOLERANCE = 0.005

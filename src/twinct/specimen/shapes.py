@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twinct import scenario
-from twinct.errors import SpecimenError
-from twinct.files.meshes import read_mesh
+from twinct.core.errors import SpecimenError
+from twinct.core.files.meshes import read_mesh
 from twinct.scenario import Shape
 from twinct.specimen.balls import true_centres
 from twinct.specimen.head import brain_surface, head_surface

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import manifold3d
 import numpy as np
 
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 from twinct.specimen.surface import from_manifold, surface, to_manifold
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import manifold3d
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.errors import SpecimenError
+from twinct.core.errors import SpecimenError
 
 if TYPE_CHECKING:
     import trimesh

@@ -17,9 +17,9 @@ import scipy
 from numpy.typing import NDArray
 
 from twinct import scenario
-from twinct.errors import SpecimenError
-from twinct.files.boundary import file_bytes, library_errors, require_memory, shortened
-from twinct.files.nifti import read_nifti
+from twinct.core.errors import SpecimenError
+from twinct.core.files.boundary import file_bytes, library_errors, require_memory, shortened
+from twinct.core.files.nifti import read_nifti
 from twinct.geometry import Floats
 from twinct.specimen.surface import isosurface, simplified, surface
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from twinct.errors import InputError, SpecimenError
-from twinct.progress import SILENT, Progress
+from twinct.core.errors import InputError, SpecimenError
+from twinct.core.progress import SILENT, Progress
+from twinct.core.settings import FILE_KEYS
 from twinct.runs import Need, needs
 from twinct.scenario import Scenario, stage_digests
-from twinct.settings import FILE_KEYS
 from twinct.specimen.materials import material
 from twinct.study.design import Design, Trial
 from twinct.study.figures import figure_names

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from twinct.draws import view_rng
-from twinct.errors import InputError, ScenarioError
-from twinct.files.boundary import absolute
+from twinct.core.draws import view_rng
+from twinct.core.errors import InputError, ScenarioError
+from twinct.core.files.boundary import absolute
+from twinct.core.settings import FILE_KEYS
 from twinct.scenario import Scenario, Template
 from twinct.scenario.messages import problems
 from twinct.scenario.reading import Draft, is_list, is_mapping, key_of, read_yaml
-from twinct.settings import FILE_KEYS
 from twinct.study.results import OWN_COLUMNS
 from twinct.study.settings import Axis, NormalDraw, Study
 

@@ -9,17 +9,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from twinct.pool import Done, Failed, Pool, Work, each
 from twinct.scenario import Scenario
 from twinct.scenario.digests import readers
-from twinct.study.book import Book
 from twinct.study.checking import Checked
 from twinct.study.design import Design
 from twinct.study.estimate import bytes_below
 from twinct.study.folder import StudyFolder
 from twinct.study.inputs import Inputs
 from twinct.study.rows import Rows
-from twinct.study.taking import START, Errand, scan_name, take_scan, try_trial
+from twinct.study.timings import Book
+from twinct.study.trial import START, TrialSpec, scan_name, take_scan, try_trial
+from twinct.workers import Done, Failed, Pool, Work, each
 
 log = logging.getLogger(__name__)
 
@@ -159,24 +159,24 @@ class Driver:
         shared.waiting.append(one)
         if len(shared.waiting) > 1:
             return None
-        errand = self.errand(one, shared=True)
-        names = tuple(name for name, _ in errand.files.values())
+        spec = self.spec(one, shared=True)
+        names = tuple(name for name, _ in spec.files.values())
         memory = max(one.cost.stages[stage].memory_bytes for stage in _OF_SCAN)
-        return Work(_SCAN + one.scan, take_scan, errand, memory, names)
+        return Work(_SCAN + one.scan, take_scan, spec, memory, names)
 
     def _trial_work(self, one: Checked, shared: bool) -> Work:
-        errand = self.errand(one, shared=shared)
-        names = [name for name, _ in errand.files.values()]
-        names += [errand.scan_name] if shared else []
-        return Work(one.key, try_trial, errand, one.cost.memory_bytes, tuple(names))
+        spec = self.spec(one, shared=shared)
+        names = [name for name, _ in spec.files.values()]
+        names += [spec.scan_name] if shared else []
+        return Work(one.key, try_trial, spec, one.cost.memory_bytes, tuple(names))
 
-    def errand(self, one: Checked, *, shared: bool) -> Errand:
+    def spec(self, one: Checked, *, shared: bool) -> TrialSpec:
         """Return a trial in the form sent to workers; ``shared``: other trials use its scan."""
         scenario: Scenario = self.design.scenario(one.trial)
         told = str(one.trial).partition(" (")[2].removesuffix(")")  # its number may change
         name = f"{self.design.study.name}: {told}" if told else self.design.study.name
         scenario = scenario.model_copy(update={"name": name})
-        return Errand(
+        return TrialSpec(
             key=one.key,
             scenario=scenario.model_dump(mode="json"),
             files=self._inputs.offered(scenario, self.pool),
@@ -195,7 +195,7 @@ class Driver:
             self._fail(waiting, event)
             return []
         kept = self.folder.scans / digest[:32]
-        event.parcels["scan"].save(kept)
+        event.artifacts["scan"].save(kept)
         self.pool.offer(scan_name(digest), kept)
         shared.there = True
         shared.seconds = event.value
@@ -208,19 +208,19 @@ class Driver:
             self._fail([one], event)
         else:
             report = ""
-            parcel, name = {
+            artifact, name = {
                 "everything": ("run", f"trials/{one.key}"),
                 "volume": ("volume", f"trials/{one.key}.nii"),
             }.get(self.design.study.keep, ("", ""))
-            if parcel:
-                event.parcels[parcel].save(self.folder.path / name)
-                report = f"{name}/report.html" if parcel == "run" else name
+            if artifact:
+                event.artifacts[artifact].save(self.folder.path / name)
+                report = f"{name}/report.html" if artifact == "run" else name
             shared = self._scans.get(one.scan)
             before = shared.take_seconds() if shared else {}
             row = self.rows.done(one, event, before, report)
             for twin in self._twins.pop(one.volume, ()):
                 self.rows.copied(twin, row)
-            self._count_trial(one, event, self.folder.path / name if parcel else None)
+            self._count_trial(one, event, self.folder.path / name if artifact else None)
             self._ended += 1
             self._leave(one)
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twinct.report.study_page import MOST_BEST as MOST_SHOWN
-from twinct.study.book import Book
 from twinct.study.checking import Checked
 from twinct.study.rows import MOST_BEST
 from twinct.study.settings import Study
+from twinct.study.timings import Book
 
 ROW_BYTES = 2_000
 TABLE_BYTES = 30_000

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from twinct.evaluation import depth_names
-from twinct.runs.named import named_figures
+from twinct.runs.regions import named_figures
 from twinct.scenario import Scenario
 
 _SECTIONS = ("views", "reached", "simulated_seconds", "clearance_mm", "pose_error")

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twinct.errors import InputError, ScanExistsError
-from twinct.files.below import Below, names_below
-from twinct.files.writing import check_folder, draft_of, write_json, write_text
+from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.folder_paths import Below, names_below
+from twinct.core.files.writing import check_folder, draft_of, write_json, write_text
 from twinct.study import journal, results
 from twinct.study.design import Design
 

@@ -7,10 +7,10 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from twinct.files.arm_xml import read_arm_xml
-from twinct.pool import Pool
+from twinct.core.files.arm_xml import read_arm_xml
 from twinct.scenario import Scenario
 from twinct.scenario.digests import content_digest
+from twinct.workers import Pool
 
 
 class Inputs:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from twinct.errors import InputError
-from twinct.files.reading import reason
-from twinct.files.writing import storage_errors
+from twinct.core.errors import InputError
+from twinct.core.files.reading import reason
+from twinct.core.files.writing import storage_errors
 
 NAME = "journal.jsonl"
 

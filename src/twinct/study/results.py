@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twinct.errors import InputError
-from twinct.extras import require
-from twinct.files.writing import complete, storage_errors
+from twinct.core.errors import InputError
+from twinct.core.extras import require
+from twinct.core.files.writing import complete, storage_errors
 from twinct.study.journal import Journal, Row
 
 if TYPE_CHECKING:

@@ -8,15 +8,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from twinct.errors import InputError
-from twinct.files.writing import complete
-from twinct.pool import Done, Failed
+from twinct.core.errors import InputError
+from twinct.core.files.writing import complete
 from twinct.report.figure_words import figure_words
 from twinct.study.checking import Checked, trial_key
 from twinct.study.design import Trial
 from twinct.study.folder import StudyFolder
 from twinct.study.journal import Journal, Row
 from twinct.study.settings import Study
+from twinct.workers import Done, Failed
 
 MOST_BEST = 24
 """Number of trials whose cross-sections are stored, one for each combination of values."""

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twinct.errors import InputError
-from twinct.extras import require
-from twinct.files.lock import sole_owner
-from twinct.files.writing import storage_errors
+from twinct.core.errors import InputError
+from twinct.core.extras import require
+from twinct.core.files.lock import sole_owner
+from twinct.core.files.writing import storage_errors
+from twinct.core.threads import threads
 from twinct.observers import Audience, Observers, audience_of
-from twinct.pool import LocalPool, Pool
-from twinct.study.book import Book
 from twinct.study.checking import Checked, Checker
 from twinct.study.design import Design, Trial, load_study
 from twinct.study.driver import Driver, Tally
@@ -27,7 +26,8 @@ from twinct.study.page import write_page
 from twinct.study.results import load_results, write_results
 from twinct.study.rows import Rows
 from twinct.study.search import Tried, asked, choice_of
-from twinct.threads import threads
+from twinct.study.timings import Book
+from twinct.workers import LocalPool, Pool
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -253,7 +253,7 @@ def _pool(
         return LocalPool(
             folder.work, workers=workers, threads=threads_each, memory_bytes=memory_bytes
         )
-    from twinct.cluster import RayPool
+    from twinct.workers.cluster import RayPool
 
     return RayPool(
         address, name=name, threads=threads_each, workers=jobs, memory_bytes=memory_bytes

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from twinct.extras import require
+from twinct.core.extras import require
 from twinct.study.design import Choice
 from twinct.study.settings import Dimension, Search
 

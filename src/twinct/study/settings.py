@@ -8,7 +8,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, JsonValue, model_validator
 
-from twinct.settings import Conflict, ConflictError, Finite, NonNegative, Positive, Section, setting
+from twinct.core.settings import (
+    Conflict,
+    ConflictError,
+    Finite,
+    NonNegative,
+    Positive,
+    Section,
+    setting,
+)
 
 
 def _dotted(text: str) -> str:

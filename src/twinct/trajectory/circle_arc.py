@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from twinct.core.settings import setting
 from twinct.geometry import Panel, ScanGeometry
-from twinct.settings import setting
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from twinct.extensions import Offers, offers
+from twinct.core.extensions import Offers, offers
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.arc import ARC
 from twinct.trajectory.circle import CIRCLE

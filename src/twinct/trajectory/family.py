@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from twinct.core.settings import Section
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.settings import Section
 
 
 class TrajectorySettings(Section):

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from twinct.core.settings import Finite, Positive, setting
 from twinct.geometry import Panel, ScanGeometry
-from twinct.settings import Finite, Positive, setting
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
 

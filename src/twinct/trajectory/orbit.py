@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from twinct.errors import TrajectoryError
+from twinct.core.errors import TrajectoryError
+from twinct.core.settings import Conflict, ConflictError, Finite, Length, Vector, setting
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.settings import Conflict, ConflictError, Finite, Length, Vector, setting
 from twinct.trajectory.family import TrajectorySettings
 
 _STEEPEST_BEAM = 1e-9

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from twinct.core.settings import setting
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.settings import setting
 from twinct.trajectory.even import even_shares
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views

@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from twinct.errors import TrajectoryError
-from twinct.files.boundary import read_text, shortened
+from twinct.core.errors import TrajectoryError
+from twinct.core.files.boundary import read_text, shortened
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.family import Family, TrajectorySettings
 from twinct.trajectory.orbit import panel_axes

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from twinct.core.settings import Finite, Section, setting
 from twinct.geometry import Floats
-from twinct.settings import Finite, Section, setting
 
 
 class Tilted(Section):

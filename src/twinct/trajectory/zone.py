@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pydantic import model_validator
 
+from twinct.core.settings import Conflict, ConflictError, Finite, Section, setting
 from twinct.geometry import Floats
-from twinct.settings import Conflict, ConflictError, Finite, Section, setting
 
 
 class Zone(Section):

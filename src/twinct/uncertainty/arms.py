@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from twinct.draws import scan_rng
+from twinct.core.draws import scan_rng
 from twinct.geometry import Chain, Floats, Misfit
 from twinct.scenario import ArmErrors
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from twinct.geometry import Floats
+from twinct.geometry.wire import PosePairs
 from twinct.scenario import AnyCell
-from twinct.views import PosePairs
 
 
 @dataclass(frozen=True, eq=False)

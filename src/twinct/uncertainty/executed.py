@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.draws import view_rng
+from twinct.core.draws import view_rng
 from twinct.geometry import Chain, Floats, Pose
+from twinct.geometry.wire import Instant, from_seven, to_seven
 from twinct.scenario import Uncertainty, ViewErrors
-from twinct.uncertainty.alike import view_normals
 from twinct.uncertainty.arms import S_PER_MS, Moment, drawn, true_tools
+from twinct.uncertainty.correlation import view_normals
 from twinct.uncertainty.patient import world_from_moved
-from twinct.views import Instant, from_seven, to_seven
 
 SIDES = ("source", "detector")
 

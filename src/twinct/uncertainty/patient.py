@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.draws import scan_rng
+from twinct.core.draws import scan_rng
 from twinct.geometry import Floats, Pose
 from twinct.scenario import PatientMotion
 

@@ -21,10 +21,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.draws import scan_rng
+from twinct.core.draws import scan_rng
 from twinct.geometry import Chain, Floats, Panel, ScanGeometry, exp_matrices, lock
 from twinct.scenario import PoseNoise, Uncertainty
-from twinct.uncertainty.alike import weights
 from twinct.uncertainty.arms import (
     S_PER_MS,
     ArmDeviation,
@@ -35,6 +34,7 @@ from twinct.uncertainty.arms import (
     spreads,
     true_tools,
 )
+from twinct.uncertainty.correlation import weights
 from twinct.uncertainty.executed import SIDES, view_sigmas
 from twinct.uncertainty.patient import amplitudes, directions, patient_twists
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.draws import view_rng
+from twinct.core.draws import view_rng
 from twinct.geometry import Floats, Pose
 from twinct.scenario import PoseNoise, Uncertainty
-from twinct.uncertainty.alike import view_normals
+from twinct.uncertainty.correlation import view_normals
 
 
 def truncated_normal(rng: np.random.Generator, noise: PoseNoise, count: int = 3) -> Floats:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from twinct.geometry.wire import PosePairs
 from twinct.scenario import Uncertainty
 from twinct.uncertainty.evidence import Evidence
 from twinct.uncertainty.repeatability import believed_poses
-from twinct.views import PosePairs
 
 
 def reported_poses(evidence: Evidence, uncertainty: Uncertainty, seed: int) -> PosePairs:

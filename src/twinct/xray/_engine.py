@@ -30,7 +30,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import InputError, MissingExtraError, TwinctError
+from twinct.core.errors import InputError, MissingExtraError, TwinctError
 from twinct.geometry import Floats, Panel
 
 Result = TypeVar("Result")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twinct.errors import TwinctError
+from twinct.core.errors import TwinctError
 from twinct.geometry import Floats, ScanGeometry
 from twinct.specimen.surface import refined
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct import scenario
-from twinct.draws import view_rng
-from twinct.errors import InputError, MissingExtraError
-from twinct.files.images import read_image
+from twinct.core.draws import view_rng
+from twinct.core.errors import InputError, MissingExtraError
+from twinct.core.files.images import read_image
 from twinct.geometry import Floats, Panel
 from twinct.specimen.materials import Material, material
 from twinct.xray.response import PhotonResponse

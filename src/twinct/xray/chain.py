@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct import scenario
-from twinct.draws import view_rng
+from twinct.core.draws import view_rng
 from twinct.geometry import MM_PER_M, Floats, ScanGeometry
 from twinct.specimen.materials import Material
 from twinct.xray.beam import fall_off

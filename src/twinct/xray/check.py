@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from twinct import scenario
-from twinct.errors import InputError, MissingExtraError
+from twinct.core.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry
 from twinct.xray.build import (
     build_bad_pixels,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.errors import SpecimenError, TwinctError
+from twinct.core.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltSpecimen

@@ -116,7 +116,7 @@ class Corrected:
     dense_mm: NDArray[np.float32] | None
 
     def without(self, view: int, rays: NDArray[np.intp], lengths: Floats) -> tuple[Floats, Floats]:
-        """Return line integrals of rays without metal; see ``twinct.recon.known.Behind``."""
+        """Return line integrals of rays without metal; see ``known_components.Behind``."""
         dense = self.dense_mm
         dense_mm = None if dense is None else dense[view].flat[rays].astype(np.float64)
         measured = self.measured[view].flat[rays].astype(np.float64)

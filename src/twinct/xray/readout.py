@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 
 Pixels = TypeVar("Pixels", NDArray[np.float32], NDArray[np.float64])
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct.errors import InputError
-from twinct.files.tables import read_columns
+from twinct.core.errors import InputError
+from twinct.core.files.tables import read_columns
 from twinct.geometry import Floats
 from twinct.specimen.materials import Material
 from twinct.xray.spectrum import attenuation

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.errors import InputError
-from twinct.files.tables import read_columns
+from twinct.core.errors import InputError
+from twinct.core.files.tables import read_columns
 from twinct.geometry import Floats
 from twinct.specimen.materials import Material
 

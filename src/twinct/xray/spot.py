@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from twinct.errors import InputError
+from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry
 
 # Steps of the R2 sequence (Roberts 2018): evenly spread along every line through the square.

@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.errors import InputError
-from twinct.files.tables import read_columns
+from twinct.core.errors import InputError
+from twinct.core.files.tables import read_columns
 from twinct.geometry import Floats
 
 _FREQUENCIES = 512

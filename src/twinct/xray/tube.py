@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from twinct.errors import InputError, MissingExtraError
+from twinct.core.errors import InputError, MissingExtraError
 from twinct.xray.spectrum import PhotonSpectrum
 
 _CM2_MM2 = 100.0

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
-from twinct.volume import Volume
+from twinct.recon.volume import Volume
 
 
 class Landweber(AlgorithmSettings):

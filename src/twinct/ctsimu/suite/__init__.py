@@ -11,14 +11,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from twinct.core.errors import InputError, MissingExtraError
+from twinct.core.files.writing import write_json
 from twinct.ctsimu.outputs import Files, Options
 from twinct.ctsimu.render import render
 from twinct.ctsimu.scenario import load_ctsimu
 from twinct.ctsimu.suite.cases import NOT_TAKEN, TESTS, cases
 from twinct.ctsimu.suite.verdicts import Verdict, verdicts
 from twinct.ctsimu.writing import make_folder
-from twinct.errors import InputError, MissingExtraError
-from twinct.files.writing import write_json
 
 __all__ = ["NOT_TAKEN", "TESTS", "Verdict", "qualify"]
 

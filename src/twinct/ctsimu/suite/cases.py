@@ -13,9 +13,9 @@ from typing import Any
 
 from trimesh import Trimesh
 
+from twinct.core.files.writing import write_json
 from twinct.ctsimu.suite import samples
 from twinct.ctsimu.writing import Json, header, material_entry, placed, quantity, sample, write_mesh
-from twinct.files.writing import write_json
 
 DENSITY_G_CM3 = dict(
     Al=2.6989, Fe=7.874, Ti=4.54, Cu=8.92, Pt=21.45, W=19.25, CsI=4.51, Gd2O2S=7.34

@@ -1,0 +1,175 @@
+"""Kinematic calibration of both arms from a phantom's scan, and its use for other scans."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from twinct.calibration import (
+    ArmPrior,
+    CalibratedArms,
+    KinematicCalibration,
+    Resection,
+    Seen,
+    calibrated_arms,
+    frames_of,
+    require_same_arms,
+)
+from twinct.calibration.scan_calibration import balls_of, keep, refuse_own
+from twinct.core.errors import InputError
+from twinct.core.files.lock import sole_owner
+from twinct.geometry import Chain, Floats, ScanGeometry
+from twinct.observers import Observers, audience_of
+from twinct.runs.folder import Folder
+from twinct.runs.reconstruction import load_scan
+from twinct.scan import NamedGeometry, Scan
+from twinct.scan.encoder_model import encoders_of
+from twinct.scan.named_geometries import poses_digest
+from twinct.scenario import Cell, Scenario, Uncertainty
+from twinct.uncertainty.arms import mean_compliance, spreads
+from twinct.uncertainty.executed import view_sigmas
+
+PLACED_MM, PLACED_DEG = 2.0, 1.0
+"""Standard deviations of the phantom's pose in the room, after registration by nominal arms."""
+
+
+def arm_prior(uncertainty: Uncertainty, chain: Chain) -> ArmPrior:
+    """Return the prior of an arm's errors that a scenario states.
+
+    Raises:
+        InputError: the scenario states no errors of links or tools.
+    """
+    section = uncertainty.arms
+    squares = {"base": np.array([PLACED_MM**2] * 3 + [np.radians(PLACED_DEG) ** 2] * 3)}
+    squares |= {"links": np.zeros(6), "tool": np.zeros(6)}
+    for spread in spreads(section):
+        squares[spread.frame] += spread.sigma**2
+    # During a scan, a link's missing thermal growth acts like any other error of its length.
+    squares["links"][:3] += section.drift_mm**2
+    if not any(squares["links"]) and not any(squares["tool"]):
+        raise InputError(
+            "uncertainty.arms: links, zeros and tools have no errors, so there is nothing to "
+            "calibrate; an uncertainty.preset sets their spread"
+        )
+    mean = mean_compliance(section, chain)
+    return ArmPrior(
+        base=np.sqrt(squares["base"]),
+        link=np.sqrt(squares["links"]),
+        tool=np.sqrt(squares["tool"]),
+        compliance=mean,
+        compliance_sigma=section.windup_spread * mean,
+        gear=float(np.radians(section.gear_deg) / np.sqrt(2)),
+    )
+
+
+def view_covariance(uncertainty: Uncertainty) -> Floats:
+    """Return the covariance of each view's own errors, by ``resection.PARAMETERS``, (9, 9)."""
+    source, panel = view_sigmas(uncertainty.views)
+    return np.diag(np.concatenate([source[:3], panel]) ** 2)
+
+
+def chains_of_scan(scenario: Scenario) -> tuple[Chain, Chain]:
+    """Return the nominal kinematic chains of a scenario's arms, source first.
+
+    Raises:
+        InputError: the scenario has no arms.
+    """
+    if not isinstance(scenario.cell, Cell):
+        raise InputError(
+            f"cell.kind: {scenario.cell.kind}: a scan without joints has no arms to calibrate"
+        )
+    from twinct.robots.cell import nominal_chains
+
+    return nominal_chains(scenario.cell, scenario.detector.panel)
+
+
+def calibrate_kinematics(
+    path: str | Path,
+    *,
+    name: str = "kinematics",
+    others: Iterable[str | Path] = (),
+    observers: Observers = (),
+) -> KinematicCalibration:
+    """Calibrate both arms from a phantom's scan; store ``arms.json`` and the resulting geometry.
+
+    Args:
+        path: folder of a run whose specimen is a phantom.
+        name: name of the geometry.
+        others: folders of runs with the same arms, along any trajectory; each gets its geometry.
+        observers: notified of each view.
+
+    Raises:
+        CalibrationError: the specimen is no phantom, or too few views can be used.
+        InputError: a reserved name, no scan, a scan without arms or with other arms; nothing is
+            written.
+        ScanExistsError: another geometry has this name; nothing is written.
+    """
+    refuse_own(name)
+    folders = [Folder(Path(folder)) for folder in (path, *others)]
+    scans = [load_scan(folder.path) for folder in folders]
+    scan, scenario = scans[0], scans[0].scenario
+    chains = chains_of_scan(scenario)
+    priors = [arm_prior(scenario.uncertainty, chain) for chain in chains]
+    for folder, other in zip(folders[1:], scans[1:], strict=True):
+        require_same_arms(frames_of(chains), chains_of_scan(other.scenario), str(folder.path))
+    with ExitStack() as stack:
+        audience = stack.enter_context(audience_of(observers))
+        for folder in folders:
+            stack.enter_context(sole_owner(folder.lock))
+        views = balls_of(scan, audience).views
+        found = calibrated_arms(
+            chains,
+            seen_by(scan, views),
+            (priors[0], priors[1]),
+            gear_periods=scenario.uncertainty.arms.gear_periods,
+        )
+        _add(found.arms, name, list(zip(folders, scans, strict=True)))
+        found.arms.write(folders[0].arms)
+    return found
+
+
+def apply_kinematics(
+    path: str | Path, arms: str | Path, *, name: str = "kinematics", observers: Observers = ()
+) -> CalibratedArms:
+    """Compute and store the geometry of a scan from its encoder readings and calibrated arms.
+
+    Args:
+        path: folder of a run.
+        arms: file of ``calibrate_kinematics``.
+        name: name of the geometry.
+        observers: attached during the call; they receive no events.
+
+    Raises:
+        InputError: a reserved name, no scan, no file of arms, or arms of another cell.
+        ScanExistsError: another geometry has this name.
+    """
+    refuse_own(name)
+    folder = Folder(Path(path))
+    scan = load_scan(folder.path)
+    found = CalibratedArms.read(Path(arms), chains_of_scan(scan.scenario))
+    with audience_of(observers), sole_owner(folder.lock):
+        _add(found, name, [(folder, scan)])
+    return found
+
+
+def seen_by(scan: Scan, views: tuple[Resection | None, ...]) -> Seen:
+    """Return encoder readings, geometry and covariance of the views that could be calibrated."""
+    told = [(index, view) for index, view in enumerate(views) if view is not None]
+    own = view_covariance(scan.scenario.uncertainty)
+    return Seen(
+        encoders_of(scan.scenario, scan.joints)[[index for index, _ in told]],
+        ScanGeometry.joined([view.geometry for _, view in told]),
+        np.stack([view.covariance + own for _, view in told]),
+    )
+
+
+def _add(arms: CalibratedArms, name: str, where: list[tuple[Folder, Scan]]) -> None:
+    found: list[NamedGeometry] = []
+    for _, scan in where:
+        poses = arms.poses(encoders_of(scan.scenario, scan.joints))
+        made_by = {**arms.made_by, "executed": poses_digest(scan.executed)}
+        found.append(NamedGeometry(name, poses, made_by))
+    keep(found, where)

@@ -1,5 +1,0 @@
-"""Work on several machines by Ray; no other package imports Ray."""
-
-from twinct.cluster.pool import RayPool
-
-__all__ = ["RayPool"]

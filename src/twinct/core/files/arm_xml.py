@@ -1,0 +1,211 @@
+"""Descriptions of arms, MJCF and URDF, with their includes and the files that they name.
+
+The checked text is the text that MuJoCo loads: includes are expanded, and paths are absolute.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from twinct.core.errors import ScenarioError
+from twinct.core.files.reading import reason
+
+LARGEST_BYTES = 16 * 2**20
+"""Largest XML file; the largest arms of Menagerie have 0.03 MB."""
+
+MESHES = (".stl", ".obj", ".msh")
+"""Mesh formats that MuJoCo reads."""
+
+_OF_A_SCENE = ("option", "size", "visual", "statistic", "keyframe", "sensor")
+_PACKAGE = "package://"
+
+
+@dataclass(frozen=True, eq=False)
+class ArmXml:
+    """One arm in the form that MuJoCo's parser takes.
+
+    Attributes:
+        text: MJCF or URDF without includes, with absolute paths.
+        files: all files that were read or are named, the arm's own first.
+        is_urdf: True for URDF, False for MJCF.
+        speed_limits: rad/s by joint, for joints with a limit above zero; MJCF has none.
+    """
+
+    text: str
+    files: tuple[Path, ...]
+    is_urdf: bool
+    speed_limits: dict[str, float]
+
+
+def read_arm_xml(path: Path, where: str) -> ArmXml:
+    """Read a description and locate the files that it names.
+
+    Args:
+        path: MJCF (``mujoco``, includes allowed) or URDF (``robot``).
+        where: name of the description in messages.
+
+    Raises:
+        ScenarioError: the file is missing, not XML, or neither MJCF nor URDF, or a file that it
+            names is missing or lies outside its folder.
+    """
+    try:
+        path = path.resolve()
+        root, files = _parsed(path, where), [path]
+        if any("xacro" in element.tag for element in root.iter()):
+            raise ScenarioError(f"{where} contains macros: expand them first (xacro IN > OUT.urdf)")
+        if root.tag not in ("mujoco", "robot"):
+            raise ScenarioError(
+                f"{where} is neither MJCF, which begins with <mujoco>, nor URDF, which begins with "
+                f"<robot>: it begins with <{root.tag}>"
+            )
+        is_urdf = root.tag == "robot"
+        files += _urdf_meshes(root, path, where) if is_urdf else _include(root, path, where)
+        files += [] if is_urdf else _mjcf_assets(root, path, where)
+        speeds = dict(_speeds(root, where)) if is_urdf else {}
+        text = ElementTree.tostring(root, encoding="unicode")
+    except RecursionError:
+        raise ScenarioError(f"{where} is nested too deep") from None
+    except (OSError, RuntimeError) as error:  # names too long, or circular links
+        raise ScenarioError(f"{where} cannot be read: {reason(error)}") from None
+    return ArmXml(text, tuple(dict.fromkeys(files)), is_urdf, speeds)
+
+
+class _Plain(ElementTree.TreeBuilder):
+    """XML without a document type, since its entities may grow or name other files."""
+
+    def doctype(self, *_: object) -> None:
+        raise ValueError("it has a DOCTYPE, which an arm does not need: remove it")
+
+
+def _parsed(path: Path, where: str) -> Any:
+    if not path.is_file():
+        there = "is a folder" if path.is_dir() else "is not a regular file"
+        raise ScenarioError(f"{where} {there if path.exists() else 'does not exist'}")
+    if (size := path.stat().st_size) > LARGEST_BYTES:
+        raise ScenarioError(f"{where} has {size} bytes; the limit is {LARGEST_BYTES}")
+    try:
+        return ElementTree.fromstring(path.read_bytes(), ElementTree.XMLParser(target=_Plain()))
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ScenarioError(f"{where} is not readable XML: {error}") from None
+
+
+def _inside(main: Path, name: str, where: str) -> Path:
+    """Return the file that ``name`` refers to, relative to the folder of the arm's own file."""
+    file = (main.parent / name).resolve()
+    if not file.is_relative_to(main.parent):
+        raise ScenarioError(
+            f"{where} names {name!r}, outside its folder {main.parent}: copy the file into it"
+        )
+    if not file.is_file():
+        raise ScenarioError(f"{where} names {name!r}, but there is no file {file}")
+    return file
+
+
+def _include(root: Any, main: Path, where: str) -> list[Path]:
+    """Replace the includes of MJCF by their content; names refer to the arm's own folder first."""
+    files, pending = [], [root]
+    while pending:
+        parent, k = pending.pop(), 0
+        while k < len(parent):
+            if parent[k].tag != "include":
+                k += 1
+                continue
+            file = _inside(main, parent[k].get("file", ""), where)
+            if file in (main, *files):
+                raise ScenarioError(f"{where} includes {file.name} twice")
+            files.append(file)
+            included = _parsed(file, f"{where}: its include {file.name}")
+            for inner in included.iter("include"):
+                beside = file.parent / inner.get("file", "")
+                if beside.is_file() and not (main.parent / inner.get("file", "")).is_file():
+                    inner.set("file", str(beside))
+            parent[k : k + 1] = list(included)
+        pending += parent
+    return files
+
+
+def _mjcf_assets(root: Any, main: Path, where: str) -> list[Path]:
+    for element in [e for e in root if e.tag in _OF_A_SCENE]:
+        root.remove(element)
+    settings: dict[str, str] = {}
+    for compiler in root.iter("compiler"):
+        for name in ("assetdir", "meshdir", "texturedir", "strippath"):
+            if (value := compiler.attrib.pop(name, None)) is not None:
+                settings |= {name: value}
+                settings |= {"meshdir": value, "texturedir": value} if name == "assetdir" else {}
+    files = []
+    for element in root.iter():
+        if element.tag == "model" and element.get("file"):
+            raise ScenarioError(
+                f"{where} attaches another model, {element.get('file')!r}: include it instead"
+            )
+        folder = settings.get("texturedir" if element.tag == "texture" else "meshdir", "")
+        for name in [name for name in element.attrib if name.startswith("file")]:
+            file = element.get(name)
+            file = Path(file).name if settings.get("strippath") == "true" else file
+            files.append(_inside(main, str(Path(folder) / file), where))
+            if element.tag in ("mesh", "texture", "hfield") and element.get("name") is None:
+                element.set("name", Path(file).stem)
+            element.set(name, str(files[-1]))
+    return files
+
+
+def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
+    for parent in list(root.iter()):
+        for visual in parent.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is not None and Path(mesh.get("filename", "")).suffix.lower() not in MESHES:
+                parent.remove(visual)  # such as Collada; only the picture loses it
+        for texture in parent.findall("texture"):
+            parent.remove(texture)
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ElementTree.SubElement(root, "mujoco")
+    compiler = extension.find("compiler")
+    if compiler is None:
+        compiler = ElementTree.SubElement(extension, "compiler")
+    folder = compiler.attrib.pop("meshdir", "")
+    # The flange may be a link that does not move. Shapes that are only visible make the picture.
+    compiler.attrib |= {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
+    files = []
+    for mesh in root.iter("mesh"):
+        name: str = mesh.get("filename", "")
+        if Path(name).suffix.lower() not in MESHES:
+            raise ScenarioError(
+                f"{where} names the collision mesh {name!r}; only {', '.join(MESHES)} can be read"
+            )
+        if name.startswith(_PACKAGE):
+            with_package = name.removeprefix(_PACKAGE)
+            tries = (with_package, with_package.partition("/")[2])
+            found = [t for t in tries if (main.parent / t).is_file()]
+            if not found:
+                raise ScenarioError(
+                    f"{where} names {name!r}, but packages are searched only in its own folder, "
+                    f"and {main.parent} holds neither {tries[0]} nor {tries[1]}: copy the "
+                    "meshes there"
+                )
+            name = found[0]
+        files.append(_inside(main, str(Path(folder) / name), where))
+        mesh.set("filename", str(files[-1]))
+    return files
+
+
+def _speeds(root: Any, where: str) -> Iterator[tuple[str, float]]:
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        text = "0" if limit is None else limit.get("velocity", "0")
+        try:
+            speed = float(text)
+        except ValueError:
+            speed = math.nan
+        if not 0 <= speed < math.inf:
+            raise ScenarioError(
+                f"{where}: joint {joint.get('name')}: velocity {text!r} is not a speed in rad/s"
+            )
+        if speed > 0:  # exporters write 0 for an unknown limit
+            yield joint.get("name", ""), speed

@@ -1,0 +1,111 @@
+"""Closed surfaces from STL, PLY, OBJ and OFF files."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twinct.core.errors import SpecimenError
+from twinct.core.files.boundary import no_file, read_bytes, require_memory, shortened
+
+if TYPE_CHECKING:
+    import trimesh
+
+_KNOWN = "STL, PLY, OBJ or OFF"
+_KINDS = ("stl", "ply", "obj", "off")
+
+LARGEST_BYTES = 2**30
+"""Largest file: 20 million triangles of binary STL."""
+
+MEMORY_FACTOR = 8
+"""Bytes in memory per byte of a file while it is read; text formats need fewer."""
+
+
+def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
+    """Read the triangles of an STL, PLY, OBJ or OFF file in its unit; messages call it ``where``.
+
+    Raises:
+        SpecimenError: the file cannot be read, or holds no triangles with finite corners.
+    """
+    import trimesh
+
+    if why := no_file(path):
+        raise SpecimenError(f"{where} {why}")
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in _KINDS:
+        raise SpecimenError(f"{where} is not a mesh file; expected {_KNOWN}")
+    data = read_bytes(path, where, LARGEST_BYTES, SpecimenError)
+    require_memory(where, MEMORY_FACTOR * len(data), SpecimenError)
+    if kind == "ply":
+        _check_ply(data, where)
+    try:
+        # From memory, so that other files that it names, such as textures, are not opened.
+        mesh: Any = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh")
+    except ImportError:  # trimesh asks for an encoding detector if text is in no encoding it knows
+        raise SpecimenError(f"{where} is not a mesh file; expected {_KNOWN}") from None
+    except Exception as error:  # trimesh's readers raise any exception
+        why = shortened(f"{type(error).__name__}: {error}")
+        raise SpecimenError(f"{where} cannot be read ({why}); expected {_KNOWN}") from None
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise SpecimenError(f"{where} holds no triangles")
+    if not np.isfinite(mesh.vertices).all():
+        raise SpecimenError(f"{where} holds vertices that are not finite")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise SpecimenError(f"{where} holds triangles whose corners do not exist")
+    return mesh
+
+
+def _check_ply(data: bytes, where: str) -> None:
+    """Refuse a PLY header that states more elements than the file has bytes."""
+    header = data[: max(data.find(b"end_header"), 0)]
+    for number in re.findall(rb"^element\s+\S+\s+(\S+)", header, re.MULTILINE):
+        if not number.isdigit() or len(number) > 18 or int(number) > len(data):
+            told = shortened(number.decode(errors="replace"), 30)
+            raise SpecimenError(f"{where} is cut off: its header states {told} elements")
+
+
+def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
+    """Read the closed surface in a file, in its own unit, with trivial repairs.
+
+    Equal vertices are merged, collapsed and repeated triangles dropped, and normals turned
+    outwards.
+
+    Raises:
+        SpecimenError: as ``read_triangles``, or the surface is open, or has no inside.
+    """
+    mesh = _mended(read_triangles(path, where))
+    if not mesh.is_watertight:
+        raise SpecimenError(
+            f"{where} is open: {open_edges(mesh)} of {len(mesh.edges_unique)} edges do not join "
+            "exactly two triangles. X-ray path lengths need a closed surface; close it in a "
+            "mesh editor"
+        )
+    if not mesh.is_winding_consistent or not mesh.volume > 0:
+        raise SpecimenError(f"{where} has triangles whose inside and outside cannot be told apart")
+    return mesh
+
+
+def open_edges(mesh: trimesh.Trimesh) -> int:
+    """Return the number of edges that do not join exactly two triangles."""
+    _, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    return int((counts != 2).sum())
+
+
+def _mended(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    import trimesh
+
+    mesh = mesh.copy()
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    mesh.update_faces(mesh.nondegenerate_faces(height=0.0))
+    mesh.update_faces(mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    if mesh.is_watertight:
+        if not mesh.is_winding_consistent:
+            trimesh.repair.fix_winding(mesh)
+        if mesh.volume < 0:
+            mesh.invert()
+    return mesh

@@ -1,0 +1,33 @@
+"""JSON in files of any origin."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from twinct.core.files.boundary import no_file
+
+
+def json_of(text: str | bytes) -> Any:
+    """Return the value of a JSON text.
+
+    Raises:
+        ValueError: the text is no JSON, or nested too deep for Python.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+
+
+def read_json(path: Path) -> Any:
+    """Return the value of a regular JSON file; pipes are refused, since they may block.
+
+    Raises:
+        ValueError: see ``json_of``, or there is no such file.
+        OSError: the file cannot be read.
+    """
+    if why := no_file(path):
+        raise ValueError(f"{path.name} {why}")
+    return json_of(path.read_text(encoding="utf-8"))

@@ -1,0 +1,141 @@
+"""Safe writing: files appear only when they are complete, and a full disk gives one message."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+from twinct.core.errors import InputError, StorageError
+
+_SPARE_BYTES = 64 * 2**20
+"""Disk space to leave free in addition to the output."""
+
+
+@contextlib.contextmanager
+def complete(path: Path) -> Iterator[Path]:
+    """Yield a draft beside a file, which replaces the file if the block succeeds."""
+    draft = draft_of(path)
+    try:
+        yield draft
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def draft_of(path: Path) -> Path:
+    """Return the name of a file until it is complete; libraries need the same suffix."""
+    compressed = path.suffix.lower() == ".gz"
+    suffix = "".join(path.suffixes[-2:]) if compressed else path.suffix
+    return path.with_name(f".{path.name}.partial{suffix}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file that appears only when it is complete."""
+    with complete(path) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, data: object) -> None:
+    """Write JSON that people can read, completely or not at all."""
+    write_text(path, json.dumps(data, indent=2) + "\n")
+
+
+@contextlib.contextmanager
+def storage_errors(path: Path, left: str = "earlier output is kept") -> Iterator[None]:
+    """Turn a full disk or a missing permission into one clear message.
+
+    ``left`` states the condition of the output after the disk filled up.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            message = f"{path}: the disk is full; {left}"
+        elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EDQUOT):
+            message = f"{path}: cannot be written: {error.strerror}"
+        else:
+            raise
+        raise StorageError(message) from error
+
+
+def require_space(folder: Path, size: int, what: str) -> None:
+    """Raise an error unless the disk has ``size`` bytes for a folder, which may not exist yet.
+
+    ``what`` is subject and verb of the message, such as "the scan needs".
+
+    Raises:
+        StorageError: with the bytes needed and the bytes free.
+    """
+    needed = size + _SPARE_BYTES
+    existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    free = shutil.disk_usage(existing).free
+    if free < needed:
+        raise StorageError(
+            f"{folder}: {what} up to {needed / 2**30:.2f} GiB, but only {free / 2**30:.2f} GiB "
+            "are free"
+        )
+
+
+def check_folder(path: Path, own: Collection[str] | None = None) -> None:
+    """Check that a path can become the folder of a command's results.
+
+    Files by other names than ``own`` are refused, since they are not the command's; with None, any
+    content of the folder may stay beside the results.
+
+    Raises:
+        InputError: the path is a file, or the folder has other content.
+        StorageError: the folder cannot be written.
+    """
+    if path.exists() and not path.is_dir():
+        raise InputError(f"--out {path}: this is a file; a folder is needed")
+    _check_parents(path)
+    if own is None or not path.is_dir():
+        return
+    others = sorted(p.name for p in path.iterdir() if p.name not in own)
+    if others:
+        listed = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
+        raise InputError(
+            f"--out {path}: the folder contains files that are not part of a run ({listed}): "
+            "choose an empty or a new folder"
+        )
+
+
+def check_picture(path: Path) -> None:
+    """Check that a path can become a PNG file.
+
+    Raises:
+        InputError: the path is a folder, or has another suffix.
+        StorageError: the file cannot be written.
+    """
+    _check_file(path, "a PNG file", "a picture", ".png")
+
+
+def check_page(path: Path, option: str = "--out") -> None:
+    """Check that a path can become an HTML file; ``option`` is its option in messages."""
+    _check_file(path, "an HTML file", "a page", ".html", option)
+
+
+def check_film(path: Path, option: str = "--out") -> None:
+    """Check that a path can become an MP4 file; ``option`` is its option in messages."""
+    _check_file(path, "an MP4 file", "a film", ".mp4", option)
+
+
+def _check_file(path: Path, kind: str, what: str, suffix: str, option: str = "--out") -> None:
+    if path.is_dir():
+        raise InputError(f"{option} {path}: this is a folder; give the name of {kind}")
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{option} {path}: {what} must be {kind}: name it {path.stem}{suffix}")
+    _check_parents(path, option)
+
+
+def _check_parents(path: Path, option: str = "--out") -> None:
+    nearest = next(p for p in (path, *path.absolute().parents) if os.path.lexists(p))
+    if nearest != path and not nearest.is_dir():
+        raise StorageError(f"{option} {path}: cannot be written: {nearest} is not a folder")
+    if not os.access(nearest, os.W_OK | (os.X_OK if nearest.is_dir() else 0)):
+        raise StorageError(f"{option} {path}: cannot be written: no permission to write {nearest}")

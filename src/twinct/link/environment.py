@@ -1,0 +1,223 @@
+"""Environment of ROS 2: packages, settings, a separate domain, and shared memory."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import random
+import socket
+import sys
+import sysconfig
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, MutableMapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from twinct.core.errors import InputError, LinkError
+from twinct.core.extras import require
+
+MIDDLEWARE = "rmw_fastrtps_cpp"
+DOMAINS = range(1, 101)
+"""Candidate domains: their UDP ports stay below the kernel's ephemeral range."""
+LARGEST_DOMAIN = 232
+_YOUNG_S = 1.0
+_PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT, _LAST_PROBED = 7400, 250, 10, 50
+
+
+def require_ros() -> None:
+    """Check that the ROS 2 link is usable.
+
+    If ROS comes from wheels, ignore a system ROS that the shell has sourced, because it is built
+    for another Python.
+
+    Raises:
+        InputError: rclpy or a message package is not installed, or cannot be imported.
+    """
+    outside = _system_ros(os.environ)
+    sys.path[:] = [path for path in sys.path if not path.startswith(outside)]
+    require("ros")
+
+
+def without_system_ros(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return an environment for processes that use ROS from the same wheels as this one."""
+    outside = _system_ros(environment)
+    cleaned = dict(environment)
+    for key in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
+        if outside and key in cleaned:
+            paths = cleaned[key].split(os.pathsep)
+            cleaned[key] = os.pathsep.join(p for p in paths if not p.startswith(outside))
+    return cleaned
+
+
+def _system_ros(environment: Mapping[str, str]) -> tuple[str, ...]:
+    """Return prefixes of ROS outside this Python; empty if this Python contains no ROS."""
+    if not Path(sysconfig.get_paths()["platlib"], "rclpy").is_dir():
+        return ()
+    prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return tuple(prefix for prefix in prefixes if prefix and not prefix.startswith(sys.prefix))
+
+
+def settle(environment: MutableMapping[str, str]) -> None:
+    """Set the environment variables of ROS 2; keep a discovery range that is already set."""
+    environment["RMW_IMPLEMENTATION"] = MIDDLEWARE
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+<transport_descriptors>
+<transport_descriptor><transport_id>memory</transport_id><type>SHM</type>
+<segment_size>{size}</segment_size></transport_descriptor>
+<transport_descriptor><transport_id>network</transport_id><type>UDPv4</type></transport_descriptor>
+</transport_descriptors>
+<participant profile_name="twinct" is_default_profile="true"><rtps>
+<userTransports><transport_id>memory</transport_id><transport_id>network</transport_id></userTransports>
+<useBuiltinTransports>false</useBuiltinTransports>
+</rtps></participant>
+</profiles></dds>
+"""
+_PROFILE_KEYS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_USUAL_SEGMENT, _LARGEST_SEGMENT = 512 * 2**10, 256 * 2**20
+
+
+@contextmanager
+def roomy_shared_memory(size: int) -> Iterator[None]:
+    """Give participants created in this context up to ``size`` bytes of shared memory each.
+
+    Fast DDS uses 0.5 MB by default. Data that do not fit are lost and sent again after a pause,
+    which makes an image of 1.2 MB three times as slow. Profiles set in the environment take
+    precedence.
+    """
+    size = min(size, _LARGEST_SEGMENT)
+    with suppress(OSError):
+        memory = os.statvfs("/dev/shm")
+        size = min(size, memory.f_bavail * memory.f_frsize // 4)
+    chosen = any(os.environ.get(key) for key in (*_PROFILE_KEYS, "FASTDDS_BUILTIN_TRANSPORTS"))
+    if chosen or size <= _USUAL_SEGMENT:
+        yield
+        return
+    with tempfile.NamedTemporaryFile("w", suffix=".xml", prefix="twinct-") as profile:
+        profile.write(_PROFILE.format(size=size))
+        profile.flush()
+        os.environ[_PROFILE_KEYS[0]] = profile.name
+        try:
+            yield
+        finally:
+            del os.environ[_PROFILE_KEYS[0]]
+
+
+class Domain:
+    """A ROS domain that no other scan on this machine uses, held until ``close``.
+
+    The hold is the name of a socket that the nodes inherit. It ends with the last process that has
+    the socket, however that process ends. All processes in a network namespace share such names,
+    including containers and other users, whatever folders they see.
+
+    Attributes:
+        id: the number for ``ROS_DOMAIN_ID``.
+    """
+
+    def __init__(self, wanted: int | None = None) -> None:
+        """Take the domain requested by ``wanted`` or ``ROS_DOMAIN_ID``, else a free one.
+
+        Raises:
+            InputError: the requested domain is invalid, or another scan uses it.
+            LinkError: no domain is free.
+        """
+        origin = "domain_id"
+        if wanted is None and (text := os.environ.get("ROS_DOMAIN_ID", "").strip()):
+            origin = "ROS_DOMAIN_ID"
+            wanted = int(text) if text.isdigit() else -1
+            if wanted < 0:
+                raise InputError(f"{origin}={text!r} is not a number from 0 to {LARGEST_DOMAIN}")
+        if wanted is not None:
+            if not 0 <= wanted <= LARGEST_DOMAIN:
+                raise InputError(f"{origin}={wanted} is not a number from 0 to {LARGEST_DOMAIN}")
+            hold = _hold(wanted)
+            if hold is None:
+                taken = f"{origin}={wanted}: another scan on this machine uses this domain"
+                raise InputError(f"{taken}; choose another, or none for a free one")
+            self.id, self._hold = wanted, hold
+            return
+        # Random, because containers that start alike also have equal process ids.
+        for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+            hold = _hold(number)
+            if hold is None:
+                continue
+            if _silent(number):
+                self.id, self._hold = number, hold
+                return
+            hold.close()
+        all_ = f"all ROS domains from {DOMAINS[0]} to {DOMAINS[-1]}"
+        raise LinkError(f"{all_} are in use on this machine")
+
+    @property
+    def hold(self) -> int:
+        """Descriptor of the held socket, for child processes to inherit."""
+        return self._hold.fileno()
+
+    def close(self) -> None:
+        """Release the domain; a second call does nothing."""
+        self._hold.close()
+
+
+def _hold(domain: int) -> socket.socket | None:
+    """Return the socket named after the domain; None if another process has it."""
+    held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        held.bind(f"\0twinct-ros-domain-{domain}")  # a name without a file
+    except OSError:
+        held.close()
+        return None
+    return held
+
+
+def _silent(domain: int) -> bool:
+    """Return True if no ROS participant of this machine listens on the domain's ports."""
+    base = _PORT_BASE + _PORTS_PER_DOMAIN * domain
+    # Two ports per participant: the first may have left while others remain.
+    for port in (base, *range(base + _FIRST_PARTICIPANT, base + _LAST_PROBED)):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", port))
+            except OSError:
+                return False
+    return True
+
+
+def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
+    """Remove shared memory of killed DDS participants.
+
+    A live participant locks the ``_el`` file beside each of its segments, and every port with a
+    listener has such a file.
+    """
+    for guard in folder.glob("fastrtps_*_el"):
+        try:
+            descriptor = os.open(guard, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+        except OSError:
+            continue
+        try:
+            if not _young(guard):
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _remove_segment(folder, guard.name.removesuffix("_el"))
+        except OSError:  # the participant is alive
+            pass
+        finally:
+            os.close(descriptor)
+    for port in folder.glob("fastrtps_port*"):
+        with suppress(OSError):
+            if port.name.rpartition("port")[2].isdigit() and not _young(port):
+                if not port.with_name(f"{port.name}_el").exists():
+                    _remove_segment(folder, port.name)
+
+
+def _young(file: Path) -> bool:
+    """Return True if the participant may still be about to lock its file."""
+    return time.time() - file.stat().st_mtime < _YOUNG_S
+
+
+def _remove_segment(folder: Path, name: str) -> None:
+    for leftover in (name, f"sem.{name}_mutex", f"{name}_el"):
+        with suppress(OSError):
+            (folder / leftover).unlink()

@@ -1,0 +1,190 @@
+"""One ROS 2 participant of a scan, with its endpoints and its event loop."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+from threading import Lock
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.executors import ExternalShutdownException, ShutdownException, TimeoutException
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+
+from twinct.link.environment import roomy_shared_memory, settle
+from twinct.link.senders import Sender, SenderExecutor, participant, participant_of
+from twinct.link.topics import Topic
+
+_LONGEST_SLEEP_S = 0.2
+"""Longest sleep of a waiting thread; Python handles signals after each."""
+
+
+def _qos(depth: int, *, latched: bool) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+class Station:
+    """A node in a separate context; all callbacks run inside ``wait``.
+
+    Attributes:
+        name: name of the node.
+        domain_id: domain that it joined.
+        participant: its identifier for others.
+    """
+
+    def __init__(self, name: str, domain_id: int | None = None, largest_message: int = 0) -> None:
+        """Join a domain.
+
+        Args:
+            name: the node's name.
+            domain_id: None for ``ROS_DOMAIN_ID``.
+            largest_message: bytes; shared memory for sending holds a few such messages.
+        """
+        settle(os.environ)
+        self.name = name
+        self._context = Context()
+        with roomy_shared_memory(4 * largest_message):
+            rclpy.init(
+                args=["--ros-args", "--disable-external-lib-logs"],
+                context=self._context,
+                domain_id=domain_id,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            self._node = Node(
+                name,
+                context=self._context,
+                enable_rosout=False,
+                start_parameter_services=False,
+                use_global_arguments=False,
+            )
+        self.domain_id: int = self._context.get_domain_id()
+        self.participant = participant_of(next(iter(self._node.publishers)))
+        self._executor = SenderExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._closed, self._closing = False, Lock()
+
+    def publisher(self, topic: Topic, *, depth: int | None = None) -> Publisher:
+        """Return a reliable publisher; late joiners get ``depth`` messages (default: topic's)."""
+        events = PublisherEventCallbacks(matched=lambda _: None)  # wakes ``wait`` up
+        qos = _qos(topic.depth if depth is None else depth, latched=True)
+        return self._node.create_publisher(topic.kind, topic.name, qos, event_callbacks=events)
+
+    def listen(
+        self,
+        topic: Topic,
+        callback: Callable[[Any, Sender], None],
+        *,
+        depth: int = 20,
+        latched: bool = True,
+        raw: bool = False,
+        mismatch_told: bool = True,
+    ) -> Subscription:
+        """Subscribe to reliable publishers and, if latched, to their earlier messages.
+
+        The callback receives a message, or a ``Raw`` one with ``raw``, and its ``Sender``.
+        ``mismatch_told`` reports incompatible publishers on the console; turn it off if another
+        subscription covers them.
+        """
+        hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
+        events = SubscriptionEventCallbacks(
+            matched=lambda _: None,
+            incompatible_qos=None if mismatch_told else lambda _: None,
+        )
+        qos = _qos(max(depth, topic.depth), latched=latched)
+        kind, name = topic.kind, topic.name
+        return self._node.create_subscription(
+            kind, name, hear, qos, event_callbacks=events, raw=raw
+        )
+
+    def listen_to_all(
+        self, topic: Topic, callback: Callable[[Any, Sender], None], *, depth: int = 100
+    ) -> list[Subscription]:
+        """Subscribe to all reliable publishers, and pass on each message once.
+
+        A transient-local subscription does not match the volatile publisher that a foreign node
+        has by default, and a volatile subscription misses earlier messages. So there are both.
+        """
+        seen: deque[Sender] = deque(maxlen=4 * depth)
+
+        def once(message: Any, sender: Sender) -> None:
+            if sender not in seen:
+                seen.append(sender)
+                callback(message, sender)
+
+        both = (True, False)
+        return [
+            self.listen(topic, once, depth=depth, latched=latched, mismatch_told=not latched)
+            for latched in both
+        ]
+
+    def on_garbled(self, tell: Callable[[str, Sender], None]) -> None:
+        """Set the callback for data that do not fit a topic's type; it gets topic and sender."""
+        self._executor.on_garbled = tell
+
+    def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
+        """Answer requests, inside ``wait``: the callback gets a request and an empty response."""
+        self._node.create_service(kind, service, callback)
+
+    def name_of(self, topic: str, sender: Sender) -> str:
+        """Return the name of a sender's node, as text, if the node is already discovered."""
+        for info in self._node.get_publishers_info_by_topic(topic):
+            known = info.node_name != "_NODE_NAME_UNKNOWN_"  # discovered before its node
+            if known and participant(info.endpoint_gid) == sender.participant:
+                return f"a node {info.node_name!r}"
+        return "an unknown node"
+
+    def wait(self, until: Callable[[], bool], timeout_s: float) -> bool:
+        """Handle callbacks until a condition holds; return False on timeout."""
+        deadline = time.monotonic() + timeout_s
+        while not until():
+            left = deadline - time.monotonic()
+            if left <= 0:
+                return False
+            try:
+                self._executor.spin_once(timeout_sec=min(left, _LONGEST_SLEEP_S))
+            except ExternalShutdownException:
+                return until()
+        return True
+
+    def drain(self, quiet_s: float) -> None:
+        """Handle pending and new callbacks, until none has come for ``quiet_s`` seconds."""
+        found = True
+        while found:  # silence counts only if a final look finds nothing
+            found = False
+            try:
+                while True:
+                    handler, *_ = self._executor.wait_for_ready_callbacks(timeout_sec=quiet_s)
+                    found = True
+                    handler()
+                    handler.result()  # raises the callback's exception
+            except (TimeoutException, ShutdownException):
+                pass
+
+    def wake(self) -> None:
+        """Make ``wait`` check its condition; callable from any thread."""
+        with self._closing:  # waking an executor while another thread closes it is an error
+            if not self._closed:
+                self._executor.wake()
+
+    def close(self) -> None:
+        """Leave the domain; a second call does nothing."""
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()

@@ -1,0 +1,151 @@
+"""Recovery of a scan store from recordings of the scan alone."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinct.core.errors import InputError
+from twinct.core.files.plain_json import json_of
+from twinct.core.files.writing import storage_errors
+from twinct.geometry.wire import PosePairs, Reached
+from twinct.link.recording.contents import Contents
+from twinct.link.recording.foreign import foreign_scan
+from twinct.link.recording.recorder import COMMANDED, PLAN, SCENARIO
+from twinct.scan import NamedGeometry, ScanStore, SimulationBuilder, View
+from twinct.scenario import Scenario, parse_scenario
+from twinct.trajectory import write_views
+
+if TYPE_CHECKING:
+    from twinct.robots.motion import MotionPlan
+
+VIEWS_FILE = "views.csv"
+"""List of views beside the store, for a scan that twinct did not record."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A scan from recordings.
+
+    Attributes:
+        contents: content of the recordings.
+        scenario: scenario of the scan.
+        commanded: poses of all views.
+        reached: state of the robots in each complete view, by stamp.
+        views: view of each of these stamps.
+        missing: views that the recordings do not contain.
+        plan: plan that the arms followed, if any.
+        digests: digests of the scenario and its files at scan time; None for recordings of other
+            software.
+    """
+
+    contents: Contents
+    scenario: Scenario
+    commanded: PosePairs
+    reached: Mapping[int, Reached]
+    views: Mapping[int, int]
+    missing: tuple[int, ...]
+    plan: MotionPlan | None = None
+    digests: dict[str, str] | None = None
+
+    @property
+    def missing_in_words(self) -> str:
+        """Missing views as text, such as ``views 3, 5 to 9``."""
+        found = groupby(enumerate(self.missing), lambda pair: pair[1] - pair[0])
+        runs = [[view for _, view in run] for _, run in found]
+        words = ", ".join(f"{r[0]} to {r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs)
+        return f"view {words}" if len(self.missing) == 1 else f"views {words}"
+
+    def rebuild(self, path: Path, whole: Callable[[int, View], View]) -> ScanStore:
+        """Create the scan store, completely or not at all.
+
+        Args:
+            path: path of the store.
+            whole: completes a view, given its index, with the frames that ``detector.keep``
+                requests, which no recording contains.
+
+        Raises:
+            InputError: an image is invalid.
+            ScanExistsError: the store already exists.
+            StorageError: the store cannot be written.
+        """
+        if self.digests is None:
+            with storage_errors(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                panel = self.scenario.detector.panel
+                write_views(path.with_name(VIEWS_FILE), self.commanded.geometry(panel))
+        any_ = next(iter(self.reached.values()))
+        robots = any_.joint_names, len(any_.state), self.plan
+        # Images of other software did not pass our imaging chain, so their mAs do not matter.
+        mas = None if self.digests is None else SimulationBuilder(self.scenario, self.plan).mas
+        more = {"digests": self.digests, "mas": mas}
+        store = ScanStore.create(path, self.scenario, self.commanded, *robots, **more)
+        try:
+            for stamp, pixels in self.contents.images(self.reached):
+                index = self.views[stamp]
+                store.write(index, whole(index, View(pixels, self.reached[stamp])))
+        except (InputError, ValueError) as error:
+            shutil.rmtree(path)
+            raise InputError(f"{self.contents.names}: {error}") from None
+        return store
+
+
+def read_recordings(paths: Sequence[Path], out: Path) -> Recorded:
+    """Read the recordings of one scan, by twinct or by other software with the same topics.
+
+    Args:
+        paths: paths of the files, in any order.
+        out: future folder of the scan; nothing is written.
+
+    Raises:
+        InputError: a file is no recording, or no view is complete.
+    """
+    contents = Contents.of(paths)
+    if contents.facts:
+        found = _own(contents)
+    else:
+        found = Recorded(contents, *foreign_scan(contents, out / VIEWS_FILE))
+    if not found.reached:
+        problems = "; ".join(
+            ("no view is complete, so there is nothing to import", *contents.problems)
+        )
+        raise InputError(f"{contents.names}: {problems}")
+    return found
+
+
+def _own(contents: Contents) -> Recorded:
+    if missing := {SCENARIO, COMMANDED} - contents.files.keys():
+        raise InputError(
+            f"{contents.names}: cut off before {' and '.join(sorted(missing))}, so there is "
+            "nothing to import"
+        )
+    try:
+        scenario = parse_scenario(json_of(contents.files[SCENARIO]))
+    except ValueError as error:
+        raise InputError(f"{contents.names}: {SCENARIO}: not valid JSON: {error}") from None
+    with tempfile.TemporaryDirectory(prefix="twinct-") as name:
+        folder = Path(name)
+        for file in {COMMANDED, PLAN} & contents.files.keys():
+            (folder / file).write_bytes(contents.files[file])
+        commanded = NamedGeometry.read(folder / COMMANDED).poses
+        plan = None
+        if PLAN in contents.files:
+            from twinct.robots.motion import load_plan
+
+            plan = load_plan(folder / PLAN)
+    views, samples = contents.view_of, scenario.source.motion_samples
+    reached = {
+        stamp: got
+        for stamp in contents.imaged
+        if views.get(stamp, len(commanded)) < len(commanded)
+        and (got := contents.reached(stamp, samples)) is not None
+    }
+    views = {stamp: views[stamp] for stamp in reached}
+    digests = {"images": contents.facts["images"]}
+    missing = tuple(sorted(set(range(len(commanded))) - set(views.values())))
+    return Recorded(contents, scenario, commanded, reached, views, missing, plan, digests)

@@ -1,0 +1,351 @@
+"""The robot simulation as a ROS 2 node: ``/scan/target`` in, ``/scan/reached`` out.
+
+The service ``/scan/home`` returns the arms to their start.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from geometry_msgs.msg import PoseArray
+from numpy.typing import NDArray
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from twinct.core.errors import MotionError
+from twinct.geometry.wire import JointSample, PosePairs, Reached, Target
+from twinct.link import messages
+from twinct.link.joint_trajectory import PlanListener
+from twinct.link.messages import Epoch, MalformedError, Stamp
+from twinct.link.node import (
+    LISTENERS,
+    NO_STAMP,
+    Diagnostics,
+    Ledger,
+    RefusedError,
+    run_node,
+)
+from twinct.link.participant import Station
+from twinct.link.senders import Members, Sender
+from twinct.link.topics import (
+    CLOCK,
+    DESCRIPTION,
+    HOME,
+    JOINTS,
+    REACHED,
+    ROBOTS,
+    SCAN,
+    STATE,
+    TARGET,
+    VIEWS,
+)
+from twinct.robots.motion import MotionPlan
+from twinct.scenario import Scenario
+from twinct.trajectory import commanded_views
+
+KEPT = 100
+"""Number of answers stored for repeated targets of a running scan."""
+
+TICK_S = 0.02
+"""Longest simulated time between two clock messages."""
+
+
+class Robots(Protocol):
+    """Protocol of a ``RobotSimulation`` or ``Gantry``, as far as the node needs it."""
+
+    on_joints: Callable[[JointSample], None] | None
+
+    def follow(self, plan: MotionPlan) -> None:
+        """Take a plan to follow, and start in its home."""
+
+    def move(self, view: int | None, target: Target) -> Reached:
+        """Bring both end-effectors to a target; ``view`` is its view in a plan, if any."""
+        ...
+
+    def home(self) -> Reached:
+        """Return both end-effectors to rest at their start."""
+        ...
+
+    def restore(self, state: NDArray[np.float64]) -> None:
+        """Continue from a state."""
+
+    def close(self) -> None:
+        """Release all resources."""
+
+
+def spin_robots(
+    scenario: Scenario,
+    *,
+    epoch: str | None = None,
+    first_view: int = 0,
+    planned: bool = False,
+    restore: Path | None = None,
+    members: Members | None = None,
+    lifeline: bool = False,
+    build: Callable[[Scenario], Robots] | None = None,
+) -> int:
+    """Run the robot simulation as a node until SIGINT or SIGTERM.
+
+    Args:
+        scenario: scenario to simulate.
+        epoch: epoch of the node's scan, whose targets alone are accepted, in order. None accepts
+            any target.
+        first_view: first view of that scan.
+        planned: take the plan from ``/scan/plan``; else make it here.
+        restore: ``.npy`` file with the simulator state to start from.
+        members: members of that scan, which alone may request its next view.
+        lifeline: also end when stdin ends.
+        build: builds a simulation in place of the real one.
+
+    Returns:
+        Exit code: 0.
+    """
+    turns = None
+    if epoch is not None:
+        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+        targets = PosePairs.from_geometry(geometry).targets()
+        turns = Turns(Epoch.parse(epoch), targets, first_view)
+    state = np.load(restore) if restore is not None else None
+
+    description: str | None = None
+
+    def build_simulation() -> Robots:
+        nonlocal description
+        if build is not None:
+            robots = build(scenario)
+        else:
+            from twinct.scan import SimulationBuilder  # only here: it imports the whole simulation
+
+            builder = SimulationBuilder(scenario)
+            robots = builder.robots(planned=planned)
+            description = None if scenario.cell.kind == "gantry" else builder.urdf()
+        if state is not None and not planned:
+            robots.restore(state)
+        return robots
+
+    def open_node(station: Station, diagnostics: Diagnostics, robots: Robots) -> Callable[[], bool]:
+        node = RobotsNode(station, diagnostics, robots, turns, members, description)
+        if not planned or members is None:
+            return node.connected
+
+        def take(plan: MotionPlan) -> None:
+            robots.follow(plan)
+            if turns is not None:
+                turns.expect(plan.targets)
+            if state is not None:
+                robots.restore(state)
+
+        plan = PlanListener(station, diagnostics, members, take)
+        return lambda: plan.taken and node.connected()
+
+    return run_node(ROBOTS, build_simulation, open_node, lifeline=lifeline, members=members)
+
+
+class Turns:
+    """Targets of one scan, accepted in order."""
+
+    def __init__(self, epoch: Epoch, targets: Sequence[Target], first: int) -> None:
+        """Expect the views of a scan, starting with ``first``."""
+        self._epoch, self._targets, self._next = epoch, targets, first
+
+    def view(self, stamp: Stamp) -> int | None:
+        """Return the view of a stamp; None for a stamp of another scan."""
+        view = self._epoch.view(stamp)
+        return view if view is not None and view < len(self._targets) else None
+
+    def check(self, stamp: Stamp, target: Target) -> None:
+        """Check that a target is the next one of the scan.
+
+        Raises:
+            RefusedError: the target is not the next one.
+        """
+        view = self.view(stamp)
+        running = "a scan is running"
+        if view is None:
+            raise RefusedError(f"{running}, and the stamp of this target does not belong to it")
+        if target != self._targets[view]:
+            raise RefusedError(
+                f"{running}, and this target differs from the scan's target for view {view}"
+            )
+        if view != self._next:
+            raise RefusedError(f"{running}: view {self._next} comes next, not view {view}")
+
+    def expect(self, targets: Sequence[Target]) -> None:
+        """Replace the targets by a plan's, which may differ in order and roll."""
+        self._targets = targets
+
+    def __len__(self) -> int:
+        """Return the number of views of the scan."""
+        return len(self._targets)
+
+    def done(self) -> None:
+        """Expect the next view."""
+        self._next += 1
+
+
+class RobotsNode:
+    """Node that executes each target once, and returns the arms home on request."""
+
+    def __init__(
+        self,
+        station: Station,
+        diagnostics: Diagnostics,
+        robots: Robots,
+        turns: Turns | None = None,
+        members: Members | None = None,
+        description: str | None = None,
+    ) -> None:
+        """Create the endpoints; from now on, targets are executed."""
+        self._robots, self._turns, self._members = robots, turns, members
+        # A refusal by the robots is stored as an answer, too, so that it is not retried.
+        self._ledger: Ledger[Stamp, Target, Reached | RefusedError] = Ledger(
+            keep=None if turns is None else KEPT
+        )
+        self._station, self._diagnostics = station, diagnostics
+        self._clock_s: float | None = None
+        self._clock = station.publisher(CLOCK)
+        self._views = station.publisher(VIEWS, depth=max(VIEWS.depth, 4 * len(turns or ())))
+        self._reached = station.publisher(REACHED)
+        self._joints = station.publisher(JOINTS)
+        self._state = station.publisher(STATE)
+        if description is not None:
+            self._description = station.publisher(DESCRIPTION)
+            self._description.publish(String(data=description))
+        robots.on_joints = self._on_joints
+        self._targets = station.listen_to_all(TARGET, self._on_target)
+        station.serve(HOME, Trigger, self._on_home)
+
+    def connected(self) -> bool:
+        """Return True if the scan's rig and X-ray node are connected, or there is no scan."""
+        if self._members is not None and not self._members.knows(SCAN):
+            return False
+        return self._turns is None or (
+            all(heard.get_publisher_count() for heard in self._targets)
+            and self._reached.get_subscription_count() > LISTENERS
+            and self._views.get_subscription_count() > 1
+            and bool(self._joints.get_subscription_count())
+            and bool(self._state.get_subscription_count())
+        )
+
+    def _on_target(self, message: PoseArray, sender: Sender) -> None:
+        stamp = Stamp.of(message.header.stamp)
+        try:
+            target = messages.target_of(message)
+            answer = self._ledger.find(stamp, target)
+            if answer is None:
+                self._admit(stamp, target, sender)
+                answer = self._execute(stamp, target)
+            elif isinstance(answer, Reached) and (self._turns is None or self._of_scan(sender)):
+                # The message may have been dropped from a full queue. A scan's queue holds all
+                # views for late joiners; strangers who repeat targets must not displace them.
+                self._tell_view(stamp, answer)
+            if isinstance(answer, RefusedError):
+                raise answer
+        except (RefusedError, MalformedError) as refused:
+            self._refuse(stamp, message, sender, refused)
+        else:
+            self._answer(answer)
+
+    def _of_scan(self, sender: Sender) -> bool:
+        return self._members is not None and self._members.sent(SCAN, sender)
+
+    def _admit(self, stamp: Stamp, target: Target, sender: Sender) -> None:
+        if self._turns is not None:
+            self._turns.check(stamp, target)
+        if self._members is not None and not self._of_scan(sender):
+            raise RefusedError(
+                "a scan is running, and only the scan may request its next view, not "
+                + self._station.name_of(TARGET.name, sender)
+            )
+
+    def _execute(self, stamp: Stamp, target: Target) -> Reached | RefusedError:
+        answer: Reached | RefusedError
+        try:
+            answer = self._robots.move(self._view(stamp), target)
+        except MotionError as error:
+            answer = RefusedError(str(error), error.arms)
+        else:
+            view = self._view(stamp)
+            if self._turns is not None:
+                self._turns.done()
+            # Before all messages with this stamp.
+            self._advance(answer.time_s)
+            self._tell_view(stamp, answer)
+            self._diagnostics.tell(
+                f"reached {stamp if view is None else f'view {view}'}: simulated time "
+                f"{answer.time_s:.3f} s, {answer.clearance_in_words}"
+            )
+        self._ledger.enter(stamp, target, answer)
+        return answer
+
+    def _view(self, stamp: Stamp) -> int | None:
+        return self._turns.view(stamp) if self._turns is not None else None
+
+    def _tell_view(self, target: Stamp, reached: Reached) -> None:
+        stamp = Stamp.at(reached.middle_s)
+        self._views.publish(messages.view_message(stamp, target, self._view(target)))
+
+    def _answer(self, reached: Reached) -> None:
+        # The poses first: they trigger the image.
+        poses = messages.executed(reached)
+        self._reached.publish(messages.reached_message(Stamp.at(reached.middle_s), poses))
+        self._tell_state(reached)
+
+    def _tell_state(self, reached: Reached) -> None:
+        stamp = Stamp.at(reached.middle_s)
+        self._joints.publish(messages.joints_message(stamp, reached))
+        self._state.publish(messages.state_message(stamp, reached))
+
+    def _on_joints(self, joints: JointSample) -> None:
+        self._advance(joints.time_s)
+        self._joints.publish(messages.joints_message(Stamp.at(joints.time_s), joints))
+
+    def _advance(self, time_s: float) -> None:
+        """Advance the clock to a time, unless it is already there."""
+        start_s = time_s - TICK_S if self._clock_s is None else self._clock_s
+        ticks = max(0, math.ceil((time_s - start_s) / TICK_S - 1e-9))
+        for tick_s in np.linspace(start_s, time_s, ticks + 1)[1:].tolist():
+            self._clock.publish(messages.clock_message(tick_s))
+        self._clock_s = max(start_s, time_s)
+
+    def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request  # it is empty
+        try:
+            if self._turns is not None:
+                raise RefusedError("a scan is running, and only the scan may move the arms")
+            reached = self._robots.home()
+        except (MotionError, RefusedError) as refused:
+            response.message = str(refused)
+            values = {"arm": ", ".join(refused.arms), "reason": refused}
+            self._diagnostics.refuse(NO_STAMP, f"home refused: {refused}", values)
+        else:
+            response.success = True
+            response.message = (
+                f"at home: simulated time {reached.time_s:.3f} s, {reached.clearance_in_words}"
+            )
+            # No poses: they would trigger an image.
+            self._advance(reached.time_s)
+            self._tell_state(reached)
+            self._diagnostics.tell(response.message)
+        return response
+
+    def _refuse(self, stamp: Stamp, message: PoseArray, sender: Sender, refused: Exception) -> None:
+        view = self._view(stamp)
+        values: dict[str, object] = {
+            "view": "" if view is None else view,
+            "arm": ", ".join(getattr(refused, "arms", ())),
+            "reason": refused,
+            "target": describe(message),
+            "asked_by": sender.participant,
+        }
+        name = stamp if view is None else f"of view {view}"
+        self._diagnostics.refuse(stamp, f"target {name} refused: {refused}", values)
+
+
+def describe(message: PoseArray) -> str:
+    """Return the poses of a message as text, to distinguish targets."""
+    return "; ".join(" ".join(map(repr, messages.numbers_of(pose))) for pose in message.poses)

@@ -1,0 +1,44 @@
+"""Keys that several algorithms share, with their meanings and limits."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from twinct.core.settings import facts
+from twinct.recon.order import OrderName
+from twinct.recon.stopping import StopName
+
+_PAPER = facts(source="the paper")
+
+Iterations = Annotated[
+    int, Field(ge=1, le=10_000, description="Passes over all views.", json_schema_extra=_PAPER)
+]
+Relaxation = Annotated[
+    float,
+    Field(
+        gt=0,
+        lt=2,
+        description="Share of the residual that each update applies.",
+        json_schema_extra=_PAPER,
+    ),
+]
+Ordering = Annotated[
+    OrderName,
+    Field(
+        description="Order of the views.",
+        json_schema_extra=facts(source="weighted_distance: Mueller, Yagel and Cornhill 1997"),
+    ),
+]
+Subsets = Annotated[
+    int | None, Field(ge=1, description="Number of groups of views; by default one per 10 views.")
+]
+Stop = Annotated[
+    StopName | None,
+    Field(
+        description="auto: stop before the first pass that makes the volume worse, as far as the "
+        "algorithm can tell (docs/reconstruction.md); the number of passes is then the maximum."
+    ),
+]
+Nonnegative = Annotated[bool, Field(description="Whether voxels are kept at 0 or above.")]

@@ -1,0 +1,245 @@
+"""Volumes: voxels with their grid, shown in notebooks and stored as NIfTI files.
+
+World axes are written as RAS, so that 3D Slicer opens a volume upright and in place.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.files.nifti import read_nifti
+from twinct.core.files.pictures import show
+from twinct.core.files.writing import complete, storage_errors
+from twinct.geometry import Floats, Pose, VolumeGrid
+
+ENDINGS = ".nii", ".nii.gz"
+"""File names of a volume."""
+
+SAME_MM = 1e-3
+"""Two grids count as equal if no voxel centre differs by more: NIfTI stores a grid in float32."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Volume(NDArrayOperatorsMixin):
+    """Voxels and their grid, used like an array: shape, indices, arithmetic, numpy's functions.
+
+    Arithmetic gives a volume on the same grid; comparisons and indices give arrays. Two volumes are
+    equal (``==``) only if they are one object.
+
+    Attributes:
+        array: (z, y, x), float32, read-only.
+        grid: the voxel lattice.
+        extras: further results of the algorithm, by name.
+    """
+
+    array: NDArray[np.float32]
+    grid: VolumeGrid
+    extras: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        """Lock the array.
+
+        Raises:
+            InputError: the shapes of array and grid differ.
+        """
+        array = np.ascontiguousarray(self.array, dtype=np.float32).view()
+        if array.shape != self.grid.shape:
+            raise InputError(
+                f"the volume has shape {array.shape}, but its grid needs {self.grid.shape} (z, "
+                "y, x)"
+            )
+        array.flags.writeable = False
+        object.__setattr__(self, "array", array)
+        object.__setattr__(self, "extras", MappingProxyType(dict(self.extras)))
+
+    # Identity, so that volumes can be keys and parts of what is compared.
+    __eq__: ClassVar[Any] = object.__eq__
+    __ne__: ClassVar[Any] = object.__ne__
+    __hash__: ClassVar[Any] = object.__hash__
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of voxels, (z, y, x)."""
+        return self.grid.shape
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes, 3."""
+        return self.array.ndim
+
+    @property
+    def dtype(self) -> np.dtype[np.float32]:
+        """Type of a voxel, float32."""
+        return self.array.dtype
+
+    def __len__(self) -> int:
+        """Return the number of slices along z."""
+        return len(self.array)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Return voxels as numpy does for the array (z, y, x)."""
+        return self.array[index]
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        """Apply a function of numpy to the voxels.
+
+        Raises:
+            InputError: the inputs are volumes on different grids.
+        """
+        if any(isinstance(one, Volume) for one in options.get("out", ())):
+            return NotImplemented  # the voxels of a volume never change
+        for other in inputs:
+            if isinstance(other, Volume):
+                self.require_grid(other.grid)
+        arrays = [one.array if isinstance(one, Volume) else one for one in inputs]
+        result = getattr(ufunc, method)(*arrays, **options)
+        return self._on_grid(result) if method == "__call__" else result
+
+    def _on_grid(self, result: Any) -> Any:
+        """Return numbers on this grid as a volume, and all other results as they are."""
+        if isinstance(result, tuple):
+            return tuple(self._on_grid(one) for one in result)  # type: ignore[reportUnknownVariableType]
+        if getattr(result, "shape", None) == self.shape and result.dtype.kind in "fiu":
+            return Volume(result, self.grid)
+        return result
+
+    def require_grid(self, grid: VolumeGrid) -> None:
+        """Check that another grid has the same voxels, to ``SAME_MM``.
+
+        Raises:
+            InputError: the grids differ.
+        """
+        if self.grid == grid:
+            return
+        # Four corners that lie in no plane: they fix every voxel.
+        corners = np.vstack([np.zeros(3), np.diag(np.array(self.grid.shape_xyz) - 1.0)])
+        apart = np.c_[corners, np.ones(4)] @ (self.grid.affine - grid.affine).T
+        if self.shape != grid.shape or np.abs(apart).max() > SAME_MM:
+            raise InputError(f"two volumes have different grids: {self.grid} and {grid}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy array, grid and extras."""
+        return Volume, (self.array, self.grid, dict(self.extras))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return the array, for numpy's functions."""
+        return np.array(self.array, dtype=dtype, copy=copy)
+
+    def __repr__(self) -> str:
+        """Return one line with the numbers of voxels, their edges and the range of their values."""
+        voxels = " x ".join(map(str, self.grid.shape_xyz))
+        edges = " x ".join(f"{edge:g}" for edge in self.grid.voxel)
+        values = f"{self.array.min():.4g} to {self.array.max():.4g}"
+        extras = f", extras {', '.join(self.extras)}" if self.extras else ""
+        return f"Volume({voxels} voxels of {edges} mm, {values}{extras})"
+
+    def show(self, path: str | Path | None = None) -> None:
+        """Show the three sections through the grid's middle.
+
+        Args:
+            path: file for the picture, such as ``volume.png``; None opens a window, or shows it in
+                the notebook.
+
+        Raises:
+            InputError: no path is given, and there is no window; or the file's ending is unknown.
+        """
+        show(self._draw, (10.4, 3.4), path)
+
+    def _repr_png_(self) -> bytes:
+        """Return a PNG image of the three sections, for a notebook."""
+        picture = io.BytesIO()
+        show(self._draw, (10.4, 3.4), picture)
+        return picture.getvalue()
+
+    def _draw(self, figure: Any) -> None:
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+
+        x, y, z = self.grid.axes()
+        nz, ny, nx = (n // 2 for n in self.grid.shape)
+        greys = ScalarMappable(
+            Normalize(*np.percentile(self.array[::2, ::2, ::2], (0.1, 99.9))), "gray"
+        )
+        for axes, section, (across, along), (up, upwards), (name, at) in zip(
+            figure.subplots(1, 3),
+            (self.array[nz], self.array[:, ny], self.array[:, :, nx]),
+            (("x", x), ("x", x), ("y", y)),
+            (("y", y), ("z", z), ("z", z)),
+            (("z", z[nz]), ("y", y[ny]), ("x", x[nx])),
+            strict=True,
+        ):
+            extent = (*_borders(along), *_borders(upwards))
+            axes.imshow(section, cmap="gray", norm=greys.norm, origin="lower", extent=extent)
+            axes.set(title=f"{name} = {at:.4g} mm", xlabel=f"{across} / mm", ylabel=f"{up} / mm")
+        figure.colorbar(greys, ax=figure.axes, shrink=0.8, label="attenuation / mm⁻¹")
+
+    def write(self, path: str | Path, note: str = "") -> None:
+        """Write a NIfTI file, which appears under its name only when it is complete.
+
+        The header's description holds at most 79 bytes of the note.
+
+        Raises:
+            InputError: the path does not end in ``.nii`` or ``.nii.gz``.
+            StorageError: the file cannot be written.
+        """
+        import nibabel
+
+        path = Path(path)
+        if not path.name.lower().endswith(ENDINGS):
+            raise InputError(
+                f"{path}: a volume is written as NIfTI; its name must end in .nii or .nii.gz"
+            )
+        affine = self.grid.affine
+        image: Any = nibabel.Nifti1Image(self.array.T, affine, dtype=self.array.dtype)  # type: ignore[no-untyped-call]
+        image.header.set_xyzt_units("mm")
+        image.header["descrip"] = note.encode()[:79]
+        image.set_qform(affine, code="scanner")
+        image.set_sform(affine, code="scanner")
+        with storage_errors(path), complete(path) as draft:
+            image.to_filename(draft)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Volume:
+        """Read a file written by ``write``; its header stores the grid in float32.
+
+        Returns:
+            The volume; its extras hold the ``note`` of the header.
+
+        Raises:
+            InputError: the file is not readable as NIfTI, or has no voxel grid.
+        """
+        voxels, image = read_nifti(Path(path), f"{path}: the NIfTI volume")
+        try:
+            note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")
+            array = voxels.T
+            grid = _grid_of(array.shape, np.asarray(image.affine, dtype=np.float64))
+        except (ValueError, KeyError) as error:
+            raise InputError(f"{path}: not a readable NIfTI volume: {error}") from None
+        return cls(array, grid, {"note": note})
+
+
+def _borders(centres: Floats) -> tuple[float, float]:
+    half = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) / 2 or 0.5
+    return float(centres[0] - half), float(centres[-1] + half)
+
+
+def _grid_of(shape: tuple[int, ...], affine: Floats) -> VolumeGrid:
+    """Return the grid with a given ``affine``; raise ValueError if there is none."""
+    linear, edges = affine[:3, :3], np.linalg.norm(affine[:3, :3], axis=0)
+    if len(shape) != 3 or not np.linalg.det(linear) > 0 or not np.isfinite(affine).all():
+        raise ValueError(
+            f"a voxel grid needs 3 right-handed axes, but there are {len(shape)} with the "
+            f"matrix {linear.tolist()}"
+        )
+    middle = affine @ [*((np.array(shape[::-1]) - 1) / 2), 1.0]
+    return VolumeGrid(shape, edges, Pose.from_matrix(middle[:3], linear / edges))

@@ -1,0 +1,42 @@
+"""Robot cell: two arms with source and panel, table and specimen, as one MuJoCo model.
+
+MuJoCo is imported when a cell is built, not together with this package.
+"""
+
+from twinct.robots.cell._mujoco import mujoco_module
+from twinct.robots.cell.bodies import BodyPlaces
+from twinct.robots.cell.chains import chains_of, nominal_chains
+from twinct.robots.cell.clearance import Clearance, Gap
+from twinct.robots.cell.frames import LinkFrames
+from twinct.robots.cell.render import (
+    Marks,
+    Moment,
+    check_drawing,
+    check_picture_size,
+    render_cell,
+    room_pictures,
+)
+from twinct.robots.cell.scene import CellModel, GantryModel, build_cell, build_gantry
+from twinct.robots.cell.urdf import OPTICAL, cell_urdf
+
+__all__ = [
+    "BodyPlaces",
+    "LinkFrames",
+    "OPTICAL",
+    "CellModel",
+    "Clearance",
+    "GantryModel",
+    "Gap",
+    "Marks",
+    "Moment",
+    "build_cell",
+    "build_gantry",
+    "cell_urdf",
+    "chains_of",
+    "check_drawing",
+    "check_picture_size",
+    "mujoco_module",
+    "nominal_chains",
+    "render_cell",
+    "room_pictures",
+]

@@ -1,0 +1,173 @@
+"""Arm models from a user's files: reading, and checks of the data that a cell needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twinct.core.errors import ScenarioError
+from twinct.core.files.arm_xml import read_arm_xml
+from twinct.geometry import Pose
+from twinct.robots.cell._mujoco import mujoco_module
+from twinct.scenario import Arm
+
+if TYPE_CHECKING:
+    import mujoco
+
+FLANGE_SITES = ("flange", "attachment_site", "attachment")
+"""Names of the tool flange in MJCF models, in order of preference."""
+
+FLANGE_LINKS = ("tool0", "flange")
+"""Names of the flange in URDF; by ROS's REP 199, z of ``tool0`` and x of ``flange`` point away."""
+
+ALONG, ROUNDING_M = 0.99, 1e-6
+"""Limits for z of an unnamed flange: cosine to the last joint's axis, and offset inwards."""
+
+FLANGE_SITE = "twinct_flange"
+"""Name of the site that is added to a flange that is a body."""
+
+_HIDDEN_GROUP = 3
+
+
+@dataclass(frozen=True, eq=False)
+class OwnArm:
+    """Arm from a user's file, with data beyond MuJoCo's model.
+
+    Attributes:
+        spec: the arm as the file describes it.
+        flange_site: site at the tool flange.
+        speed_limits: rad/s by joint, if stated.
+        file_from_base: pose of the base in the file's world.
+    """
+
+    spec: mujoco.MjSpec
+    flange_site: str
+    speed_limits: dict[str, float]
+    file_from_base: Pose
+
+
+def read_own_arm(arm: Arm, where: str) -> OwnArm:
+    """Read and check the arm file that a scenario names.
+
+    Args:
+        arm: section of the arm, with ``file``.
+        where: name of the file in messages.
+
+    Raises:
+        ScenarioError: the file cannot be read, or lacks data that a cell needs.
+    """
+    mujoco = mujoco_module()
+    assert arm.file is not None
+    xml = read_arm_xml(arm.file, where)
+    try:
+        spec = mujoco.MjSpec.from_string(xml.text)
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())
+        raise ScenarioError(f"{where} is not a model that MuJoCo can read: {reason}") from None
+    _check(model, where)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    base = _base(model, data, arm.base, where)
+    _show_visuals(spec, model)
+    flange = _flange(spec, model, data, arm.flange, xml.is_urdf, where)
+    return OwnArm(spec, flange, xml.speed_limits, base)
+
+
+def _check(model: mujoco.MjModel, where: str) -> None:
+    mujoco = mujoco_module()
+    joints = [model.joint(j).name or f"number {j}" for j in range(model.njnt)]
+    if not joints:
+        raise ScenarioError(f"{where} is not an arm: it has no joints")
+    if others := [
+        n for n, t in zip(joints, model.jnt_type, strict=True) if t != mujoco.mjtJoint.mjJNT_HINGE
+    ]:
+        raise ScenarioError(
+            f"{where} is not a single arm: all joints must be hinges, but these are not: "
+            f"{', '.join(others)}"
+        )
+    if not all(model.body(b).name for b in range(model.nbody)):
+        raise ScenarioError(f"{where} has bodies without a name")
+    if model.body_geomnum[0]:
+        raise ScenarioError(
+            f"{where} has shapes outside any body, such as the floor of a scene: name a file "
+            "of the arm alone"
+        )
+    if model.neq:
+        raise ScenarioError(f"{where} couples joints (equality, mimic); each must move alone")
+    if free := [n for n, limited in zip(joints, model.jnt_limited, strict=True) if not limited]:
+        raise ScenarioError(
+            f"{where} states no range for {', '.join(free)}: give it limits (MJCF: range; URDF: "
+            "type revolute with lower and upper)"
+        )
+    solid = (model.geom_contype | model.geom_conaffinity) != 0
+    links = model.body_weldid[model.geom_bodyid[solid]]
+    if bare := [model.body(b).name for b in dict.fromkeys(model.jnt_bodyid) if b not in links]:
+        raise ScenarioError(
+            f"{where} has no collision geometry on {', '.join(bare)}: without it, collisions would "
+            "go unnoticed"
+        )
+
+
+def _base(model: mujoco.MjModel, data: mujoco.MjData, asked: str | None, where: str) -> Pose:
+    """Return the pose of the base in the file's world."""
+    names = [model.body(b).name for b in range(model.nbody)]
+    name = asked or names[1]
+    if name not in names:
+        raise ScenarioError(f"{where} has no base {name!r}; it has {', '.join(names[1:])}")
+    if model.body_weldid[names.index(name)] != 0:
+        raise ScenarioError(
+            f"{where}: base {name!r} is moved by joints: set the key base to a body that stands "
+            "still, or to world for the file's origin"
+        )
+    return Pose.from_metres(data.body(name).xpos, np.roll(data.body(name).xquat, -1))
+
+
+def _show_visuals(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Hide the collision shapes of links that have visual shapes."""
+    solid = (model.geom_contype | model.geom_conaffinity) != 0
+    seen = set(model.geom_bodyid[~solid & (model.geom_group < _HIDDEN_GROUP)])
+    for geom, is_solid, body in zip(spec.geoms, solid, model.geom_bodyid, strict=True):
+        if is_solid and body in seen:
+            geom.group = _HIDDEN_GROUP
+
+
+def _flange(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    asked: str | None,
+    is_urdf: bool,
+    where: str,
+) -> str:
+    """Return the name of the flange site; add a site if the flange is a body."""
+    bodies = [model.body(b).name for b in range(1, model.nbody)]
+    sites = [model.site(s).name for s in range(model.nsite)]
+    usual, places = (FLANGE_LINKS, bodies) if is_urdf else (FLANGE_SITES, sites)
+    name = asked or next((name for name in usual if name in places), None)
+    if name is None or name not in (*sites, *bodies):
+        lacks = f"no flange {name!r}" if name else f"no flange, such as {' or '.join(usual)}"
+        raise ScenarioError(
+            f"{where} has {lacks}: set the key flange to one of "
+            f"{', '.join(filter(None, (*sites, *bodies)))}"
+        )
+    body = model.site(name).bodyid[0] if name in sites else model.body(name).id
+    place = data.site(name) if name in sites else data.body(name)
+    last = model.jnt_bodyid[-1]
+    if model.body_weldid[body] != last:
+        raise ScenarioError(
+            f"{where}: flange {name!r} is not part of the last link, {model.body(last).name}"
+        )
+    z = place.xmat.reshape(3, 3)[:, 2]
+    outwards = (place.xpos - data.xanchor[-1]) @ z
+    if not asked and (abs(data.xaxis[-1] @ z) < ALONG or outwards < -ROUNDING_M):
+        raise ScenarioError(
+            f"{where}: z of its flange {name!r} does not point along the last joint's axis, away "
+            "from the arm: set the key flange to a frame whose z points towards the tool"
+        )
+    if name in sites:
+        return name
+    spec.body(name).add_site(name=FLANGE_SITE)
+    return FLANGE_SITE

@@ -1,0 +1,227 @@
+"""Pictures of the cell."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError, StorageError
+from twinct.geometry import MM_PER_M, Floats, Pose
+from twinct.robots.cell._mujoco import mujoco_module
+from twinct.robots.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
+
+_ADVICE = "leave MUJOCO_GL unset to use EGL, which needs no display"
+
+
+MOST_SHOWN = 10_000
+"""Largest number of geoms and balls in one picture."""
+
+RED = (0.90, 0.08, 0.08)
+BEAM_RGBA = (0.96, 0.78, 0.31, 0.8)
+LINE_RADIUS_MM = 1.5
+GHOST_RGBA = (0.15, 0.45, 0.95, 0.35)
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Marks that a picture shows in addition to the cell.
+
+    Attributes:
+        red: bodies drawn in red.
+        ghosts: translucent copies of tools: ``source`` or ``detector``, and the target pose of its
+            focal spot or panel centre.
+        points: centres of small balls, (p, 3), mm.
+        colours: red, green, blue and opacity of the balls in [0, 1], (p, 4).
+        radius_mm: radius of the balls.
+        lines: ends of thin rods, (l, 2, 3), mm.
+        line_rgba: colour of the rods.
+    """
+
+    red: tuple[str, ...] = ()
+    ghosts: tuple[tuple[str, Pose], ...] = ()
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    colours: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    radius_mm: float = 8.0
+    lines: Floats = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    line_rgba: tuple[float, float, float, float] = BEAM_RGBA
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """Content of one picture in a series.
+
+    Attributes:
+        joints: joint positions, source arm first, rad; None for zeros, or without arms.
+        marks: marks in addition to the cell.
+        places: ``world_from_body`` by name, of bodies without joints whose pose differs from the
+            model.
+    """
+
+    joints: Floats | None = None
+    marks: Marks = field(default_factory=Marks)
+    places: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
+
+
+def check_drawing() -> None:
+    """Check before any work that the rendering back end can draw here.
+
+    Raises:
+        InputError: ``MUJOCO_GL`` requires a display, and there is none.
+    """
+    asked = os.environ.get("MUJOCO_GL", "")
+    displays = ("DISPLAY", "WAYLAND_DISPLAY")
+    if asked.lower() == "glfw" and not any(os.environ.get(name) for name in displays):
+        raise InputError(f"MUJOCO_GL={asked} needs a display, and there is none: {_ADVICE}")
+
+
+def check_picture_size(width: int, height: int) -> None:
+    """Check the size of a picture before the cell is built.
+
+    Raises:
+        InputError: a side is too small or too large; the error has one sentence for each.
+    """
+    sides = zip(("width", "height"), (width, height), LARGEST_PICTURE, strict=True)
+    problems = [
+        f"--{name} {pixels}: a picture must have 1 to {most} pixels"
+        for name, pixels, most in sides
+        if not 1 <= pixels <= most
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def render_cell(
+    cell_model: CellModel | GantryModel,
+    path_png: str | Path,
+    joints: Sequence[float] | np.ndarray | None = None,
+    width: int = 1600,
+    height: int = 1000,
+    marks: Marks | None = None,
+) -> None:
+    """Write a picture of the whole cell.
+
+    Args:
+        cell_model: robot cell.
+        path_png: path of the picture.
+        joints: joint positions, source arm first, rad; None for zeros, or without arms.
+        width: pixels.
+        height: pixels.
+        marks: marks in addition to the cell.
+
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    from PIL import Image
+
+    at = None if joints is None else np.asarray(joints, dtype=np.float64)
+    moment = Moment(at, marks or Marks())
+    pixels = next(room_pictures(cell_model, [moment], width, height))
+    try:
+        Image.fromarray(pixels).save(path_png, format="PNG")
+    except OSError as error:
+        raise StorageError(f"{path_png}: {error.strerror or error}") from error
+
+
+def room_pictures(
+    cell_model: CellModel | GantryModel, moments: Iterable[Moment], width: int, height: int
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield a picture of the whole cell for each moment, (height, width, 3).
+
+    Raises:
+        InputError: MuJoCo cannot draw here.
+    """
+    mujoco = mujoco_module()
+    model = copy.copy(cell_model.model)
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat[:] = (0.0, 0.0, -0.30)
+    camera.distance, camera.azimuth, camera.elevation = 2.8, 125.0, -16.0
+    if isinstance(cell_model, GantryModel):
+        camera.lookat[:], camera.distance = model.stat.center, 1.6 * model.stat.extent
+    option = mujoco.MjvOption()
+    option.geomgroup[:] = (1, 1, 1, 0, 0, 0)
+    option.sitegroup[:] = 0
+    red: tuple[str, ...] = ()
+    renderer: Any = None
+    try:
+        for moment in moments:
+            if renderer is None or moment.marks.red != red:
+                red = moment.marks.red
+                model = _reddened(cell_model.model, red)
+                data = mujoco.MjData(model)
+                if renderer is not None:
+                    renderer.close()
+                renderer = _renderer(model, width, height)
+            if moment.joints is not None:
+                data.qpos[:] = moment.joints
+            for name, pose in moment.places.items():
+                position, quat = pose.to_metres()
+                model.body(name).pos, model.body(name).quat = position, np.roll(quat, 1)
+            mujoco.mj_forward(model, data)
+            renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
+            renderer.update_scene(data, camera, option)
+            _add(renderer.scene, model, data, moment.marks)
+            yield renderer.render()
+    finally:
+        if renderer is not None:
+            renderer.close()
+
+
+def _renderer(model: Any, width: int, height: int) -> Any:
+    try:
+        return mujoco_module().Renderer(model, height, width, max_geom=MOST_SHOWN)
+    except Exception as error:  # MuJoCo's FatalError, and errors of EGL's and OSMesa's loaders
+        chosen = os.environ.get("MUJOCO_GL", "")
+        raise InputError(
+            f"MuJoCo cannot draw with MUJOCO_GL={chosen} ({str(error).strip() or 'no context'}): "
+            f"{_ADVICE}"
+        ) from error
+
+
+def _reddened(model: Any, bodies: tuple[str, ...]) -> Any:
+    """Return a copy of the model in which some bodies are red."""
+    model = copy.copy(model)
+    for geom in range(model.ngeom):
+        if model.body(model.geom_bodyid[geom]).name in bodies:
+            opacity = (
+                1.0 if model.geom_matid[geom] >= 0 else 0.5
+            )  # forbidden zones stay translucent
+            model.geom_matid[geom] = -1
+            model.geom_rgba[geom] = (*RED, opacity)
+    return model
+
+
+def _add(scene: Any, model: Any, data: Any, marks: Marks) -> None:
+    """Add ghosts, rods and balls to a scene."""
+    mujoco = mujoco_module()
+
+    def add(kind: Any, size: Any, position: Any, rotation: Any, rgba: Any) -> None:
+        if scene.ngeom < scene.maxgeom:
+            geom = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(geom, kind, size, position, rotation, np.float32(rgba))
+            scene.ngeom += 1
+
+    for side, pose in marks.ghosts:
+        site, tool = model.site(side).id, model.body(side).id
+        here = Pose.from_matrix(data.site_xpos[site] * MM_PER_M, data.site_xmat[site].reshape(3, 3))
+        moved = pose @ here.inverse()
+        for geom in np.flatnonzero(model.geom_bodyid == tool):
+            position = moved.apply(data.geom_xpos[geom] * MM_PER_M) / MM_PER_M
+            turned = moved.rotation @ data.geom_xmat[geom].reshape(3, 3)
+            add(model.geom_type[geom], model.geom_size[geom], position, turned.ravel(), GHOST_RGBA)
+    for start, end in marks.lines / MM_PER_M:
+        if scene.ngeom < scene.maxgeom:
+            geom, capsule = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+            add(capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), marks.line_rgba)
+            mujoco.mjv_connector(geom, capsule, LINE_RADIUS_MM / MM_PER_M, start, end)
+    size = np.full(3, marks.radius_mm / MM_PER_M)
+    for position, rgba in zip(marks.points / MM_PER_M, marks.colours, strict=True):
+        add(mujoco.mjtGeom.mjGEOM_SPHERE, size, position, np.eye(3).ravel(), rgba)

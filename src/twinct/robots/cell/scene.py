@@ -1,0 +1,510 @@
+"""Construction of the cell as one MuJoCo model from a scenario's ``cell`` section."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from importlib.resources import files
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twinct.core.errors import ScenarioError
+from twinct.geometry import MM_PER_M, Floats, Panel, Pose
+from twinct.robots.cell._mujoco import mujoco_module
+from twinct.robots.cell.arms import ArmModel, load_arm
+from twinct.scenario import Arm, Cell, DetectorArm, GantryCell, SourceArm
+
+if TYPE_CHECKING:
+    import mujoco
+    import trimesh
+
+ARMS = ("source", "detector")
+"""Prefixes of the two arms, in the order of joints, actuators and all stacked arrays."""
+
+MM = 1 / MM_PER_M
+
+VISUAL_GROUP, COLLISION_GROUP = 2, 3
+"""Groups of geoms: visible ones, which may be solid, too, and invisible collision shapes."""
+
+BANDWIDTH_RAD_S = 80.0
+"""Natural frequency of the joint servos; critically damped, a 1 mm step settles in 0.1 s."""
+
+PANEL_BORDER_MM = 10.0
+PANEL_DEPTH_MM = 24.0
+PANEL_COVER_MM = 4.0
+"""Housing of the active area: border, total depth, and depth of the cover before the pixels."""
+
+
+ZONE = "zone "
+"""Prefix of the body name of a forbidden zone."""
+
+ZONE_RGBA = (0.88, 0.20, 0.12, 0.28)
+
+TOOLS_MM = 200.0
+"""Length that the housings of source and panel add to the extent of a gantry's picture."""
+
+LARGEST_PICTURE = (3840, 2400)
+"""Width and height in pixels for which MuJoCo allocates memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellModel:
+    """Compiled model of the cell, with the indices and limits of its parts.
+
+    Every joint is a hinge. Joints, actuators and all arrays are in the order source arm, then
+    detector arm, from base to flange.
+
+    Attributes:
+        model: MuJoCo's model, metres.
+        cell: section from which the model was built.
+        panel: pixel lattice around which the housing was built.
+        joint_names: prefixed ``source_`` and ``detector_``.
+        arm_joints: slice of the joints of each arm.
+        site_ids: sites ``source`` and ``detector``, with the frames of the design.
+        specimen_body: body id of ``specimen``.
+        torque_limits: usable torques (published limit times ``torque_scale``), N m, (n,).
+        speed_limits: published joint speeds, rad/s, (n,).
+        speed_scales: shares of the published speeds that a move may use, (n,).
+        pairs: geom ids of all pairs of non-adjacent bodies that can move against each other,
+            (p, 2).
+        homes: start of the path search for each arm, rad, or None if the scenario states none.
+        lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n);
+            zero if the joint does not move the body.
+    """
+
+    model: mujoco.MjModel
+    cell: Cell
+    panel: Panel
+    joint_names: tuple[str, ...]
+    arm_joints: tuple[slice, slice]
+    site_ids: tuple[int, int]
+    specimen_body: int
+    torque_limits: Floats
+    speed_limits: Floats
+    speed_scales: Floats
+    pairs: np.ndarray
+    homes: tuple[Floats | None, ...]
+    lever: Floats
+
+    @property
+    def joint_ranges(self) -> Floats:
+        """Lowest and highest position of each joint, rad, (n, 2)."""
+        return self.model.jnt_range.copy()
+
+    def body_of_geom(self, geom: int) -> str:
+        """Return the name of the body of a geom."""
+        return self.model.body(self.model.geom_bodyid[geom]).name
+
+
+@dataclass(frozen=True, eq=False)
+class GantryModel:
+    """Compiled cell without arms, in which nothing moves; it extends from source to panel.
+
+    Attributes:
+        model: MuJoCo's model, metres.
+    """
+
+    model: mujoco.MjModel
+
+
+def build_cell(
+    cell: Cell, specimen_mesh: trimesh.Trimesh | None, world_from_specimen: Pose, panel: Panel
+) -> CellModel:
+    """Compose and compile the cell.
+
+    Args:
+        cell: arms, table, floor.
+        specimen_mesh: surface in the specimen's frame, mm, whose convex hull is the collision
+            shape. None leaves the holder empty.
+        world_from_specimen: pose of the specimen.
+        panel: pixel lattice, which determines the size of the housing.
+
+    Raises:
+        MissingExtraError: MuJoCo, or a requested Menagerie, is not installed.
+        ScenarioError: an arm or a dimension cannot be built, or a zone reaches into the specimen.
+    """
+    spec = _room(cell.floor_z_mm)
+    spec.option.timestep = cell.timestep_ms / 1000
+    bottom_mm = _specimen(spec, specimen_mesh, world_from_specimen)
+    _table(spec, cell, world_from_specimen, bottom_mm)
+    arms = []
+    for side, arm in zip(ARMS, (cell.source_arm, cell.detector_arm), strict=True):
+        loaded = load_arm(arm, f"cell.{side}_arm")
+        tool = _mount(spec, cell, side, arm, loaded).add_body(name=side)
+        (_source_tool if side == "source" else _panel_tool)(tool, arm, panel)
+        arms.append(loaded)
+    _zones(spec, cell)
+    names = _servos(spec, arms, cell)
+    _exclude_adjacent(spec)
+    # Per joint: position, velocity and acceleration of the servos' reference; then the mark of the
+    # plan from which the reference comes.
+    spec.nuserdata = 3 * len(names) + 1
+    built = _compiled(spec, cell, panel, arms, names)
+    _specimen_outside_zones(built)
+    return built
+
+
+def build_gantry(
+    cell: GantryCell,
+    specimen_mesh: trimesh.Trimesh,
+    world_from_specimen: Pose,
+    panel: Panel,
+    world_from_source: Pose,
+    world_from_detector: Pose,
+) -> GantryModel:
+    """Build the cell of a gantry at one view, for pictures: source and panel float in the air.
+
+    Args:
+        cell: section of the gantry, with the height of the floor.
+        specimen_mesh: surface in the specimen's frame, mm.
+        world_from_specimen: pose of the specimen.
+        panel: pixel lattice, which determines the size of the housing.
+        world_from_source: pose of the source.
+        world_from_detector: pose of the panel.
+
+    Raises:
+        MissingExtraError: MuJoCo is not installed.
+    """
+    spec = _room(cell.floor_z_mm)
+    _specimen(spec, specimen_mesh, world_from_specimen)
+    for side, arm, tool, pose in (
+        ("source", SourceArm(), _source_tool, world_from_source),
+        ("detector", DetectorArm(), _panel_tool, world_from_detector),
+    ):
+        mount = pose @ Pose(np.array([0, 0, -arm.standoff_mm]), Pose.identity().quat)
+        position, quat = mount.to_metres()
+        tool(spec.worldbody.add_body(name=side, pos=position, quat=np.roll(quat, 1)), arm, panel)
+    spec.stat.center = (world_from_source.position + world_from_detector.position) / 2 * MM
+    spec.stat.extent = (world_from_source.distance_mm(world_from_detector) + TOOLS_MM) * MM
+    return GantryModel(_compile(spec))
+
+
+def _room(floor_z_mm: float) -> mujoco.MjSpec:
+    """Return a model with floor, lights and all materials."""
+    room = files("twinct.robots.cell").joinpath("room.xml").read_text(encoding="utf-8")
+    spec = mujoco_module().MjSpec.from_string(room)
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
+    floor = spec.worldbody.add_body(name="floor")
+    _box(floor, "floor", (0, 0, floor_z_mm - 50), (40_000, 40_000, 100), "floor")
+    return spec
+
+
+def _box(parent: Any, name: str, centre_mm: Any, size_mm: Any, material: str, **more: Any) -> None:
+    more |= {"type": mujoco_module().mjtGeom.mjGEOM_BOX, "material": material}
+    more |= {"pos": np.asarray(centre_mm, dtype=float) * MM, "group": VISUAL_GROUP}
+    parent.add_geom(name=name, size=np.asarray(size_mm, dtype=float) / 2 * MM, **more)
+
+
+def _rod(
+    parent: Any, name: str, start_mm: Any, end_mm: Any, radius_mm: float, material: str, **more: Any
+) -> None:
+    more |= {"type": mujoco_module().mjtGeom.mjGEOM_CYLINDER, "material": material}
+    more |= {"fromto": np.concatenate([start_mm, end_mm]).astype(float) * MM}
+    parent.add_geom(name=name, size=[radius_mm * MM, 0, 0], group=VISUAL_GROUP, **more)
+
+
+def _specimen(
+    spec: mujoco.MjSpec, mesh: trimesh.Trimesh | None, world_from_specimen: Pose
+) -> float | None:
+    """Add the specimen, and return the height of its lowest point in the world, mm."""
+    mujoco = mujoco_module()
+    position, quat = world_from_specimen.to_metres()
+    body = spec.worldbody.add_body(name="specimen", pos=position, quat=np.roll(quat, 1))
+    if mesh is None or len(mesh.vertices) == 0:
+        return None
+    hull = mesh.convex_hull
+    look = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0}
+    for name, mesh_name, part, more in (
+        ("specimen", "specimen_hull", hull, {"group": COLLISION_GROUP}),
+        ("specimen_look", "specimen_look", mesh, look),
+    ):
+        spec.add_mesh(
+            name=mesh_name,
+            uservert=(np.asarray(part.vertices, dtype=float) * MM).ravel(),
+            userface=np.asarray(part.faces, dtype=np.int32).ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        kind = mujoco.mjtGeom.mjGEOM_MESH
+        body.add_geom(name=name, type=kind, meshname=mesh_name, material="bone", **more)
+    return float(world_from_specimen.apply(hull.vertices)[:, 2].min())
+
+
+def _table(
+    spec: mujoco.MjSpec, cell: Cell, world_from_specimen: Pose, bottom_mm: float | None
+) -> None:
+    table = cell.table
+    if not table.present:
+        return
+    sx, sy, sz = table.size_mm
+    top, floor = table.top_z_mm, cell.floor_z_mm
+    if top - sz <= floor:
+        raise ScenarioError(
+            f"cell.table: its top plate, from {top - sz:g} to {top:g} mm, lies in the floor at "
+            f"cell.floor_z_mm = {floor:g} mm"
+        )
+    x, y = world_from_specimen.position[:2]
+    body = spec.worldbody.add_body(name="table")
+    _box(body, "table_top", (x, y, top - sz / 2), (sx, sy, sz), "tabletop")
+    column = (0.4 * sx, 0.35 * sy)
+    _box(body, "table_column", (x, y, (top - sz + floor) / 2), (*column, top - sz - floor), "steel")
+    _box(body, "table_foot", (x, y, floor + 25), (0.8 * sx, 0.7 * sy, 50), "pedestal")
+    if bottom_mm is None:
+        return
+    if bottom_mm <= top:
+        raise ScenarioError(
+            f"cell.table.top_z_mm = {top:g} mm reaches into the specimen, whose lowest point is at "
+            f"{bottom_mm:.1f} mm"
+        )
+    holder = spec.worldbody.add_body(name="holder")
+    radius = table.holder_radius_mm
+    _rod(holder, "holder_post", (x, y, top), (x, y, bottom_mm), radius, "post")
+    foot = min(15.0, (bottom_mm - top) / 3)
+    _rod(holder, "holder_rest", (x, y, bottom_mm - foot), (x, y, bottom_mm), 2 * radius, "post")
+    _rod(holder, "holder_foot", (x, y, top), (x, y, top + foot), 2 * radius, "housing")
+
+
+def _zones(spec: mujoco.MjSpec, cell: Cell) -> None:
+    """Add each forbidden zone as a translucent body of its own."""
+    kinds = mujoco_module().mjtGeom
+    for index, zone in enumerate(cell.zones):
+        shape = zone.shape
+        if shape.kind == "box":
+            kind, size = kinds.mjGEOM_BOX, np.array(shape.size_mm) / 2
+        elif shape.kind == "sphere":
+            kind, size = kinds.mjGEOM_SPHERE, np.array([shape.radius_mm, 0, 0])
+        else:
+            length = shape.height_mm if shape.kind == "cylinder" else shape.length_mm
+            kind = kinds.mjGEOM_CYLINDER if shape.kind == "cylinder" else kinds.mjGEOM_CAPSULE
+            size = np.array([shape.radius_mm, length / 2, 0])
+        position, quat = zone.world_from_zone.to_metres()
+        body = spec.worldbody.add_body(
+            name=f"{ZONE}{zone.name}", pos=position, quat=np.roll(quat, 1)
+        )
+        name = f"zone_{index}"
+        body.add_geom(name=name, type=kind, size=size * MM, rgba=ZONE_RGBA, group=VISUAL_GROUP)
+
+
+def _specimen_outside_zones(built: CellModel) -> None:
+    """Check that no zone reaches into the specimen.
+
+    Raises:
+        ScenarioError: zones reach into the specimen; the message names them.
+    """
+    mujoco, model = mujoco_module(), built.model
+    data, line, problems = mujoco.MjData(model), np.zeros(6), []
+    mujoco.mj_kinematics(model, data)
+    hulls = [g for g in range(model.ngeom) if model.geom(g).name == "specimen"]
+    for index, zone in enumerate(built.cell.zones):
+        for hull in hulls:
+            geom = model.geom(f"zone_{index}").id
+            gap = mujoco.mj_geomDistance(model, data, geom, hull, 10.0, line)
+            if gap < 0:
+                problems.append(
+                    f"cell.zones.{index}: zone {zone.name!r} reaches {-gap / MM:.1f} mm into the "
+                    "specimen: nothing could be imaged without entering the zone"
+                )
+    if problems:
+        raise ScenarioError(problems)
+
+
+def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmModel) -> Any:
+    """Mount an arm on its pedestal, and return a new body at its flange for the tool."""
+    world_from_file = Pose.from_euler(arm.base_position_mm, arm.base_rotation_deg)
+    if loaded.file_from_base is not None:
+        world_from_file @= loaded.file_from_base.inverse()
+    position, quat = world_from_file.to_metres()
+    frame = spec.worldbody.add_frame(pos=position, quat=np.roll(quat, 1))
+    spec.attach(loaded.spec, prefix=f"{side}_", frame=frame)
+    x, y, z = arm.base_position_mm
+    height = z - cell.floor_z_mm
+    if height > 60 and np.allclose(np.asarray(arm.base_rotation_deg[:2]) % 360, 0):  # upright
+        body = spec.worldbody.add_body(name=f"{side}_pedestal")
+        _rod(body, f"{side}_pedestal", (x, y, z - height + 30), (x, y, z), 100, "pedestal")
+        _box(body, f"{side}_footplate", (x, y, z - height + 15), (420, 420, 30), "pedestal")
+    flange = spec.site(f"{side}_{loaded.flange_site}")
+    half = np.radians(arm.tool_rotation_deg) / 2
+    turn = np.array([np.cos(half), 0, 0, np.sin(half)])
+    mount_quat = np.zeros(4)
+    mujoco_module().mju_mulQuat(mount_quat, np.asarray(flange.quat), turn)
+    flange.parent.add_frame(name=f"{side}_flange_frame", pos=flange.pos, quat=mount_quat)
+    return flange.parent.add_body(name=f"{side}_tool_mount", pos=flange.pos, quat=mount_quat)
+
+
+def _source_tool(body: Any, arm: Arm, panel: Panel) -> None:
+    """Add a tube housing; the focal spot lies 20 mm behind its front, z exits by the window."""
+    s, mass = arm.standoff_mm, arm.tool_mass_kg
+    adapter = min(15.0, 0.1 * s)
+    front = s + 20
+    _rod(body, "source_adapter", (0, 0, 0), (0, 0, adapter), 50, "steel", mass=0.1 * mass)
+    length = front - adapter - 8
+    centre = (0, 0, adapter + length / 2)
+    _box(body, "source_housing", centre, (96, 96, length), "tube", mass=0.85 * mass)
+    _rod(body, "source_window", (0, 0, front - 8), (0, 0, front), 38, "accent", mass=0.05 * mass)
+    body.add_site(name="source", pos=[0, 0, s * MM], group=4)
+
+
+def _panel_tool(body: Any, arm: Arm, panel: Panel) -> None:
+    """Add a flat panel on a bracket; the pixel plane lies 4 mm behind the cover's front."""
+    s, mass = arm.standoff_mm, arm.tool_mass_kg
+    width, height = (edge + 2 * PANEL_BORDER_MM for edge in panel.size_mm)
+    back = s + PANEL_COVER_MM - PANEL_DEPTH_MM
+    if back < 20:
+        raise ScenarioError(
+            f"cell.detector_arm.standoff_mm = {s:g} mm leaves no room for the panel's housing: at "
+            f"least {20 + PANEL_DEPTH_MM - PANEL_COVER_MM:g} mm are needed"
+        )
+    _rod(body, "detector_adapter", (0, 0, 0), (0, 0, 12), 50, "steel", mass=0.1 * mass)
+    _rod(body, "detector_bracket", (0, 0, 12), (0, 0, back), 36, "tube", mass=0.1 * mass)
+    centre, size = s + PANEL_COVER_MM - PANEL_DEPTH_MM / 2, (width, height, PANEL_DEPTH_MM)
+    _box(body, "detector_panel", (0, 0, centre), size, "housing", mass=0.8 * mass)
+    active = (*panel.size_mm, 0.4)
+    look = {"contype": 0, "conaffinity": 0, "mass": 0.0}
+    _box(body, "detector_active", (0, 0, s + PANEL_COVER_MM), active, "active", **look)
+    body.add_site(name="detector", pos=[0, 0, s * MM], group=4)
+
+
+def _servos(spec: mujoco.MjSpec, arms: list[ArmModel], cell: Cell) -> tuple[str, ...]:
+    """Add a torque-limited position servo per joint; gains are set once inertias are known."""
+    mujoco = mujoco_module()
+    names = []
+    for side, arm, section in zip(ARMS, arms, (cell.source_arm, cell.detector_arm), strict=True):
+        limits = arm.torque_limits * section.torque_scale
+        for joint_name, limit in zip(arm.joint_names, limits, strict=True):
+            name = f"{side}_{joint_name}"
+            joint = spec.joint(name)
+            joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            joint.actfrcrange = [-limit, limit]
+            # The motor also provides gravity compensation, which counts towards its limit.
+            joint.actgravcomp = True
+            actuator = spec.add_actuator(name=name, target=name)
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+            actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            actuator.forcerange = [-limit, limit]
+            names.append(name)
+    for body in spec.bodies:
+        if body.name and body.name.startswith(ARMS):
+            body.gravcomp = 1.0
+    return tuple(names)
+
+
+def _exclude_adjacent(spec: mujoco.MjSpec) -> None:
+    """Let bodies that are joined touch each other; MuJoCo itself filters only moving parents."""
+    listed = {frozenset((e.bodyname1, e.bodyname2)) for e in spec.excludes}
+    bodies = [body for body in spec.bodies if body.name != "world"]
+    for link in (body for body in bodies if body.joints):
+        carrier = _link_of(link.parent)
+        carriers = [link.parent.name]
+        if carrier.joints:  # a moving link: all its bodies are adjacent
+            carriers = sorted({b.name for b in bodies if _link_of(b).name == carrier.name})
+        pieces = [body.name for body in bodies if _link_of(body).name == link.name]
+        for pair in product(pieces, carriers):
+            if frozenset(pair) not in listed:
+                spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
+
+
+def _link_of(body: Any) -> Any:
+    """Return the body with the joint; bodies without a joint are part of their parent's link."""
+    while not body.joints and body.parent is not None and body.parent.name != "world":
+        body = body.parent
+    return body
+
+
+_KEYS = {
+    "source": "cell.source_arm",
+    "detector": "cell.detector_arm",
+    "specimen": "specimen.parts",
+    "table": "cell.table",
+    "holder": "cell.table",
+    "zone": "cell.zones",
+}
+"""Scenario key for each part of the model, by the prefix of its name."""
+
+
+def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except (ValueError, mujoco_module().FatalError) as error:
+        told = " ".join(str(error).split()).removeprefix("Error: ")
+        named = re.search(r"name '([a-z]+)", told)
+        key = _KEYS.get(named[1], "cell") if named else "cell"
+        raise ScenarioError(f"{key}: MuJoCo cannot build this: {told}") from None
+
+
+def _compiled(
+    spec: mujoco.MjSpec, cell: Cell, panel: Panel, arms: list[ArmModel], names: tuple[str, ...]
+) -> CellModel:
+    model = _compile(spec)
+    if tuple(model.joint(i).name for i in range(model.njnt)) != names:
+        raise AssertionError("joints are not in the order source arm, detector arm")
+    counts = [len(arm.joint_names) for arm in arms]
+    _tune_servos(model)
+    return CellModel(
+        model=model,
+        cell=cell,
+        panel=panel,
+        joint_names=names,
+        arm_joints=(slice(0, counts[0]), slice(counts[0], len(names))),
+        site_ids=(model.site("source").id, model.site("detector").id),
+        specimen_body=model.body("specimen").id,
+        torque_limits=model.jnt_actfrcrange[:, 1].copy(),
+        speed_limits=np.concatenate([arm.speed_limits for arm in arms]),
+        speed_scales=np.repeat(
+            [cell.source_arm.speed_scale, cell.detector_arm.speed_scale], counts
+        ),
+        pairs=_non_adjacent_pairs(model),
+        homes=tuple(arm.home for arm in arms),
+        lever=_levers(model),
+    )
+
+
+def _tune_servos(model: mujoco.MjModel) -> None:
+    """Set critically damped gains for the largest inertia of each joint over random poses."""
+    mujoco = mujoco_module()
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    inertia = np.zeros(model.nv)
+    full = np.zeros((model.nv, model.nv))
+    low, high = np.maximum(model.jnt_range.T[0], -np.pi), np.minimum(model.jnt_range.T[1], np.pi)
+    for _ in range(64):
+        data.qpos[:] = rng.uniform(low, high)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        inertia = np.maximum(inertia, np.diag(full))
+    stiffness = BANDWIDTH_RAD_S**2 * inertia
+    model.actuator_gainprm[:, 0] = stiffness
+    model.actuator_biasprm[:, 1] = -stiffness
+    model.actuator_biasprm[:, 2] = -2 * BANDWIDTH_RAD_S * inertia
+
+
+def _non_adjacent_pairs(model: mujoco.MjModel) -> np.ndarray:
+    """Return the pairs of solid geoms of bodies that can move against each other, not excluded."""
+    excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
+    solid = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
+    pairs = []
+    for a, b in combinations(solid, 2):
+        first, second = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
+        same_piece = model.body_weldid[first] == model.body_weldid[second]
+        if not same_piece and not excluded & {(first, second), (second, first)}:
+            pairs.append((a, b))
+    return np.array(pairs, dtype=np.int32).reshape(-1, 2)
+
+
+def _levers(model: mujoco.MjModel) -> Floats:
+    """Return the lengths of the chain from each joint to each body, with the body's own size."""
+    size = np.zeros(model.nbody)
+    for geom, body in enumerate(model.geom_bodyid):
+        extent = model.geom_rbound[geom] + np.linalg.norm(model.geom_pos[geom])
+        size[body] = max(size[body], float(extent))
+    lever = np.zeros((model.nbody, model.njnt))
+    for body in range(model.nbody):
+        length, link = size[body], body
+        while link != 0:
+            for j in np.flatnonzero(model.jnt_bodyid == link):
+                lever[body, j] = length + float(np.linalg.norm(model.jnt_pos[j]))
+            length += float(np.linalg.norm(model.body_pos[link]))
+            link = int(model.body_parentid[link])
+    return lever

@@ -1,0 +1,48 @@
+"""Motion of the arms from view to view: inverse kinematics, planning and dynamic simulation.
+
+MuJoCo, mink and Ruckig are imported on first use, not together with this package.
+"""
+
+from twinct.core.renamed import old_names
+from twinct.robots.motion.kinematics import IkResult, Kinematics
+from twinct.robots.motion.layers import speeds_of
+from twinct.robots.motion.path_search import JointPath, find_joint_path
+from twinct.robots.motion.plan import MotionPlan, plan_motion
+from twinct.robots.motion.plan_check import Asked, checked_plan
+from twinct.robots.motion.plan_file import (
+    LARGEST_PLAN_BYTES,
+    load_plan,
+    plan_arrays,
+    plan_of_arrays,
+    save_plan,
+)
+from twinct.robots.motion.roll import roll_free
+from twinct.robots.motion.shutter import Shutter
+from twinct.robots.motion.simulation import RobotSimulation
+from twinct.robots.motion.timing import TimeLaw
+from twinct.robots.motion.tour import moving_seconds, shortest_tour
+
+__all__ = [
+    "LARGEST_PLAN_BYTES",
+    "Asked",
+    "IkResult",
+    "Kinematics",
+    "MotionPlan",
+    "RobotSimulation",
+    "Shutter",
+    "TimeLaw",
+    "JointPath",
+    "checked_plan",
+    "find_joint_path",
+    "load_plan",
+    "moving_seconds",
+    "plan_arrays",
+    "plan_motion",
+    "plan_of_arrays",
+    "roll_free",
+    "save_plan",
+    "shortest_tour",
+    "speeds_of",
+]
+
+__getattr__ = old_names(__name__, {"Way": "JointPath", "find_way": "find_joint_path"})

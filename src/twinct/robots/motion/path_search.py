@@ -1,0 +1,481 @@
+"""Path search: the joint configuration of each view, the order of views, and the paths in between.
+
+All configurations of both arms for every view, rolled about the beam where that is free, are
+checked for clearance. The search chooses those with the least motion over all views. Neighbours
+are connected by a straight line in joint space if it is clear, and by a detour otherwise.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from twinct.core.errors import NoWayError, TrajectoryError
+from twinct.geometry import Floats, Pose
+from twinct.geometry.wire import Target
+from twinct.robots.cell import CellModel, Clearance, Gap, mujoco_module
+from twinct.robots.motion.branches import SIDES, Branches, matrices
+from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible, Indices
+from twinct.robots.motion.home import home_off
+from twinct.robots.motion.kinematics import Kinematics
+from twinct.robots.motion.layers import (
+    DETOUR_S,
+    ROUNDS,
+    Choice,
+    clear_pairs,
+    lifted,
+    promising,
+    speeds_of,
+)
+from twinct.robots.motion.path_planner import SEARCHES, Detours
+from twinct.robots.motion.refusals import far_problems, gap_problems, gap_text
+from twinct.robots.motion.tour import moving_seconds, shortest_tour
+from twinct.scenario import Motion
+
+if TYPE_CHECKING:
+    import mujoco
+else:
+    mujoco = mujoco_module()
+
+ROLL_STEP_DEG = 5.0
+"""Step between the roll angles that are tried where the roll is free."""
+
+SETTLED_ROOM_MM = 0.5
+"""Margin of a path above the required clearance, for arms that come to rest in every view."""
+
+MANY_STARTS = 500
+"""Starts of the second search for a pose, if no configuration of the first search is clear."""
+
+NEAREST_STARTS = 8
+"""Starts of the search for the remaining error of an arm out of reach."""
+
+WIDEST_OF = 64
+"""Largest number of configurations of which the largest clearance is reported."""
+
+DETOURS_TRIED = 20
+"""Largest number of searches for a detour from one view to the next."""
+
+TRIED_S = 0.15
+"""Cost that a failed search adds to a move, so that other moves are tried before more effort."""
+
+REWINDS_TRIED = 20
+"""Largest number of places tried for turning joints back that reached the end of their ranges."""
+
+REWIND_AGAIN_S = 20.0
+"""Cost that a failed attempt to turn joints back adds to its place."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """Path of both arms through all views.
+
+    Attributes:
+        joints: rad, (knots, n), source arm first; the straight joint path between neighbours is
+            clear.
+        views: index of the view exposed at each knot, -1 for none, (knots,); every view once.
+        targets: commanded poses of every view, by view index, with the chosen roll.
+    """
+
+    joints: Floats
+    views: NDArray[np.intp]
+    targets: tuple[Target, ...]
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        self.joints.setflags(write=False)
+        self.views.setflags(write=False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Joint configurations of one arm for one view, (m, k), and their roll angles, rad, (m,)."""
+
+    joints: Floats
+    roll: Floats
+
+
+def kept_mm(motion: Motion) -> float:
+    """Return the clearance of a path: the required clearance plus a margin for the servos."""
+    settled = motion.trigger == "settled"
+    return motion.clearance_mm + (SETTLED_ROOM_MM if settled else 2 * motion.tolerance_mm)
+
+
+def find_joint_path(
+    cell_model: CellModel,
+    motion: Motion,
+    targets: Sequence[Target],
+    *,
+    roll_free: tuple[bool, bool] = (False, False),
+    start: Floats | None = None,
+    seed: int = 0,
+    most_looks: float = np.inf,
+) -> JointPath:
+    """Find a path through all targets.
+
+    Args:
+        cell_model: robot cell.
+        motion: tolerances, clearance, and the order of the views.
+        targets: one for each view.
+        roll_free: whether source and panel may roll about their own axes.
+        start: current joint positions, rad, (n,); None starts just off the first view.
+        seed: seed of searches and detours.
+        most_looks: largest number of configurations that searches for detours may check.
+
+    Raises:
+        TrajectoryError: views are infeasible; every problem names views, arm, reason and missing
+            distance.
+        NoWayError: no path was found from one view to the next.
+        MissingExtraError: mink or OMPL is not installed.
+    """
+    return _Finder(cell_model, motion, list(targets), roll_free, seed, most_looks).find(start)
+
+
+class _Finder:
+    """State of one path search."""
+
+    def __init__(
+        self,
+        cell: CellModel,
+        motion: Motion,
+        targets: list[Target],
+        roll_free: tuple[bool, bool],
+        seed: int,
+        most_looks: float,
+    ) -> None:
+        self._cell, self._motion, self._targets, self._seed = cell, motion, targets, seed
+        self._least_mm = kept_mm(motion)
+        self._kinematics = Kinematics(cell, motion.ik)
+        self._both, self._cross = Feasible(cell), Feasible(cell, "cross")
+        self._speeds = cell.speed_limits * cell.speed_scales
+        self._arms = speeds_of(cell)
+        self._turns = np.concatenate([arm.turns for arm in self._arms])
+        self._detours = Detours(cell, self._both, self._turns, seed, most_looks)
+        full = np.arange(0.0, 360.0, ROLL_STEP_DEG)
+        self._rolls = [np.radians(full if free else full[:1]) for free in roll_free]
+        self._known: dict[bytes, Floats | None] = {}
+
+    def find(self, start: Floats | None) -> JointPath:
+        found = [self._of_arm(arm) for arm in range(2)]
+        problems = [problem for _, told in found for problem in told]
+        if problems:
+            raise TrajectoryError(problems)
+        candidates = [of_arm for of_arm, _ in found]
+        order = list(range(len(self._targets)))
+        if self._motion.order == "shortest":
+            joints = [[c.joints for c in arm] for arm in candidates]
+            order = shortest_tour(moving_seconds(joints, self._arms))
+        layers = [[arm[view] for view in order] for arm in candidates]
+        views = np.array(order)
+        if start is not None:
+            # The start is a layer, too, because it decides which candidates are promising.
+            start = self._checked(start)
+            for arm, part in zip(layers, self._cell.arm_joints, strict=True):
+                arm.insert(0, _Candidates(start[None, part], np.zeros(1)))
+            views = np.concatenate([[-1], views])
+        pairs = self._pairs(views, layers)
+        ways, chosen = self._through(views, layers, pairs, start is not None)
+        targets = list(self._targets)
+        for layer, view in enumerate(views):
+            if view >= 0:
+                source, detector = (
+                    _rolled(pose, float(arm[layer].roll[pair]))
+                    for pose, arm, pair in zip(
+                        (targets[view].source, targets[view].detector),
+                        layers,
+                        chosen[layer],
+                        strict=True,
+                    )
+                )
+                if any(arm[layer].roll[p] for arm, p in zip(layers, chosen[layer], strict=True)):
+                    targets[view] = Target.from_poses(source, detector)
+        knots, exposed = [ways[0][:1]], [views[:1]]
+        for way, view in zip(ways, views[1:], strict=False):
+            knots.append(way[1:])
+            exposed.append(np.append(np.full(len(way) - 2, -1), view))
+        joints, exposed = np.vstack(knots), np.concatenate(exposed)
+        joints = self._polished(joints, exposed, targets)
+        if start is None:
+            home = self._home(targets[views[0]], joints[0])
+            joints, exposed = np.vstack([home, joints]), np.append(-1, exposed)
+        return JointPath(joints, exposed, tuple(targets))
+
+    def _of_arm(self, arm: int) -> tuple[list[_Candidates], list[str]]:
+        """Return the clear candidates of every view, and messages for views without any."""
+        poses = [(t.source, t.detector)[arm] for t in self._targets]
+        rolls, side = self._rolls[arm], SIDES[arm]
+        turned = np.zeros((len(rolls), 4, 4))
+        about_z = scipy.spatial.transform.Rotation.from_euler("z", rolls[:, None])
+        turned[:, :3, :3] = about_z.as_matrix()
+        turned[:, 3, 3] = 1
+        asked = matrices(poses)[:, None] @ turned
+        branches = Branches(self._cell, arm, self._motion.ik, self._seed)
+        room = Feasible(self._cell, side)
+        found = branches.of(asked.reshape(-1, 4, 4))
+        clear = room.clear(self._placed(found.joints, arm), self._least_mm)
+        candidates, far, gaps = [], {}, {}
+        for view in range(len(poses)):
+            mine = slice(*np.searchsorted(found.pose, np.array([view, view + 1]) * len(rolls)))
+            joints, roll = found.joints[mine], rolls[found.pose[mine] - view * len(rolls)]
+            good = clear[mine]
+            if not good.any() and not branches.closed_form:
+                more = branches.of(asked[view], MANY_STARTS)
+                joints, roll = more.joints, rolls[more.pose]
+                good = room.clear(self._placed(joints, arm), self._least_mm)
+            if not len(joints):
+                joints, roll, off = self._nearest(view, arm)
+                if off is not None:
+                    far[view] = off
+                good = room.clear(self._placed(joints, arm), self._least_mm)
+            if not good.any() and view not in far:
+                gaps[view] = self._widest(self._placed(joints, arm), (side,))
+            candidates.append(_Candidates(joints[good], roll[good]))
+        return candidates, far_problems(side, far) + gap_problems(gaps, self._least_mm)
+
+    def _nearest(self, view: int, arm: int) -> tuple[Floats, Floats, tuple[float, float] | None]:
+        """Return a configuration and its roll if one is within tolerance, else the least error."""
+        part, ranges = self._cell.arm_joints[arm], self._cell.joint_ranges
+        rng = np.random.default_rng([self._seed, view])
+        low, high = np.maximum(ranges[:, 0], -np.pi), np.minimum(ranges[:, 1], np.pi)
+        off = (np.inf, np.inf)
+        for _ in range(NEAREST_STARTS):
+            result = self._kinematics.solve(rng.uniform(low, high), self._targets[view])
+            if result.solved[arm]:
+                return result.joints[None, part], np.zeros(1), None
+            off = min(off, (float(result.position_mm[arm]), float(result.rotation_deg[arm])))
+        return np.zeros((0, part.stop - part.start)), np.zeros(0), off
+
+    def _placed(self, joints: Floats, arm: int) -> Floats:
+        """Extend configurations of one arm to the whole cell by zeros, (m, n)."""
+        placed = np.zeros((len(joints), len(self._speeds)))
+        placed[:, self._cell.arm_joints[arm]] = joints
+        return placed
+
+    def _widest(self, joints: Floats, sides: tuple[str, ...]) -> Gap:
+        """Return the largest clearance among some configurations."""
+        clearance, data = Clearance(self._cell, sides), mujoco.MjData(self._cell.model)
+        best = Gap(-np.inf, ("", ""))
+        for q in joints[:WIDEST_OF]:
+            data.qpos[:] = q
+            mujoco.mj_kinematics(self._cell.model, data)
+            best = max(best, clearance.at(data), key=lambda gap: gap.distance_mm)
+        return best
+
+    def _pairs(self, views: Indices, layers: list[list[_Candidates]]) -> list[Indices]:
+        """Return the pairs of candidates of both arms that are clear of each other, per layer."""
+        ranked = [
+            promising([c.joints for c in arm], speeds)
+            for arm, speeds in zip(layers, self._arms, strict=True)
+        ]
+        pairs, gaps = [], {}
+        for layer, view in enumerate(views.tolist()):
+            if view < 0:
+                pairs.append(np.zeros((1, 2), np.intp))
+                continue
+            of_source, of_detector = (arm[layer].joints for arm in layers)
+            found = clear_pairs(
+                (ranked[0][layer], ranked[1][layer]),
+                lambda i, j, a=of_source, b=of_detector: self._cross.clear(
+                    np.hstack([a[i], b[j]]), self._least_mm
+                ),
+            )
+            pairs.append(found)
+            if not len(found):
+                best = np.hstack(
+                    [of_source[ranked[0][layer][:1]], of_detector[ranked[1][layer][:1]]]
+                )
+                gaps[view] = self._widest(best, SIDES)
+        if gaps:
+            raise TrajectoryError(gap_problems(gaps, self._least_mm))
+        return pairs
+
+    def _checked(self, start: Floats) -> Floats:
+        """Check the start; the first path requires no more clearance than the start has."""
+        start = np.array(start, dtype=np.float64)
+        ranges = self._cell.joint_ranges
+        if start.shape != self._speeds.shape or not np.isfinite(start).all():
+            raise TrajectoryError(
+                f"start: expected {len(ranges)} finite joint positions, got {start}"
+            )
+        # A joint at the end of its range may exceed it by rounding.
+        start = np.where(np.abs(start - start.clip(*ranges.T)) < 1e-3, start.clip(*ranges.T), start)
+        if (start != start.clip(*ranges.T)).any():
+            raise TrajectoryError(f"start: {start} is outside the joints' ranges")
+        gap = self._widest(start[None], SIDES)
+        self._first_mm = min(self._least_mm, gap.distance_mm - 2 * SHORTFALL_MM)
+        if self._first_mm <= 0:
+            raise TrajectoryError(f"start: {gap_text(gap, self._least_mm)}")
+        return start
+
+    def _through(
+        self,
+        views: NDArray[np.intp],
+        layers: list[list[_Candidates]],
+        pairs: list[Indices],
+        from_start: bool,
+    ) -> tuple[list[Floats], list[Indices]]:
+        """Return the paths between layers, knots (m, n) each, and each layer's candidate pair."""
+        nodes = [
+            np.hstack([arm[k].joints[p] for arm, p in zip(layers, pair.T, strict=True)])
+            for k, pair in enumerate(pairs)
+        ]
+        of_arms = list(zip(self._arms, self._cell.arm_joints, strict=True))
+        costs = [
+            np.sum([speeds.seconds(a[:, part], b[:, part]) for speeds, part in of_arms], axis=0)
+            for a, b in zip(nodes[:-1], nodes[1:], strict=True)
+        ]
+        choice = Choice(costs)
+        least = np.full(len(costs), self._least_mm)
+        if from_start:
+            least[0] = self._first_mm
+        straight: dict[tuple[int, int, int], bool] = {}
+        tried: Counter[tuple[int, int, int]] = Counter()
+        while True:
+            path = self._mostly_straight(choice, nodes, straight, least)
+            knots = np.array([layer[node] for layer, node in zip(nodes, path, strict=True)])
+            edges = [(k, int(path[k]), int(path[k + 1])) for k in range(len(costs))]
+            legs: list[Floats] = []
+            for edge, a, b in zip(edges, knots[:-1], knots[1:], strict=True):
+                if straight[edge]:
+                    legs.append(np.array([a, a + self._shorter(b - a)]))
+                elif (leg := self._round(a, b, least[edge[0]], tried[edge])) is not None:
+                    legs.append(leg)
+                else:
+                    break
+            blocked = len(legs)
+            if blocked == len(costs):
+                ways, blocked = self._in_range(knots, legs, least, from_start)
+                if ways:
+                    return ways, [pair[node] for pair, node in zip(pairs, path, strict=True)]
+            # Try other pairs of configurations before spending more effort on this one.
+            edge = edges[blocked]
+            tried[edge] += 1
+            choice.raise_cost(blocked, edge[1:], TRIED_S if tried[edge] < len(SEARCHES) else np.inf)
+            count = sum(n for (layer, *_), n in tried.items() if layer == blocked)
+            total = choice.best(np.zeros(len(nodes[0])))[1]
+            if count == DETOURS_TRIED or not np.isfinite(total) or self._detours.over:
+                told = _no_way(views[blocked], views[blocked + 1], count, self._detours.looked)
+                raise NoWayError(told)
+
+    def _mostly_straight(
+        self,
+        choice: Choice,
+        nodes: list[Floats],
+        straight: dict[tuple[int, int, int], bool],
+        least_mm: Floats,
+    ) -> Indices:
+        """Return the best path, after checking which of its straight moves are clear."""
+        path = np.zeros(0, np.intp)
+        for _ in range(ROUNDS):
+            path, _ = choice.best(np.zeros(len(nodes[0])))
+            edges = [
+                (k, int(i), int(j))
+                for k, (i, j) in enumerate(zip(path[:-1], path[1:], strict=True))
+            ]
+            unknown = [edge for edge in edges if edge not in straight]
+            if not unknown:
+                break
+            starts = np.array([nodes[k][i] for k, i, _ in unknown])
+            ends = np.array([nodes[k + 1][j] for k, _, j in unknown])
+            way = self._shorter(ends - starts)
+            for least in np.unique(least_mm):
+                mine = [m for m, edge in enumerate(unknown) if least_mm[edge[0]] == least]
+                clear = self._both.straight(starts[mine], starts[mine] + way[mine], float(least))
+                for m, good in zip(mine, clear.tolist(), strict=True):
+                    k, i, j = unknown[m]
+                    straight[k, i, j] = good
+                    if not good:
+                        choice.raise_cost(k, (i, j), DETOUR_S)
+        return path
+
+    def _shorter(self, moves: Floats) -> Floats:
+        """Take the shorter way round for joints that can make a full turn."""
+        return np.where(self._turns, (moves + np.pi) % (2 * np.pi) - np.pi, moves)
+
+    def _round(self, start: Floats, end: Floats, least_mm: float, effort: int) -> Floats | None:
+        """Return the knots of a detour, which may end full turns away."""
+        key = np.concatenate([start, end, [least_mm, effort]]).tobytes()
+        if key not in self._known:
+            self._known[key] = self._detours.between(start, end, least_mm, effort)
+        return self._known[key]
+
+    def _in_range(
+        self, knots: Floats, legs: list[Floats], least_mm: Floats, from_start: bool
+    ) -> tuple[list[Floats], int]:
+        """Add full turns to the legs so that all joints stay within their ranges.
+
+        If successive legs turn a joint in one direction, it must be turned back somewhere.
+
+        Returns:
+            the legs, empty after failure, and the index of the leg that failed last.
+        """
+        if not legs:
+            return [
+                lifted(knots, legs, self._cell.joint_ranges, self._speeds, knots[:, 0], from_start)
+            ], 0
+        rewinding_s, blocked = np.full(len(legs), DETOUR_S), 0
+        for _ in range(REWINDS_TRIED):
+            placed = lifted(
+                knots, legs, self._cell.joint_ranges, self._speeds, rewinding_s, from_start
+            )
+            ways: list[Floats] = []
+            for k, (leg, a, b) in enumerate(zip(legs, placed[:-1], placed[1:], strict=True)):
+                if (np.abs(b - a - (leg[-1] - leg[0])) < np.pi).all():
+                    way = leg + (a - leg[0])
+                    way[[0, -1]] = a, b
+                elif self._both.straight(a[None], b[None], least_mm[k])[0]:
+                    way = np.array([a, b])
+                else:
+                    way = self._detours.between(a, b, least_mm[k], 0, turning=False)
+                if way is None:
+                    rewinding_s[k] += REWIND_AGAIN_S
+                    blocked = k
+                    break
+                ways.append(way)
+            else:
+                # A single view has no legs.
+                return ways or [placed], 0
+        return [], blocked
+
+    def _polished(self, joints: Floats, views: NDArray[np.intp], targets: list[Target]) -> Floats:
+        """Return the knots, with mink's solution at each view."""
+        joints = joints.copy()
+        for knot in np.flatnonzero(views >= 0):
+            result = self._kinematics.solve(joints[knot], targets[views[knot]])
+            far = {
+                side: (float(result.position_mm[arm]), float(result.rotation_deg[arm]))
+                for arm, side in enumerate(SIDES)
+                if not result.solved[arm]
+            }
+            if far:
+                raise TrajectoryError(
+                    [p for side, off in far.items() for p in far_problems(side, {views[knot]: off})]
+                )
+            joints[knot] = result.joints
+        return joints
+
+    def _home(self, first: Target, joints: Floats) -> Floats:
+        def clear(home: Floats) -> bool:
+            return bool(self._both.straight(home[None], joints[None], self._least_mm)[0])
+
+        return home_off(first, joints, self._kinematics, clear, self._least_mm)
+
+
+def _rolled(pose: Pose, angle: float) -> Pose:
+    """Roll a pose about its own z axis by an angle, rad."""
+    about_z = scipy.spatial.transform.Rotation.from_euler("z", angle)
+    turned = scipy.spatial.transform.Rotation.from_quat(pose.quat) * about_z
+    return Pose(pose.position, turned.as_quat()) if angle else pose
+
+
+def _no_way(before: int, after: int, tried: int, looked: int) -> str:
+    origin = f"view {before}" if before >= 0 else "the start"
+    return (
+        f"from {origin} to view {after}: no path found in {tried} searches between pairs of "
+        f"configurations; {looked} others checked"
+    )

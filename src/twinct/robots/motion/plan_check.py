@@ -1,0 +1,163 @@
+"""Checks of a motion plan from elsewhere against the cell, the limits and the requested views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinct.core.errors import TrajectoryError
+from twinct.geometry import Floats, Pose
+from twinct.geometry.wire import Target
+from twinct.robots.cell import CellModel
+from twinct.robots.motion.branches import SIDES
+from twinct.robots.motion.kinematics import Kinematics
+from twinct.robots.motion.path_search import kept_mm
+from twinct.robots.motion.plan import MotionPlan, gaps_of, too_close, with_gaps
+from twinct.robots.motion.refusals import named, runs
+from twinct.robots.motion.timing import FINE_S, TimeLaw
+from twinct.scenario import Motion
+
+SAME_MM, SAME_DEG = 1e-3, 1e-3
+"""Tolerances within which the poses of a plan equal the requested poses."""
+
+OVER = 1.02
+"""Factor by which a limit may be exceeded, because joints follow polynomials between waypoints."""
+
+RESTS_RAD_S = 1e-9
+"""Speed below which a joint rests, up to rounding: a thousandth of a micrometre per second."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Views that a plan must cover.
+
+    Attributes:
+        targets: one for each view.
+        roll_free: whether source and panel may roll about their own axes.
+        any_order: whether the plan may take the views in another order.
+    """
+
+    targets: Sequence[Target]
+    roll_free: tuple[bool, bool] = (False, False)
+    any_order: bool = False
+
+
+def checked_plan(
+    plan: MotionPlan, cell: CellModel, motion: Motion, asked: Asked, where: str
+) -> MotionPlan:
+    """Check a plan, and return it with newly computed clearances.
+
+    Args:
+        plan: plan to be executed.
+        cell: robot cell.
+        motion: tolerances, limits, and the required clearance.
+        asked: requested views.
+        where: origin of the plan, for messages.
+
+    Raises:
+        TrajectoryError: the plan belongs to another cell or other views, or violates the limits of
+            joints, torques or clearance.
+    """
+    if plan.joint_names != cell.joint_names:
+        raise TrajectoryError(
+            f"{where}: the plan is for another cell: it moves {', '.join(plan.joint_names)}, but "
+            f"this cell has {', '.join(cell.joint_names)}"
+        )
+    problems = _other_views(plan, asked) or _elsewhere(plan, cell, motion)
+    if not problems:
+        problems = _limits(plan, cell, motion)
+    if not problems:
+        plan = with_gaps(plan, gaps_of(cell, plan))
+        problems = list(too_close(plan, kept_mm(motion)).values())
+    if problems:
+        raise TrajectoryError([f"{where}: {problem}" for problem in problems])
+    return plan
+
+
+def _other_views(plan: MotionPlan, asked: Asked) -> list[str]:
+    if len(plan.targets) != len(asked.targets):
+        return [
+            f"the plan has {len(plan.targets)} views, but the trajectory has {len(asked.targets)}"
+        ]
+    wanted = list(asked.targets)
+    if asked.any_order:
+        places = np.array([(*t.source_m[:3], *t.detector_m[:3]) for t in wanted])
+        wanted = []
+        for target in plan.targets:
+            here = np.array((*target.source_m[:3], *target.detector_m[:3]))
+            nearest = int(np.linalg.norm(places - here, axis=1).argmin())
+            wanted.append(asked.targets[nearest])
+            places[nearest] = np.inf
+    other = [
+        view
+        for view, (has, want) in enumerate(zip(plan.targets, wanted, strict=True))
+        if not (
+            _same(has.source, want.source, asked.roll_free[0])
+            and _same(has.detector, want.detector, asked.roll_free[1])
+        )
+    ]
+    return [
+        f"{named(*run)}: the poses of the plan differ from the trajectory" for run in runs(other)
+    ]
+
+
+def _same(has: Pose, want: Pose, roll_free: bool) -> bool:
+    if has.distance_mm(want) > SAME_MM:
+        return False
+    if roll_free:
+        cosine = float(has.rotation[:, 2] @ want.rotation[:, 2])
+        return np.degrees(np.arccos(min(cosine, 1.0))) <= SAME_DEG
+    return has.angle_deg(want) <= SAME_DEG
+
+
+def _elsewhere(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
+    """Return a message for views whose joints miss the tool pose, which means another cell."""
+    kinematics, ik = Kinematics(cell, motion.ik), motion.ik
+    off: dict[str, dict[int, tuple[float, float]]] = {side: {} for side in SIDES}
+    for view, (joints, target) in enumerate(zip(plan.joints, plan.targets, strict=True)):
+        for side, here in zip(SIDES, kinematics.poses(joints), strict=True):
+            want: Pose = getattr(target, side)
+            far = here.distance_mm(want), here.angle_deg(want)
+            if far[0] > ik.position_tolerance_mm or far[1] > ik.rotation_tolerance_deg:
+                off[side][view] = far
+    return [
+        f"{named(first, last)}: the plan is for another cell: its joints put the {side} "
+        f"{max(far[v][0] for v in range(first, last + 1)):.1f} mm and "
+        f"{max(far[v][1] for v in range(first, last + 1)):.2f} deg off target"
+        for side, far in off.items()
+        for first, last in runs(far)
+    ]
+
+
+def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
+    """Return messages for the limits that the plan exceeds, with the worst joint of each kind."""
+    states = plan.at(np.arange(0.0, plan.duration_s, FINE_S))
+    low, high = cell.joint_ranges.T
+    beyond = np.maximum(low - states[:, 0], states[:, 0] - high)
+    problems = []
+    if beyond.max() > 1e-9:
+        worst = int(beyond.max(axis=0).argmax())
+        problems.append(
+            f"{cell.joint_names[worst]} goes {np.degrees(beyond.max()):.1f} deg beyond its range"
+        )
+    shares = TimeLaw(cell, motion).shares(states)
+    for what, share in shares.items():
+        if share.max() > OVER:
+            time, joint = np.unravel_index(int(share.argmax()), share.shape)
+            problems.append(
+                f"{cell.joint_names[joint]} reaches {100 * share.max():.0f} % of its {what} limit "
+                f"at {time * FINE_S:.2f} s"
+            )
+    if motion.trigger == "settled":
+        moving = _moving(plan)
+        problems += [
+            f"{named(*run)}: the arms do not rest, but motion.trigger is settled" for run in moving
+        ]
+    return problems
+
+
+def _moving(plan: MotionPlan) -> list[tuple[int, int]]:
+    speeds: Floats = np.abs(plan.state[plan.waypoints, 1]).max(axis=1)
+    return runs(np.flatnonzero(speeds > RESTS_RAD_S).tolist())

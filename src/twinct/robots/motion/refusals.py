@@ -1,0 +1,74 @@
+"""Messages about infeasible views: the views, the arm or bodies, and the missing distance."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from twinct.robots.cell import Gap
+from twinct.robots.motion.branches import SIDES
+
+
+def far_problems(side: str, far: Mapping[int, tuple[float, float]]) -> list[str]:
+    """Return messages for views out of an arm's reach, with the distance in mm and degrees."""
+    problems = []
+    for first, last in runs(far):
+        worst = np.max([far[view] for view in range(first, last + 1)], axis=0)
+        up_to = "up to " if last > first else ""
+        tail = f" and {worst[1]:.1f} deg" if worst[1] > 1 else ""
+        problems.append(
+            f"{named(first, last)}: {side} arm: out of reach by {up_to}{worst[0]:.1f} mm{tail}"
+        )
+    return problems
+
+
+def gap_problems(gaps: Mapping[int, Gap], asked_mm: float) -> list[str]:
+    """Return messages for views in which bodies come too close, with their smallest gap."""
+    problems: list[tuple[int, str]] = []
+    for bodies in sorted({gap.bodies for gap in gaps.values()}):
+        for first, last in runs(view for view, gap in gaps.items() if gap.bodies == bodies):
+            worst = min((gaps[v] for v in range(first, last + 1)), key=lambda g: g.distance_mm)
+            problems.append((first, f"{named(first, last)}: {gap_text(worst, asked_mm)}"))
+    return [text for _, text in sorted(problems)]
+
+
+def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:
+    """Return messages for views whose motion takes longer than allowed, from the time of each."""
+    late = [view for view, needed_s in enumerate(seconds) if needed_s > allowed_s]
+    return [
+        f"{named(first, last)}: the way there takes at least {max(seconds[first : last + 1]):.2f} s"
+        f"{' in the worst case' if last > first else ''}; motion.timeout_s allows {allowed_s:g} s"
+        for first, last in runs(late)
+    ]
+
+
+def gap_text(gap: Gap, asked_mm: float) -> str:
+    """Return a message for two bodies that are too close to each other."""
+    pair = " and ".join(map(readable, gap.bodies))
+    if gap.distance_mm < 0:
+        return f"{pair} overlap by {-gap.distance_mm:.1f} mm"
+    return f"{pair} come within {gap.distance_mm:.1f} mm; at least {asked_mm:g} mm are required"
+
+
+def readable(body: str) -> str:
+    """Return the name of a body in messages."""
+    return {"detector": "detector_panel"}.get(body, body)
+
+
+def arms_in(text: str) -> list[str]:
+    """Return the arms that a message names, directly or by one of their bodies."""
+    return [side for side in SIDES if re.search(rf"\b{side}(_| arm| and | overlap| come )", text)]
+
+
+def runs(views: Iterable[int]) -> list[tuple[int, int]]:
+    """Return the first and last number of each run of consecutive numbers."""
+    ordered = np.array(sorted(views), dtype=np.intp)
+    parts = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1)
+    return [(int(part[0]), int(part[-1])) for part in parts if len(part)]
+
+
+def named(first: int, last: int) -> str:
+    """Return the text for one view or a range of views."""
+    return f"view {first}" if first == last else f"views {first} to {last}"

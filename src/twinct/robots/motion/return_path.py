@@ -1,0 +1,89 @@
+"""Path of both arms from their current joints back to their home."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinct.core.errors import TrajectoryError
+from twinct.geometry import Floats
+from twinct.geometry.wire import Target
+from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible
+from twinct.robots.motion.kinematics import mujoco, site_pose
+from twinct.robots.motion.path_planner import SEARCHES, Detours
+from twinct.robots.motion.path_search import JointPath, kept_mm
+from twinct.robots.motion.refusals import gap_text
+from twinct.scenario import Motion
+
+AT_ONCE = 8
+"""Knots of the path back that are checked at once for a straight connection, last ones first."""
+
+
+def path_home(
+    cell: CellModel,
+    motion: Motion,
+    start: Floats,
+    home: Floats,
+    back: Floats,
+    *,
+    seed: int = 0,
+    most_looks: float = np.inf,
+) -> JointPath:
+    """Find a path home: straight in joint space, else along the known path, else by a detour.
+
+    Args:
+        cell: robot cell.
+        motion: required clearance; the path keeps less if one of its ends has less.
+        start: current joint positions, rad, (n,).
+        home: joint positions at home, rad, (n,).
+        back: knots of a clear path from start to home, both included, rad, (m, n); shortened where
+            straight paths between its knots are clear. Empty if no path is known.
+        seed: seed of the searches.
+        most_looks: largest number of configurations that the searches may check.
+
+    Returns:
+        a path with one view, at its end: the poses of the end-effectors at home.
+
+    Raises:
+        TrajectoryError: bodies touch at the start or at home, or no path was found.
+    """
+    least = kept_mm(motion)
+    gap = Clearance(cell).over(np.array([start, home]))
+    kept = min(least, gap.distance_mm - 2 * SHORTFALL_MM)
+    if kept <= 0:
+        raise TrajectoryError(f"start: {gap_text(gap, least)}")
+    room, knots = Feasible(cell), np.array([start, home])
+    if not room.straight(knots[:1], knots[1:], kept)[0]:
+        if len(back):
+            knots = _shortened(room, back, kept)
+        else:
+            # No free turns: all joints must end exactly at home, not a turn away.
+            detours = Detours(cell, room, np.zeros(len(start), bool), seed, most_looks)
+            tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
+            found = next((way for way in tries if way is not None), None)
+            if found is None:
+                raise TrajectoryError(
+                    f"no path home found after checking {detours.looked} configurations"
+                )
+            knots = found
+    data = mujoco.MjData(cell.model)
+    data.qpos[:] = home
+    mujoco.mj_kinematics(cell.model, data)
+    target = Target.from_poses(*(site_pose(data, site) for site in cell.site_ids))
+    return JointPath(knots, np.append(np.full(len(knots) - 1, -1), 0), (target,))
+
+
+def _shortened(room: Feasible, knots: Floats, least_mm: float) -> Floats:
+    """Connect each knot straight to the last knot in sight, at least to the next one."""
+    kept, last = [0], len(knots) - 1
+    while kept[-1] < last:
+        here = kept[-1]
+        following = here + 1
+        for stop in range(last + 1, here + 2, -AT_ONCE):
+            ends = knots[max(stop - AT_ONCE, here + 2) : stop]
+            seen = room.straight(np.broadcast_to(knots[here], ends.shape), ends, least_mm)
+            if seen.any():
+                following = stop - len(ends) + int(np.flatnonzero(seen)[-1])
+                break
+        kept.append(following)
+    return knots[kept]

@@ -1,0 +1,83 @@
+"""Shutter: the instants of an exposure, interpolated from the steps of the simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinct.geometry import Floats
+from twinct.geometry.wire import Instant
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """Timing of an exposure.
+
+    Attributes:
+        exposure_s: time from the trigger until the shutter closes.
+        samples: instants of the exposure; with one sample the exposure is instantaneous.
+        remember: whether each view also reports the poses of the previous view.
+    """
+
+    exposure_s: float = 0.0
+    samples: int = 1
+    remember: bool = False
+
+    def steps(self, timestep_s: float) -> int:
+        """Return the number of simulation steps after the trigger."""
+        if self.samples == 1:
+            return 0
+        return math.ceil(self.exposure_s / timestep_s - 1e-9)
+
+    @property
+    def middle_s(self) -> float:
+        """Time from the trigger to the middle of the exposure."""
+        return self.exposure_s / 2 if self.samples > 1 else 0.0
+
+    def middle(self, steps: Floats, timestep_s: float) -> Floats:
+        """Return values at the middle of the exposure, interpolated linearly between steps.
+
+        Args:
+            steps: values at each step since the trigger, (steps, ...).
+            timestep_s: time between two steps.
+        """
+        first, share = _between(len(steps), self.middle_s / timestep_s)
+        return steps[first] if not share else (1 - share) * steps[first] + share * steps[first + 1]
+
+    def over(
+        self, steps: Sequence[Instant], timestep_s: float
+    ) -> tuple[Instant, tuple[Instant, ...]]:
+        """Return the middle of the exposure, and the middles of its equal parts.
+
+        Args:
+            steps: instants at each step since the trigger, interpolated linearly.
+            timestep_s: time between two steps.
+        """
+        if self.samples == 1:
+            return steps[0], ()
+        shares = (np.arange(self.samples) + 0.5) / self.samples
+        times = [*(shares * self.exposure_s / timestep_s), self.middle_s / timestep_s]
+        *instants, middle = (_at(steps, float(time)) for time in times)
+        return middle, tuple(instants)
+
+
+def _between(steps: int, time: float) -> tuple[int, float]:
+    """Return the step before a time in units of steps, and the remaining fraction of a step."""
+    first = max(min(int(time), steps - 2), 0)
+    return first, time - first
+
+
+def _at(steps: Sequence[Instant], time: float) -> Instant:
+    """Interpolate positions, and quaternions for the small turn of one step, linearly."""
+    first, share = _between(len(steps), time)
+    mixed = []
+    for one, two in zip(np.array(steps[first]), np.array(steps[first + 1]), strict=True):
+        if one[3:] @ two[3:] < 0:
+            two[3:] = -two[3:]
+        between = (1 - share) * one + share * two
+        between[3:] /= np.linalg.norm(between[3:])
+        mixed.append(tuple(between.tolist()))
+    return Instant(*mixed)

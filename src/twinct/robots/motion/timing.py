@@ -1,0 +1,225 @@
+"""Time law of a path: the joint states over time, computed before anything moves.
+
+The path is a spline through its knots with one path parameter s. Both arms share s, so that they
+complete equal shares of their paths at equal times. The speed of s stays below the limits of joint
+speed, curvature and tool speed, rises and falls within the acceleration limits, and is smoothed
+over time, which bounds the jerk. Where the result still exceeds a limit, torques included, it is
+slowed down and computed again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from twinct.core.errors import TrajectoryError
+from twinct.geometry import MM_PER_M, Floats
+from twinct.robots.cell import CellModel
+from twinct.robots.motion.kinematics import mujoco
+from twinct.scenario import Motion
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+TORQUE_SHARE = 0.9
+"""Share of the torque limits that a law may use; the rest is for the servos' corrections."""
+
+CURVE_SHARE = 0.5
+"""Share of the acceleration for following the curve; the rest is for speeding up and braking."""
+
+FINE_S = 0.002
+"""Time step of the law and of the checks of its limits, s."""
+
+LOOK = 8
+"""Points between two knots at which the limits are evaluated."""
+
+ROUNDS = 60
+"""Largest number of times that a law is slowed down and computed again."""
+
+SLOWER = 1.01
+"""Extra factor of each slowdown, lest the last thousandth take all rounds."""
+
+ALLOWED = 1.001
+"""Factor by which a limit may be exceeded."""
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """Joint states over time, from rest to rest, at equal steps of ``FINE_S``.
+
+    Attributes:
+        time_s: (times,), from 0.
+        state: position, velocity and acceleration, rad and s, (times, 3, n).
+        knots_s: time at each knot of the path, (knots,).
+    """
+
+    time_s: Floats
+    state: Floats
+    knots_s: Floats
+
+
+class TimeLaw:
+    """Computation of time laws for one cell."""
+
+    def __init__(self, cell: CellModel, motion: Motion) -> None:
+        """Store the limits of cell and motion."""
+        self._cell = cell
+        self._data = mujoco.MjData(cell.model)
+        self._speed = cell.speed_limits * cell.speed_scales
+        self._acceleration = float(np.radians(motion.acceleration_deg_s2))
+        self._jerk = float(np.radians(motion.jerk_deg_s3))
+        self._tool_m_s = (motion.tool_speed_mm_s or np.inf) / MM_PER_M
+        # A window of this length turns the largest jump of acceleration into the largest jerk.
+        self._window = max(1, round(self._acceleration / self._jerk / FINE_S))
+
+    def through(self, knots: Floats) -> Law:
+        """Return the fastest law through some knots that this method finds.
+
+        Args:
+            knots: joint positions, rad, (knots, n); at least two, neighbours different.
+
+        Raises:
+            TrajectoryError: a joint cannot even hold the arm, or no law kept the limits.
+        """
+        still = np.zeros_like(knots)
+        holding = self._torque_shares(np.stack([knots, still, still], axis=1)).max(axis=0)
+        if holding.max() >= TORQUE_SHARE:
+            name = self._cell.joint_names[int(holding.argmax())]
+            raise TrajectoryError(
+                f"{name} needs {100 * holding.max():.0f} % of its torque limit to hold still; at "
+                f"most {100 * TORQUE_SHARE:.0f} % may be used"
+            )
+        spans = np.maximum((np.abs(np.diff(knots, axis=0)) / self._speed).max(axis=1), 1e-9)
+        passed = np.concatenate([[0.0], np.cumsum(spans)])
+        way = scipy.interpolate.CubicSpline(passed, knots)
+        share = np.arange(LOOK) / LOOK
+        s = np.append((passed[:-1, None] + share * spans[:, None]).ravel(), passed[-1])
+        most, gain = self._allowed(way, s)
+        law = self._law(way, s, most, gain, passed)
+        for _ in range(ROUNDS):
+            excess = self._excess(law)
+            if excess.max() <= ALLOWED:
+                return law
+            # Slow down where a limit was exceeded, and within one smoothing window of it.
+            here = scipy.ndimage.maximum_filter1d(excess, 2 * self._window + 1)
+            along = np.interp(s, self._progress, here)
+            slower = np.where(along > 1.0, np.minimum(SLOWER * along, 2.0), 1.0)
+            most, gain = most / slower, gain / slower
+            law = self._law(way, s, most, gain, passed)
+        raise TrajectoryError(f"found no timing within the joints' limits in {ROUNDS} rounds")
+
+    def shares(self, states: Floats) -> dict[str, Floats]:
+        """Return the speed, acceleration and torque as shares of each joint's limits.
+
+        Args:
+            states: position, velocity and acceleration, rad and s, (times, 3, n).
+
+        Returns:
+            (times, n) each.
+        """
+        return {
+            "speed": np.abs(states[:, 1]) / self._speed,
+            "acceleration": np.abs(states[:, 2]) / self._acceleration,
+            "torque": self._torque_shares(states) / TORQUE_SHARE,
+        }
+
+    def _allowed(self, way: CubicSpline, s: Floats) -> tuple[Floats, Floats]:
+        """Return the largest speed of s at each value of s, and the acceleration left for s."""
+        first, second, third = (np.abs(way(s, d)) for d in (1, 2, 3))
+        with np.errstate(divide="ignore"):
+            most = np.min(
+                [
+                    (self._speed / first).min(axis=1),
+                    np.sqrt(CURVE_SHARE * self._acceleration / second.max(axis=1)),
+                    np.cbrt(self._jerk / third.max(axis=1)),
+                    self._tool_m_s / self._tool_slopes(way, s),
+                ],
+                axis=0,
+            )
+            gain = (1 - CURVE_SHARE) * self._acceleration / first.max(axis=1)
+        return most, gain
+
+    def _tool_slopes(self, way: CubicSpline, s: Floats) -> Floats:
+        """Return the distance that the faster tool travels per unit of s, m."""
+        if not np.isfinite(self._tool_m_s):
+            return np.zeros(len(s))
+        jacobian = np.zeros((3, self._cell.model.nv))
+        slopes = np.zeros(len(s))
+        for k, (joints, slope) in enumerate(zip(way(s), way(s, 1), strict=True)):
+            self._data.qpos[:] = joints
+            mujoco.mj_kinematics(self._cell.model, self._data)
+            mujoco.mj_comPos(self._cell.model, self._data)
+            for site in self._cell.site_ids:
+                mujoco.mj_jacSite(self._cell.model, self._data, jacobian, None, site)
+                slopes[k] = max(slopes[k], float(np.linalg.norm(jacobian @ slope)))
+        return slopes
+
+    def _law(self, way: CubicSpline, s: Floats, most: Floats, gain: Floats, passed: Floats) -> Law:
+        speed = self._reachable(s, most, gain)
+        # The acceleration is constant between two values of s: the mean speed gives the time.
+        ends = np.concatenate([[0.0], np.cumsum(2 * np.diff(s) / (speed[1:] + speed[:-1]))])
+        count = int(np.ceil(ends[-1] / FINE_S))
+        rising = np.interp(np.arange(count + 1) * FINE_S, ends, s)
+        # Speeds over time, padded with rest, smoothed twice, which preserves the sum.
+        steps = np.pad(np.diff(rising), 2 * self._window)
+        for _ in range(2):
+            steps = scipy.ndimage.uniform_filter1d(steps, self._window, mode="constant")
+        progress = np.minimum(np.concatenate([[0.0], np.cumsum(steps)]), s[-1])
+        progress[-1] = s[-1]
+        time_s = FINE_S * np.arange(len(progress), dtype=np.float64)
+        moving = scipy.interpolate.CubicSpline(time_s, progress, bc_type="clamped")
+        velocity, acceleration = moving(time_s, 1)[:, None], moving(time_s, 2)[:, None]
+        velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
+        joints, slope, bend = way(progress), way(progress, 1), way(progress, 2)
+        state = np.stack(
+            [joints, slope * velocity, bend * velocity**2 + slope * acceleration], axis=1
+        )
+        self._progress = progress
+        rises = np.concatenate([[True], np.diff(progress) > 0])
+        return Law(time_s, state, np.interp(passed, progress[rises], time_s[rises]))
+
+    @staticmethod
+    def _reachable(s: Floats, most: Floats, gain: Floats) -> Floats:
+        """Return the speeds of s from rest to rest, within ``most`` and accelerations ``gain``."""
+        squared = scipy.ndimage.minimum_filter1d(most, 3) ** 2
+        squared[0] = squared[-1] = 0.0
+        room = 2 * np.minimum(gain[1:], gain[:-1]) * np.diff(s)
+        for k, more in enumerate(room.tolist()):
+            squared[k + 1] = min(squared[k + 1], squared[k] + more)
+        for k in range(len(room) - 1, -1, -1):
+            squared[k] = min(squared[k], squared[k + 1] + room[k])
+        return np.sqrt(squared)
+
+    def _excess(self, law: Law) -> Floats:
+        """Return the factor by which s is too fast at each time, at least 1, (times,)."""
+        jerk = np.gradient(law.state[:, 2], FINE_S, axis=0)
+        excess = np.max(
+            [
+                (np.abs(law.state[:, 1]) / self._speed).max(axis=1),
+                np.sqrt(np.abs(law.state[:, 2]).max(axis=1) / self._acceleration),
+                np.cbrt(np.abs(jerk).max(axis=1) / self._jerk),
+            ],
+            axis=0,
+        )
+        if excess.max() <= ALLOWED:
+            shares = self._torque_shares(law.state).max(axis=1)
+            excess = np.maximum(excess, np.sqrt(shares / TORQUE_SHARE))
+        return excess
+
+    def _torque_shares(self, states: Floats) -> Floats:
+        """Return the torques from inverse dynamics as shares of the limits, (times, n)."""
+        data, model = self._data, self._cell.model
+        torques = np.zeros((len(states), model.nv))
+        for k, (joints, velocity, acceleration) in enumerate(states):
+            data.qpos[:], data.qvel[:], data.qacc[:] = joints, velocity, acceleration
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            mujoco.mj_rne(model, data, 1, torques[k])
+        # Newton-Euler covers the links only; rotor inertia, damping and friction are added here.
+        torques += model.dof_armature * states[:, 2] + model.dof_damping * states[:, 1]
+        drag = model.dof_frictionloss * np.sign(states[:, 1])
+        return np.abs(torques + drag) / self._cell.torque_limits

@@ -1,0 +1,20 @@
+"""Reach of the arms, their best placement, and the diagnosis of infeasible views."""
+
+from twinct.robots.reach.holding import Holder, Poses
+from twinct.robots.reach.place import Bounds, Placement, place
+from twinct.robots.reach.sphere import Reach, poses_of, reach
+from twinct.robots.reach.why import View, reasons, shown
+
+__all__ = [
+    "Bounds",
+    "Holder",
+    "Placement",
+    "Poses",
+    "Reach",
+    "View",
+    "place",
+    "poses_of",
+    "reach",
+    "reasons",
+    "shown",
+]

@@ -1,0 +1,203 @@
+"""Poses that the arms can hold, clear of themselves, of the room and of each other.
+
+Each arm is solved alone, independently of the other; then pairs are checked until one is clear.
+Where the last joint rolls the tool about the beam, a free roll changes that joint only: the others
+are solved once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from twinct.geometry import Floats, Pose
+from twinct.robots.cell import CellModel
+from twinct.robots.motion import Kinematics
+from twinct.robots.motion.branches import SEARCH_STARTS, SIDES, Branches, Configurations, matrices
+from twinct.robots.motion.feasible import Feasible
+from twinct.robots.motion.path_search import kept_mm
+from twinct.scenario import Motion
+
+ROLLS_DEG = np.array([0.0, 90.0, 45.0, 135.0, 180.0, 270.0, 225.0, 315.0, *range(15, 360, 15)])
+"""Roll angles about the beam, in the order in which they are tried if the roll is free."""
+
+ROLLS_KEPT = 2
+"""Largest number of clear rolls per branch; more add nothing to the reach."""
+
+PAIRS_AT_ONCE = 8
+"""Number of pairs of configurations of one view that are checked at once."""
+
+SAME_MM, SAME_RAD = 1e-6, 1e-9
+"""Motion of the tool, apart from its roll, below which the last joint only rolls the tool."""
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Target poses of source and panel in some views, ``world_from_tool``, (p, 4, 4), mm."""
+
+    source: Floats
+    detector: Floats
+
+    @classmethod
+    def of(cls, sources: Sequence[Pose], detectors: Sequence[Pose]) -> Poses:
+        """Build from the poses of sources and detectors."""
+        return cls(matrices(list(sources)), matrices(list(detectors)))
+
+    def __len__(self) -> int:
+        """Return the number of views."""
+        return len(self.source)
+
+    def __getitem__(self, views: Sequence[int] | NDArray[np.intp]) -> Poses:
+        """Return the poses of some views."""
+        return Poses(self.source[views], self.detector[views])
+
+
+class Holder:
+    """Feasibility checks of one cell, with the clearance of a motion plan."""
+
+    def __init__(
+        self,
+        cell: CellModel,
+        motion: Motion,
+        *,
+        roll_free: tuple[bool, bool] = (True, True),
+        starts: int = SEARCH_STARTS,
+        rolls: int = len(ROLLS_DEG),
+        seed: int = 0,
+    ) -> None:
+        """Set up the checks.
+
+        Args:
+            cell: robot cell.
+            motion: tolerances, and the required clearance.
+            roll_free: whether source and panel may roll about their own axes.
+            starts: random starts for each pose of an arm without closed form.
+            rolls: largest number of ROLLS_DEG to try.
+            seed: seed of the random starts.
+        """
+        self.cell, self.least_mm = cell, kept_mm(motion)
+        self.motion, self._starts, self._seed = motion, starts, seed
+        self._rolls = [np.radians(ROLLS_DEG[: rolls if free else 1]) for free in roll_free]
+        self._cross = Feasible(cell, "cross")
+
+    def alone(self, poses: Floats, arm: int) -> Configurations:
+        """Return the configurations of one arm that reach poses, clear of itself and the room.
+
+        Args:
+            poses: ``world_from_tool``, (p, 4, 4), mm.
+            arm: 0 source, 1 detector.
+        """
+        branches = Branches(self.cell, arm, self.motion.ik, self._seed)
+        room, rolls = Feasible(self.cell, SIDES[arm]), self._rolls[arm]
+        found = branches.of(poses, self._starts)
+        if not self._last_joint_rolls(arm):
+            return self._rolled(branches, room, poses, arm)
+        low, high = self.cell.joint_ranges[self.cell.arm_joints[arm]][-1]
+        count, kept = np.zeros(len(found.pose), int), []
+        for roll in rolls:
+            open_ = np.flatnonzero(count < ROLLS_KEPT)
+            joints = found.joints[open_].copy()
+            joints[:, -1] = (joints[:, -1] + roll + np.pi) % (2 * np.pi) - np.pi
+            if roll == 0:  # the original value, which is inside the range
+                joints[:, -1] = found.joints[open_, -1]
+            good = (joints[:, -1] >= low) & (joints[:, -1] <= high)
+            good[good] = room.clear(self.placed(joints[good], arm), self.least_mm)
+            count[open_] += good
+            kept.append((joints[good], found.pose[open_[good]]))
+        joints, pose = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+        order = np.argsort(pose, kind="stable")
+        return Configurations(joints[order], pose[order])
+
+    def can(self, poses: Floats, arm: int) -> Flags:
+        """Check which poses an arm holds, clear of itself and the room; faster than ``alone``."""
+        branches = Branches(self.cell, arm, self.motion.ik, self._seed)
+        room, held = Feasible(self.cell, SIDES[arm]), np.zeros(len(poses), bool)
+        found = branches.of(poses, self._starts)
+        # Check one configuration of each pose after the other, until one is clear.
+        turn = np.arange(len(found.pose)) - np.searchsorted(found.pose, found.pose)
+        for k in range(int(turn.max(initial=-1)) + 1):
+            mine = np.flatnonzero((turn == k) & ~held[found.pose])
+            clear = room.clear(self.placed(found.joints[mine], arm), self.least_mm)
+            held[found.pose[mine[clear]]] = True
+        left = np.flatnonzero(~held)
+        if len(self._rolls[arm]) > 1 and len(left):
+            held[left[np.unique(self.alone(poses[left], arm).pose)]] = True
+        return held
+
+    def any_clearance(self, poses: Floats, arm: int) -> Configurations:
+        """Return the configurations of one arm that reach poses, including those in collision."""
+        return Branches(self.cell, arm, self.motion.ik, self._seed).of(poses, self._starts)
+
+    def held(self, poses: Poses) -> Flags:
+        """Return flags of the views that both arms can hold, clear of each other, (p,)."""
+        return self.held_by(poses)[0]
+
+    def held_by(self, poses: Poses) -> tuple[Flags, Flags]:
+        """Return flags of the views that both arms can hold, (p,), and each arm alone, (2, p)."""
+        found = self.alone(poses.source, 0), self.alone(poses.detector, 1)
+        held, alone = np.zeros(len(poses), bool), np.zeros((2, len(poses)), bool)
+        for flags, of in zip(alone, found, strict=True):
+            flags[of.pose] = True
+        for view in np.flatnonzero(alone.all(axis=0)).tolist():
+            held[view] = len(self.pairs(found[0], found[1], view)) > 0
+        return held, alone
+
+    def _rolled(
+        self, branches: Branches, room: Feasible, poses: Floats, arm: int
+    ) -> Configurations:
+        """Compute the result of ``alone`` if the last joint does more than roll the tool."""
+        turned = np.zeros((len(self._rolls[arm]), 4, 4))
+        turned[:, 3, 3] = 1
+        about_z = scipy.spatial.transform.Rotation.from_euler("z", self._rolls[arm][:, None])
+        turned[:, :3, :3] = about_z.as_matrix()
+        found = branches.of((poses[:, None] @ turned).reshape(-1, 4, 4), self._starts)
+        clear = room.clear(self.placed(found.joints, arm), self.least_mm)
+        return Configurations(found.joints[clear], found.pose[clear] // len(turned))
+
+    def _last_joint_rolls(self, arm: int) -> bool:
+        kinematics = Kinematics(self.cell, self.motion.ik)
+        joints = np.full(len(self.cell.joint_names), 0.3)
+        before = kinematics.poses(joints)[arm]
+        joints[self.cell.arm_joints[arm].stop - 1] += 1.0
+        after = before.inverse() @ kinematics.poses(joints)[arm]
+        back = scipy.spatial.transform.Rotation.from_quat(after.quat).inv()
+        turned = scipy.spatial.transform.Rotation.from_euler("z", 1.0) * back
+        here = np.linalg.norm(after.position) < SAME_MM
+        return bool(here and turned.magnitude() < SAME_RAD)
+
+    def placed(self, joints: Floats, arm: int) -> Floats:
+        """Extend configurations of one arm to the whole cell by zeros, (m, n)."""
+        placed = np.zeros((len(joints), len(self.cell.joint_names)))
+        placed[:, self.cell.arm_joints[arm]] = joints
+        return placed
+
+    def pairs(
+        self, source: Configurations, detector: Configurations, view: int, enough: int = 1
+    ) -> Floats:
+        """Return configurations of both arms that hold a view, clear of each other, (m, n).
+
+        Args:
+            source: configurations of the source arm.
+            detector: configurations of the detector arm.
+            view: index of the view's pose for both arms.
+            enough: number of results at which the search ends; it may return more.
+        """
+        a, b = (
+            c.joints[slice(*np.searchsorted(c.pose, (view, view + 1)))] for c in (source, detector)
+        )
+        # Diagonal order, so that no configuration has to wait for all pairs of another.
+        i, j = np.indices((len(a), len(b))).reshape(2, -1)
+        order = np.argsort(i + j, kind="stable")
+        joints, found = np.hstack([a[i[order]], b[j[order]]]), []
+        for start in range(0, len(joints), PAIRS_AT_ONCE):
+            part = joints[start : start + PAIRS_AT_ONCE]
+            found.append(part[self._cross.clear(part, self.least_mm)])
+            if sum(map(len, found)) >= enough:
+                break
+        return np.vstack([joints[:0], *found])

@@ -1,0 +1,182 @@
+"""Further reconstructions of a run: a folder each, with settings, figures and cross-sections."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twinct.core.errors import InputError
+from twinct.core.files.plain_json import read_json
+from twinct.core.files.writing import write_json
+from twinct.evaluation import ImageFigures
+from twinct.recon.volume import Volume
+from twinct.report import CrossSection, plain, with_found
+
+FORMAT = "twinct reconstruction 1"
+_FILES = ("volume.nii", "sections.npz")
+"""Files whose digests are stored; see ``check_files``."""
+_ARRAYS = ("reconstruction", "truth", "roi")
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """A further reconstruction of a run, stored beside the run's own volume.
+
+    Attributes:
+        name: name of its folder.
+        digest: digest of everything that its voxels depend on.
+        geometry: name of the geometry that it was made from.
+        geometry_digest: digest of the geometry; empty for the scan's own.
+        in_words: algorithm and settings in one line.
+        settings: the section ``reconstruction`` that made it, defaults included.
+        figures: image figures, relative to the truth.
+        residuals: residual of each iteration.
+        seconds: duration of the reconstruction.
+        slices: cross-sections, see ``twinct.report.cross_sections``.
+        path: its folder; the voxels are in ``volume.nii`` there.
+        found: further results of the algorithm, see ``twinct.report.FOUND``.
+    """
+
+    name: str
+    digest: str
+    geometry: str
+    geometry_digest: str
+    in_words: str
+    settings: Mapping[str, Any]
+    figures: ImageFigures
+    residuals: tuple[float, ...]
+    seconds: float
+    slices: Mapping[str, CrossSection]
+    path: Path
+    found: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    @property
+    def told(self) -> str:
+        """Algorithm, settings and further results in one line."""
+        return with_found(self.in_words, self.found)
+
+    @property
+    def volume(self) -> Volume:
+        """The volume, 1/mm, read from its file."""
+        return Volume.read(self.path / "volume.nii")
+
+    def keep(self, volume: Volume) -> None:
+        """Write the reconstruction; its folder appears only when it is complete.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
+        draft = self.path.with_name(f".{self.path.name}.partial")
+        shutil.rmtree(draft, ignore_errors=True)
+        draft.mkdir(parents=True)
+        volume.write(draft / "volume.nii", f"twinct {self.digest[:32]}")
+        arrays = {
+            f"{plane}.{name}": getattr(section, name)
+            for plane, section in self.slices.items()
+            for name in _ARRAYS
+        }
+        np.savez_compressed(draft / "sections.npz", **arrays)
+        kept = {"format": FORMAT, **_plain(self)}
+        kept["slices"] = {
+            plane: (section.extent_mm, section.axes, section.position)
+            for plane, section in self.slices.items()
+        }
+        kept["files"] = {name: _digest(draft / name) for name in _FILES}
+        write_json(draft / "reconstruction.json", kept)
+        draft.rename(self.path)
+
+    def write_figures(self, figures: ImageFigures) -> None:
+        """Replace the figures in the folder."""
+        file = self.path / "reconstruction.json"
+        told = read_json(file)
+        write_json(file, told | {"figures": plain(figures.as_dict())})
+
+    @classmethod
+    def read(cls, path: Path) -> Reconstruction:
+        """Read a folder that ``keep`` wrote, without the voxels.
+
+        Raises:
+            InputError: the folder holds no reconstruction, or is damaged.
+        """
+        try:
+            told = read_json(path / "reconstruction.json")
+            if told.pop("format") != FORMAT:
+                raise ValueError(f"not of the format {FORMAT!r}")
+            told.pop("files", None)
+            # Earlier versions stored these two keys at the top level instead of in ``found``.
+            before = {key: told.pop(key) for key in ("implants", "passes") if key in told}
+            told.setdefault("found", {key: value for key, value in before.items() if value})
+            with np.load(path / "sections.npz") as arrays:
+                slices = {
+                    plane: CrossSection(
+                        *(arrays[f"{plane}.{name}"] for name in _ARRAYS),
+                        extent_mm=tuple(extent),
+                        axes=tuple(axes),
+                        position=position,
+                    )
+                    for plane, (extent, axes, position) in told.pop("slices").items()
+                }
+            figures = {
+                key: np.nan if value is None else value
+                for key, value in told.pop("figures").items()
+            }
+            residuals = tuple(told.pop("residuals"))
+            return cls(
+                **told,
+                figures=ImageFigures.of(figures),
+                residuals=residuals,
+                slices=slices,
+                path=path,
+            )
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise InputError(f"{path} is not a reconstruction of a run: {error}") from None
+
+
+def check_files(path: Path) -> None:
+    """Check the files of a reconstruction against their digests.
+
+    Raises:
+        InputError: the folder cannot be read, or a file differs from its digest.
+    """
+    found = Reconstruction.read(path)
+    told = read_json(path / "reconstruction.json")
+    for name, digest in told.get("files", {}).items():
+        if not (path / name).is_file() or _digest(path / name) != digest:
+            raise InputError(f"{path / name} differs from the file written for {found.name}")
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def kept_reconstructions(folder: Path) -> dict[str, Reconstruction]:
+    """Read all reconstructions in a folder, by name; an absent folder has none.
+
+    Raises:
+        InputError: a reconstruction is damaged.
+    """
+    if not folder.is_dir():
+        return {}
+    paths = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
+    return {path.name: Reconstruction.read(path) for path in paths}
+
+
+def _plain(kept: Reconstruction) -> dict[str, Any]:
+    told = {
+        name: getattr(kept, name)
+        for name in (one.name for one in dataclasses.fields(kept))
+        if name not in ("slices", "path", "figures")
+    }
+    return told | {
+        "residuals": list(kept.residuals),
+        "settings": dict(kept.settings),
+        "found": plain(kept.found),
+        "figures": plain(kept.figures.as_dict()),
+    }

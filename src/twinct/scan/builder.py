@@ -1,0 +1,247 @@
+"""Construction of a scenario's two simulations, for every link and every command.
+
+Engines are imported only where they are used, so that a process loads no more than it needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twinct.core.errors import InputError
+from twinct.geometry import Floats, Pose, ScanGeometry
+from twinct.geometry.wire import PosePairs, Target
+from twinct.robots.gantry import Gantry
+from twinct.scenario import Cell, GantryCell, Scenario
+from twinct.specimen import BuiltSpecimen, build_specimen
+from twinct.trajectory import commanded_mas, commanded_views
+from twinct.uncertainty import TrueCell
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+    from twinct.robots.cell import CellModel
+    from twinct.robots.motion import MotionPlan, RobotSimulation
+    from twinct.xray import Imager
+
+
+@dataclass(frozen=True)
+class SimulationBuilder:
+    """Parts of a scenario, each built once, on first use.
+
+    Attributes:
+        scenario: the scenario.
+        kept_plan: plan that a scan of the scenario already follows; None to compute or read one.
+        kept_specimen: the specimen, if it is already built.
+    """
+
+    scenario: Scenario
+    kept_plan: MotionPlan | None = None
+    kept_specimen: BuiltSpecimen | None = None
+
+    @cached_property
+    def specimen(self) -> BuiltSpecimen:
+        """Meshes, materials and ground truth of the specimen."""
+        return self.kept_specimen or build_specimen(self.scenario.specimen)
+
+    @cached_property
+    def asked(self) -> ScanGeometry:
+        """Views that the trajectory requests, in its order."""
+        return commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
+
+    @cached_property
+    def commanded(self) -> ScanGeometry:
+        """Commanded geometry, with the plan's choices if it has any."""
+        if not self.plan_chooses:
+            return self.asked
+        return self.commanded_poses.geometry(self.scenario.detector.panel)
+
+    @cached_property
+    def mas(self) -> Floats | None:
+        """Tube load of each commanded view, (views,), mAs; None if all have ``source.mas``."""
+        mas = commanded_mas(self.scenario.trajectory)
+        if mas is None or not self.plan_chooses:
+            return mas
+        # If the plan chose the order, positions identify the views.
+        places = _places(PosePairs.from_geometry(self.asked).targets())
+        order: list[int] = []
+        for place in _places(self.targets):
+            far = np.abs(places - place).max(axis=1)
+            far[order] = np.inf
+            order.append(int(far.argmin()))
+        return mas[order]
+
+    @cached_property
+    def plan_chooses(self) -> bool:
+        """True if the plan chooses the order of views, or the roll of source or panel."""
+        motion = self.scenario.motion
+        if self.scenario.cell.kind == "gantry" or motion.scheme == "reactive":
+            return False
+        return motion.order != "given" or any(self._roll_free)
+
+    @cached_property
+    def _roll_free(self) -> tuple[bool, bool]:
+        from twinct.robots.motion import roll_free
+
+        return roll_free(self.scenario.motion, self.scenario.trajectory, self.scenario.source)
+
+    @property
+    def roll_free(self) -> tuple[bool, bool]:
+        """True for source and for panel if the scheme may roll them about the beam."""
+        reactive = self.scenario.motion.scheme == "reactive"
+        return (False, False) if reactive else self._roll_free
+
+    @cached_property
+    def commanded_poses(self) -> PosePairs:
+        """Commanded poses of the two end-effectors."""
+        plan = self.plan if self.plan_chooses else None
+        if plan is None:
+            return PosePairs.from_geometry(self.asked)
+        targets = plan.targets
+        return PosePairs(tuple(t.source for t in targets), tuple(t.detector for t in targets))
+
+    @cached_property
+    def targets(self) -> list[Target]:
+        """Commanded poses of each view, in wire form."""
+        plan = self.plan if self.plan_chooses else None
+        return self.commanded_poses.targets() if plan is None else list(plan.targets)
+
+    @cached_property
+    def cell(self) -> CellModel:
+        """Operating room with the specimen as its convex hull, for simulation."""
+        return self._cell_with(self.hull)
+
+    @cached_property
+    def hull(self) -> Trimesh:
+        """Convex hull of the specimen in its own frame, for collision."""
+        return self.specimen.hull
+
+    @cached_property
+    def room(self) -> CellModel:
+        """Operating room with the true surface of the specimen, for pictures."""
+        return self._cell_with(self.specimen.surface())
+
+    def urdf(self, meshes: Path | None = None) -> str:
+        """Return the room's robot description, with the camera at the first view's source.
+
+        Args:
+            meshes: folder for the meshes that it names; None for boxes instead of meshes.
+
+        Raises:
+            InputError: the cell has no arms.
+            StorageError: the meshes cannot be written.
+        """
+        from twinct.robots.cell import cell_urdf
+
+        source, detector = PosePairs.from_geometry(self.asked)[0]
+        to_source = detector.inverse().apply(source.position)
+        optical = Pose.from_matrix(to_source, np.diag([1.0, -1.0, -1.0]))
+        return cell_urdf(self.cell if meshes is None else self.room, optical, meshes)
+
+    def cell_of(self, section: Cell) -> CellModel:
+        """Return the operating room that another ``cell`` section describes."""
+        from twinct.robots.cell import build_cell
+
+        pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
+        return build_cell(section, self.hull, pose, panel)
+
+    def _cell_with(self, mesh: Trimesh) -> CellModel:
+        from twinct.robots.cell import build_cell
+
+        if not isinstance(self.scenario.cell, Cell):
+            raise InputError(f"cell.kind: a {self.scenario.cell.kind} has no arms to build")
+        pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
+        return build_cell(self.scenario.cell, mesh, pose, panel)
+
+    @cached_property
+    def plan(self) -> MotionPlan | None:
+        """Joint configurations of all views; None for a gantry, which reaches any pose.
+
+        Raises:
+            InputError: the plan's file is invalid.
+            TrajectoryError: views are out of reach, or would collide.
+        """
+        if self.kept_plan or isinstance(self.scenario.cell, GantryCell):
+            return self.kept_plan
+        from twinct.robots.motion import Asked, checked_plan, load_plan, plan_motion
+
+        scenario, source = self.scenario, self.scenario.source
+        exposure_s = source.exposure_ms / 1000 if source.motion_samples > 1 else 0.0
+        targets = PosePairs.from_geometry(self.asked).targets()
+        if file := scenario.motion.plan:
+            asked = Asked(targets, self.roll_free, any_order=scenario.motion.order != "given")
+            return checked_plan(load_plan(file), self.cell, scenario.motion, asked, str(file))
+        return plan_motion(
+            self.cell, scenario.motion, targets, roll_free=self.roll_free, exposure_s=exposure_s
+        )
+
+    @property
+    def followed(self) -> MotionPlan | None:
+        """Motion plan that the arms follow; None if they solve each target as it comes."""
+        return None if self.scenario.motion.scheme == "reactive" else self.plan
+
+    def draw(self, path: Path, view: int, width: int = 1600, height: int = 1000) -> None:
+        """Write a picture (PNG) of the room at one view; width and height in pixels.
+
+        Raises:
+            MissingExtraError: MuJoCo is not installed.
+            StorageError: the file cannot be written.
+            TrajectoryError: views are out of reach, or would collide.
+        """
+        from twinct.robots.cell import build_gantry, render_cell
+
+        cell = self.scenario.cell
+        if isinstance(cell, GantryCell):
+            specimen, panel = self.specimen, self.scenario.detector.panel
+            place, poses = specimen.world_from_specimen, self.commanded_poses[view]
+            room = build_gantry(cell, specimen.surface(), place, panel, *poses)
+            render_cell(room, path, None, width, height)
+        else:
+            assert self.plan is not None
+            render_cell(self.room, path, self.plan.joints[view], width, height)
+
+    @cached_property
+    def true_cell(self) -> TrueCell | None:
+        """Cell with its true deviations; None if the controllers' model has no errors."""
+        scenario, chains = self.scenario, None
+        if not scenario.uncertainty.moves:
+            return None
+        if scenario.cell.kind == "arms":
+            from twinct.robots.cell import chains_of
+
+            chains = chains_of(self.cell)
+        return TrueCell(scenario.uncertainty, scenario.seed, scenario.arms_seed, chains)
+
+    def robots(self, *, planned: bool = False) -> RobotSimulation | Gantry:
+        """Return a robot simulation at rest in the plan's home, or a gantry.
+
+        ``planned``: the simulation will receive its plan later.
+        """
+        scenario, source, lags = self.scenario, self.scenario.source, self.scenario.detector.lag > 0
+        if isinstance(scenario.cell, GantryCell):
+            place = scenario.specimen.world_from_specimen
+            return Gantry(scenario.cell, source, place, remember=lags, true_cell=self.true_cell)
+        from twinct.robots.motion import RobotSimulation, Shutter
+
+        shutter = Shutter(source.exposure_ms / 1000, source.motion_samples, lags)
+        plan = None if planned else self.plan
+        return RobotSimulation(
+            self.cell, scenario.motion, plan, shutter, self._roll_free, self.true_cell
+        )
+
+    def imager(self) -> Imager:
+        """Return an X-ray simulation of the specimen."""
+        from twinct.xray import Imager
+
+        source, detector, seed = self.scenario.source, self.scenario.detector, self.scenario.seed
+        commanded, mas = self.commanded, self.mas
+        return Imager(source, detector, self.specimen, commanded=commanded, seed=seed, mas=mas)
+
+
+def _places(targets: list[Target]) -> Floats:
+    """Return the positions of source and panel, (views, 6), m."""
+    return np.array([(*target.source_m[:3], *target.detector_m[:3]) for target in targets])

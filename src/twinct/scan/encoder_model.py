@@ -1,0 +1,79 @@
+"""Source and panel poses according to the controllers, and relative to the specimen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Floats, Pose
+from twinct.geometry.wire import PosePairs
+from twinct.robots.calibrated_arms import CalibratedArms
+from twinct.scenario import Cell, Scenario
+from twinct.uncertainty import Evidence
+
+
+def evidence_of(
+    scenario: Scenario,
+    commanded: PosePairs,
+    executed: PosePairs,
+    joint_names: tuple[str, ...],
+    joints: NDArray[np.float64],
+) -> Evidence:
+    """Return the encoder readings of the views, and the nominal model's poses for them.
+
+    With ``uncertainty.calibration``, return the poses of the calibrated arms instead.
+
+    Raises:
+        InputError: the file of calibrated arms is invalid, or belongs to another cell.
+        MissingExtraError: MuJoCo is not installed, and the arms differ from the nominal model.
+        ScenarioError: an arm can no longer be built.
+    """
+    section = scenario.uncertainty
+    if not section.moves and not section.encoder_step_deg and not section.calibration:
+        return Evidence(scenario.cell, joint_names, joints, executed)
+    if not isinstance(scenario.cell, Cell):
+        taken = slice(len(executed))
+        told = PosePairs(commanded.source[taken], commanded.detector[taken])
+        return Evidence(scenario.cell, joint_names, joints, told)
+    from twinct.robots.cell import nominal_chains
+
+    joints = encoders_of(scenario, joints)
+    chains = nominal_chains(scenario.cell, scenario.detector.panel)
+    if section.calibration:
+        told = CalibratedArms.read(section.calibration, chains).poses(joints)
+        return Evidence(scenario.cell, joint_names, joints, told)
+    sides: list[tuple[Pose, ...]] = []
+    first = 0
+    for chain in chains:
+        own = slice(first, first := first + len(chain))
+        sides.append(tuple(map(_pose, chain.tools(joints[:, own]))))
+    source, detector = sides
+    return Evidence(scenario.cell, joint_names, joints, PosePairs(source, detector))
+
+
+def encoders_of(scenario: Scenario, joints: Floats) -> Floats:
+    """Return the encoder readings of joint positions, rad, in the shape of the input."""
+    step = math.radians(scenario.uncertainty.encoder_step_deg)
+    return step * np.round(joints / step) if step else joints
+
+
+def seen_from(stands: Pose, objects: tuple[Pose, ...], executed: PosePairs) -> PosePairs:
+    """Return source and panel poses relative to a moving specimen, as if it had stayed in place.
+
+    Args:
+        stands: ``world_from_object`` of the fixed place.
+        objects: ``world_from_object`` of each view.
+        executed: executed poses of each view.
+    """
+    back = [stands @ moved.inverse() for moved in objects]
+    sides = (
+        tuple(to @ pose for to, pose in zip(back, side, strict=True))
+        for side in (executed.source, executed.detector)
+    )
+    return PosePairs(*sides)
+
+
+def _pose(matrix: Floats) -> Pose:
+    return Pose.from_matrix(matrix[:3, 3], matrix[:3, :3])

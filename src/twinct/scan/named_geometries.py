@@ -1,0 +1,131 @@
+"""Geometries derived from a scan, each with a name, its provenance and a digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twinct.core.errors import InputError
+from twinct.core.files.plain_json import read_json
+from twinct.core.files.writing import storage_errors, write_text
+from twinct.geometry import Pose
+from twinct.geometry.wire import PosePairs
+
+OWN = ("commanded", "executed", "believed")
+"""Names of the geometries that every scan has."""
+
+RELATIVE = "relative"
+"""Executed poses relative to the specimen; equal to ``executed`` if it does not move."""
+
+FORMAT = "twinct geometry 1"
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+@dataclass(frozen=True, eq=False)
+class NamedGeometry:
+    """Source and panel poses of all views, under a name.
+
+    Attributes:
+        name: letters, digits, dots, hyphens and underscores.
+        poses: poses of each view.
+        made_by: the model or method behind the poses, with its settings, as plain data. Its
+            ``executed`` is the digest of the executed poses that the geometry was made for.
+    """
+
+    name: str
+    poses: PosePairs
+    made_by: Mapping[str, Any]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the poses and ``made_by``, in hexadecimal."""
+        told = {"made_by": self.made_by, **self._numbers()}
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+    def _numbers(self) -> dict[str, list[list[float]]]:
+        return {side: _rows(getattr(self.poses, side)) for side in ("source", "detector")}
+
+    def write(self, folder: Path) -> Path:
+        """Write ``NAME.json`` into a folder; positions in mm, quaternions (x, y, z, w).
+
+        Raises:
+            StorageError: the file cannot be written.
+        """
+        told = {"format": FORMAT, "made_by": self.made_by, "digest": self.digest}
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            path = folder / f"{self.name}.json"
+            write_text(path, json.dumps(told | self._numbers(), indent=1) + "\n")
+        return path
+
+    @classmethod
+    def read(cls, path: Path) -> NamedGeometry:
+        """Read a file that ``write`` wrote.
+
+        Raises:
+            InputError: the file has another format, or is damaged.
+        """
+        try:
+            told = read_json(path)
+            if told["format"] != FORMAT:
+                raise ValueError(f"its format is {told['format']!r}; this twinct reads {FORMAT!r}")
+            sides = [_poses(told[side]) for side in ("source", "detector")]
+            if len(sides[0]) != len(sides[1]):
+                raise ValueError("source and detector differ in their number of views")
+            found = cls(checked_name(path.stem), PosePairs(*sides), dict(told["made_by"]))
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise InputError(f"{path}: not a geometry file: {error}") from None
+        if found.digest != told["digest"]:
+            raise InputError(f"{path}: the geometry does not match its digest")
+        return found
+
+
+def named_geometries(folder: Path) -> dict[str, NamedGeometry]:
+    """Return all geometries in a folder, by name; empty without a folder.
+
+    Raises:
+        InputError: a file is damaged.
+    """
+    # Remains of a killed write begin with a dot.
+    paths = sorted(p for p in folder.glob("*.json") if not p.name.startswith("."))
+    return {path.stem: NamedGeometry.read(path) for path in paths}
+
+
+def checked_name(name: str) -> str:
+    """Check that a name can name a file, and return it.
+
+    Raises:
+        InputError: the name is not valid.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(
+            f"name {name!r}: use at most 64 letters, digits, dots, hyphens and underscores"
+        )
+    return name
+
+
+def poses_digest(poses: PosePairs) -> str:
+    """Return the SHA-256 of source and detector poses, in hexadecimal, to identify their scan."""
+    digest = hashlib.sha256()
+    for pose in (*poses.source, *poses.detector):
+        digest.update(pose.position.tobytes() + pose.quat.tobytes())
+    return digest.hexdigest()
+
+
+def _rows(poses: Sequence[Pose]) -> list[list[float]]:
+    return [[*pose.position.tolist(), *pose.quat.tolist()] for pose in poses]
+
+
+def _poses(rows: Sequence[Sequence[float]]) -> tuple[Pose, ...]:
+    if any(len(row) != 7 for row in rows):
+        raise ValueError("a pose has seven numbers")
+    return tuple(Pose(np.array(row[:3]), np.array(row[3:])) for row in rows)

@@ -1,0 +1,366 @@
+"""Work for a study in a worker: acquisition of a scan, or a whole trial."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from twinct.core.errors import DamagedError, TwinctError
+from twinct.evaluation import ImageFigures, region_of_interest
+from twinct.observers import Audience
+from twinct.recon.volume import Volume
+from twinct.report import cross_sections
+from twinct.runs import (
+    Truth,
+    acquire_to_store,
+    check_geometries,
+    check_physics,
+    check_sight,
+    judge,
+    reconstruct,
+    require_extras,
+    require_feasible,
+    run,
+)
+from twinct.runs.acquisition import rig_factory
+from twinct.runs.reporting import figures_of
+from twinct.scan import Scan, ScanStore, SimulationBuilder
+from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
+from twinct.specimen import BuiltSpecimen
+from twinct.study.cache import Cache
+from twinct.study.estimate import bytes_below
+from twinct.study.figures import flat_figures
+from twinct.study.sections import packed_sections
+from twinct.workers import Made, Place
+from twinct.workers.artifact import Here, remove
+
+if TYPE_CHECKING:
+    from twinct.robots.motion import MotionPlan
+
+log = logging.getLogger(__name__)
+
+
+def scan_name(digest: str) -> str:
+    """Return the name under which a shared scan is offered."""
+    return f"scan-{digest[:32]}"
+
+
+@dataclass(frozen=True)
+class TrialSpec:
+    """A trial in the form sent to a worker.
+
+    Attributes:
+        key: digest that identifies the trial.
+        scenario: the scenario as plain data.
+        files: offered name and path inside the offer of each file, by its key.
+        scan: digest of its scan.
+        shared: True if other trials use the scan, which is offered under ``scan_name``.
+        keep: results that are returned in addition to the figures.
+        link: link between the two simulations.
+    """
+
+    key: str
+    scenario: Mapping[str, Any]
+    files: Mapping[str, tuple[str, str]]
+    scan: str
+    shared: bool
+    keep: Literal["figures", "volume", "everything"]
+    link: Literal["local", "ros2"]
+
+    @property
+    def scan_name(self) -> str:
+        """Name under which its scan is offered."""
+        return scan_name(self.scan)
+
+    def scenario_at(self, place: Place) -> Scenario:
+        """Return the scenario, with the paths of its files at a place of work."""
+        data = json.loads(json.dumps(self.scenario))
+        for key, (name, inner) in self.files.items():
+            path = place.fetch(name)
+            _set(data, key, str(path / inner if inner else path))
+        return parse_scenario(data)
+
+
+@dataclass
+class _Seconds:
+    """Wall-clock seconds of each stage."""
+
+    stages: dict[str, float] = field(default_factory=dict[str, float])
+
+    @contextmanager
+    def stage(self, name: str):
+        start = time.perf_counter()
+        yield
+        self.stages[name] = time.perf_counter() - start
+
+
+def take_scan(spec: TrialSpec, place: Place) -> Made:
+    """Acquire a scan that several trials share.
+
+    Returns:
+        Its seconds, and the store as the artifact ``scan``.
+
+    Raises:
+        InputError: the scan cannot be acquired.
+    """
+    scenario, cache, seconds = spec.scenario_at(place), Cache(place.folder), _Seconds()
+    _check(scenario)
+    _start(spec, seconds)
+    specimen = _specimen(scenario, cache, seconds)
+    builder = SimulationBuilder(scenario, _plan(scenario, specimen, cache, seconds), specimen)
+    with seconds.stage("scan"):
+        folder = cache.path("scans", spec.scan, lambda draft: _acquire(spec, builder, draft))
+    return Made(seconds.stages, {"scan": folder / "scan.zarr"})
+
+
+def try_trial(spec: TrialSpec, place: Place) -> Made:
+    """Acquire, reconstruct and judge one trial.
+
+    Returns:
+        Figures, seconds and ``sections``, a small file of cross-sections; also the artifact
+        ``volume`` if volumes are stored, or ``run``, the run's folder, if everything is stored.
+
+    Raises:
+        InputError: the trial cannot be run.
+    """
+    cache, seconds = Cache(place.folder), _Seconds()
+    _start(spec, seconds)
+    began = time.perf_counter()
+    with cache.locked("trials", spec.key):
+        folder = place.folder / "trials" / spec.key
+        folder.mkdir(parents=True, exist_ok=True)
+        scenario = spec.scenario_at(place)
+        _check(scenario)
+        kept = _scan_path(spec, place)
+        if spec.keep == "everything":
+            found, artifacts = _whole_run(spec, scenario, kept, folder, place, seconds)
+        else:
+            found, artifacts = _figures(spec, scenario, kept, folder, cache, seconds)
+    seconds.stages["total"] = time.perf_counter() - began
+    return Made({**found, "seconds": seconds.stages}, artifacts)
+
+
+START = "start"
+"""Stage in which a worker loads the engines, before its first trial; it belongs to no trial."""
+
+_SMALLEST = {
+    "cell": {"kind": "gantry"},
+    "trajectory": {"kind": "circle", "views": 2},
+    "detector": {"columns": 8, "rows": 8, "pixel_pitch_mm": 40},
+    "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 50}}]},
+    "reconstruction": {"grid": {"voxels": 8, "voxel_mm": 20}},
+}
+
+
+def _start(spec: TrialSpec, seconds: _Seconds) -> None:
+    """Load all engines by a tiny trial, so that the first trial takes as long as the others.
+
+    Over ROS 2, other processes load them with each scan.
+    """
+    global _started
+    if not _started and spec.link == "local":
+        _started = True
+        smallest, taken = parse_scenario(_SMALLEST), _Seconds()
+        with seconds.stage(START), tempfile.TemporaryDirectory() as name, suppress(TwinctError):
+            first = replace(spec, scan=START, shared=False, keep="figures")
+            _figures(first, smallest, None, Path(name), Cache(Path(name)), taken)
+
+
+_started = False
+
+
+def _check(scenario: Scenario) -> None:
+    require_extras(scenario)
+    check_geometries(scenario)
+
+
+def _scan_path(spec: TrialSpec, place: Place) -> Path | None:
+    """Return the path of the shared scan: this node's own one, or else the offered one."""
+    if not spec.shared:
+        return None
+    taken_here = place.folder / "scans" / spec.scan / "scan.zarr"
+    return taken_here if taken_here.exists() else place.fetch(spec.scan_name)
+
+
+def _acquire(spec: TrialSpec, builder: SimulationBuilder, folder: Path) -> None:
+    """Acquire a scan into a folder, or the missing views of an unfinished one."""
+    check_physics(builder)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "scan.zarr"
+    with rig_factory(spec.link, folder / "log", Audience()) as make_rig:
+        try:
+            acquire_to_store(builder, path, make_rig, resume=True)
+        except DamagedError as error:
+            log.warning("%s; the scan is taken again", error)
+            shutil.rmtree(path)
+            acquire_to_store(builder, path, make_rig, resume=True)
+
+
+def _figures(
+    spec: TrialSpec,
+    scenario: Scenario,
+    kept: Path | None,
+    folder: Path,
+    cache: Cache,
+    seconds: _Seconds,
+) -> tuple[dict[str, Any], dict[str, Path]]:
+    specimen = _specimen(scenario, cache, seconds)
+    path = kept or folder / "scan.zarr"
+    plan = ScanStore(path).plan if kept else _plan(scenario, specimen, cache, seconds)
+    builder = SimulationBuilder(scenario, plan, specimen)
+    require_feasible(scenario, builder.commanded)
+    check_sight(builder)
+    if kept is None:
+        with seconds.stage("scan"):
+            _acquire(spec, builder, folder)
+    scan = _once("scan", spec.scan, lambda: ScanStore(path).read())
+    scan = replace(scan, scenario=scenario)
+    with seconds.stage("truth"):
+        truth = _truth(scan, specimen, cache)
+    images: dict[str, ImageFigures] = {}
+    sections, artifacts = b"", {}
+    for which in scenario.reconstruction.geometries:
+        with seconds.stage(f"reconstruction, {which}" if images else "reconstruction"):
+            volume = reconstruct(scan, geometry=which, checkpoints=folder / "checkpoints")
+        with seconds.stage("judge"):
+            images[which] = judge(scan, volume, truth, specimen)
+        if not sections:
+            grid = scenario.reconstruction.volume_grid
+            shown = cross_sections(volume.array, truth.volume, truth.region, grid)
+            sections = packed_sections(shown, truth.mu_reference)
+            if spec.keep == "volume":
+                artifacts = {"volume": folder / "volume.nii"}
+                volume.write(artifacts["volume"], "twinct, 1/mm")
+    found = {"figures": flat_figures(figures_of(scan, images)), "sections": sections}
+    if kept is None:  # for estimates: later trials may share the scan
+        found["scan_bytes"] = bytes_below([path])
+    for used in [path for path in folder.iterdir() if path not in artifacts.values()]:
+        remove(used)
+    return found, artifacts
+
+
+def _whole_run(
+    spec: TrialSpec,
+    scenario: Scenario,
+    kept: Path | None,
+    folder: Path,
+    place: Place,
+    seconds: _Seconds,
+) -> tuple[dict[str, Any], dict[str, Path]]:
+    if kept is not None and not (folder / "scan.zarr").exists():
+        Here(kept).save(folder / "scan.zarr")
+    cache = Cache(place.folder)
+    specimen = _specimen(scenario, cache, seconds)
+    plan = None if kept else _plan(scenario, specimen, cache, seconds)
+    finished = run(
+        scenario,
+        folder,
+        link=spec.link,
+        resume=True,
+        threads=place.threads,
+        builder=SimulationBuilder(scenario, plan, specimen),
+    )
+    seconds.stages |= finished.figures["seconds"]
+    grid, truth = scenario.reconstruction.volume_grid, Volume.read(finished.paths.truth).array
+    region = region_of_interest(finished.scan.relative.geometry(scenario.detector.panel), grid)
+    shown = cross_sections(finished.volume.array, truth, region, grid)
+    found = {
+        "figures": flat_figures(finished.figures),
+        "sections": packed_sections(shown, float(truth.max())),
+    }
+    return found, {"run": folder}
+
+
+def _specimen(scenario: Scenario, cache: Cache, seconds: _Seconds) -> BuiltSpecimen:
+    digest = specimen_digest(scenario)
+    with seconds.stage("specimen"):
+        return _once("specimen", digest, lambda: cache.thing(digest, lambda: _built(scenario)))
+
+
+def _built(scenario: Scenario) -> BuiltSpecimen:
+    specimen = SimulationBuilder(scenario).specimen
+    _ = specimen.hull  # cached with the specimen, as many trials need it
+    return specimen
+
+
+def _plan(
+    scenario: Scenario, specimen: BuiltSpecimen, cache: Cache, seconds: _Seconds
+) -> MotionPlan | None:
+    """Return the motion plan as ``SimulationBuilder`` makes it; None with a gantry."""
+    if scenario.cell.kind != "arms":
+        return None
+    # The digest "plan" covers the paths only; their timing depends on speeds and exposures, too.
+    digest = stage_digests(scenario)["executed"]
+    with seconds.stage("plan"):
+        return _once(
+            "plan",
+            digest,
+            lambda: cache.thing(digest, lambda: SimulationBuilder(scenario, None, specimen).plan),
+        )
+
+
+def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
+    """Compute the truth like ``twinct.runs.truth_of``, with the parts that trials share cached."""
+    from twinct.xray.build import effective_energy_kev
+
+    scenario = scan.scenario
+    section = scenario.reconstruction.grid
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    stands = scan.stands
+    at = [*stands.position.tolist(), *stands.quat.tolist()]
+    grid = section.model_dump(mode="json")
+    of_truth = _digest(["truth", specimen_digest(scenario), energy, at, grid])
+    of_region = _digest(["region", stage_digests(scenario)["executed"], grid, scenario.detector])
+
+    def truth() -> Any:
+        return specimen.truth(section.volume_grid, energy, stands)
+
+    executed = scan.relative.geometry(scenario.detector.panel)
+
+    def region() -> Any:
+        return region_of_interest(executed, section.volume_grid)
+
+    def both() -> Truth:
+        return Truth(
+            cache.array(of_truth, truth),
+            cache.array(of_region, region),
+            specimen.reference_mu(energy),
+            section.volume_grid,
+            executed,
+        )
+
+    return _once("truth", f"{of_truth} {of_region}", both)
+
+
+_last: dict[str, tuple[str, Any]] = {}
+"""Last object of each kind in this process, which the next trial often needs again."""
+
+
+def _once(kind: str, digest: str, make: Callable[[], Any]) -> Any:
+    if kind in _last and _last[kind][0] == digest:
+        return _last[kind][1]
+    _last.pop(kind, None)  # the memory may not hold two of a kind
+    found = make()
+    _last[kind] = digest, found
+    return found
+
+
+def _digest(told: Any) -> str:
+    text = json.dumps(told, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _set(data: Any, dotted: str, value: str) -> None:
+    *around, last = (int(step) if step.isdigit() else step for step in dotted.split("."))
+    for step in around:
+        data = data[step]
+    data[last] = value

@@ -1,0 +1,53 @@
+"""View planning: objectives over a region, and the choice of views among candidates."""
+
+from twinct.view_planning.completeness import crossed_planes, local_completeness, plane_normals
+from twinct.view_planning.detectability import Detectability, Task, detectability_of
+from twinct.view_planning.dose import primary_kerma
+from twinct.view_planning.exposure import best_exposures
+from twinct.view_planning.family import Tuned, best_parameters
+from twinct.view_planning.goals import Coverage, Goal, Mean, Measure, worth_of
+from twinct.view_planning.metal_paths import metal_paths, spectral_shift, starved_share
+from twinct.view_planning.motion_time import PathTime, TourTime
+from twinct.view_planning.prices import has_limit
+from twinct.view_planning.search import Searched, search_views
+from twinct.view_planning.selection import (
+    Choice,
+    covered_share,
+    exact_choice,
+    exchanged,
+    greedy_choice,
+)
+from twinct.view_planning.variance import KnownShare, prior_covariance
+
+__all__ = [
+    "Choice",
+    "Coverage",
+    "Detectability",
+    "Goal",
+    "Mean",
+    "Measure",
+    "PathTime",
+    "Searched",
+    "Task",
+    "TourTime",
+    "Tuned",
+    "best_exposures",
+    "best_parameters",
+    "KnownShare",
+    "covered_share",
+    "crossed_planes",
+    "detectability_of",
+    "exact_choice",
+    "exchanged",
+    "greedy_choice",
+    "has_limit",
+    "local_completeness",
+    "metal_paths",
+    "plane_normals",
+    "primary_kerma",
+    "search_views",
+    "spectral_shift",
+    "starved_share",
+    "worth_of",
+    "prior_covariance",
+]

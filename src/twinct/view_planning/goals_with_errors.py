@@ -1,0 +1,137 @@
+"""Goals of planned views under a scenario's errors, without images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinct.core.progress import SILENT, Progress
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry, lock
+from twinct.robots.calibrated_arms import CalibratedArms
+from twinct.runs.propagating import nominal_scan
+from twinct.scan import SimulationBuilder
+from twinct.scenario import ViewTask
+from twinct.uncertainty.propagation import draw, project
+from twinct.view_planning import Detectability, Goal, Mean
+from twinct.view_planning.task_goals import goals_of
+
+
+@dataclass(frozen=True, eq=False)
+class Rejudged:
+    """Figure of a task's goal without and with errors.
+
+    Attributes:
+        commanded: figure of the planned views.
+        drawn: figure of each drawn scan, (draws,).
+    """
+
+    commanded: float
+    drawn: Floats
+
+    def __post_init__(self) -> None:
+        """Make the figures read-only."""
+        lock(self, "drawn")
+
+
+def rejudged(
+    builder: SimulationBuilder, draws: int, progress: Progress = SILENT
+) -> tuple[dict[str, Rejudged], Floats]:
+    """Judge the views of a scenario by its task, under its errors.
+
+    Goals are evaluated at the executed poses. Detectability is further reduced by the errors of the
+    believed poses: images that disagree about the position of the region's centre blur the signal,
+    like a Gaussian with their root mean square in each direction (``Detectability.blurred``).
+
+    Penalties are relative to the scenario's views, as no other views are known here. With
+    calibrated arms (``uncertainty.calibration``), all scans use this pair and its calibrated model;
+    otherwise other arms are drawn for each scan.
+
+    Args:
+        builder: builder of a scenario with a task.
+        draws: number of scans.
+        progress: receives the progress.
+
+    Returns:
+        Each goal by its name; the blur of each scan, one sigma in each direction, (draws,), mm.
+
+    Raises:
+        InputError: no file of calibrated arms, or arms of another cell.
+        TrajectoryError: a view is out of reach or would collide.
+    """
+    scenario = builder.scenario
+    task = scenario.task
+    assert task is not None
+    scan, panel = nominal_scan(builder), scenario.detector.panel
+    told_by = None
+    if file := scenario.uncertainty.calibration:
+        source, detector = scan.chains
+        told_by = CalibratedArms.read(file, (source, detector)).tool
+    views = len(scan.time_s)
+    seeds = scenario.seed, scenario.arms_seed
+    parts = list(draw(scenario.uncertainty, scan, draws, *seeds, told_by))
+    true, believed = (
+        np.concatenate([getattr(one, name) for _, one in parts], axis=2)
+        for name in ("true", "believed")
+    )
+    planned = _geometry(scan.poses[0], scan.poses[1], panel)
+    executed = [_geometry(true[0, k], true[1, k], panel) for k in range(draws)]
+    place = builder.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
+    blur = _blur_mm(true, believed, planned, place)
+    without_moving = task.model_copy(update={"moving": None})  # errors do not change it
+    quiet = SimulationBuilder(scenario.model_copy(update={"task": without_moving}))
+    together = ScanGeometry.joined([planned, *executed])
+    mas = builder.mas
+    exposures = np.ones(views) if mas is None else mas / scenario.source.mas
+    found: dict[str, Rejudged] = {}
+    for goal in goals_of(quiet, together, views, range(views), progress):
+        drawn = [
+            _judged(goal, range((k + 1) * views, (k + 2) * views), sigma, task, exposures)
+            for k, sigma in enumerate(blur.tolist())
+        ]
+        found[goal.name] = Rejudged(
+            _judged(goal, range(views), 0.0, task, exposures), np.array(drawn)
+        )
+    return found, blur
+
+
+def _geometry(sources: Floats, detectors: Floats, panel: Panel) -> ScanGeometry:
+    """Return the geometry of poses given as matrices, (views, 4, 4)."""
+    source, detector = (
+        [Pose.from_matrix(one[:3, 3], one[:3, :3]) for one in side] for side in (sources, detectors)
+    )
+    return ScanGeometry.from_poses(source, detector, panel)
+
+
+def _blur_mm(true: Floats, believed: Floats, planned: ScanGeometry, place: Floats) -> Floats:
+    """Return the disagreement of images about a place, rms in each direction, (draws,), mm.
+
+    Distances are measured at the place. A shift common to all images moves the place without blur;
+    it is removed to first order.
+    """
+    panel = planned.panel
+    around = place + np.vstack([np.zeros(3), np.eye(3)])
+    pitch = np.array([panel.pitch_u, panel.pitch_v])
+    shrink = np.linalg.norm(planned.source - place, axis=1) / planned.sdd_to_centre
+    seen, told = (
+        project(poses, panel, around) * pitch * shrink[:, None, None] for poses in (true, believed)
+    )
+    draws = seen.shape[0]
+    off = (seen - told)[:, :, 0].reshape(draws, -1)
+    slopes = np.moveaxis(told[:, :, 1:] - told[:, :, :1], 2, -1).reshape(draws, -1, 3)
+    left: list[Floats] = [
+        one - slope @ np.linalg.lstsq(slope, one, rcond=None)[0]
+        for one, slope in zip(off, slopes, strict=True)
+    ]
+    return np.sqrt(np.square(np.array(left)).mean(axis=1))
+
+
+def _judged(goal: Goal, views: range, sigma_mm: float, task: ViewTask, exposures: Floats) -> float:
+    """Return the figure of a goal, with blur and exposures if it depends on them."""
+    if isinstance(goal.measure, Detectability):
+        assert task.detectability is not None
+        sigma = sigma_mm / task.detectability.voxel_mm
+        return goal.measure.blurred(views, sigma, exposures)
+    if goal.name == "dose" and isinstance(goal.measure, Mean):
+        return float((exposures * goal.measure.each[list(views)]).mean())
+    return goal.of(views)

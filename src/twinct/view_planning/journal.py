@@ -1,0 +1,95 @@
+"""Journal of a search for views, on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.plain_json import read_json
+from twinct.core.files.writing import write_json
+from twinct.scenario import Scenario, stage_digests
+from twinct.view_planning import Searched
+
+
+class Journal:
+    """State of a search; each change is written to disk.
+
+    Attributes:
+        within_reach: indices of the reachable candidates, once they are known.
+        state: state of the choice among them.
+        generations: worth of all paths of each generation, for a family of paths.
+    """
+
+    def __init__(self, path: Path, scenario: Scenario, resume: bool) -> None:
+        """Read the existing journal, if any.
+
+        Raises:
+            ScanExistsError: a journal exists and ``resume`` is false, or its scenario is another.
+            InputError: the journal cannot be read.
+        """
+        self._path, self._digest = path, _digest(scenario)
+        self.within_reach: NDArray[np.intp] | None = None
+        self.state = Searched()
+        self.generations: list[list[float]] = []
+        if not path.exists():
+            return
+        kept = _read(path)
+        if not resume:
+            raise ScanExistsError(f"{path} holds a search: continue it with --resume")
+        if kept.get("digest") != self._digest:
+            raise ScanExistsError(f"{path} is the search of another scenario: choose another --out")
+        self.within_reach = np.array(kept["reachable"], np.intp)
+        state = kept["state"]
+        self.state = Searched(
+            tuple(state["chosen"]),
+            tuple(state["worth"]),
+            state["place"],
+            state["unchanged"],
+            state["priced"],
+        )
+        self.generations = kept["generations"]
+
+    def found(self, within_reach: NDArray[np.intp]) -> None:
+        """Write the candidates within reach."""
+        self.within_reach = within_reach
+        self._write()
+
+    def went_on(self, state: Searched) -> None:
+        """Write the state after a step of the choice."""
+        self.state = state
+        self._write()
+
+    def judged(self, worth: Sequence[float]) -> None:
+        """Write the worth of the paths of a generation."""
+        self.generations.append(list(worth))
+        self._write()
+
+    def _write(self) -> None:
+        assert self.within_reach is not None
+        kept = {
+            "digest": self._digest,
+            "reachable": self.within_reach.tolist(),
+            "state": vars(self.state),
+            "generations": self.generations,
+        }
+        write_json(self._path, kept)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return read_json(path)
+    except ValueError as error:
+        raise InputError(f"{path}: cannot be read: {error}; delete it to start again") from None
+
+
+def _digest(scenario: Scenario) -> str:
+    assert scenario.task is not None
+    parts = [stage_digests(scenario)["images"], scenario.task.model_dump(mode="json")]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,153 @@
+"""Choice of views among many candidates for several goals: greedy, then by exchange.
+
+The greedy phase adds one view after the other, each time the view with the largest gain. The
+exchange phase replaces each view in turn by the best of all candidates, until a round changes
+nothing. Goals with limits also get prices; otherwise cheap views would be left for the end, which
+no exchange of a single view could change. Every step depends only on the step before, so that a
+search can be resumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twinct.core.errors import InputError
+from twinct.view_planning.goals import Goal, Mean, best_added, worth_of
+from twinct.view_planning.prices import priced
+
+BETTER = 1e-9
+"""Least relative gain of a better choice, so that rounding cannot cause cycles."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """State of a search.
+
+    Attributes:
+        chosen: candidates in the order of their selection.
+        worth: figure of merit after each step, without the prices of limits.
+        place: position of the view to exchange next.
+        unchanged: number of successive views without a better exchange.
+        priced: whether limits still have their prices.
+    """
+
+    chosen: tuple[int, ...] = ()
+    worth: tuple[float, ...] = ()
+    place: int = 0
+    unchanged: int = 0
+    priced: bool = True
+
+
+Heard = Callable[[Searched], None]
+
+
+def search_views(
+    goals: Sequence[Goal],
+    candidates: int,
+    number: int,
+    *,
+    start: Searched | None = None,
+    rounds: int = 3,
+    heard: Heard = lambda _: None,
+) -> Searched:
+    """Choose views by greedy selection and exchange.
+
+    Args:
+        goals: goals, whose weighted measures add up.
+        candidates: number of candidates, the first ones of the goals' measures.
+        number: number of views to choose.
+        start: state of an earlier search.
+        rounds: largest number of exchange rounds; limits add a last round without prices.
+        heard: callback that receives the state after every step.
+
+    Raises:
+        InputError: fewer candidates than views, or no choice within the limits; the message states
+            the closest value.
+    """
+    if not 1 <= number <= candidates:
+        raise InputError(
+            f"cannot choose {number} of {candidates} candidates; choose at least 1 and at most all"
+        )
+    _limits(goals, candidates, number)
+    by = priced(goals, candidates, number)
+    state = start or Searched()
+    while len(state.chosen) < number:
+        best, _ = best_added(by, candidates, number, state.chosen)
+        if best is None:
+            raise InputError(_torn(goals, number, len(state.chosen)))
+        chosen = (*state.chosen, best)
+        state = replace(state, chosen=chosen, worth=(*state.worth, worth_of(goals, chosen)))
+        heard(state)
+    phases: list[tuple[bool, Sequence[Goal], int]] = [(True, by, number * (1 + rounds))]
+    if rounds and any(one is not goal for one, goal in zip(by, goals, strict=True)):
+        phases.append((False, goals, number * (2 + rounds)))  # uses the slack that prices left
+    for prices, by, most in phases:
+        if state.priced and not prices:
+            state = replace(state, place=0, unchanged=0, priced=False)
+        while state.priced == prices and state.unchanged < number and len(state.worth) < most:
+            state = _exchanged(state, goals, by, candidates, number)
+            heard(state)
+    if problems := [words for goal in goals if (words := _lacking(goal, state.chosen))]:
+        raise InputError(problems)
+    return state
+
+
+def _lacking(goal: Goal, chosen: Sequence[int]) -> str:
+    """Return a message if a choice misses the lower limit of a goal, else an empty text."""
+    if goal.at_least is None or (has := goal.of(chosen)) >= goal.at_least * (1 - BETTER):
+        return ""
+    return (
+        f"{goal.name}: at least {goal.at_least:.4g} is required, but the best choice of "
+        f"{len(chosen)} views found reaches {has:.4g}; use more views, candidates or wider limits"
+    )
+
+
+def _exchanged(
+    state: Searched, goals: Sequence[Goal], by: Sequence[Goal], candidates: int, number: int
+) -> Searched:
+    """Exchange the view at the current position if another candidate improves the goals ``by``."""
+    others = state.chosen[: state.place] + state.chosen[state.place + 1 :]
+    best, worth = best_added(by, candidates, number, others, state.chosen)
+    before, chosen, unchanged = worth_of(by, state.chosen), state.chosen, state.unchanged + 1
+    another = best not in (None, state.chosen[state.place])
+    if another and worth > before + BETTER * abs(before):
+        chosen, unchanged = (*chosen[: state.place], best, *chosen[state.place + 1 :]), 0
+    return replace(
+        state,
+        chosen=chosen,
+        worth=(*state.worth, worth_of(goals, chosen)),
+        place=(state.place + 1) % number,
+        unchanged=unchanged,
+    )
+
+
+def _limits(goals: Sequence[Goal], candidates: int, number: int) -> None:
+    problems = []
+    for goal in goals:
+        if goal.at_most is None:
+            continue
+        if isinstance(goal.measure, Mean):
+            least = float(np.sort(goal.measure.each[:candidates])[:number].mean())
+        else:
+            alone, near = [replace(goal, weight=-1.0, at_most=None)], list[int]()
+            while len(near) < number:
+                near.append(best_added(alone, candidates, number, near)[0] or 0)
+            least = goal.of(near)
+        if least > goal.at_most * (1 + BETTER):
+            problems.append(
+                f"{goal.name}: at most {goal.at_most:.4g} is allowed, but the {number} "
+                f"candidates with the least come to {least:.4g}"
+            )
+    if problems:
+        raise InputError(problems)
+
+
+def _torn(goals: Sequence[Goal], number: int, taken: int) -> str:
+    names = " and ".join(goal.name for goal in goals if goal.at_most is not None)
+    return (
+        f"the limits of {names} contradict each other: after {taken} of {number} views, no "
+        "candidate meets all of them; relax one of them"
+    )

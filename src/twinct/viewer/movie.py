@@ -1,0 +1,142 @@
+"""A film of a scan: the room, the projection and the middle slice of the volume, view by view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from twinct.core.errors import StorageError
+from twinct.core.files.writing import complete, storage_errors
+from twinct.core.progress import Progress
+from twinct.geometry import MM_PER_M, Floats, Pose
+from twinct.robots.cell import Marks, Moment, build_cell, build_gantry, room_pictures
+from twinct.scan import SimulationBuilder
+from twinct.scenario import Cell
+from twinct.viewer.filling import specimen_as_it_looks
+from twinct.viewer.magnified import corners
+from twinct.viewer.projection import Projections
+from twinct.viewer.room import GantryPlaces, Room
+from twinct.viewer.show import RECONSTRUCTION, TRUTH, Show
+from twinct.viewer.single_file import VIEWS_A_SECOND, first_look
+from twinct.viewer.slices import Plane
+from twinct.viewer.stage import COLOURS, slice_picture
+
+WIDTH, HEIGHT, ROOM_WIDTH = 1280, 720, 860
+PAPER, INK = (255, 255, 255), (31, 41, 51)
+PATH_RADIUS_MM = 4.0
+
+
+def write_movie(show: Show, builder: SimulationBuilder, path: Path, progress: Progress) -> None:
+    """Write a film (MP4, H.264) that shows each view for a tenth of a second.
+
+    Raises:
+        InputError: the scenario's room cannot be built, or MuJoCo cannot draw here.
+        StorageError: the file cannot be written.
+    """
+    import imageio_ffmpeg
+
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with complete(path) as draft, progress.stage("film", len(show)) as step:
+            writer = imageio_ffmpeg.write_frames(
+                str(draft), (WIDTH, HEIGHT), fps=VIEWS_A_SECOND, codec="libx264", quality=7,
+                macro_block_size=2, ffmpeg_log_level="error",
+            )  # fmt: skip
+            try:
+                writer.send(None)
+                for frame in frames(show, builder):
+                    writer.send(np.ascontiguousarray(frame))
+                    step()
+            except BrokenPipeError as error:
+                raise StorageError(f"{path}: the film could not be written") from error
+            finally:
+                writer.close()
+
+
+def frames(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]]:
+    """Yield one picture per view, (HEIGHT, WIDTH, 3)."""
+    beside, projections = _middle_slice(show), Projections(show)
+    pictures = _rooms(show, builder)
+    for view, room in enumerate(pictures):
+        frame = Image.new("RGB", (WIDTH, HEIGHT), PAPER)
+        frame.paste(Image.fromarray(room), (0, 0))
+        draw, font = ImageDraw.Draw(frame), ImageFont.load_default(20)
+        left, width = ROOM_WIDTH + 10, WIDTH - ROOM_WIDTH - 20
+        image = Image.fromarray(np.ascontiguousarray(projections.at(view)[::-1]))
+        scale = min(width / image.width, 300 / image.height)
+        image = image.resize((round(image.width * scale), round(image.height * scale)))
+        frame.paste(image, (left + (width - image.width) // 2, 40))
+        draw.text((left, 10), f"view {view} of {len(show)}", INK, font)
+        if beside is not None:
+            frame.paste(beside, (left + (width - beside.width) // 2, HEIGHT - beside.height - 10))
+        draw.text((16, HEIGHT - 34), show.name, INK, font)
+        yield np.asarray(frame)
+
+
+def _rooms(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]]:
+    scenario, mesh = show.scenario, specimen_as_it_looks(builder)
+    place, panel = scenario.specimen.world_from_specimen, scenario.detector.panel
+    if isinstance(scenario.cell, Cell):
+        model, moved = build_cell(scenario.cell, mesh, place, panel), None
+    else:
+        model = build_gantry(scenario.cell, mesh, place, panel, *show.commanded[0])
+        room = Room(model)
+        moved = room, GantryPlaces(room, *show.commanded[0])
+
+    def moments() -> Iterator[Moment]:
+        for view in range(len(show)):
+            name, geometry = show.geometry("executed", view)
+            source, rim = geometry.source[view], corners(geometry, view)
+            rays = np.stack([np.repeat(source[None], 4, axis=0), rim], axis=1)
+            points = show.geometry(name, view)[1].source[: view + 1]
+            colour = (*(c / 255 for c in COLOURS[name]), 1.0)
+            marks = Marks(
+                points=points,
+                colours=np.tile(colour, (len(points), 1)),
+                radius_mm=PATH_RADIUS_MM,
+                lines=rays,
+            )
+            places = dict(_object(show, view))
+            if moved is not None:
+                places |= _tools(show, view, *moved)
+            yield Moment(show.joints_at(view), marks, places)
+
+    yield from room_pictures(model, moments(), ROOM_WIDTH, HEIGHT)
+
+
+def _object(show: Show, view: int) -> Iterator[tuple[str, Pose]]:
+    """Yield the pose of the specimen, which moves with the patient."""
+    if view < len(show.objects):
+        yield "specimen", show.objects[view]
+
+
+def _tools(show: Show, view: int, room: Room, places: GantryPlaces) -> dict[str, Pose]:
+    executed = show.poses.get("executed", show.commanded)
+    positions, quats = places.at(*(executed if view < len(executed) else show.commanded)[view])
+    return {
+        body.name: _pose(positions[index], quats[index])
+        for index, body in enumerate(room.bodies)
+        if body.name in ("source", "detector")
+    }
+
+
+def _pose(position_m: Floats, wxyz: Floats) -> Pose:
+    return Pose(position_m * MM_PER_M, np.roll(wxyz, -1))
+
+
+def _middle_slice(show: Show) -> Image.Image | None:
+    """Return the middle slice across z of the reconstruction or else the ground truth."""
+    names = [name for name in (RECONSTRUCTION, TRUTH) if name in show.volumes]
+    if not names:
+        return None
+    look = first_look(show)
+    plane = Plane.of(show.volumes[names[0]].grid, 2, look.slices[2])
+    picture = slice_picture(show, names[0], plane, look.window)
+    width, height = plane.size_mm
+    scale = 330 / max(width, height)
+    image = Image.fromarray(np.ascontiguousarray(picture[::-1]))
+    return image.resize((round(width * scale), round(height * scale)))

@@ -1,0 +1,82 @@
+"""The operating room as meshes with poses: the only file that uses ``mjviser``.
+
+Only its conversion of MuJoCo's shapes is used. Its scene assumes that fixed bodies never move and
+that bodies have one look. Here, two rooms stand side by side, a gantry's source and panel move
+without joints, and a page may be written to a file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import trimesh
+
+from twinct.geometry import Floats, Pose
+from twinct.robots.cell import BodyPlaces, CellModel, GantryModel
+
+LEFT_OUT = ("floor", "specimen")
+"""Bodies that the page draws itself: an endless floor, and the specimen's true surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One body of the room.
+
+    Attributes:
+        name: name of MuJoCo's body.
+        mesh: coloured surface in the body's own frame, m.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh
+
+
+class Room:
+    """All visible bodies of a room."""
+
+    def __init__(self, model: CellModel | GantryModel) -> None:
+        """Convert a room; a gantry's room is that at its first view."""
+        from mjviser.conversions import merge_geoms
+
+        self._places = BodyPlaces(model)
+        chosen = {
+            body: geoms
+            for body, name in enumerate(self._places.names)
+            if name not in LEFT_OUT and (geoms := self._places.seen(body))
+        }
+        self._indices = list(chosen)
+        self.bodies = tuple(
+            Body(self._places.names[body], merge_geoms(model.model, geoms))
+            for body, geoms in chosen.items()
+        )
+
+    def at(self, joints: Floats | None) -> tuple[Floats, Floats]:
+        """Return positions, (bodies, 3), m, and quaternions (w, x, y, z), (bodies, 4)."""
+        positions, quats = self._places.at(joints)
+        return positions[self._indices], quats[self._indices]
+
+
+class GantryPlaces:
+    """Poses of all bodies of a gantry's room, for given poses of source and panel."""
+
+    def __init__(self, room: Room, source: Pose, detector: Pose) -> None:
+        """Take a room that was built for these two poses."""
+        positions, quats = room.at(None)
+        self._fixed = positions, quats
+        self._tools: dict[int, tuple[bool, Pose]] = {}
+        for index, body in enumerate(room.bodies):
+            if body.name in ("source", "detector"):
+                is_source = body.name == "source"
+                w, x, y, z = quats[index]
+                here = Pose.from_metres(positions[index], (x, y, z, w))
+                shall = source if is_source else detector
+                self._tools[index] = is_source, shall.inverse() @ here
+
+    def at(self, source: Pose, detector: Pose) -> tuple[Floats, Floats]:
+        """Return positions and quaternions for given poses of source and panel."""
+        positions, quats = (numbers.copy() for numbers in self._fixed)
+        for index, (is_source, mount) in self._tools.items():
+            position, quat = ((source if is_source else detector) @ mount).to_metres()
+            positions[index] = position
+            quats[index] = quat[[3, 0, 1, 2]]
+        return positions, quats

@@ -1,0 +1,23 @@
+"""Work in other processes of this machine; ``twinct.workers.cluster`` uses several machines."""
+
+from twinct.core.renamed import old_names
+from twinct.workers.local import LocalPool
+from twinct.workers.mapping import each, map_over
+from twinct.workers.work import Artifact, Died, Done, Event, Failed, Made, Place, Pool, Work
+
+__all__ = [
+    "Died",
+    "Done",
+    "Event",
+    "Failed",
+    "LocalPool",
+    "Made",
+    "Artifact",
+    "Place",
+    "Pool",
+    "Work",
+    "each",
+    "map_over",
+]
+
+__getattr__ = old_names(__name__, {"Parcel": "Artifact"})

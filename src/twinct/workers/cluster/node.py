@@ -1,0 +1,143 @@
+"""Functions that run on a node: one piece of work, report of versions, removal of folders."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import socket
+import tempfile
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from twinct.core.errors import InputError
+from twinct.core.threads import limit_threads
+from twinct.version import __version__
+from twinct.workers.artifact import remove
+from twinct.workers.call import Outcome, call
+from twinct.workers.cluster.content import Bytes, pack, unpack
+from twinct.workers.lifeline import end_with
+
+
+def ray_module() -> Any:
+    """Import Ray; this takes seconds, and Ray reads its environment at import."""
+    import ray
+
+    return ray
+
+
+@dataclass(frozen=True)
+class Ticket:
+    """Content to be fetched; a list around its reference keeps Ray from resolving it."""
+
+    digest: str
+    name: str
+    references: list[Any]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Settings of a pool for each of its worker processes.
+
+    Attributes:
+        pool: name of its folders on the nodes.
+        threads: threads of a piece of work.
+        versions: versions that the process must have.
+        lifeline: a named pipe that the pool's process holds, if it is on this machine.
+    """
+
+    pool: str
+    threads: int
+    versions: str
+    lifeline: Path | None
+
+
+@dataclass(frozen=True)
+class NodePlace:
+    """Place of work on a node; each offer is unpacked once into its folder."""
+
+    folder: Path
+    threads: int
+    tickets: Mapping[str, Ticket]
+
+    def fetch(self, name: str) -> Path:
+        """Return the path of an offer; unpack it unless another worker has already done so."""
+        ticket = self.tickets[name]
+        path = self.folder / "inputs" / ticket.digest / ticket.name
+        if path.exists():
+            return path
+        content = ray_module().get(ticket.references[0])
+        draft = path.parent.with_name(f".{uuid.uuid4().hex}")
+        try:
+            draft.mkdir(parents=True)
+            unpack(content, draft / ticket.name)
+            draft.rename(path.parent)
+        except OSError:
+            if not path.exists():  # otherwise another worker was faster
+                raise
+        finally:
+            remove(draft)
+        return path
+
+
+@cache
+def versions() -> str:
+    """Return the versions that must agree on all nodes, with a digest of twinct's sources."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    return (
+        f"twinct {__version__} ({digest.hexdigest()[:8]}), "
+        f"Ray {ray_module().__version__}, Python {platform.python_version()}"
+    )
+
+
+def folder(pool: str) -> Path:
+    """Return the folder of a pool on this machine; it does not change when Ray restarts."""
+    parent = os.environ.get("TWINCT_CACHE") or str(
+        Path(tempfile.gettempdir()) / f"twinct-studies-{os.getuid()}"
+    )
+    return Path(parent).absolute() / pool / socket.gethostname()
+
+
+@cache
+def _prepare(terms: Terms) -> None:
+    """Set up a process before its first work."""
+    if terms.lifeline is not None:
+        # Ray ends its processes, too, but late, and not while an engine is at work.
+        end_with(os.open(terms.lifeline, os.O_RDONLY | os.O_NONBLOCK))
+    if versions() != terms.versions:
+        raise InputError(
+            f"node {socket.gethostname()} is refused: it has {versions()}; needed: {terms.versions}"
+        )
+    limit_threads(terms.threads)
+
+
+def work(
+    request: bytes, tickets: dict[str, Ticket], terms: Terms
+) -> tuple[Outcome, dict[str, Bytes]]:
+    """Execute a request; return its outcome and the content of its artifacts."""
+    _prepare(terms)
+    place = NodePlace(folder(terms.pool), terms.threads, tickets)
+    place.folder.mkdir(parents=True, exist_ok=True)
+    outcome = call(request, place)
+    try:
+        return outcome, {name: pack(path) for name, path in outcome.artifacts.items()}
+    except OSError as error:
+        problem = f"the result cannot be read: {error}"
+        return Outcome(failure=(type(error).__name__, (problem,), ""), seconds=outcome.seconds), {}
+
+
+def look() -> tuple[str, str]:
+    """Return name and versions of this node."""
+    return socket.gethostname(), versions()
+
+
+def clear(pool: str) -> None:
+    """Remove the folder of a pool on this node."""
+    shutil.rmtree(folder(pool), ignore_errors=True)

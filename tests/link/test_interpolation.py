@@ -1,0 +1,81 @@
+"""Joints and robot description are enough to know where source and panel were."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+import trimesh
+from std_msgs.msg import String
+
+from twinct.geometry import Pose
+from twinct.link import messages
+from twinct.link.messages import Epoch, Stamp
+from twinct.link.robots_node import RobotsNode, Turns
+from twinct.link.senders import Sender
+from twinct.link.topics import CLOCK, DESCRIPTION, JOINTS, REACHED, TARGET, VIEWS
+from twinct.robots.cell import build_cell, cell_urdf
+from twinct.robots.motion import RobotSimulation, Shutter, plan_motion
+from twinct.scan import SimulationBuilder
+from twinct.scenario import Cell, Detector, Motion
+
+pytestmark = pytest.mark.ros
+
+ROOT = Path(__file__).parents[2]
+TICK_S = 0.02 + 1e-9
+"""Fifty in a second; a stamp has whole nanoseconds."""
+
+
+@pytest.fixture(scope="module")
+def client():
+    """The benchmark's: it shares no code with twinct."""
+    file = ROOT / "benchmarks" / "interpolate_joints.py"
+    spec = importlib.util.spec_from_file_location("interpolate_joints", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def cell():
+    hull = trimesh.creation.icosphere(radius=60)
+    return build_cell(Cell(), hull, Pose.identity(), Detector().panel)
+
+
+@pytest.mark.parametrize(
+    ("motion", "shutter"),
+    [
+        (Motion(tool_speed_mm_s=125), Shutter(exposure_s=0.055, samples=5)),
+        (Motion(trigger="settled"), None),
+    ],
+    ids=["moving", "settled"],
+)
+def test_interpolated_joints_give_the_executed_poses(
+    client, cell, short, said, figure, motion, shutter
+):
+    epoch, targets = Epoch.of(short), SimulationBuilder(short).targets
+    robots = RobotSimulation(cell, motion, plan_motion(cell, motion, targets), shutter)
+    turns = Turns(epoch, targets, 0)
+    RobotsNode(said, said.diagnostics, robots, turns, description=cell_urdf(cell, Pose.identity()))
+    for view, target in enumerate(targets):
+        said.hears[TARGET](messages.target_message(epoch.at(view), target), Sender("0" * 32, 1))
+    assert len(said.of(REACHED)) == len(targets) and not said.diagnostics.refused
+    heard = {topic.name: said.of(topic) for topic in (JOINTS, REACHED, DESCRIPTION)}
+    off = client.offsets_mm({**heard, "/xray/image": said.of(VIEWS)})
+    figure(f"{motion.trigger}: {off[..., 0].max():.4f} mm, {off[..., 1].max():.4f} deg")
+    assert off[..., 0].max() < client.LARGEST_MM
+
+    assert isinstance(said.of(DESCRIPTION)[0], String)
+    for topic in (JOINTS, CLOCK):
+        times = sorted({_stamp(message).time_s for message in said.of(topic)})
+        assert max(b - a for a, b in zip(times, times[1:], strict=False)) < TICK_S
+    now_s = 0.0
+    for topic, message in said.said:
+        if topic == CLOCK:
+            now_s, then_s = _stamp(message).time_s, now_s
+            assert now_s > then_s
+        elif topic in (VIEWS, REACHED, JOINTS):
+            assert _stamp(message).time_s <= now_s
+
+
+def _stamp(message):
+    return Stamp.of(message.clock if hasattr(message, "clock") else message.header.stamp)

@@ -1,0 +1,243 @@
+"""A Chromium that draws without a screen, and what the tests ask of it."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webelement import WebElement
+from waiting import HANG_S, Patience, until
+
+from twinct.viewer.live_page import Page
+
+WIDTH, HEIGHT = 1200, 760
+
+SWITCHES = (
+    *("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--ignore-gpu-blocklist", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    f"--window-size={WIDTH},{HEIGHT}",
+    # Whatever a page wants from elsewhere fails, and the console says so.
+    "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE localhost , EXCLUDE 127.0.0.1",
+)
+
+KNOWN = ("THREE.Clock: This module", "KHR_parallel_shader_compile", "GPU stall due to ReadPixels")
+"""What three.js and the software renderer say of themselves."""
+
+CHANGED = 12
+"""Difference of grey values by which a pixel counts as another; what is drawn anew is the same."""
+
+ALIKE = 3
+"""Pictures in a row that are the same when a page is at rest."""
+
+BEFORE_ANY_PAGE = """
+    window.decoding = 0;
+    const image = HTMLImageElement.prototype;
+    const source = Object.getOwnPropertyDescriptor(image, "src");
+    Object.defineProperty(image, "src", {...source, set(value) {
+        window.decoding += 1;
+        let over = false;
+        const end = () => { window.decoding -= over ? 0 : 1; over = true; };
+        this.addEventListener("load", end, {once: true});
+        this.addEventListener("error", end, {once: true});
+        source.set.call(this, value);
+    }});
+    if (location.protocol === "file:") {
+        let now = 0;
+        Date.now = () => now;
+        window.passTime = (ms) => { now += ms; };
+    }
+"""
+"""Counts the images that are being decoded. The clock by which a page from disk plays only goes on
+when ``passTime`` is called."""
+
+DRAWN = """
+    const [all, done] = arguments;
+    const page = window.__viserMutable;
+    let left = 4;
+    const frame = () => {
+        if (all && (page.messageQueue.length > 0 || window.decoding > 0)) left = 4;
+        left -= 1;
+        page.requestRender();
+        if (left > 0) requestAnimationFrame(frame); else done();
+    };
+    frame();
+"""
+"""Return when the page has drawn several times: with ``all``, everything that it has received and
+its images, to which a page that plays may never come on a slow machine."""
+
+PASS_TIME = """
+    const [ms, done] = arguments;
+    window.passTime(ms);
+    setTimeout(done, 20);  // comes after the timer by which the page plays, which is shorter
+"""
+
+_MARKS = itertools.count()
+
+
+class Browser:
+    """One Chromium for a whole test run; a page is opened in place of the one before."""
+
+    def __init__(self) -> None:
+        chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+        if chromium is None or driver is None:
+            raise RuntimeError(
+                "these tests need Debian's chromium and chromium-driver: "
+                "'tools/system-libraries browser' installs them, make test-all calls it"
+            )
+        self._profile = tempfile.mkdtemp(prefix="chromium-")
+        options = webdriver.ChromeOptions()
+        options.binary_location = chromium
+        for switch in (*SWITCHES, f"--user-data-dir={self._profile}"):
+            options.add_argument(switch)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self._said: list[str] = []
+        self._page: Page | None = None
+        self._driver = webdriver.Chrome(options=options, service=Service(driver))
+        self._driver.set_script_timeout(HANG_S)
+        self._driver.execute_cdp_cmd(
+            "Page.addScriptToEvaluateOnNewDocument", {"source": BEFORE_ANY_PAGE}
+        )
+
+    def close(self) -> None:
+        self._driver.quit()
+        shutil.rmtree(self._profile, ignore_errors=True)
+
+    def open(self, page: Page | int | Path) -> None:
+        """Open a page, one of another process by its port, or one from disk, and see it drawn."""
+        self.leave()
+        self._said.clear()
+        self._page = page if isinstance(page, Page) else None
+        port = page.server.get_port() if isinstance(page, Page) else page
+        url = port.as_uri() if isinstance(port, Path) else f"http://localhost:{port}"
+        # Else the resolution follows how fast it draws, which is in software here.
+        self._driver.get(f"{url}?fixedDpr=0.5")
+        self.wait(lambda: self._driver.find_elements(By.TAG_NAME, "canvas"), "no canvas")
+        self.wait(lambda: (self.picture() < 200).mean() > 0.005, "nothing is drawn")
+        # The notice about software rendering lies over the picture.
+        notice = ".mantine-Notification-root button"
+        for button in self._driver.find_elements(By.CSS_SELECTOR, notice):
+            button.click()
+
+    def leave(self) -> None:
+        """Leave a page, before its server ends; its complaints are kept."""
+        self._hear()
+        self._driver.get("about:blank")
+
+    def picture(self) -> np.ndarray:
+        """The greys of the middle of the window, where no panel is, (rows, columns)."""
+        whole = Image.open(io.BytesIO(self._driver.get_screenshot_as_png())).convert("L")
+        grey = np.asarray(whole).astype(int)
+        rows, columns = grey.shape
+        return grey[rows // 5 : rows * 9 // 10, columns * 2 // 5 : columns * 7 // 10]
+
+    def still(self) -> np.ndarray:
+        """The picture when the page has drawn all that it was asked to show."""
+        if self._page is not None:
+            assert self._page.settle(HANG_S)
+            self._page.server.scene.add_frame(mark := f"/mark{next(_MARKS)}", show_axes=False)
+            self.wait(lambda: self._has(mark), "the page does not hear")
+        alike, last, patience = 1, self.drawn(), Patience()
+        while alike < ALIKE:
+            patience.check("a picture that rests")
+            before, last = last, self.drawn()
+            alike = alike + 1 if different(last, before) == 0 else 1
+        return last
+
+    def _has(self, node: str) -> bool:
+        told = "return arguments[0] in window.__viserSceneTree.getState()"
+        return self._driver.execute_script(told, node)
+
+    def drawn(self, *, all_received: bool = True) -> np.ndarray:
+        """Return the picture of everything that the page has received by now, or of a part."""
+        self._driver.execute_async_script(DRAWN, all_received)
+        return self.picture()
+
+    def changes(self, before: np.ndarray, least: int = 40) -> None:
+        """Wait until so many pixels are others, of a page that may be playing."""
+
+        def changed() -> bool:
+            return different(self.drawn(all_received=False), before) >= least
+
+        self.wait(changed, "the picture stays as it was")
+
+    def wait(self, done: Callable[[], object], problem: str) -> None:
+        until(done, problem)
+
+    def pass_time(self, seconds: float) -> None:
+        """Let the clock of a page from disk go on, and let it be seen there."""
+        self._driver.execute_async_script(PASS_TIME, 1000 * seconds)
+
+    def number(self, label: str, value: float) -> None:
+        """Type into the box of a slider or a number."""
+        path = f"//*[normalize-space(text())='{label}']/following::input[not(@type='hidden')][1]"
+        box = self._driver.find_element(By.XPATH, path)
+        box.send_keys(Keys.CONTROL, "a")
+        box.send_keys(str(value), Keys.ENTER)
+        self._arrives(label, value)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose from a drop-down."""
+        path = f"//*[normalize-space(text())='{label}']/following::input[not(@type='hidden')][1]"
+        self._driver.find_element(By.XPATH, path).click()
+        choice = f"//*[@role='option'][normalize-space(.)='{option}']"
+
+        def offered() -> list[WebElement]:  # those of other drop-downs are there, too, but hidden
+            found = self._driver.find_elements(By.XPATH, choice)
+            return [element for element in found if element.is_displayed()]
+
+        self.wait(offered, f"no option {option}")
+        offered()[0].click()
+        self._arrives(label, option)
+
+    def _arrives(self, label: str, value: Any) -> None:
+        """Wait until the page knows what was set."""
+        assert self._page is not None
+        handles = self._page.server.gui._gui_input_handle_from_uuid.values()
+        handle = next(h for h in handles if getattr(h, "label", None) == label)
+        self.wait(lambda: handle.value == value, f"{label} does not become {value}")
+
+    def press(self, button: str) -> None:
+        self._driver.find_element(By.XPATH, f"//button[normalize-space(.)='{button}']").click()
+
+    def click(self, x: float, y: float) -> None:
+        """Click at a share of the window's width and height."""
+        actions = webdriver.ActionChains(self._driver)
+        canvas = self._driver.find_element(By.TAG_NAME, "body")
+        ask = self._driver.execute_script
+        width, height = ask("return [window.innerWidth, window.innerHeight]")
+        actions.move_to_element_with_offset(
+            canvas, round((x - 0.5) * width), round((y - 0.5) * height)
+        ).click().perform()
+
+    def text(self) -> str:
+        return self._driver.find_element(By.TAG_NAME, "body").text
+
+    def complaints(self) -> list[str]:
+        """What the page wrote to the console, but for what is known."""
+        self._hear()
+        return list(self._said)
+
+    def _hear(self) -> None:
+        self._said += [
+            entry["message"]
+            for entry in self._driver.get_log("browser")
+            if entry["level"] in ("WARNING", "SEVERE")
+            and not any(known in entry["message"] for known in KNOWN)
+        ]
+
+
+def different(picture: np.ndarray, other: np.ndarray) -> int:
+    """How many pixels are others."""
+    return int((np.abs(picture - other) > CHANGED).sum())
