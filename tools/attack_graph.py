@@ -282,7 +282,8 @@ class Attacker:
         if not hasattr(self, "deaf_readers"):
             self.deaf_readers = True
             for topic in TOPICS:
-                self.node.create_subscription(topic.message_class, topic.name, lambda _: None, LATCHED)
+                kind = topic.message_class
+                self.node.create_subscription(kind, topic.name, lambda _: None, LATCHED)
         time.sleep(0.5)
 
     def own_name(self):
@@ -316,7 +317,8 @@ class Attacker:
 
     def found(self):
         """Return True if the scan subscribes to all topics that answer a target."""
-        return all(self.publishers[t.name, t.message_class].get_subscription_count() for t in ANSWERS)
+        keys = [(topic.name, topic.message_class) for topic in ANSWERS]
+        return all(self.publishers[key].get_subscription_count() for key in keys)
 
 
 KINDS = {
