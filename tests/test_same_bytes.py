@@ -73,7 +73,7 @@ def twinct(*arguments: str) -> None:
 
 
 def scanned(name: str, link: str, folder: Path, workshop: Workshop) -> dict[str, Any]:
-    """Digest and samples of every array of a run, or over ROS 2 of a scan."""
+    """Return digest and samples of every array of a run, or over ROS 2 of a scan."""
     out = folder / f"{name}-{link}"
     if link == "ros2":
         from twinct.ros import ros_rigs
@@ -152,7 +152,7 @@ def workshop_of(name: str) -> Workshop:
 
 @pytest.fixture(scope="module")
 def workshop() -> Callable[[str], Workshop]:
-    """Maker of a scenario's workshop, which both links share: it builds its specimen once."""
+    """Return the maker of a scenario's workshop: both links share it, it builds a specimen once."""
     return cache(workshop_of)
 
 

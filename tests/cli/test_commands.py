@@ -136,7 +136,7 @@ def test_a_finished_run_is_neither_touched_nor_done_again(finished: Path) -> Non
 @pytest.mark.tutorial
 @pytest.mark.process
 def test_resume_after_kills_ends_with_the_same_bytes(finished: Path, tmp_path: Path) -> None:
-    """Killed at its first view, after some, and while it reconstructs, each time gone on with."""
+    """Kill a run at its first view, after some, and while it reconstructs; go on each time."""
     out = tmp_path / "out"
     arguments = ["run", DEMO, "--out", str(out), "--link", "local", *TINY]
     status = "scan.zarr/status/c."

@@ -181,7 +181,7 @@ def test_a_worker_that_is_killed_is_replaced(command, undisturbed) -> None:
 
 
 def test_drivers_that_end_leave_no_process_and_their_study_goes_on(command, undisturbed) -> None:
-    """Killed with three rows, and the next one interrupted with six."""
+    """Kill the first with three rows, interrupt the next with six."""
     begun = 0
     for ended, number, code in ((3, signal.SIGKILL, -signal.SIGKILL), (6, signal.SIGINT, 1)):
         process = command.start(*(["--resume"] if begun else []))
