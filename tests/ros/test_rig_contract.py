@@ -111,7 +111,7 @@ def test_contract(make, scenario, targets, fakes, fake_command, notes):
 
 
 @pytest.mark.tutorial
-def test_real_engines_give_the_same_bits_over_both_links_and_after_a_resume(short):
+def test_real_engines_give_all_physics_the_same_bits_over_both_links_and_after_a_resume(short):
     """Compare both; less physics is in ``test_same_bytes.py`` and ``runs/test_planned.py``."""
     workshop = Workshop(parse_scenario(json.loads(short.resolved()) | PHYSICS))
     targets, over_ros = workshop.targets, ros_rigs()
