@@ -145,7 +145,7 @@ def same(found: dict[str, Any], name: str, without: tuple[str, ...] = ()) -> Non
         )
 
 
-def workshop_of(name: str) -> SimulationBuilder:
+def builder_of(name: str) -> SimulationBuilder:
     place = HERE / "same_bytes" if name in SMALL else HERE.parent / "scenarios"
     return SimulationBuilder(load_scenario(place / f"{name}.yaml"))
 
@@ -153,7 +153,7 @@ def workshop_of(name: str) -> SimulationBuilder:
 @pytest.fixture(scope="module")
 def builder() -> Callable[[str], SimulationBuilder]:
     """Return the maker of a scenario's builder: both links share it, it builds a specimen once."""
-    return cache(workshop_of)
+    return cache(builder_of)
 
 
 @pytest.mark.tutorial
@@ -183,7 +183,7 @@ def take() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         for name in (*SMALL, "demo"):
-            builder = workshop_of(name)
+            builder = builder_of(name)
             kept[name] = scanned(name, "local", folder, builder)
             other = scanned(name, "ros2", folder, builder)
             differ = [key for key in other if other[key] != kept[name][key]]
