@@ -178,7 +178,7 @@ def test_what_the_grid_does_not_hold_is_told_before_any_work(scenario: Scenario)
     ]
     small = "specimen.parts.1.shape.radius_mm=1.5"
     assert (
-        "evaluation.mtf.0.at: 'ball.1' has a radius of 1.5 mm; its edge needs 2 mm"
+        "evaluation.mtf.0.at: 'ball.1' has a radius of 1.5 mm; its edge needs at least 2 mm"
         in (told(small)[0])
     )
     check_places(SimulationBuilder(scenario))
@@ -230,7 +230,7 @@ def test_other_figures_make_no_volume_anew(
     assert told["image"] == image
     with pytest.raises(InputError, match="only keys of evaluation can be changed here"):
         report_again(out, overrides=["reconstruction.iterations=3"])
-    with pytest.raises(InputError, match="no region 'x'"):
+    with pytest.raises(InputError, match="unknown region 'x'"):
         report_again(out, overrides=["evaluation.nps=[{region: x}]"])
 
 
