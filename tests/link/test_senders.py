@@ -217,7 +217,7 @@ def test_an_answer_that_does_not_come_names_the_strangers(
             with notes.renders_held(1):
                 rig.move(1, targets[1])
                 patch.undo()
-                with pytest.raises(LinkError, match=f"no image for view 1 .*'{NAME}', which is not"):
+                with pytest.raises(LinkError, match=f"no image for view 1 .*'{NAME}', which is"):
                     rig.expose(1)
 
 
