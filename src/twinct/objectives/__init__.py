@@ -6,6 +6,7 @@ from twinct.objectives.objective import (
     MoreIsBetter,
     Objective,
     PatientModel,
+    Views,
     unknown_parts,
 )
 from twinct.objectives.visibility import sees
@@ -18,6 +19,7 @@ __all__ = [
     "MoreIsBetter",
     "Objective",
     "PatientModel",
+    "Views",
     "figure_of",
     "sees",
     "unknown_parts",

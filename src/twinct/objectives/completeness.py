@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.core.settings import Positive, setting
 from twinct.geometry import Floats, ScanGeometry, fibonacci_directions
 from twinct.objectives.measures import Coverage
-from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel
+from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 from twinct.objectives.visibility import sees
 
 _AT_A_TIME = 2_000_000
@@ -109,8 +109,8 @@ def _parts(normals: Floats, views: int) -> list[Floats]:
     return np.array_split(normals, max(1, len(normals) * views // _AT_A_TIME))
 
 
-def _measure(settings: CompletenessGoal, geometry: ScanGeometry, patient: PatientModel) -> Coverage:
-    return Coverage(crossed_planes(geometry, patient.points, settings.within_deg))
+def _measure(settings: CompletenessGoal, views: Views, patient: PatientModel) -> Coverage:
+    return Coverage(crossed_planes(views.geometry, views.points, settings.within_deg))
 
 
 COMPLETENESS = Objective("completeness", CompletenessGoal, _measure, "Favour complete data.")

@@ -32,8 +32,8 @@ from twinct.core.errors import InputError
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import Positive, setting
 from twinct.evaluation.signal import AnySignal, contrast_at
-from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
-from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel
+from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 from twinct.recon import Projector
 
 BOX = 32
@@ -224,20 +224,18 @@ def difference_spectrum(shape: tuple[int, int, int]) -> Floats:
     return z[:, None, None] + y[None, :, None] + x
 
 
-def _measure(
-    settings: DetectabilityGoal, geometry: ScanGeometry, patient: PatientModel
-) -> Detectability:
+def _measure(settings: DetectabilityGoal, views: Views, patient: PatientModel) -> Detectability:
     """Return d' of the signal in the middle of the region."""
-    place, voxel = patient.points[0], settings.voxel_mm
+    place, voxel = views.points[0], settings.voxel_mm
     z, y, x = np.indices((BOX, BOX, BOX)) - BOX // 2
     radius = voxel * np.sqrt(x * x + y * y + z * z)
     signal = contrast_at(settings.signal, radius, voxel) * patient.reference_mu
     # Centre voxel BOX // 2 at the place.
     grid = VolumeGrid((BOX,) * 3, voxel, Pose.from_euler(place - voxel / 2, (0.0, 0.0, 0.0)))
-    coarse, photons = patient.photons(geometry, place, voxel, "task.detectability")
-    found = detectability_of(Projector(coarse, grid), photons, Task(signal, 1.0), patient.progress)
+    coarse, photons = patient.photons(views.geometry, place, voxel, "task.detectability")
+    found = detectability_of(Projector(coarse, grid), photons, Task(signal, 1.0), views.progress)
     power = np.abs(np.fft.rfftn(signal)) ** 2
-    told = found.fisher[list(patient.even)].sum(axis=0, dtype=np.float64)
+    told = found.fisher[list(views.even)].sum(axis=0, dtype=np.float64)
     beta = settings.penalty * float(
         (power * told).sum() / (power * difference_spectrum((BOX, BOX, BOX))).sum()
     )

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from twinct.geometry import Floats, ScanGeometry
 from twinct.objectives.measures import Mean
-from twinct.objectives.objective import LessIsBetter, Objective, PatientModel, unknown_parts
+from twinct.objectives.objective import LessIsBetter, Objective, PatientModel, Views, unknown_parts
 from twinct.objectives.visibility import samples_towards, sees
 from twinct.recon.volume import Volume
 
@@ -84,14 +84,14 @@ def primary_kerma(
     return kerma * photons_per_mm2 * energy_kev * absorption_cm2_g * GY_MM2
 
 
-def _measure(settings: DoseGoal, geometry: ScanGeometry, patient: PatientModel) -> Mean:
+def _measure(settings: DoseGoal, views: Views, patient: PatientModel) -> Mean:
     """Return the mean primary kerma of the views, Gy."""
     energies, photons = patient.beam(ENERGIES, "task.dose")
     points, substance = patient.points_of(settings.part), patient.material_of(settings.part)
-    kerma = np.zeros(len(geometry))
+    kerma = np.zeros(len(views.geometry))
     for energy, per_mm2 in zip(energies.tolist(), photons.tolist(), strict=True):
         kerma += primary_kerma(
-            geometry,
+            views.geometry,
             points,
             patient.attenuation(energy),
             energy_kev=energy,

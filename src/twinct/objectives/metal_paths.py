@@ -26,6 +26,7 @@ from twinct.objectives.objective import (
     Material,
     Objective,
     PatientModel,
+    Views,
     unknown_parts,
 )
 from twinct.objectives.visibility import sees
@@ -265,23 +266,23 @@ class _Seen:
         return photons * np.exp(-mu_per_mm * lengths)
 
 
-def _measure(settings: MetalGoal, geometry: ScanGeometry, patient: PatientModel) -> Mean:
+def _measure(settings: MetalGoal, views: Views, patient: PatientModel) -> Mean:
     """Return the mean effect of metal; the maximum for views that see no point."""
-    panel, seen, points = geometry.panel, settings.seen, patient.points
+    panel, seen, points = views.geometry.panel, settings.seen, views.points
     metal = _Parts(settings.parts, patient) if seen is None else _Seen.read(seen, patient)
     materials = metal.materials()
     if settings.rays == "metal":
         points = metal.points()
     if settings.counts == "starved":
         coarse, photons = patient.photons(
-            geometry, points[0], patient.voxel_mm, "task.metal.counts"
+            views.geometry, points[0], patient.voxel_mm, "task.metal.counts"
         )
         pixels = coarse.panel.pitch_u * coarse.panel.pitch_v / (panel.pitch_u * panel.pitch_v)
         least = settings.least_photons * pixels
         found = starved_share(coarse, metal.dim(coarse, photons), points, least)
         return _everywhere(found)
     factors = (max(1, int(PIXEL_MM / pitch)) for pitch in (panel.pitch_v, panel.pitch_u))
-    lengths = metal.lengths(geometry.binned(*factors), points)
+    lengths = metal.lengths(views.geometry.binned(*factors), points)
     if settings.counts == "length":
         return _everywhere(mean_of_views([one.sum(axis=0) for one in lengths]))
     energies, weights = patient.signals()

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from twinct.core.settings import setting
-from twinct.geometry import Floats, ScanGeometry, lock
+from twinct.geometry import Floats, lock
 from twinct.objectives.measures import Measure
-from twinct.objectives.objective import LessIsBetter, Objective, PatientModel, Share
+from twinct.objectives.objective import LessIsBetter, Objective, PatientModel, Share, Views
 
 Tour = Callable[[Floats], list[int]]
 """Function that returns a short order of a few views, from the times between all of them."""
@@ -81,13 +81,11 @@ class PathTime:
         return self.seconds[views[:-1], views[1:]].sum() + self.seconds[views[-1], more]
 
 
-def _measures(
-    settings: MovingGoal, geometry: ScanGeometry, patient: PatientModel
-) -> tuple[Measure, Measure]:
+def _measures(settings: MovingGoal, views: Views, patient: PatientModel) -> tuple[Measure, Measure]:
     """Return the time of a path or a tour, and of a tour, as evenly spread views have no order."""
-    seconds = patient.seconds_between(geometry)
+    seconds = patient.seconds_between(views.geometry)
     tour = TourTime(seconds, patient.short_tour)
-    return PathTime(seconds) if patient.in_order else tour, tour
+    return PathTime(seconds) if views.in_order else tour, tour
 
 
 MOVING = Objective(

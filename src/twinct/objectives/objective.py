@@ -12,7 +12,7 @@ from typing import Annotated, Any, Generic, Protocol, TypeVar
 
 from pydantic import Field
 
-from twinct.core.progress import Progress
+from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import Conflict, Section, setting
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.objectives.measures import Measure, figure_of
@@ -64,39 +64,49 @@ class Material(Protocol):
         ...
 
 
-class PatientModel(Protocol):
-    """Patient, beam and arms, as a plan knows them before any view.
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Views to be measured, and the region that they are to show.
 
     Attributes:
+        geometry: the views, candidates first.
+        even: views spread evenly over all reachable ones, by their index.
         points: middle of the region, then points on its surface, world, (points, 3), mm.
         radius_mm: radius of the region.
-        even: views spread evenly over all reachable ones, by their index.
         in_order: True if the views form a path in the given order.
-        seed: seed of random draws.
         progress: receives the progress.
-        voxel_mm: voxel edge of the patient's volume.
-        energy_kev: effective energy of the beam.
-        reference_mu: attenuation of the reference material at this energy, 1/mm.
     """
 
+    geometry: ScanGeometry
+    even: Sequence[int]
+    points: Floats
+    radius_mm: float = 0.0
+    in_order: bool = False
+    progress: Progress = SILENT
+
+
+class PatientModel(Protocol):
+    """Patient, beam and arms, as a plan knows them before any view."""
+
     @property
-    def points(self) -> Floats: ...  # noqa: D102 - see Attributes
+    def energy_kev(self) -> float:
+        """Effective energy of the beam."""
+        ...
+
     @property
-    def radius_mm(self) -> float: ...  # noqa: D102
+    def reference_mu(self) -> float:
+        """Attenuation of the reference material at the effective energy, 1/mm."""
+        ...
+
     @property
-    def even(self) -> Sequence[int]: ...  # noqa: D102
+    def seed(self) -> int:
+        """Seed of random draws."""
+        ...
+
     @property
-    def in_order(self) -> bool: ...  # noqa: D102
-    @property
-    def seed(self) -> int: ...  # noqa: D102
-    @property
-    def progress(self) -> Progress: ...  # noqa: D102
-    @property
-    def voxel_mm(self) -> float: ...  # noqa: D102
-    @property
-    def energy_kev(self) -> float: ...  # noqa: D102
-    @property
-    def reference_mu(self) -> float: ...  # noqa: D102
+    def voxel_mm(self) -> float:
+        """Voxel edge of the patient's volume."""
+        ...
 
     def attenuation(self, energy_kev: float) -> Volume:
         """Return the patient's attenuation on a coarse grid that holds all of it, 1/mm."""
@@ -134,7 +144,7 @@ class PatientModel(Protocol):
         ...
 
     def points_of(self, part: str) -> Floats:
-        """Return points inside a part of the specimen, in the world, (points, 3), mm."""
+        """Draw points inside a part of the specimen, in the world, (points, 3), mm."""
         ...
 
     def body(self, part: str) -> tuple[Body, Pose]:
@@ -182,7 +192,7 @@ class Objective(Generic[SettingsT]):
     Attributes:
         name: key in the scenario's section ``task``.
         settings: class of its keys, a ``MoreIsBetter`` or a ``LessIsBetter``.
-        measure: makes the measure of the views of a geometry. Two measures: the second one gives
+        measure: makes the measure of views. Two measures: the second one gives
             evenly spread views the figure that is the unit.
         description: sentence on the key, for the scenario's reference.
         unit: unit of the figure, from the settings; "1" for a ratio.
@@ -195,7 +205,7 @@ class Objective(Generic[SettingsT]):
 
     name: str
     settings: type[SettingsT]
-    measure: Callable[[SettingsT, ScanGeometry, PatientModel], Measure | tuple[Measure, Measure]]
+    measure: Callable[[SettingsT, Views, PatientModel], Measure | tuple[Measure, Measure]]
     description: str
     unit: Callable[[SettingsT], str] = lambda own: "1"
     conflicts: Callable[[SettingsT, Sequence[str]], Sequence[Conflict]] = lambda own, parts: ()

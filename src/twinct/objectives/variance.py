@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.settings import Positive, setting
-from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel
+from twinct.geometry import Floats, VolumeGrid
+from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 from twinct.recon import Projector
 
 MOST_VOXELS = 5000
@@ -191,24 +191,24 @@ def _require_coarse(grid: VolumeGrid) -> None:
         )
 
 
-def _measure(settings: KnownGoal, geometry: ScanGeometry, patient: PatientModel) -> KnownShare:
+def _measure(settings: KnownGoal, views: Views, patient: PatientModel) -> KnownShare:
     """Return the share of the region's variance that views remove."""
-    place = patient.points[0]
+    place = views.points[0]
     around = patient.attenuation(patient.energy_kev).grid
     edges = around.size_mm
     voxel = float(np.cbrt(edges.prod() / settings.voxels))
     count = np.maximum(np.floor(edges / voxel).astype(int), 1)  # at most the requested number
     grid = VolumeGrid(count[::-1].tolist(), edges / count, around.world_from_grid)
-    coarse, photons = patient.photons(geometry, place, voxel, "task.known")
-    held = photons.size * int(count.prod()) * 4 / 1e9
+    coarse, photons = patient.photons(views.geometry, place, voxel, "task.known")
+    held, number = photons.size * int(count.prod()) * 4 / 1e9, len(views.geometry)
     if held > MOST_GB:
         raise InputError(
-            f"task.known.voxels: {settings.voxels} need {held:.1f} GB for {len(geometry)} views, "
+            f"task.known.voxels: {settings.voxels} need {held:.1f} GB for {number} views, "
             f"at most {MOST_GB:g} GB are allowed; use fewer voxels or fewer task.candidates"
         )
     z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij")
     far = np.linalg.norm(grid.world_from_grid.apply(np.stack([x, y, z], -1)) - place, axis=-1)
-    region = far <= max(patient.radius_mm, float(far.min()))
+    region = far <= max(views.radius_mm, float(far.min()))
     deviation = settings.deviation_rel * patient.reference_mu
     covariance = prior_covariance(grid, deviation, settings.correlation_mm)
     return KnownShare.of(Projector(coarse, grid), photons, covariance, region)

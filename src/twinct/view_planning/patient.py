@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
-from twinct.core.progress import SILENT, Progress
-from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid, fibonacci_directions
+from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
 from twinct.recon.shadow import Body
 from twinct.recon.volume import Volume
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Cell, ViewTask
+from twinct.scenario import Cell
 from twinct.specimen import BuiltPart, Material, material
 from twinct.specimen.voxels import volume_fractions
 from twinct.view_planning.candidates import seconds_between
@@ -25,9 +23,6 @@ from twinct.xray.spectrum import PhotonSpectrum
 
 PRIOR_MM = 3.0
 """Voxel size of the patient's attenuation volume."""
-
-POINTS = 12
-"""Number of points on the region's surface, in addition to its centre."""
 
 PART_POINTS = 200
 """Largest number of points of a part, such as for its mean kerma."""
@@ -40,39 +35,10 @@ class Patient:
     Attributes:
         builder: builder of the scenario.
         voxel_mm: voxel size of the specimen's volume.
-        even: evenly spread views.
-        progress: receives the progress.
     """
 
     builder: SimulationBuilder
     voxel_mm: float = PRIOR_MM
-    even: Sequence[int] = ()
-    progress: Progress = SILENT
-
-    @property
-    def _task(self) -> ViewTask:
-        task = self.builder.scenario.task
-        assert task is not None
-        return task
-
-    @cached_property
-    def points(self) -> Floats:
-        """Middle of the region, then points on its surface, world, (points, 3), mm."""
-        task = self._task
-        around = task.radius_mm * fibonacci_directions(POINTS)
-        points = np.vstack([np.zeros((1, 3)), around[: POINTS if task.radius_mm else 0]])
-        world_from_specimen = self.builder.specimen.world_from_specimen
-        return world_from_specimen.apply(points + np.asarray(task.position_mm))
-
-    @property
-    def radius_mm(self) -> float:
-        """Radius of the region."""
-        return self._task.radius_mm
-
-    @property
-    def in_order(self) -> bool:
-        """True for paths of a family."""
-        return self._task.family is not None
 
     @property
     def seed(self) -> int:

@@ -5,13 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from twinct.core.errors import InputError
 from twinct.core.progress import Progress
-from twinct.geometry import ScanGeometry
-from twinct.objectives import Mean, Measure, MoreIsBetter, figure_of, sees
+from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
+from twinct.objectives import Mean, Measure, MoreIsBetter, Views, figure_of, sees
 from twinct.scan import SimulationBuilder
+from twinct.scenario import ViewTask
 from twinct.view_planning.goals import Goal
 from twinct.view_planning.patient import Patient
+
+POINTS = 12
+"""Number of points on the region's surface, in addition to its centre."""
+
+
+def region_points(task: ViewTask, world_from_specimen: Pose) -> Floats:
+    """Return the centre of the task's region and points on its surface, world, (points, 3), mm."""
+    around = task.radius_mm * fibonacci_directions(POINTS)
+    points = np.vstack([np.zeros((1, 3)), around[: POINTS if task.radius_mm else 0]])
+    return world_from_specimen.apply(points + np.asarray(task.position_mm))
 
 
 def goals_of(
@@ -33,16 +46,19 @@ def goals_of(
     Raises:
         InputError: no view sees the region, or a goal needs a photon number that is not given.
     """
-    task, patient = builder.scenario.task, Patient(builder, even=even, progress=progress)
+    task, patient = builder.scenario.task, Patient(builder)
     assert task is not None
-    if not sees(geometry[:candidates], patient.points[:1]).any():
-        x, y, z = patient.points[0].tolist()
+    points = region_points(task, builder.specimen.world_from_specimen)
+    if not sees(geometry[:candidates], points[:1]).any():
+        x, y, z = points[0].tolist()
         raise InputError(
             f"task.position_mm: no reachable view sees the region at ({x:.0f}, {y:.0f}, {z:.0f}) "
             "mm in the world; every view sees the isocentre of the trajectory"
         )
+    in_order = task.family is not None
+    views = Views(geometry, even, points, task.radius_mm, in_order, progress)
     return [
-        _goal(name, section, objective.measure(section, geometry, patient), even)
+        _goal(name, section, objective.measure(section, views, patient), even)
         for name, (objective, section) in task.goals.items()
     ]
 

@@ -3,8 +3,7 @@
 import numpy as np
 from pydantic import Field
 
-from twinct.geometry import ScanGeometry
-from twinct.objectives import LessIsBetter, Mean, Objective, PatientModel
+from twinct.objectives import LessIsBetter, Mean, Objective, PatientModel, Views
 
 
 class LevelGoal(LessIsBetter):
@@ -13,8 +12,8 @@ class LevelGoal(LessIsBetter):
     free_deg: float = Field(default=0.0, ge=0, lt=90, description="Angle that costs nothing.")
 
 
-def _measure(settings: LevelGoal, geometry: ScanGeometry, patient: PatientModel) -> Mean:
-    beam = patient.points[0] - geometry.source
+def _measure(settings: LevelGoal, views: Views, patient: PatientModel) -> Mean:
+    beam = views.points[0] - views.geometry.source
     angle = np.degrees(np.arcsin(np.abs(beam[:, 2]) / np.linalg.norm(beam, axis=1)))
     return Mean(np.maximum(angle - settings.free_deg, 0.0))
 
