@@ -236,13 +236,13 @@ def test_a_search_in_a_family_goes_on_where_it_was_stopped(
 
 def test_paths_that_cannot_be_had_are_told_with_the_nearest(file: Path, tmp_path: Path) -> None:
     dose = "task.dose={part: lens, at_most_rel: 0.01}"
-    with pytest.raises(InputError, match=r"nearest, with tilt_deg .* of dose, .* at most"):
+    with pytest.raises(InputError, match=r"nearest, with tilt_deg .* has dose = .*, at most"):
         plan_views(file, tmp_path / "out", [*FAMILY, dose])
 
 
 def test_points_of_a_part_lie_in_it(file: Path) -> None:
     patient = Patient(SimulationBuilder(load_scenario(file, ["specimen.position_mm=[0, 0, 7]"])))
-    points = patient.points_of("lens", 0)
+    points = patient.points_of("lens")
     assert len(points) > 50
     assert np.linalg.norm(points - [0, 50, 7], axis=1).max() < 4.5
     assert points.mean(axis=0) == pytest.approx([0, 50, 7], abs=0.2)
