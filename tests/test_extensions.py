@@ -13,7 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct.core.extensions import offers
+from twinct.core.extensions import Offers, offers
+from twinct.core.settings import Section
+from twinct.objectives import LessIsBetter, Mean, Objective
+from twinct.objectives.registry import BUILT_IN
+from twinct.scenario import task as task_section
 
 HERE = Path(__file__).parent
 GROUP = "twinct.tests"
@@ -94,6 +98,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     points = "[twinct.algorithms]\nhopeless = hopeless:IT\nsart = hopeless:IT\n"
     points += "[twinct.trajectories]\nnowhere = hopeless:IT\n"
+    points += "[twinct.objectives]\nworst = hopeless:IT\n"
     distribution(target, "hopeless", "0.3", points, "raise OSError('its library is gone')\n")
     return target
 
@@ -135,6 +140,63 @@ def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) 
     assert done.returncode == 0, done.stderr
     schema = json.loads(twinct(installed, "schema").stdout)
     assert "LandweberReconstruction" in schema["$defs"] and "Zigzag" in schema["$defs"]
+
+
+@pytest.fixture
+def task(tmp_path: Path) -> Path:
+    file = tmp_path / "level.yaml"
+    file.write_text(
+        f"extends: {HERE}/same_bytes/small.yaml\n"
+        "cell: {kind: gantry}\n"
+        "task:\n"
+        "  {views: 3, candidates: 24, rounds: 1, radius_mm: 3,\n"
+        "   completeness: {weight: 0.01}, level: {free_deg: 2}}\n"
+    )
+    return file
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+def test_views_are_planned_for_a_foreign_objective(installed: Path, task: Path) -> None:
+    checked = twinct(installed, "check", task)
+    assert checked.returncode == 0, checked.stderr
+    planned = twinct(installed, "plan", task, "--out", task.parent / "out", "--jobs", "1")
+    assert planned.returncode == 0, planned.stderr
+    assert "level, deg" in planned.stdout
+    told = json.loads((task.parent / "out" / "plan.json").read_text())["goals"]
+    assert told["level"]["weight"] == -1.0
+    assert told["level"]["planned"] < 0.5 * told["level"]["spread_evenly"]
+    alone = twinct(installed, "check", task, "--set", "task.completeness=null")
+    assert alone.returncode == 2
+    assert "metal, dose, moving and level alone would choose the same view" in alone.stderr
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+def test_who_names_a_broken_objective_is_told_why(installed: Path, task: Path) -> None:
+    refused = twinct(installed, "check", task, "--set", "task.worst={}")
+    assert refused.returncode == 2
+    assert "--set task.worst={}: task.worst: 'worst' of hopeless 0.3 cannot be used: " in (
+        refused.stderr
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "reason"),
+    [
+        ("goals", LessIsBetter, "the section task has another key of this name"),
+        ("views", LessIsBetter, "the section task has another key of this name"),
+        ("new", Section, "its settings are neither MoreIsBetter nor LessIsBetter"),
+    ],
+)
+def test_an_objective_that_does_not_fit_the_task_is_left_out(
+    monkeypatch, name: str, settings: type, reason: str
+) -> None:
+    odd = Objective(name, settings, lambda own, views, patient: Mean([0.0]), "Odd.")
+    monkeypatch.setattr(task_section, "objectives", lambda: Offers({**BUILT_IN, name: odd}))
+    usable, broken = task_section._usable()
+    assert list(usable) == list(BUILT_IN)
+    assert broken == {name: f"the objective {name!r} cannot be used: {reason}"}
 
 
 @pytest.mark.tutorial

@@ -58,8 +58,9 @@ made from them.
 
 EXTENSIONS = """## Algorithms and trajectories of your own
 
-A package of yours can add to both. It names them as entry points, and where it is installed they
-are known to the command line, the ROS 2 nodes and Python alike:
+A package of yours can add to both, and to the
+[objectives of a plan](planning.md#add-an-objective). It names them as entry points, and where it is
+installed they are known to the command line, the ROS 2 nodes and Python alike:
 
 ```toml
 [project.entry-points."twinct.algorithms"]

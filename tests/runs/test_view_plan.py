@@ -15,8 +15,8 @@ from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 from twinct.trajectory import CircleTrajectory, commanded_mas, commanded_views
 from twinct.view_planning import family_search, planner
+from twinct.view_planning.patient import Patient
 from twinct.view_planning.planner import plan_views
-from twinct.view_planning.task_goals import Patient
 from twinct.workers import LocalPool
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
@@ -242,7 +242,7 @@ def test_paths_that_cannot_be_had_are_told_with_the_nearest(file: Path, tmp_path
 
 def test_points_of_a_part_lie_in_it(file: Path) -> None:
     patient = Patient(SimulationBuilder(load_scenario(file, ["specimen.position_mm=[0, 0, 7]"])))
-    points = patient.points_of("lens", 0)
+    points = patient.points_of("lens")
     assert len(points) > 50
     assert np.linalg.norm(points - [0, 50, 7], axis=1).max() < 4.5
     assert points.mean(axis=0) == pytest.approx([0, 50, 7], abs=0.2)

@@ -9,6 +9,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from twinct.core.errors import InputError
 from twinct.evaluation import detectability
 from twinct.geometry import Panel, VolumeGrid
+from twinct.objectives.detectability import difference_spectrum
 from twinct.recon import Projector
 from twinct.trajectory import (
     ArcTrajectory,
@@ -17,7 +18,6 @@ from twinct.trajectory import (
     commanded_views,
 )
 from twinct.view_planning import Detectability, Task, detectability_of
-from twinct.view_planning.detectability import difference_spectrum
 
 SHAPE = (6, 7, 8)
 

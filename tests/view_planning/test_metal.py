@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.objectives.metal_paths import metal_lengths, seen_lengths
 from twinct.recon import Projector
 from twinct.recon.shadow import Body
 from twinct.trajectory import panel_axes
 from twinct.view_planning import metal_paths, spectral_shift, starved_share
-from twinct.view_planning.metal_paths import metal_lengths, seen_lengths
 
 FACETS = 0.01
 """A cylinder of 64 sides is this much thinner at most, as a share."""

@@ -35,7 +35,8 @@ def plan_command(
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be at least 1")
     bound = limit_threads(threads)
-    if load_scenario(scenario, set_).cell.kind == "arms":
+    asked = load_scenario(scenario, set_)
+    if asked.cell.kind == "arms":
         require("robots")
     with (
         named_places(scenario, set_),
@@ -58,9 +59,11 @@ def plan_command(
     )
     for name in ("", "planned", "evenly spread", "the scenario's path"):
         table.add_column(name)
+    assert asked.task is not None
     for name, figures in found.figures.items():
+        label = asked.task.label(name)
         table.add_row(
-            name, *("-" if value is None else f"{value:.4g}" for value in figures.values())
+            label, *("-" if value is None else f"{value:.4g}" for value in figures.values())
         )
     console = Console()
     console.print(table)

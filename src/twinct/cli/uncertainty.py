@@ -88,6 +88,8 @@ def _of_the_task(builder: SimulationBuilder, draws: int, progress: Progress) -> 
     """Print, and return, the effects of the errors on the task of the views."""
     from twinct.view_planning.goals_with_errors import rejudged
 
+    task = builder.scenario.task
+    assert task is not None
     judged, blur_mm = rejudged(builder, draws, progress)
     table = Table(
         title=f"effect on the task: {draws} scans, blurred by {blur_mm.mean():.3f} mm in the region"
@@ -96,7 +98,7 @@ def _of_the_task(builder: SimulationBuilder, draws: int, progress: Progress) -> 
         table.add_column(name)
     for name, goal in judged.items():
         values = (goal.commanded, goal.drawn.mean(), goal.drawn.min(), goal.drawn.max())
-        table.add_row(name, *(f"{value:.4g}" for value in values))
+        table.add_row(task.label(name), *(f"{value:.4g}" for value in values))
     Console().print(table)
     goals = {
         name: {"commanded": goal.commanded, "drawn": goal.drawn.tolist()}

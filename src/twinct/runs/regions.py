@@ -30,6 +30,7 @@ from twinct.evaluation import (
     shell,
     streak_index,
 )
+from twinct.evaluation.signal import contrast_at
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.scenario import Evaluation, Scenario
 from twinct.specimen import BuiltSpecimen
@@ -257,15 +258,6 @@ def _signal(signal: scenario.SphereSignal | scenario.GaussianSignal, grid: Volum
     z, y, x = (slice(0, n) for n in count)
     radius = np.linalg.norm(centres(lattice, (z, y, x)), axis=-1)
     return contrast_at(signal, radius, float(grid.voxel.mean()))
-
-
-def contrast_at(
-    signal: scenario.SphereSignal | scenario.GaussianSignal, radius_mm: Floats, edge_mm: float
-) -> Floats:
-    """Return the contrast of voxels at distances from a signal's centre, in mu(reference)."""
-    if isinstance(signal, scenario.GaussianSignal):
-        return signal.contrast_rel * np.exp(-((radius_mm / signal.sigma_mm) ** 2) / 2)
-    return signal.contrast_rel * np.clip((signal.radius_mm - radius_mm) / edge_mm + 0.5, 0, 1)
 
 
 def _mean(values: Floats) -> float:

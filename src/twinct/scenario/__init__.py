@@ -1,5 +1,12 @@
 """The scenario: one YAML file that initialises everything."""
 
+from twinct.evaluation.signal import GaussianSignal, SphereSignal
+from twinct.objectives.completeness import CompletenessGoal
+from twinct.objectives.detectability import DetectabilityGoal
+from twinct.objectives.dose import DoseGoal
+from twinct.objectives.metal_paths import MetalGoal
+from twinct.objectives.motion_time import MovingGoal
+from twinct.objectives.variance import KnownGoal
 from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, TwoMaterialHardening
 from twinct.scenario.cell import (
     AnyCell,
@@ -34,7 +41,7 @@ from twinct.scenario.detector import (
     SnrNoise,
 )
 from twinct.scenario.digests import specimen_digest, stage_digests
-from twinct.scenario.evaluation import Evaluation, GaussianSignal, Region, Shell, SphereSignal
+from twinct.scenario.evaluation import Evaluation, Region, Shell
 from twinct.scenario.loading import (
     Template,
     load_scenario,
@@ -73,18 +80,7 @@ from twinct.scenario.specimen import (
     Specimen,
     Sphere,
 )
-from twinct.scenario.task import (
-    CompletenessGoal,
-    DetectabilityGoal,
-    DoseGoal,
-    ExposureSharing,
-    FamilyParameter,
-    FamilySearch,
-    KnownGoal,
-    MetalGoal,
-    MovingGoal,
-    ViewTask,
-)
+from twinct.scenario.task import ExposureSharing, FamilyParameter, FamilySearch, ViewTask
 from twinct.scenario.uncertainty import (
     PRESETS,
     ArmErrors,

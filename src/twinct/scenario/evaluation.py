@@ -10,13 +10,13 @@ from pydantic import Field, model_validator
 
 from twinct.core.settings import (
     Conflict,
-    Finite,
     Length,
     NonNegative,
     Section,
     Vector,
     setting,
 )
+from twinct.evaluation.signal import AnySignal
 from twinct.geometry import Pose
 from twinct.scenario.specimen import Box, Cylinder, Specimen, Sphere
 
@@ -92,34 +92,11 @@ class NoisePower(Section):
         return self.region
 
 
-class SphereSignal(Section):
-    """Ball of uniform contrast."""
-
-    kind: Literal["sphere"]
-    radius_mm: Length = Field(description="Radius.")
-    contrast_rel: Finite = Field(
-        description="Contrast relative to mu(reference).", json_schema_extra={"x-unit": "1"}
-    )
-
-
-class GaussianSignal(Section):
-    """Contrast with a Gaussian profile."""
-
-    kind: Literal["gaussian"]
-    sigma_mm: Length = Field(description="Sigma.")
-    contrast_rel: Finite = Field(
-        description="Contrast at the centre, relative to mu(reference).",
-        json_schema_extra={"x-unit": "1"},
-    )
-
-
 class Task(Section):
     """Detection of a signal in the noise of a region, rated by the index of detectability."""
 
     name: Name = Field(description="Name of the figure.")
-    signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
-        description="Signal to detect."
-    )
+    signal: AnySignal = Field(description="Signal to detect.")
     region: str = Field(
         description="Name of the homogeneous region in whose noise the signal lies."
     )

@@ -14,12 +14,14 @@ from twinct.core.settings import Conflict, ConflictError
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
 from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
+from twinct.scenario.task import BROKEN_OBJECTIVES
 from twinct.scenario.version_0_1 import advice
 from twinct.trajectory.families import families
 
 _BROKEN: dict[Key, dict[str, str]] = {
     ("reconstruction", "algorithm"): BROKEN_ALGORITHMS,
     ("trajectory", "kind"): families().broken,
+    ("task",): BROKEN_OBJECTIVES,
 }
 
 MOST_PROBLEMS = 50
@@ -112,7 +114,7 @@ def _sentence(
     kind: str = detail["type"]
     given: Any = detail["input"]
     if kind == "extra_forbidden":
-        if gone := advice(key, given):
+        if gone := advice(key, given) or _BROKEN.get(key[:-1], {}).get(str(key[-1])):
             return gone
         known = list(model.model_fields) if model else []
         if having := [str(_tag(other)) for other in others if key[-1] in other.model_fields]:

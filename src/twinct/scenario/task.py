@@ -1,134 +1,26 @@
-"""Task of view planning: a region, the goals, and the number of views."""
+"""Task of view planning: a region, the objectives, and the number of views.
+
+Objectives, built in or from extensions, bring their own keys.
+"""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Literal
+import logging
+from typing import Any
 
-from pydantic import Field
+from pydantic import Field, create_model
 
-from twinct.core.settings import Conflict, Finite, NonNegative, Positive, Section, Vector, setting
-from twinct.scenario.evaluation import GaussianSignal, SphereSignal
+from twinct.core.settings import Conflict, Finite, NonNegative, Section, Vector, setting
+from twinct.objectives import LessIsBetter, MoreIsBetter, Objective
+from twinct.objectives.objective import ObjectiveSettings
+from twinct.objectives.registry import objectives
 from twinct.scenario.specimen import Specimen
 
-Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
-Share = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
-_LIMIT = (
-    "Largest mean over the views, relative to the mean of views spread evenly over all "
-    "reachable ones; null: no limit."
-)
-_ENOUGH = (
-    "Smallest value, relative to that of views spread evenly over all reachable ones; null: "
-    "whatever the weights yield."
-)
+log = logging.getLogger(__name__)
 
 
-class CompletenessGoal(Section):
-    """Planes through points of the region that the source crosses (Tuy): more is better."""
-
-    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
-    at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
-    within_deg: Positive = setting(
-        3.0, "Angle from a plane within which a view counts as crossing it."
-    )
-
-
-class DetectabilityGoal(Section):
-    """Detectability d' of a signal in the middle of the region: more is better."""
-
-    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
-    at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
-    signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
-        description="Signal to detect."
-    )
-    voxel_mm: Positive = setting(1.0, "Voxel edge of the reconstruction for which it is predicted.")
-    penalty: Positive = setting(
-        1.0,
-        "Strength of the reconstruction's quadratic penalty, relative to what evenly spread "
-        "views measure at the signal's frequencies: 1 smooths half of the signal away.",
-        unit="1",
-    )
-
-
-class SeenMetal(Section):
-    """Metal that a volume shows, such as a volume from a few scout views."""
-
-    path: Path = Field(
-        description="NIfTI file of attenuation in 1/mm, in world coordinates, such as a run's "
-        "volume.nii."
-    )
-    above_per_mm: Positive = setting(
-        0.1, "Attenuation above which a voxel is metal; bone stays below it.", unit="1/mm"
-    )
-    material: str = setting("titanium", "Material of the metal, by name.")
-
-
-class MetalGoal(Section):
-    """Metal that rays cross: less is better."""
-
-    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
-    parts: tuple[str, ...] = setting((), "Names of the metal parts.")
-    seen: SeenMetal | None = setting(None, "Metal that a volume shows, instead of parts.")
-    counts: Literal["length", "starved", "shift"] = setting(
-        "length",
-        "Cost of a ray. length: its length in metal; starved: whether fewer than least_photons "
-        "photons remain; shift: how much metal hardens it.",
-    )
-    least_photons: Positive = setting(
-        100.0, "Photons in a pixel below which a ray is starved.", unit="1"
-    )
-    rays: Literal["region", "metal"] = setting(
-        "region",
-        "Rays that count. region: those through the region; metal: those through the metal "
-        "itself, if the surroundings of the metal are of interest.",
-    )
-    at_most_rel: Share | None = setting(None, _LIMIT, unit="1")
-
-
-class DoseGoal(Section):
-    """Primary kerma in a part: less is better. Scattered photons are ignored."""
-
-    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
-    part: str = Field(description="Name of the part.")
-    at_most_rel: Share | None = setting(None, _LIMIT, unit="1")
-
-
-class MovingGoal(Section):
-    """Time that the arms need from view to view at full speed: less is better."""
-
-    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
-    at_most_rel: Share | None = setting(
-        None,
-        "Largest time, relative to that of as many views spread evenly over all reachable ones; "
-        "null: no limit.",
-        unit="1",
-    )
-
-
-class KnownGoal(Section):
-    """Knowledge of the region from few views, predicted by a linear model: more is better."""
-
-    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
-    at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
-    correlation_mm: Positive = setting(
-        20.0, "Distance at which the correlation of attenuations is 1 / e, before any view."
-    )
-    deviation_rel: Positive = setting(
-        0.5,
-        "Standard deviation of attenuation before any view, relative to the attenuation of the "
-        "reference material.",
-        unit="1",
-    )
-    voxels: int = setting(
-        600, "Number of voxels of the coarse grid around the specimen.", ge=8, le=5000
-    )
-
-
-class TryingGoal(Section):
+class TryingGoal(ObjectiveSettings):
     """Error in the region of a volume made from images of each path: less is better."""
-
-    weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
 
 
 class ExposureSharing(Section):
@@ -158,8 +50,8 @@ class FamilySearch(Section):
     population: int = setting(8, "Number of paths in each generation.", ge=4, le=1000)
 
 
-class ViewTask(Section):
-    """Goals for which `twinct plan` chooses views; a run does not read them."""
+class _Region(Section):
+    """Region, and the number of views."""
 
     position_mm: Vector = setting(
         (0.0, 0.0, 0.0), "Centre of the region, a ball, in the specimen's frame."
@@ -174,12 +66,44 @@ class ViewTask(Section):
         le=20_000,
     )
     rounds: int = setting(2, "Rounds in which each view may be exchanged.", ge=0, le=20)
-    completeness: CompletenessGoal | None = setting(None, "Favour complete data.")
-    detectability: DetectabilityGoal | None = setting(None, "Favour the detectability of a signal.")
-    known: KnownGoal | None = setting(None, "Favour knowledge of the region from few views.")
-    metal: MetalGoal | None = setting(None, "Avoid metal in the rays.")
-    dose: DoseGoal | None = setting(None, "Avoid dose.")
-    moving: MovingGoal | None = setting(None, "Avoid long moving times of the arms.")
+
+
+_FURTHER = ("trying", "exposure", "family", "goals", "label", "conflicts")
+"""Names in ``ViewTask`` that no objective may take."""
+
+
+def _usable() -> tuple[dict[str, Objective[Any]], dict[str, str]]:
+    """Return the objectives with usable keys, and the problem of each one that is unusable."""
+    usable, broken = dict[str, Objective[Any]](), dict(objectives().broken)
+    for name, objective in objectives().items():
+        try:
+            if hasattr(Section, name) or name in (*_Region.model_fields, *_FURTHER):
+                raise ValueError("the section task has another key of this name")
+            if not issubclass(objective.settings, (MoreIsBetter, LessIsBetter)):
+                raise TypeError("its settings are neither MoreIsBetter nor LessIsBetter")
+            _with_keys({name: objective})
+            usable[name] = objective
+        except Exception as error:  # settings may come from any package
+            broken[name] = f"the objective {name!r} cannot be used: {error}"
+            log.warning(broken[name])
+    return usable, broken
+
+
+def _with_keys(of: dict[str, Objective[Any]]) -> type[_Region]:
+    fields: dict[str, Any] = {
+        name: (one.settings | None, setting(None, one.description)) for name, one in of.items()
+    }
+    return create_model("_Objectives", __base__=_Region, **fields)
+
+
+OBJECTIVES, BROKEN_OBJECTIVES = _usable()
+
+_Objectives: Any = _with_keys(OBJECTIVES)
+
+
+class ViewTask(_Objectives):
+    """Goals for which `twinct plan` chooses views; a run does not read them."""
+
     trying: TryingGoal | None = setting(
         None,
         "Favour a small error in the region. Paths of a family are tried: images as from a "
@@ -192,19 +116,30 @@ class ViewTask(Section):
         None, "Choose the views of the best path of a family; null: choose views freely."
     )
 
+    @property
+    def goals(self) -> dict[str, tuple[Objective[Any], Any]]:
+        """Objectives of this task and their settings, by name."""
+        every = ((one, getattr(self, name)) for name, one in OBJECTIVES.items())
+        return {one.name: (one, section) for one, section in every if section is not None}
+
+    def label(self, name: str) -> str:
+        """Return the name of a figure of a plan with its unit, for tables."""
+        objective, section = self.goals.get(name, (None, None))
+        unit = "1" if objective is None else objective.unit(section)
+        return name if unit == "1" else f"{name}, {unit}"
+
     def conflicts(self, specimen: Specimen) -> list[Conflict]:
         """Return conflicts: no goal, more views than candidates, or unknown parts."""
-        names = [part.label for part in specimen.parts]
-        having = (
-            f"{'the parts are' if len(names) > 1 else 'the only part is'} "
-            f"{', '.join(map(repr, names))}"
-        )
         found: list[Conflict] = []
-        if not (self.completeness or self.detectability or self.known or self.trying):
+        if not (self.trying or any(one.more_is_better for one, _ in self.goals.values())):
+            gains, costs = (
+                [name for name, one in OBJECTIVES.items() if one.more_is_better is more]
+                for more in (True, False)
+            )
             found.append(
                 Conflict(
-                    "task: completeness, detectability or known is required: metal, dose and "
-                    "moving alone would choose the same view again and again",
+                    f"task: {_listed(gains, 'or')} is required: {_listed(costs, 'and')} alone "
+                    "would choose the same view again and again",
                     ("task",),
                 )
             )
@@ -224,7 +159,7 @@ class ViewTask(Section):
                     ("task.views", "task.candidates"),
                 )
             )
-        if self.exposure and not self.detectability:
+        if self.exposure and "detectability" not in self.goals:
             found.append(
                 Conflict(
                     "task.exposure: sharing the mAs serves detectability and needs "
@@ -248,19 +183,11 @@ class ViewTask(Section):
                 found.append(Conflict(message, (f"{key}.low", f"{key}.high")))
             if one.key in [other.key for other in family[:i]]:
                 found.append(Conflict(f"{key}.key: {one.key!r} is listed twice", (f"{key}.key",)))
-        if self.metal and bool(self.metal.parts) == (self.metal.seen is not None):
-            found.append(
-                Conflict(
-                    "task.metal: give either parts (of the specimen) or seen (in a volume)",
-                    ("task.metal.parts", "task.metal.seen"),
-                )
-            )
-        metal = self.metal.parts if self.metal else ()
-        wanted = [(f"metal.parts.{i}", part) for i, part in enumerate(metal)]
-        wanted += [("dose.part", self.dose.part)] if self.dose else []
-        found += [
-            Conflict(f"task.{key}: unknown part {name!r}; {having}", (f"task.{key}",))
-            for key, name in wanted
-            if name not in names
-        ]
+        parts = [part.label for part in specimen.parts]
+        for one, section in self.goals.values():
+            found += one.conflicts(section, parts)
         return found
+
+
+def _listed(names: list[str], word: str) -> str:
+    return f" {word} ".join(filter(None, (", ".join(names[:-1]), names[-1])))

@@ -1,13 +1,15 @@
 """View planning: objectives over a region, and the choice of views among candidates."""
 
-from twinct.view_planning.completeness import crossed_planes, local_completeness, plane_normals
-from twinct.view_planning.detectability import Detectability, Task, detectability_of
-from twinct.view_planning.dose import primary_kerma
+from twinct.objectives.completeness import crossed_planes, local_completeness, plane_normals
+from twinct.objectives.detectability import Detectability, Task, detectability_of
+from twinct.objectives.dose import primary_kerma
+from twinct.objectives.measures import Coverage, Mean, Measure
+from twinct.objectives.metal_paths import metal_paths, spectral_shift, starved_share
+from twinct.objectives.motion_time import PathTime, TourTime
+from twinct.objectives.variance import KnownShare, prior_covariance
 from twinct.view_planning.exposure import best_exposures
 from twinct.view_planning.family import Tuned, best_parameters
-from twinct.view_planning.goals import Coverage, Goal, Mean, Measure, worth_of
-from twinct.view_planning.metal_paths import metal_paths, spectral_shift, starved_share
-from twinct.view_planning.motion_time import PathTime, TourTime
+from twinct.view_planning.goals import Goal, worth_of
 from twinct.view_planning.prices import has_limit
 from twinct.view_planning.search import Searched, search_views
 from twinct.view_planning.selection import (
@@ -17,7 +19,6 @@ from twinct.view_planning.selection import (
     exchanged,
     greedy_choice,
 )
-from twinct.view_planning.variance import KnownShare, prior_covariance
 
 __all__ = [
     "Choice",

@@ -7,7 +7,7 @@ import scipy
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats
-from twinct.view_planning.detectability import Detectability
+from twinct.objectives.detectability import Detectability
 
 
 def best_exposures(

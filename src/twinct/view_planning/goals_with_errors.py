@@ -11,9 +11,7 @@ from twinct.geometry import Floats, Panel, Pose, ScanGeometry, lock
 from twinct.robots.calibrated_arms import CalibratedArms
 from twinct.runs.propagating import nominal_scan
 from twinct.scan import SimulationBuilder
-from twinct.scenario import ViewTask
 from twinct.uncertainty.propagation import draw, project
-from twinct.view_planning import Detectability, Goal, Mean
 from twinct.view_planning.task_goals import goals_of
 
 
@@ -78,20 +76,23 @@ def rejudged(
     executed = [_geometry(true[0, k], true[1, k], panel) for k in range(draws)]
     place = builder.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
     blur = _blur_mm(true, believed, planned, place)
-    without_moving = task.model_copy(update={"moving": None})  # errors do not change it
-    quiet = SimulationBuilder(scenario.model_copy(update={"task": without_moving}))
+    kept = {name: None for name, (one, _) in task.goals.items() if one.under_errors is None}
+    moved = task.model_copy(update=kept)
+    quiet = SimulationBuilder(scenario.model_copy(update={"task": moved}))
     together = ScanGeometry.joined([planned, *executed])
     mas = builder.mas
     exposures = np.ones(views) if mas is None else mas / scenario.source.mas
     found: dict[str, Rejudged] = {}
     for goal in goals_of(quiet, together, views, range(views), progress):
-        drawn = [
-            _judged(goal, range((k + 1) * views, (k + 2) * views), sigma, task, exposures)
-            for k, sigma in enumerate(blur.tolist())
-        ]
-        found[goal.name] = Rejudged(
-            _judged(goal, range(views), 0.0, task, exposures), np.array(drawn)
+        objective, section = task.goals[goal.name]
+        assert objective.under_errors is not None
+        planned_figure, *drawn = (
+            objective.under_errors(
+                section, goal.measure, range(k * views, (k + 1) * views), sigma, exposures
+            )
+            for k, sigma in enumerate([0.0, *blur.tolist()])
         )
+        found[goal.name] = Rejudged(planned_figure, np.array(drawn))
     return found, blur
 
 
@@ -124,14 +125,3 @@ def _blur_mm(true: Floats, believed: Floats, planned: ScanGeometry, place: Float
         for one, slope in zip(off, slopes, strict=True)
     ]
     return np.sqrt(np.square(np.array(left)).mean(axis=1))
-
-
-def _judged(goal: Goal, views: range, sigma_mm: float, task: ViewTask, exposures: Floats) -> float:
-    """Return the figure of a goal, with blur and exposures if it depends on them."""
-    if isinstance(goal.measure, Detectability):
-        assert task.detectability is not None
-        sigma = sigma_mm / task.detectability.voxel_mm
-        return goal.measure.blurred(views, sigma, exposures)
-    if goal.name == "dose" and isinstance(goal.measure, Mean):
-        return float((exposures * goal.measure.each[list(views)]).mean())
-    return goal.of(views)

@@ -15,7 +15,7 @@ from twinct.runs.reconstruction import load_scan
 from twinct.scan import SimulationBuilder
 from twinct.scan.integrals import line_integrals
 from twinct.scenario import Scenario
-from twinct.view_planning.task_goals import Patient
+from twinct.view_planning.patient import Patient
 from twinct.xray.build import effective_energy_kev
 
 VOXEL_MM = 2.0

@@ -20,11 +20,34 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.settings import Positive, setting
 from twinct.geometry import Floats, VolumeGrid
+from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 from twinct.recon import Projector
 
 MOST_VOXELS = 5000
 """Largest number of voxels of a coarse grid, whose covariance takes 200 MB."""
+
+
+MOST_GB = 2.0
+"""Memory limit for the rays of all candidates, GB."""
+
+
+class KnownGoal(MoreIsBetter):
+    """Knowledge of the region from few views, predicted by a linear model: more is better."""
+
+    correlation_mm: Positive = setting(
+        20.0, "Distance at which the correlation of attenuations is 1 / e, before any view."
+    )
+    deviation_rel: Positive = setting(
+        0.5,
+        "Standard deviation of attenuation before any view, relative to the attenuation of the "
+        "reference material.",
+        unit="1",
+    )
+    voxels: int = setting(
+        600, "Number of voxels of the coarse grid around the specimen.", ge=8, le=5000
+    )
 
 
 def prior_covariance(grid: VolumeGrid, deviation: float, correlation_mm: float) -> Floats:
@@ -166,3 +189,29 @@ def _require_coarse(grid: VolumeGrid) -> None:
             f"the coarse grid has {voxels} voxels; at most {MOST_VOXELS} are allowed, "
             "such as 17 x 17 x 17"
         )
+
+
+def _measure(settings: KnownGoal, views: Views, patient: PatientModel) -> KnownShare:
+    """Return the share of the region's variance that views remove."""
+    place = views.points[0]
+    around = patient.attenuation(patient.energy_kev).grid
+    edges = around.size_mm
+    voxel = float(np.cbrt(edges.prod() / settings.voxels))
+    count = np.maximum(np.floor(edges / voxel).astype(int), 1)  # at most the requested number
+    grid = VolumeGrid(count[::-1].tolist(), edges / count, around.world_from_grid)
+    coarse, photons = patient.photons(views.geometry, place, voxel, "task.known")
+    held, number = photons.size * int(count.prod()) * 4 / 1e9, len(views.geometry)
+    if held > MOST_GB:
+        raise InputError(
+            f"task.known.voxels: {settings.voxels} need {held:.1f} GB for {number} views, "
+            f"at most {MOST_GB:g} GB are allowed; use fewer voxels or fewer task.candidates"
+        )
+    z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij")
+    far = np.linalg.norm(grid.world_from_grid.apply(np.stack([x, y, z], -1)) - place, axis=-1)
+    region = far <= max(views.radius_mm, float(far.min()))
+    deviation = settings.deviation_rel * patient.reference_mu
+    covariance = prior_covariance(grid, deviation, settings.correlation_mm)
+    return KnownShare.of(Projector(coarse, grid), photons, covariance, region)
+
+
+KNOWN = Objective("known", KnownGoal, _measure, "Favour knowledge of the region from few views.")

@@ -26,11 +26,31 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from twinct.core.errors import InputError
 from twinct.core.progress import SILENT, Progress
-from twinct.geometry import Floats
+from twinct.core.settings import Positive, setting
+from twinct.evaluation.signal import AnySignal, contrast_at
+from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 from twinct.recon import Projector
+
+BOX = 32
+"""Voxels along an edge of the grid around the signal."""
+
+
+class DetectabilityGoal(MoreIsBetter):
+    """Detectability d' of a signal in the middle of the region: more is better."""
+
+    signal: AnySignal = Field(description="Signal to detect.")
+    voxel_mm: Positive = setting(1.0, "Voxel edge of the reconstruction for which it is predicted.")
+    penalty: Positive = setting(
+        1.0,
+        "Strength of the reconstruction's quadratic penalty, relative to what evenly spread "
+        "views measure at the signal's frequencies: 1 smooths half of the signal away.",
+        unit="1",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,3 +222,45 @@ def difference_spectrum(shape: tuple[int, int, int]) -> Floats:
     z, y = (2 - 2 * np.cos(2 * np.pi * np.fft.fftfreq(n)) for n in shape[:2])
     x = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(shape[2]))
     return z[:, None, None] + y[None, :, None] + x
+
+
+def _measure(settings: DetectabilityGoal, views: Views, patient: PatientModel) -> Detectability:
+    """Return d' of the signal in the middle of the region."""
+    place, voxel = views.points[0], settings.voxel_mm
+    z, y, x = np.indices((BOX, BOX, BOX)) - BOX // 2
+    radius = voxel * np.sqrt(x * x + y * y + z * z)
+    signal = contrast_at(settings.signal, radius, voxel) * patient.reference_mu
+    # Centre voxel BOX // 2 at the place.
+    grid = VolumeGrid((BOX,) * 3, voxel, Pose.from_euler(place - voxel / 2, (0.0, 0.0, 0.0)))
+    coarse, photons = patient.photons(views.geometry, place, voxel, "task.detectability")
+    found = detectability_of(Projector(coarse, grid), photons, Task(signal, 1.0), views.progress)
+    power = np.abs(np.fft.rfftn(signal)) ** 2
+    told = found.fisher[list(views.even)].sum(axis=0, dtype=np.float64)
+    beta = settings.penalty * float(
+        (power * told).sum() / (power * difference_spectrum((BOX, BOX, BOX))).sum()
+    )
+    if not beta > 0:
+        raise InputError(
+            "task.detectability: views spread evenly over all reachable ones carry no information "
+            "on the signal, as only few see it (task.position_mm)"
+        )
+    return Detectability(Task(signal, beta), found.fisher)
+
+
+def _blurred(
+    settings: DetectabilityGoal,
+    measure: Detectability,
+    views: Sequence[int],
+    blur_mm: float,
+    exposures: Floats,
+) -> float:
+    return measure.blurred(views, blur_mm / settings.voxel_mm, exposures)
+
+
+DETECTABILITY = Objective(
+    "detectability",
+    DetectabilityGoal,
+    _measure,
+    "Favour the detectability of a signal.",
+    under_errors=_blurred,
+)

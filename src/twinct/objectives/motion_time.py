@@ -7,10 +7,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twinct.core.settings import setting
 from twinct.geometry import Floats, lock
+from twinct.objectives.measures import Measure
+from twinct.objectives.objective import LessIsBetter, Objective, PatientModel, Share, Views
 
 Tour = Callable[[Floats], list[int]]
 """Function that returns a short order of a few views, from the times between all of them."""
+
+
+class MovingGoal(LessIsBetter):
+    """Time that the arms need from view to view at full speed: less is better."""
+
+    at_most_rel: Share | None = setting(
+        None,
+        "Largest time, relative to that of as many views spread evenly over all reachable ones; "
+        "null: no limit.",
+        unit="1",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,3 +79,20 @@ class PathTime:
         if not len(views):
             return np.diagonal(self.seconds)[more].copy()
         return self.seconds[views[:-1], views[1:]].sum() + self.seconds[views[-1], more]
+
+
+def _measures(settings: MovingGoal, views: Views, patient: PatientModel) -> tuple[Measure, Measure]:
+    """Return the time of a path or a tour, and of a tour, as evenly spread views have no order."""
+    seconds = patient.seconds_between(views.geometry)
+    tour = TourTime(seconds, patient.short_tour)
+    return PathTime(seconds) if views.in_order else tour, tour
+
+
+MOVING = Objective(
+    "moving",
+    MovingGoal,
+    _measures,
+    "Avoid long moving times of the arms.",
+    unit=lambda own: "s",
+    under_errors=None,
+)

@@ -12,16 +12,31 @@ neglected; they spread more evenly, so that the true doses of views differ less 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from twinct.geometry import Floats, ScanGeometry
+from twinct.objectives.measures import Mean
+from twinct.objectives.objective import LessIsBetter, Objective, PatientModel, Views, unknown_parts
+from twinct.objectives.visibility import samples_towards, sees
 from twinct.recon.volume import Volume
-from twinct.view_planning.visibility import samples_towards, sees
 
 GY_MM2 = 1.602176634e-16 * 1e3 * 100.0
 """1 keV cm^2/g per mm^2 in Gy: J per keV, g per kg, mm^2 per cm^2."""
+
+
+ENERGIES = 5
+"""Number of energy bins of a spectrum."""
+
+
+class DoseGoal(LessIsBetter):
+    """Primary kerma in a part: less is better. Scattered photons are ignored."""
+
+    part: str = Field(description="Name of the part.")
 
 
 def primary_kerma(
@@ -67,3 +82,37 @@ def primary_kerma(
         square = ((source - seen) ** 2).sum(axis=1)
         kerma[view] = (1e6 / square * np.exp(-depth)).sum() / len(points)
     return kerma * photons_per_mm2 * energy_kev * absorption_cm2_g * GY_MM2
+
+
+def _measure(settings: DoseGoal, views: Views, patient: PatientModel) -> Mean:
+    """Return the mean primary kerma of the views, Gy."""
+    energies, photons = patient.beam(ENERGIES, "task.dose")
+    points, substance = patient.points_of(settings.part), patient.material_of(settings.part)
+    kerma = np.zeros(len(views.geometry))
+    for energy, per_mm2 in zip(energies.tolist(), photons.tolist(), strict=True):
+        kerma += primary_kerma(
+            views.geometry,
+            points,
+            patient.attenuation(energy),
+            energy_kev=energy,
+            photons_per_mm2=per_mm2,
+            absorption_cm2_g=substance.absorption_cm2_g(energy),
+        )
+    return Mean(kerma)
+
+
+def _with_exposures(
+    settings: DoseGoal, kerma: Mean, views: Sequence[int], blur_mm: float, exposures: Floats
+) -> float:
+    return float((exposures * kerma.each[list(views)]).mean())
+
+
+DOSE = Objective(
+    "dose",
+    DoseGoal,
+    _measure,
+    "Avoid dose.",
+    unit=lambda own: "Gy",
+    conflicts=lambda own, parts: unknown_parts({"task.dose.part": own.part}, parts),
+    under_errors=_with_exposures,
+)

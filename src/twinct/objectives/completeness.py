@@ -11,11 +11,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinct.core.settings import Positive, setting
 from twinct.geometry import Floats, ScanGeometry, fibonacci_directions
-from twinct.view_planning.visibility import sees
+from twinct.objectives.measures import Coverage
+from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
+from twinct.objectives.visibility import sees
 
 _AT_A_TIME = 2_000_000
 """Largest number of distances between sources and planes in memory: 16 MB."""
+
+
+class CompletenessGoal(MoreIsBetter):
+    """Planes through points of the region that the source crosses (Tuy): more is better."""
+
+    within_deg: Positive = setting(
+        3.0, "Angle from a plane within which a view counts as crossing it."
+    )
 
 
 def plane_normals(count: int) -> Floats:
@@ -96,3 +107,10 @@ def _changes(heights: Floats, seen: NDArray[np.bool_], closed: bool) -> NDArray[
 
 def _parts(normals: Floats, views: int) -> list[Floats]:
     return np.array_split(normals, max(1, len(normals) * views // _AT_A_TIME))
+
+
+def _measure(settings: CompletenessGoal, views: Views, patient: PatientModel) -> Coverage:
+    return Coverage(crossed_planes(views.geometry, views.points, settings.within_deg))
+
+
+COMPLETENESS = Objective("completeness", CompletenessGoal, _measure, "Favour complete data.")

@@ -1,0 +1,26 @@
+"""All objectives by name, built in or from extensions."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from twinct.core.extensions import Offers, offers
+from twinct.objectives.completeness import COMPLETENESS
+from twinct.objectives.detectability import DETECTABILITY
+from twinct.objectives.dose import DOSE
+from twinct.objectives.metal_paths import METAL
+from twinct.objectives.motion_time import MOVING
+from twinct.objectives.objective import Objective
+from twinct.objectives.variance import KNOWN
+
+BUILT_IN: dict[str, Objective[Any]] = {
+    objective.name: objective
+    for objective in (COMPLETENESS, DETECTABILITY, KNOWN, METAL, DOSE, MOVING)
+}
+
+
+@cache
+def objectives() -> Offers[Objective[Any]]:
+    """Return the objectives that a task can name; they are looked up once per process."""
+    return offers("twinct.objectives", Objective, BUILT_IN)
