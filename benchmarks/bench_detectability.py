@@ -26,8 +26,8 @@ from scipy.sparse.linalg import LinearOperator, cg
 from scipy.stats import spearmanr
 
 from twinct.geometry import Panel, VolumeGrid
-from twinct.objectives.detectability import difference_spectrum
 from twinct.recon import Projector
+from twinct.recon.objectives.detectability import difference_spectrum
 from twinct.trajectory import (
     ArcTrajectory,
     CircleTrajectory,

@@ -15,8 +15,8 @@ import pytest
 
 from twinct.core.extensions import Offers, offers
 from twinct.core.settings import Section
-from twinct.objectives import LessIsBetter, Mean, Objective
-from twinct.objectives.registry import BUILT_IN
+from twinct.recon.objectives import LessIsBetter, Mean, Objective
+from twinct.recon.objectives.registry import BUILT_IN
 from twinct.scenario import task as task_section
 
 HERE = Path(__file__).parent
@@ -98,7 +98,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     points = "[twinct.algorithms]\nhopeless = hopeless:IT\nsart = hopeless:IT\n"
     points += "[twinct.trajectories]\nnowhere = hopeless:IT\n"
-    points += "[twinct.objectives]\nworst = hopeless:IT\n"
+    points += "[twinct.recon.objectives]\nworst = hopeless:IT\n"
     distribution(target, "hopeless", "0.3", points, "raise OSError('its library is gone')\n")
     return target
 

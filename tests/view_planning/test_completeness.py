@@ -7,7 +7,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from twinct.geometry import Panel, ScanGeometry
-from twinct.objectives.visibility import sees
+from twinct.recon.objectives.visibility import sees
 from twinct.scenario import AnyTrajectory
 from twinct.trajectory import commanded_views, panel_axes
 from twinct.view_planning import crossed_planes, local_completeness

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
-from twinct.objectives.metal_paths import metal_lengths, seen_lengths
 from twinct.recon import Projector
+from twinct.recon.objectives.metal_paths import metal_lengths, seen_lengths
 from twinct.recon.shadow import Body
 from twinct.trajectory import panel_axes
 from twinct.view_planning import metal_paths, spectral_shift, starved_share

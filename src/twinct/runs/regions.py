@@ -11,6 +11,7 @@ import numpy as np
 
 from twinct import scenario
 from twinct.core.errors import InputError
+from twinct.core.signals import contrast_at
 from twinct.evaluation import (
     Mtf,
     Nps,
@@ -30,7 +31,6 @@ from twinct.evaluation import (
     shell,
     streak_index,
 )
-from twinct.evaluation.signal import contrast_at
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.scenario import Evaluation, Scenario
 from twinct.specimen import BuiltSpecimen

@@ -1,12 +1,12 @@
 """The scenario: one YAML file that initialises everything."""
 
-from twinct.evaluation.signal import GaussianSignal, SphereSignal
-from twinct.objectives.completeness import CompletenessGoal
-from twinct.objectives.detectability import DetectabilityGoal
-from twinct.objectives.dose import DoseGoal
-from twinct.objectives.metal_paths import MetalGoal
-from twinct.objectives.motion_time import MovingGoal
-from twinct.objectives.variance import KnownGoal
+from twinct.core.signals import GaussianSignal, SphereSignal
+from twinct.recon.objectives.completeness import CompletenessGoal
+from twinct.recon.objectives.detectability import DetectabilityGoal
+from twinct.recon.objectives.dose import DoseGoal
+from twinct.recon.objectives.metal_paths import MetalGoal
+from twinct.recon.objectives.motion_time import MovingGoal
+from twinct.recon.objectives.variance import KnownGoal
 from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, TwoMaterialHardening
 from twinct.scenario.cell import (
     AnyCell,

@@ -16,7 +16,7 @@ from twinct.core.settings import (
     Vector,
     setting,
 )
-from twinct.evaluation.signal import AnySignal
+from twinct.core.signals import AnySignal
 from twinct.geometry import Pose
 from twinct.scenario.specimen import Box, Cylinder, Specimen, Sphere
 

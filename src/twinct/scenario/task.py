@@ -11,9 +11,9 @@ from typing import Any
 from pydantic import Field, create_model
 
 from twinct.core.settings import Conflict, Finite, NonNegative, Section, Vector, setting
-from twinct.objectives import LessIsBetter, MoreIsBetter, Objective
-from twinct.objectives.objective import ObjectiveSettings
-from twinct.objectives.registry import objectives
+from twinct.recon.objectives import LessIsBetter, MoreIsBetter, Objective
+from twinct.recon.objectives.objective import ObjectiveSettings
+from twinct.recon.objectives.registry import objectives
 from twinct.scenario.specimen import Specimen
 
 log = logging.getLogger(__name__)

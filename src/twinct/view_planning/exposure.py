@@ -7,7 +7,7 @@ import scipy
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats
-from twinct.objectives.detectability import Detectability
+from twinct.recon.objectives.detectability import Detectability
 
 
 def best_exposures(

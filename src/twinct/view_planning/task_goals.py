@@ -10,7 +10,7 @@ import numpy as np
 from twinct.core.errors import InputError
 from twinct.core.progress import Progress
 from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
-from twinct.objectives import Mean, Measure, MoreIsBetter, Views, figure_of, sees
+from twinct.recon.objectives import Mean, Measure, MoreIsBetter, Views, figure_of, sees
 from twinct.scan import SimulationBuilder
 from twinct.scenario import ViewTask
 from twinct.view_planning.goals import Goal

@@ -31,10 +31,10 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import Positive, setting
-from twinct.evaluation.signal import AnySignal, contrast_at
+from twinct.core.signals import AnySignal, contrast_at
 from twinct.geometry import Floats, Pose, VolumeGrid
-from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 from twinct.recon import Projector
+from twinct.recon.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 
 BOX = 32
 """Voxels along an edge of the grid around the signal."""

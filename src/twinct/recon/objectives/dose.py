@@ -20,9 +20,15 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from twinct.geometry import Floats, ScanGeometry
-from twinct.objectives.measures import Mean
-from twinct.objectives.objective import LessIsBetter, Objective, PatientModel, Views, unknown_parts
-from twinct.objectives.visibility import samples_towards, sees
+from twinct.recon.objectives.measures import Mean
+from twinct.recon.objectives.objective import (
+    LessIsBetter,
+    Objective,
+    PatientModel,
+    Views,
+    unknown_parts,
+)
+from twinct.recon.objectives.visibility import samples_towards, sees
 from twinct.recon.volume import Volume
 
 GY_MM2 = 1.602176634e-16 * 1e3 * 100.0

@@ -20,8 +20,9 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.settings import Conflict, Positive, Section, setting
 from twinct.geometry import Floats, Pose, ScanGeometry
-from twinct.objectives.measures import Mean
-from twinct.objectives.objective import (
+from twinct.recon import Projector
+from twinct.recon.objectives.measures import Mean
+from twinct.recon.objectives.objective import (
     LessIsBetter,
     Material,
     Objective,
@@ -29,8 +30,7 @@ from twinct.objectives.objective import (
     Views,
     unknown_parts,
 )
-from twinct.objectives.visibility import sees
-from twinct.recon import Projector
+from twinct.recon.objectives.visibility import sees
 from twinct.recon.shadow import Body, Rays
 from twinct.recon.volume import Volume
 

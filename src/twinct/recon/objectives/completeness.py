@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.settings import Positive, setting
 from twinct.geometry import Floats, ScanGeometry, fibonacci_directions
-from twinct.objectives.measures import Coverage
-from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
-from twinct.objectives.visibility import sees
+from twinct.recon.objectives.measures import Coverage
+from twinct.recon.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
+from twinct.recon.objectives.visibility import sees
 
 _AT_A_TIME = 2_000_000
 """Largest number of distances between sources and planes in memory: 16 MB."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from twinct.core.settings import setting
 from twinct.geometry import Floats, lock
-from twinct.objectives.measures import Measure
-from twinct.objectives.objective import LessIsBetter, Objective, PatientModel, Share, Views
+from twinct.recon.objectives.measures import Measure
+from twinct.recon.objectives.objective import LessIsBetter, Objective, PatientModel, Share, Views
 
 Tour = Callable[[Floats], list[int]]
 """Function that returns a short order of a few views, from the times between all of them."""

@@ -6,13 +6,13 @@ from functools import cache
 from typing import Any
 
 from twinct.core.extensions import Offers, offers
-from twinct.objectives.completeness import COMPLETENESS
-from twinct.objectives.detectability import DETECTABILITY
-from twinct.objectives.dose import DOSE
-from twinct.objectives.metal_paths import METAL
-from twinct.objectives.motion_time import MOVING
-from twinct.objectives.objective import Objective
-from twinct.objectives.variance import KNOWN
+from twinct.recon.objectives.completeness import COMPLETENESS
+from twinct.recon.objectives.detectability import DETECTABILITY
+from twinct.recon.objectives.dose import DOSE
+from twinct.recon.objectives.metal_paths import METAL
+from twinct.recon.objectives.motion_time import MOVING
+from twinct.recon.objectives.objective import Objective
+from twinct.recon.objectives.variance import KNOWN
 
 BUILT_IN: dict[str, Objective[Any]] = {
     objective.name: objective

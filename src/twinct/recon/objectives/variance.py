@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.core.errors import InputError
 from twinct.core.settings import Positive, setting
 from twinct.geometry import Floats, VolumeGrid
-from twinct.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 from twinct.recon import Projector
+from twinct.recon.objectives.objective import MoreIsBetter, Objective, PatientModel, Views
 
 MOST_VOXELS = 5000
 """Largest number of voxels of a coarse grid, whose covariance takes 200 MB."""

@@ -1,7 +1,7 @@
 """Objectives of view planning: what makes a choice of views a good one."""
 
-from twinct.objectives.measures import Coverage, Mean, Measure, figure_of
-from twinct.objectives.objective import (
+from twinct.recon.objectives.measures import Coverage, Mean, Measure, figure_of
+from twinct.recon.objectives.objective import (
     LessIsBetter,
     MoreIsBetter,
     Objective,
@@ -9,7 +9,7 @@ from twinct.objectives.objective import (
     Views,
     unknown_parts,
 )
-from twinct.objectives.visibility import sees
+from twinct.recon.objectives.visibility import sees
 
 __all__ = [
     "Coverage",

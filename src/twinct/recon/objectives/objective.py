@@ -1,7 +1,7 @@
 """Objectives: settings, and the measure that they make for candidate views.
 
 Each objective's file ends with its ``Objective``. Objectives from outside the package come from the
-entry points of the group ``twinct.objectives``.
+entry points of the group ``twinct.recon.objectives``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pydantic import Field
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import Conflict, Section, setting
 from twinct.geometry import Floats, Pose, ScanGeometry
-from twinct.objectives.measures import Measure, figure_of
+from twinct.recon.objectives.measures import Measure, figure_of
 from twinct.recon.shadow import Body
 from twinct.recon.volume import Volume
 
