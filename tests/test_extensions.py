@@ -94,6 +94,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     points = "[twinct.algorithms]\nhopeless = hopeless:IT\nsart = hopeless:IT\n"
     points += "[twinct.trajectories]\nnowhere = hopeless:IT\n"
+    points += "[twinct.exports]\nuseless = hopeless:IT\n"
     distribution(target, "hopeless", "0.3", points, "raise OSError('its library is gone')\n")
     return target
 
@@ -129,8 +130,15 @@ def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) 
     assert "'hopeless' of hopeless 0.3 cannot be used: OSError: its library is gone" in (
         checked.stderr
     )
-    done = twinct(installed, "run", scenario, "--out", scenario.parent / "out", "--link", "local")
+    out = scenario.parent / "out"
+    done = twinct(installed, "run", scenario, "--out", out, "--link", "local")
     assert done.returncode == 0, done.stderr
+    exported = twinct(installed, "export", out, "--to", "plugin")
+    assert exported.returncode == 0, exported.stderr
+    assert (out / "export-plugin" / "scan.npz").is_file()
+    refused = twinct(installed, "export", out, "--to", "useless")
+    assert refused.returncode == 2
+    assert "--to useless: 'useless' of hopeless 0.3 cannot be used: OSError" in refused.stderr
     schema = json.loads(twinct(installed, "schema").stdout)
     assert "LandweberReconstruction" in schema["$defs"] and "Zigzag" in schema["$defs"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -46,13 +46,22 @@ def import_(
     say(f"{count} of {count + len(found.missing)} views imported to {out}")
 
 
+def _format_argument() -> Any:
+    """Return the type of ``--to``; only commands and help that need it look for formats."""
+    from twinct.exchange import formats
+
+    titles = "; ".join(f"{name}: {form.title}" for name, form in formats().items())
+    metavar = f"{{{','.join(formats())}}}"
+    return Annotated[str, tyro.conf.arg(metavar=metavar, help=f"Format of the files. {titles}.")]
+
+
 def export(
     scan: Annotated[
         tyro.conf.Positional[Path],
         tyro.conf.arg(metavar="SCAN", help="Folder of twinct run --out, or the scan.zarr in it."),
     ],
     *,
-    to: Literal["rtk", "astra", "leap", "cil", "tigre", "openct"],
+    to: Annotated[str, tyro.conf.arg(constructor_factory=_format_argument)],
     geometry: Annotated[str, tyro.conf.arg(metavar="NAME")] = "believed",
     values: Literal["line-integrals", "transmission"] = "line-integrals",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -64,15 +73,18 @@ def export(
     are written.
 
     Args:
-        to: The toolkit, or openct for programs that read an OpenCT free trajectory.
         geometry: believed (reported by the system), executed (true poses of the arms), commanded
             (requested poses), or one made by twinct geometry.
         values: Pixel values as -ln(I/I0), or as I/I0.
-        out: Folder to write, which must not exist; export-TOOLKIT beside the scan unless given.
+        out: Folder to write, which must not exist; export-NAME beside the scan unless given.
     """
-    from twinct.cli.export import export_scan
+    from twinct.runs import export_scan
 
-    export_scan(scan, to, geometry, values, out)
+    with on_terminal() as audience:
+        folder = export_scan(
+            scan, to, geometry=geometry, values=values, out=out, observers=audience
+        )
+    say(f"wrote {folder}; its README.txt says more")
 
 
 def report(

@@ -1,1 +1,1 @@
-"""An algorithm and a family of trajectories from outside the package."""
+"""An algorithm, a family of trajectories and an export format from outside the package."""
