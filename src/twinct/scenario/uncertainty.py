@@ -249,7 +249,7 @@ class Uncertainty(Section):
     encoder_step_deg: NonNegative = setting(0.0, "Resolution of the joint encoders.")
     calibration: Path | None = setting(
         None,
-        "File of calibrated arms (twinct calibrate --with kinematics), which turn encoder "
+        "File of calibrated arms (twinct calibrate kinematics), which turn encoder "
         "readings into believed poses. null: the nominal arms do.",
     )
     source: PoseNoise = setting(
