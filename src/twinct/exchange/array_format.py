@@ -32,8 +32,7 @@ def array_format(
     def write(bundle: Bundle, folder: Path) -> None:
         words = arrays(bundle.local, bundle.grid)
         np.savez(folder / "geometry.npz", allow_pickle=False, **words)
-        views, panel = len(bundle.geometry), bundle.geometry.panel
-        write_npy(folder / "projections.npy", bundle.images, views, panel)
+        write_npy(folder / "projections.npy", bundle)
 
     described = {
         "projections.npy": "NumPy array (view, row, column), float32",

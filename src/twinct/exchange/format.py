@@ -12,9 +12,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
-from twinct.exchange.stack import Image
+import numpy as np
+from numpy.typing import NDArray
+
 from twinct.geometry import ScanGeometry, VolumeGrid
 
+Image = NDArray[np.float32]
 Values = Literal["line-integrals", "transmission"]
 
 

@@ -106,7 +106,7 @@ def _write(bundle: Bundle, folder: Path) -> None:
         transmission=bundle.values == "transmission",
     )
     (folder / "openct.json").write_text(json.dumps(words, indent=1) + "\n")
-    write_raw(folder / "projections", bundle.images, names)
+    write_raw(folder / "projections", bundle, names)
 
 
 _MATRICES = """

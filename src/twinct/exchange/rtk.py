@@ -73,8 +73,7 @@ def rtk_geometry_xml(geometry: ScanGeometry) -> str:
 
 def _write(bundle: Bundle, folder: Path) -> None:
     (folder / "geometry.xml").write_text(rtk_geometry_xml(bundle.local), encoding="ascii")
-    views, panel = len(bundle.geometry), bundle.geometry.panel
-    write_mha(folder / "projections.mha", bundle.images, views, panel)
+    write_mha(folder / "projections.mha", bundle)
 
 
 def _program(grid: VolumeGrid) -> str:
