@@ -98,7 +98,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     points = "[twinct.algorithms]\nhopeless = hopeless:IT\nsart = hopeless:IT\n"
     points += "[twinct.trajectories]\nnowhere = hopeless:IT\n"
-    points += "[twinct.recon.objectives]\nworst = hopeless:IT\n"
+    points += "[twinct.objectives]\nworst = hopeless:IT\n"
+    points += "[twinct.exports]\nuseless = hopeless:IT\n"
     distribution(target, "hopeless", "0.3", points, "raise OSError('its library is gone')\n")
     return target
 
@@ -136,8 +137,15 @@ def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) 
         checked.stderr
     )
     # Over ROS 2 its nodes find it, too.
-    done = twinct(installed, "run", scenario, "--out", scenario.parent / "out", "--link", "ros2")
+    out = scenario.parent / "out"
+    done = twinct(installed, "run", scenario, "--out", out, "--link", "ros2")
     assert done.returncode == 0, done.stderr
+    exported = twinct(installed, "export", out, "--to", "plugin")
+    assert exported.returncode == 0, exported.stderr
+    assert (out / "export-plugin" / "scan.npz").is_file()
+    refused = twinct(installed, "export", out, "--to", "useless")
+    assert refused.returncode == 2
+    assert "--to useless: 'useless' of hopeless 0.3 cannot be used: OSError" in refused.stderr
     schema = json.loads(twinct(installed, "schema").stdout)
     assert "LandweberReconstruction" in schema["$defs"] and "Zigzag" in schema["$defs"]
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import runpy
 import subprocess
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from twinct.cli import run_command
+from twinct.exchange import formats
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.runs import line_integrals
@@ -136,6 +140,61 @@ def test_files_of_the_scenario_may_be_gone(tmp_path: Path, commanded: PosePairs)
     assert facts["scan digest"] == store.digests["images"]
 
 
+EXTENSION = Path(__file__).parents[1] / "extension"
+
+
+@pytest.fixture
+def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Formats of the tiny distribution, and one that is broken, as if both were installed."""
+    declared = tomllib.loads((EXTENSION / "pyproject.toml").read_text())
+    points = {**declared["project"]["entry-points"]["twinct.exports"], "gone": "nowhere:GONE"}
+    info = tmp_path / "site" / "tiny-1.2.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: tiny\nVersion: 1.2\n")
+    lines = [f"{name} = {place}" for name, place in points.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[twinct.exports]", *lines]))
+    monkeypatch.syspath_prepend(str(EXTENSION))
+    monkeypatch.syspath_prepend(str(info.parent))
+    formats.cache_clear()
+    yield
+    formats.cache_clear()
+
+
+@pytest.mark.usefixtures("offered")
+def test_a_format_of_another_package_is_written_like_the_others(run_folder: Path, capfd) -> None:
+    assert run_command(["export", str(run_folder), "--to", "plugin"]) == 0
+    folder = run_folder / "export-plugin"
+    assert {file.name for file in folder.iterdir()} == {
+        *("scan.npz", "load.py", "export.json", "README.txt"),
+    }
+    scan = ScanStore(run_folder / "scan.zarr").read()
+    loaded = runpy.run_path(str(folder / "load.py"))["scan"]
+    np.testing.assert_array_equal(loaded["images"], line_integrals(scan.transmission))
+    assert "A CT scan for one NumPy file" in (folder / "README.txt").read_text()
+    capfd.readouterr()
+    assert run_command(["export", "--help"]) == 0
+    told = " ".join(capfd.readouterr().out.replace("│", "").split())
+    assert "{rtk,astra,leap,cil,tigre,openct,plugin}" in told
+    assert "openct: readers of OpenCT; plugin: one NumPy file" in told
+
+
+@pytest.mark.usefixtures("offered")
+def test_a_format_that_cannot_be_used_is_named_with_the_reason(run_folder: Path, capfd) -> None:
+    reason = "'gone' of tiny 1.2 cannot be used: ModuleNotFoundError: No module named 'nowhere'"
+    assert f"--to gone: {reason}" in bad(capfd, "export", run_folder, "--to", "gone")
+    assert not list(run_folder.glob("export-*"))
+
+
+@pytest.mark.usefixtures("offered")
+def test_what_a_format_of_another_package_refuses_is_said_before_anything_is_written(
+    run_folder: Path, capfd, monkeypatch
+) -> None:
+    monkeypatch.setattr(formats()["plugin"].check.__module__ + ".MOST_VIEWS", VIEWS - 1)
+    stderr = bad(capfd, "export", run_folder, "--to", "plugin")
+    assert "5 views: plugin takes at most 4" in stderr
+    assert not list(run_folder.glob("export-*"))
+
+
 def test_what_is_no_scan_is_named(
     tmp_path: Path, scenario: Scenario, commanded: PosePairs, capfd
 ) -> None:
@@ -146,7 +205,8 @@ def test_what_is_no_scan_is_named(
     assert "scan.zarr: its metadata cannot be read" in bad(capfd, "export", tmp_path, "--to", "rtk")
     scan_in(tmp_path / "empty", scenario, commanded, 0)
     assert "0 of 5 views" in bad(capfd, "export", tmp_path / "empty", "--to", "rtk")
-    assert "invalid" in bad(capfd, "export", tmp_path / "empty", "--to", "rtkk").lower()
+    said = bad(capfd, "export", tmp_path / "empty", "--to", "rtkk")
+    assert "--to rtkk: unknown; choose from rtk, astra, leap, cil, tigre, openct" in said
 
 
 def test_an_export_that_is_there_is_not_touched(run_folder: Path, capfd) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from twinct.core.errors import InputError
 from twinct.exchange import write_bundle
-from twinct.exchange.leap import leap_arrays
+from twinct.exchange.leap import LEAP, leap_arrays
 from twinct.geometry import VolumeGrid
 
 SINGLE_PX = 5e-4
@@ -44,6 +45,6 @@ def test_voxels_have_the_documented_centres(grid, free_views) -> None:
         np.testing.assert_allclose(edge * (np.arange(count) - (count - 1) / 2), ours)
 
 
-def test_voxels_that_leap_does_not_have_are_refused(free_views) -> None:
+def test_voxels_that_leap_does_not_have_are_refused(bundle) -> None:
     with pytest.raises(InputError, match="2 and 3 mm.*voxel_mm"):
-        leap_arrays(free_views, VolumeGrid((4, 4, 4), (2.0, 3.0, 2.0)))
+        LEAP.check(replace(bundle, grid=VolumeGrid((4, 4, 4), (2.0, 3.0, 2.0))))

@@ -8,13 +8,15 @@ of an array goes where: ``convert_to_c_geometry`` of its Python side).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy import cos, sin
 
 from twinct.core.errors import InputError
-from twinct.exchange.tigre import tigre_arrays
-from twinct.geometry import Panel, ScanGeometry
+from twinct.exchange.tigre import TIGRE, tigre_arrays
+from twinct.geometry import Panel, ScanGeometry, VolumeGrid
 
 EXACT_MM = 1e-9
 """Float64; measured 7e-13."""
@@ -146,9 +148,9 @@ def test_plain_views_get_plain_numbers(grid) -> None:
         np.testing.assert_allclose(words[name], 0, atol=1e-10)
 
 
-def test_a_source_at_the_centre_is_refused_by_name(grid) -> None:
+def test_a_source_at_the_centre_is_refused_by_name(bundle) -> None:
     panel = Panel(4, 6, 1.0, 1.0)
     x, y, z = np.eye(3)
     views = ScanGeometry([300 * x, 0 * x], [-300 * x, -300 * x], [y, y], [z, z], panel)
     with pytest.raises(InputError, match="view 1 has its source 0 mm from the centre"):
-        tigre_arrays(views, grid)
+        TIGRE.check(replace(bundle, geometry=views, grid=VolumeGrid((4, 4, 4), (2.0, 2.0, 2.0))))

@@ -87,7 +87,7 @@ def test_a_scan_may_start_from_planes_that_its_views_share(finished, tmp_path, c
     folder = tmp_path / "out"
     shutil.copytree(finished.paths.path, folder)
     keys = ["--sigma-mm", "0.3", "--sigma-deg", "0.1", "--start", "epipolar"]
-    assert run_command(["calibrate", str(folder), "--with", "self", *keys]) == 0
+    assert run_command(["calibrate", "self", str(folder), *keys]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "start: 10 of 10 views aligned by the planes they share with others" in said
     assert load_scan(folder).derived["self"].made_by["start"] == "epipolar"
@@ -155,11 +155,9 @@ def test_too_few_balls_and_names_that_are_taken_are_refused(finished):
     [
         (["--ball-radius-mm", "0"], "--ball-radius-mm 0: must be more than 0"),
         (["--sigma-mm", "0"], "--sigma-mm 0: must be more than 0"),
-        (["--what", "patient"], "--what patient"),
-        (["--to", "elsewhere"], "--to elsewhere"),
-        (["--start", "epipolar"], "--start epipolar: only --with self"),
+        (["--correlation-views", "-1"], "--correlation-views -1: must be at least 0"),
     ],
 )
 def test_the_command_refuses_what_makes_no_sense_with_balls(finished, keys, said, capsys):
-    assert run_command(["calibrate", str(finished.paths.path), "--with", "balls", *keys]) == 2
+    assert run_command(["calibrate", "balls", str(finished.paths.path), *keys]) == 2
     assert said in " ".join(capsys.readouterr().err.split())

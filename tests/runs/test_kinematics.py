@@ -107,8 +107,6 @@ def test_what_has_no_arms_or_others_is_refused(found, balls, later, tmp_path, ca
     told["detector"]["nominal"][0][0][3] += 10
     other = tmp_path / "other.json"
     other.write_text(json.dumps(told))
-    arguments = ["calibrate", str(later), "--with", "kinematics", "--from", str(other)]
+    arguments = ["calibrate", "kinematics", str(later), "--from", str(other)]
     assert run_command(arguments) == 2
     assert "belongs to another cell" in capsys.readouterr().err
-    assert run_command(["calibrate", str(later), "--from", str(other)]) == 2
-    assert "only --with kinematics takes arms" in capsys.readouterr().err

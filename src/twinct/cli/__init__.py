@@ -31,13 +31,14 @@ def run_command(argv: Sequence[str] | None = None) -> int:
     try:
         limit_threads()  # before the libraries that it limits are loaded
         from twinct.cli.commands import app
+        from twinct.cli.old_spelling import respelled
 
         app.cli(
             prog="twinct",
             description="Simulates a twin robotic CT system from one scenario file: two arms, "
             "X-ray projections, ROS 2, reconstruction and evaluation. "
             "--version prints the version.",
-            args=arguments,
+            args=respelled(arguments),
         )
     except SystemExit as stop:  # tyro: 0 after --help, 2 after invalid arguments
         return stop.code if isinstance(stop.code, int) else EXIT_OTHER

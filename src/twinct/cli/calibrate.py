@@ -1,38 +1,162 @@
-"""The command that estimates the executed poses of source and detector."""
+"""``twinct calibrate``: the executed poses of source and detector, by one of four methods."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
+import tyro
 
-from twinct.calibration import Aligned, EpipolarConsistency, PosePrior, What
-from twinct.calibration.arm_calibration import apply_kinematics, calibrate_kinematics
-from twinct.calibration.scan_calibration import (
-    Start,
-    calibrate_balls,
-    calibrate_beads,
-    calibrate_self,
-)
+from twinct.cli.arguments import Flag
 from twinct.cli.progress import on_terminal, say
 from twinct.core.errors import InputError
-from twinct.runs.folder import Folder
+
+if TYPE_CHECKING:
+    from twinct.calibration import Aligned, EpipolarConsistency, PosePrior
+
+calibrate = tyro.extras.SubcommandApp()
+
+Run = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+Name = Annotated[str, tyro.conf.arg(name="as", metavar="NAME", help="Name of the new geometry.")]
+Others = Annotated[Sequence[Path], tyro.conf.arg(metavar="DIR")]
 
 
-def self_command(
-    folder: Path, name: str | None, prior: PosePrior, what: What, start: Start, *, align: bool
+@dataclass(frozen=True)
+class Errors:
+    """Expected errors of the believed poses.
+
+    Attributes:
+        sigma_mm: Expected position error along each axis, mm.
+        sigma_deg: Expected rotation error about each axis, degrees.
+        correlation_views: Number of views over which errors are correlated; 0: independent errors.
+        align: Move the result as a whole to the executed geometry, for figures that compare
+            volumes.
+    """
+
+    sigma_mm: float = 0.5
+    sigma_deg: float = 0.2
+    correlation_views: float = 0.0
+    align: Flag = False
+
+    def prior(self) -> PosePrior:
+        """Return the errors as a prior.
+
+        Raises:
+            InputError: a number is out of range.
+        """
+        from twinct.calibration import PosePrior
+
+        for key, value in (("--sigma-mm", self.sigma_mm), ("--sigma-deg", self.sigma_deg)):
+            if not value > 0:
+                raise InputError(f"{key} {value:g}: must be more than 0")
+        if not self.correlation_views >= 0:
+            raise InputError(f"--correlation-views {self.correlation_views:g}: must be at least 0")
+        return PosePrior(self.sigma_mm, self.sigma_deg, self.correlation_views)
+
+
+Expected = Annotated[Errors, tyro.conf.arg(name="")]
+
+
+def beads(folder: Run, *, as_: Name = "beads", to: Others = ()) -> None:
+    """Calibrate each view from a phantom of balls at known positions.
+
+    Args:
+        folder: Folder of ``twinct run --out``, of a specimen with a ball_helix.
+        to: Folders of scans with the same views that get the geometry, too.
+    """
+    import numpy as np
+
+    from twinct.calibration.scan_calibration import calibrate_beads
+
+    with on_terminal() as audience:
+        found = calibrate_beads(folder, name=as_, others=to, observers=audience)
+    told = [view for view in found.views if view]
+    left_out = sum(int(view.outliers.sum()) for view in told)
+    say(
+        f"{as_}: {len(told)} of {len(found.views)} views calibrated, "
+        f"median {np.median([len(view.shadows) for view in told]):.0f} balls per view, "
+        f"reprojection error {np.median([view.rms_px for view in told]):.3f} px (median), "
+        f"{left_out} outliers"
+    )
+    for view, problem in sorted(found.problems.items()):
+        say(f"view {view} keeps its believed pose: {problem}", warning=True)
+
+
+def balls(
+    folder: Run,
+    *,
+    as_: Name = "balls",
+    ball_radius_mm: float = 1.5,
+    errors: Expected = Errors(),  # noqa: B008
 ) -> None:
-    """Calibrate from the scan itself, and report the result."""
-    _require(prior)
+    """Calibrate a scan from a few balls at unknown positions on its specimen.
+
+    Args:
+        folder: Folder of ``twinct run --out``.
+        ball_radius_mm: Radius of each ball.
+    """
+    import numpy as np
+
+    from twinct.calibration.scan_calibration import calibrate_balls
+
+    prior = errors.prior()
+    if not ball_radius_mm > 0:
+        raise InputError(f"--ball-radius-mm {ball_radius_mm:g}: must be more than 0")
+    with on_terminal() as audience:
+        told = calibrate_balls(
+            folder,
+            prior,
+            radius_mm=ball_radius_mm,
+            align=errors.align,
+            name=as_,
+            observers=audience,
+        )
+    found, bundle = told.found, told.found.bundle
+    seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
+    say(
+        f"{as_}: {len(seen) - len(found.problems)} of {len(seen)} views calibrated, "
+        f"{len(bundle.balls)} balls found, median {np.median(seen):.0f} per view, reprojection "
+        f"error {found.rms_px:.3f} px (RMS), {bundle.outliers.sum()} outliers"
+    )
+    _say_against_executed(told.believed, told.after)
+    for view, ball in np.argwhere(bundle.outliers):
+        place = ", ".join(f"{x:.1f}" for x in bundle.balls[ball])
+        say(f"view {view}: the shadow of the ball at ({place}) mm is an outlier")
+    for view, problem in sorted(found.problems.items()):
+        say(f"view {view} keeps its believed pose: {problem}", warning=True)
+
+
+def self_(
+    folder: Run,
+    *,
+    as_: Name = "self",
+    what: Literal["arms", "patient"] = "arms",
+    start: Literal["believed", "epipolar"] = "believed",
+    errors: Expected = Errors(),  # noqa: B008
+) -> None:
+    """Calibrate a scan from its projections alone, each view moved until they agree.
+
+    Args:
+        folder: Folder of ``twinct run --out``.
+        what: Parts that may have moved: source and panel, or the patient between them.
+        start: Initial poses; epipolar: each view is first moved until it is consistent with other
+            views in planes through both sources, without a volume.
+    """
+    import numpy as np
+
+    from twinct.calibration.scan_calibration import calibrate_self
+
+    prior = errors.prior()
     with on_terminal() as audience:
         told = calibrate_self(
             folder,
             prior,
             what=what,
             start=start,
-            align=align,
-            name=name or "self",
+            align=errors.align,
+            name=as_,
             observers=audience,
         )
     if told.start is not None and told.started is not None:
@@ -49,13 +173,57 @@ def self_command(
             f"patient moved by {rms(slice(0, 3)):.3f} mm, {np.degrees(rms(slice(3, 6))):.3f} deg"
         )
     say(
-        f"{name or 'self'}: {len(found.change)} views, {moved} (RMS); residual "
+        f"{as_}: {len(found.change)} views, {moved} (RMS); residual "
         f"{found.residuals[0]:.4g} at first, {found.residuals[-1]:.4g} in the last round"
     )
     _say_against_executed(told.believed, told.after)
 
 
+def kinematics(
+    folder: Run,
+    *,
+    as_: Name = "kinematics",
+    to: Others = (),
+    from_: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None,
+) -> None:
+    """Calibrate both arms from all views of a phantom of balls, and store them in DIR/arms.json.
+
+    Args:
+        folder: Folder of ``twinct run --out``, of a specimen with a ball_helix.
+        to: Folders of scans of the same arms, along any trajectory, that get the geometry, too.
+        from_: An arms.json; the scan then needs no balls.
+    """
+    from twinct.calibration.arm_calibration import apply_kinematics, calibrate_kinematics
+    from twinct.runs import Folder
+
+    if from_ is not None:
+        with on_terminal() as audience:
+            for path in (folder, *to):
+                apply_kinematics(path, from_, name=as_, observers=audience)
+        say(f"{as_}: made with the arms in {from_}")
+        return
+    with on_terminal() as audience:
+        found = calibrate_kinematics(folder, name=as_, others=to, observers=audience)
+    say(
+        f"{as_}: arms calibrated from {found.views} views; source off by "
+        f"{found.left_mm[0]:.3f} mm, panel by {found.left_mm[1]:.3f} mm (RMS), "
+        f"{found.predicted_mm[0]:.3f} and {found.predicted_mm[1]:.3f} mm in every "
+        f"fifth view, predicted from the others; residuals {found.misfit:.1f} times their noise; "
+        f"stored in {Folder(folder).arms}"
+    )
+    for one in found.untold:
+        say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
+
+
+METHODS = {"beads": beads, "balls": balls, "self": self_, "kinematics": kinematics}
+
+for _name, _method in METHODS.items():
+    calibrate.command(name=_name)(_method)
+
+
 def _say_start(start: EpipolarConsistency, started: Aligned) -> None:
+    import numpy as np
+
     views, planes = len(start.planes), int(start.planes.sum())
     say(
         f"start: {views - len(start.problems)} of {views} views aligned by the planes they share "
@@ -68,84 +236,9 @@ def _say_start(start: EpipolarConsistency, started: Aligned) -> None:
         say(f"view {view} starts from its believed pose: {problem}", warning=True)
 
 
-def balls_command(
-    folder: Path, name: str | None, radius_mm: float, prior: PosePrior, *, align: bool
-) -> None:
-    """Calibrate from balls on the specimen, and report the result."""
-    _require(prior)
-    if not radius_mm > 0:
-        raise InputError(f"--ball-radius-mm {radius_mm:g}: must be more than 0")
-    name = name or "balls"
-    with on_terminal() as audience:
-        told = calibrate_balls(
-            folder, prior, radius_mm=radius_mm, align=align, name=name, observers=audience
-        )
-    found, bundle = told.found, told.found.bundle
-    seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
-    say(
-        f"{name}: {len(seen) - len(found.problems)} of {len(seen)} views calibrated, "
-        f"{len(bundle.balls)} balls found, median {np.median(seen):.0f} per view, reprojection "
-        f"error {found.rms_px:.3f} px (RMS), {bundle.outliers.sum()} outliers"
-    )
-    _say_against_executed(told.believed, told.after)
-    for view, ball in np.argwhere(bundle.outliers):
-        place = ", ".join(f"{x:.1f}" for x in bundle.balls[ball])
-        say(f"view {view}: the shadow of the ball at ({place}) mm is an outlier")
-    for view, problem in sorted(found.problems.items()):
-        say(f"view {view} keeps its believed pose: {problem}", warning=True)
-
-
-def _require(prior: PosePrior) -> None:
-    for key, value in (("--sigma-mm", prior.sigma_mm), ("--sigma-deg", prior.sigma_deg)):
-        if not value > 0:
-            raise InputError(f"{key} {value:g}: must be more than 0")
-    if not prior.correlation_views >= 0:
-        raise InputError(f"--correlation-views {prior.correlation_views:g}: must be at least 0")
-
-
 def _say_against_executed(believed: Aligned, found: Aligned) -> None:
     say(
         f"distance to the executed geometry: {believed.after_px:.3f} px believed, "
         f"{found.after_px:.3f} px found (RMS over points of the grid, after removing the motion "
         f"and scale that no image shows; scale {found.scale:.5f})"
     )
-
-
-def beads_command(folder: Path, name: str | None, to: Sequence[Path]) -> None:
-    """Calibrate from a phantom of balls, and report the accuracy."""
-    with on_terminal() as audience:
-        found = calibrate_beads(folder, name=name or "beads", others=to, observers=audience)
-    told = [view for view in found.views if view]
-    left_out = sum(int(view.outliers.sum()) for view in told)
-    say(
-        f"{name or 'beads'}: {len(told)} of {len(found.views)} views calibrated, "
-        f"median {np.median([len(view.shadows) for view in told]):.0f} balls per view, "
-        f"reprojection error {np.median([view.rms_px for view in told]):.3f} px (median), "
-        f"{left_out} outliers"
-    )
-    for view, problem in sorted(found.problems.items()):
-        say(f"view {view} keeps its believed pose: {problem}", warning=True)
-
-
-def kinematics_command(
-    folder: Path, name: str | None, to: Sequence[Path], arms: Path | None
-) -> None:
-    """Calibrate both arms, or use calibrated arms, and report the accuracy."""
-    name = name or "kinematics"
-    if arms is not None:
-        with on_terminal() as audience:
-            for path in (folder, *to):
-                apply_kinematics(path, arms, name=name, observers=audience)
-        say(f"{name}: made with the arms in {arms}")
-        return
-    with on_terminal() as audience:
-        found = calibrate_kinematics(folder, name=name, others=to, observers=audience)
-    say(
-        f"{name}: arms calibrated from {found.views} views; source off by "
-        f"{found.left_mm[0]:.3f} mm, panel by {found.left_mm[1]:.3f} mm (RMS), "
-        f"{found.predicted_mm[0]:.3f} and {found.predicted_mm[1]:.3f} mm in every "
-        f"fifth view, predicted from the others; residuals {found.misfit:.1f} times their noise; "
-        f"stored in {Folder(folder).arms}"
-    )
-    for one in found.untold:
-        say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")

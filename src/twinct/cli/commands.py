@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import tyro
 
+from twinct.cli.calibrate import calibrate
 from twinct.cli.ctsimu import ctsimu
 from twinct.cli.finished import (
-    calibrate,
     compare,
     export,
     geometry,
@@ -27,6 +27,12 @@ for command in (check, run, view, render, reach, plan, uncertainty, place, node,
 for command in (specimen, export):
     app.command(command)
 app.command(name="import")(import_)
-for command in (report, compare, verify, reconstruct, geometry, calibrate, study):
+for command in (report, compare, verify, reconstruct, geometry):
     app.command(command)
+app.command(
+    calibrate,
+    name="calibrate",
+    help="Estimate the executed poses of source and detector, and add them as a geometry.",
+)
+app.command(study)
 app.command(ctsimu, name="ctsimu", help="Scenarios in the CTSimU format: render, export, qualify.")

@@ -1,17 +1,16 @@
-"""Commands on finished scans: report, comparison, reconstruction and calibration."""
+"""Commands on finished scans: export, report, comparison and reconstruction."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from twinct.cli.arguments import Flag, Overrides, Threads
+from twinct.cli.arguments import Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import percent, say_result
 
@@ -46,13 +45,22 @@ def import_(
     say(f"{count} of {count + len(found.missing)} views imported to {out}")
 
 
+def _format_argument() -> Any:
+    """Return the type of ``--to``; only commands and help that need it look for formats."""
+    from twinct.exchange import formats
+
+    titles = "; ".join(f"{name}: {form.title}" for name, form in formats().items())
+    metavar = f"{{{','.join(formats())}}}"
+    return Annotated[str, tyro.conf.arg(metavar=metavar, help=f"Format of the files. {titles}.")]
+
+
 def export(
     scan: Annotated[
         tyro.conf.Positional[Path],
         tyro.conf.arg(metavar="SCAN", help="Folder of twinct run --out, or the scan.zarr in it."),
     ],
     *,
-    to: Literal["rtk", "astra", "leap", "cil", "tigre", "openct"],
+    to: Annotated[str, tyro.conf.arg(constructor_factory=_format_argument)],
     geometry: Annotated[str, tyro.conf.arg(metavar="NAME")] = "believed",
     values: Literal["line-integrals", "transmission"] = "line-integrals",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -64,15 +72,18 @@ def export(
     are written.
 
     Args:
-        to: The toolkit, or openct for programs that read an OpenCT free trajectory.
         geometry: believed (reported by the system), executed (true poses of the arms), commanded
             (requested poses), or one made by twinct geometry.
         values: Pixel values as -ln(I/I0), or as I/I0.
-        out: Folder to write, which must not exist; export-TOOLKIT beside the scan unless given.
+        out: Folder to write, which must not exist; export-NAME beside the scan unless given.
     """
-    from twinct.cli.export import export_scan
+    from twinct.runs import export_scan
 
-    export_scan(scan, to, geometry, values, out)
+    with on_terminal() as audience:
+        folder = export_scan(
+            scan, to, geometry=geometry, values=values, out=out, observers=audience
+        )
+    say(f"wrote {folder}; its README.txt says more")
 
 
 def report(
@@ -206,75 +217,3 @@ def geometry(
         words = ", ".join(f"{k} {v}" for k, v in made_by.items() if not isinstance(v, dict))
         table.add_row(name, *means, words)
     Console().print(table)
-
-
-def calibrate(
-    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
-    *,
-    with_: Annotated[
-        Literal["beads", "balls", "kinematics", "self"], tyro.conf.arg(name="with")
-    ] = "beads",
-    as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
-    to: Annotated[Sequence[Path], tyro.conf.arg(metavar="DIR")] = (),
-    from_: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None,
-    sigma_mm: float = 0.5,
-    sigma_deg: float = 0.2,
-    correlation_views: float = 0.0,
-    what: Literal["arms", "patient"] = "arms",
-    start: Literal["believed", "epipolar"] = "believed",
-    align: Flag = False,
-    ball_radius_mm: float = 1.5,
-) -> None:
-    """Estimate the executed poses of source and detector, and add them to a scan as a geometry.
-
-    ``twinct reconstruct DIR --geometry NAME`` reconstructs with it.
-
-    Args:
-        folder: Folder of ``twinct run --out``; for beads and kinematics, of a specimen with a
-            ball_helix.
-        with_: beads: the balls of a phantom, at known positions; balls: a few balls at unknown
-            positions on the specimen; kinematics: both arms, from all views of a phantom, stored in
-            DIR/arms.json; self: the projections alone, each view moved until they agree.
-        as_: Name of the new geometry; the method's name unless given.
-        to: Folders of scans that get the geometry, too: of the same views (beads), or of the same
-            arms along any trajectory (kinematics).
-        from_: An arms.json; the scan then needs no balls (kinematics).
-        sigma_mm: Expected error of source and panel, or of the patient, along each axis (self,
-            balls).
-        sigma_deg: Expected rotation error of panel or patient about each axis (self, balls).
-        correlation_views: Number of views over which errors are correlated; 0: independent errors
-            (self, balls).
-        what: Parts that may have moved: source and panel, or the patient between them (self).
-        start: Initial poses; epipolar: each view is first moved until it is consistent with other
-            views in planes through both sources, without a volume (self).
-        align: Move the result as a whole to the executed geometry, for figures that compare volumes
-            (self, balls).
-        ball_radius_mm: Radius of each ball (balls).
-    """
-    from twinct.calibration import PosePrior
-    from twinct.cli.calibrate import (
-        balls_command,
-        beads_command,
-        kinematics_command,
-        self_command,
-    )
-    from twinct.core.errors import InputError
-
-    if from_ is not None and with_ != "kinematics":
-        raise InputError(f"--from {from_}: only --with kinematics takes arms")
-    if start != "believed" and with_ != "self":
-        raise InputError(f"--start {start}: only --with self takes a start")
-    if with_ == "kinematics":
-        kinematics_command(folder, as_, to, from_)
-    elif with_ == "beads":
-        beads_command(folder, as_, to)
-    else:
-        if to:
-            raise InputError(f"--to {to[0]}: a calibration from the scan itself fits no other scan")
-        prior = PosePrior(sigma_mm, sigma_deg, correlation_views)
-        if with_ == "self":
-            self_command(folder, as_, prior, what, start, align=align)
-        elif what == "patient":
-            raise InputError("--what patient: --with balls corrects only source and panel")
-        else:
-            balls_command(folder, as_, ball_radius_mm, prior, align=align)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from twinct.core.settings import Finite, Length, Section
-from twinct.geometry import Floats
+
+Floats = NDArray[np.float64]
 
 
 class SphereSignal(Section):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.exchange.array_format import array_format
 from twinct.geometry import ScanGeometry, VolumeGrid
 
 
@@ -26,3 +27,6 @@ def astra_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[
         "volume": np.array([ny, nx, nz]),
         "window": np.stack([-half, half], axis=1).ravel(),
     }
+
+
+ASTRA = array_format("astra", "the ASTRA Toolbox", astra_arrays)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.exchange.array_format import array_format
 from twinct.geometry import ScanGeometry, VolumeGrid
 
 
@@ -31,3 +32,6 @@ def cil_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[An
         "volume": np.array(grid.shape_xyz),
         "voxel": grid.voxel,
     }
+
+
+CIL = array_format("cil", "CIL", cil_arrays)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.exchange.array_format import array_format
+from twinct.exchange.format import Bundle
 from twinct.geometry import ScanGeometry, VolumeGrid
 
 
@@ -20,16 +22,7 @@ def leap_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[A
         ``sourcePositions``, ``moduleCenters``, ``rowVectors``, ``colVectors``, (views, 3);
         ``detector`` (rows, columns); ``pixel`` (height, width), mm; ``volume`` (x, y, z) voxels;
         ``voxel`` (width, height), mm.
-
-    Raises:
-        InputError: the voxel edges along x and y differ.
     """
-    width, depth, height = grid.voxel.tolist()
-    if width != depth:
-        raise InputError(
-            f"LEAP needs equal voxel edges along x and y, but this grid has {width:g} and "
-            f"{depth:g} mm: set reconstruction.grid.voxel_mm of the scenario so that they agree"
-        )
     panel = geometry.panel
     return {
         "sourcePositions": geometry.source.astype(np.float32),
@@ -39,5 +32,17 @@ def leap_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[A
         "detector": np.array([panel.rows, panel.columns]),
         "pixel": np.array([panel.pitch_v, panel.pitch_u]),
         "volume": np.array(grid.shape_xyz),
-        "voxel": np.array([width, height]),
+        "voxel": grid.voxel[[0, 2]],
     }
+
+
+def _check(bundle: Bundle) -> None:
+    width, depth, _ = bundle.grid.voxel.tolist()
+    if width != depth:
+        raise InputError(
+            f"LEAP needs equal voxel edges along x and y, but this grid has {width:g} and "
+            f"{depth:g} mm: set reconstruction.grid.voxel_mm of the scenario so that they agree"
+        )
+
+
+LEAP = array_format("leap", "LEAP", leap_arrays, _check)

@@ -8,13 +8,17 @@ world; ours is not.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.exchange.format import Bundle, Format, own_script
 from twinct.exchange.rtk import rtk_matrices
+from twinct.exchange.stack import write_raw
 from twinct.geometry import ScanGeometry, VolumeGrid
 
 _DOWN = np.diag([1.0, -1.0, 1.0])
@@ -89,3 +93,34 @@ def openct_json(
         },
         "corrections": None,
     }
+
+
+def _write(bundle: Bundle, folder: Path) -> None:
+    names = [f"{view:04d}.raw" for view in range(len(bundle.geometry))]
+    words = openct_json(
+        bundle.local,
+        bundle.grid,
+        bundle.origin.get("scan", ""),
+        files=names,
+        file_type="RAW",
+        transmission=bundle.values == "transmission",
+    )
+    (folder / "openct.json").write_text(json.dumps(words, indent=1) + "\n")
+    write_raw(folder / "projections", bundle, names)
+
+
+_MATRICES = """
+Each matrix maps (x, y, z, 1) to (right w, down w, w), mm from the centre of the panel.
+"""
+
+OPENCT = Format(
+    "openct",
+    "readers of OpenCT",
+    {
+        "projections/": "one image for each view: float32, first row on top, nothing else",
+        "openct.json": "the scan as an OpenCT free trajectory",
+    },
+    _write,
+    own_script("openct"),
+    usage=lambda grid: _MATRICES,
+)

@@ -12,13 +12,16 @@ in the file.
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, ScanGeometry
+from twinct.exchange.format import Bundle, Format, own_script, reconstruct_usage
+from twinct.exchange.stack import write_mha
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
 VERSION = 3
 """Version of RTK's geometry file, since RTK 2.0."""
@@ -66,3 +69,33 @@ def rtk_geometry_xml(geometry: ScanGeometry) -> str:
     ElementTree.indent(root)
     head = '<?xml version="1.0"?>\n<!DOCTYPE RTKGEOMETRY>\n'
     return head + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _write(bundle: Bundle, folder: Path) -> None:
+    (folder / "geometry.xml").write_text(rtk_geometry_xml(bundle.local), encoding="ascii")
+    write_mha(folder / "projections.mha", bundle)
+
+
+def _program(grid: VolumeGrid) -> str:
+    count = ",".join(map(str, grid.shape_xyz))
+    edges = ",".join(repr(edge) for edge in grid.voxel.tolist())
+    return f"""
+RTK's own programs read the folder as well:
+
+    rtkconjugategradient -g geometry.xml -p . -r projections.mha -o volume.mha -n 10 \\
+        --dimension {count} --spacing {edges} --nodisplaced
+"""
+
+
+RTK = Format(
+    "rtk",
+    "RTK",
+    {
+        "projections.mha": "ITK image stack, (column, row, view) from the fastest axis on",
+        "geometry.xml": "RTK's geometry, one Projection for each view",
+    },
+    _write,
+    own_script("rtk"),
+    usage=reconstruct_usage,
+    ending=_program,
+)

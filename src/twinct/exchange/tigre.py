@@ -25,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.exchange.array_format import array_format
+from twinct.exchange.format import Bundle
 from twinct.geometry import ScanGeometry, VolumeGrid
 
 
@@ -36,16 +38,8 @@ def tigre_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[
         (z, y, x), ``offDetector`` (views, 2) as (v, u), mm; ``rotDetector`` (views, 3) as (yaw,
         pitch, roll), rad; ``nDetector``, ``dDetector`` as (v, u); ``nVoxel``, ``dVoxel`` as
         (z, y, x).
-
-    Raises:
-        InputError: a view has its source at the grid's centre, where TIGRE's weights are infinite.
     """
     distance = np.linalg.norm(geometry.source, axis=1)
-    if (distance == 0).any():
-        raise InputError(
-            f"view {int((distance == 0).argmax())} has its source 0 mm from the centre of the "
-            "grid: TIGRE needs DSO above 0"
-        )
     n, panel = geometry.normal, geometry.panel
     azimuth = np.arctan2(n[:, 1], n[:, 0])
     elevation = np.arctan2(n[:, 2], np.hypot(n[:, 0], n[:, 1]))
@@ -70,3 +64,16 @@ def tigre_arrays(geometry: ScanGeometry, grid: VolumeGrid) -> dict[str, NDArray[
         "nVoxel": np.array(grid.shape),
         "dVoxel": grid.voxel[::-1].copy(),
     }
+
+
+def _check(bundle: Bundle) -> None:
+    # TIGRE's weights are infinite there.
+    at_centre = np.linalg.norm(bundle.local.source, axis=1) == 0
+    if at_centre.any():
+        raise InputError(
+            f"view {int(at_centre.argmax())} has its source 0 mm from the centre of the "
+            "grid: TIGRE needs DSO above 0"
+        )
+
+
+TIGRE = array_format("tigre", "TIGRE", tigre_arrays, _check)

@@ -9,6 +9,7 @@ from twinct.runs.checks import (
     require_extras,
 )
 from twinct.runs.compare import compare
+from twinct.runs.export import export_scan
 from twinct.runs.folder import Folder
 from twinct.runs.importing import import_scan
 from twinct.runs.job import Run, report_again, run
@@ -34,6 +35,7 @@ __all__ = [
     "compare",
     "derive_geometry",
     "evaluate",
+    "export_scan",
     "findings",
     "import_scan",
     "judge",

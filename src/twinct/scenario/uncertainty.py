@@ -255,7 +255,7 @@ class Uncertainty(Section):
     )
     calibration: Path | None = setting(
         None,
-        "File of calibrated arms (twinct calibrate --with kinematics), which turn encoder "
+        "File of calibrated arms (twinct calibrate kinematics), which turn encoder "
         "readings into believed poses. null: the nominal arms do.",
         read_by="believed",
     )

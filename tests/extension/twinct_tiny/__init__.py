@@ -1,1 +1,1 @@
-"""An algorithm, a family of trajectories and an objective from outside the package."""
+"""Plug-ins of every kind from outside the package, one file each."""

@@ -1,0 +1,38 @@
+"""Command lines of version 0.1 in today's spelling."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+
+from twinct.cli.calibrate import METHODS
+from twinct.core.errors import InputError
+
+
+def respelled(arguments: Sequence[str]) -> list[str]:
+    """Return a command line with the method of ``twinct calibrate`` as a subcommand.
+
+    In version 0.1 the method was an option, ``--with METHOD``, and beads without it. One line on
+    stderr says what to write instead.
+
+    Raises:
+        InputError: there is no such method.
+    """
+    if arguments[:1] != ["calibrate"] or arguments[1:2] in ([], ["-h"], ["--help"]):
+        return list(arguments)
+    method, others, words = "", list[str](), iter(arguments[1:])
+    for word in words:
+        key, equals, value = word.partition("=")
+        if key == "--with":
+            method = value if equals else next(words, "nothing")
+        else:
+            others.append(word)
+    if not method and others[0] in METHODS:
+        return list(arguments)
+    method = method or "beads"
+    if method not in METHODS:
+        raise InputError(f"--with {method}: unknown; choose from {', '.join(METHODS)}")
+    new = ["calibrate", method, *others]
+    sys.stderr.write(f"twinct: the method comes first now; write: {shlex.join(['twinct', *new])}\n")
+    return new

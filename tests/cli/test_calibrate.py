@@ -1,0 +1,144 @@
+"""``twinct calibrate``: options of each method, and the spelling of version 0.1."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twinct.calibration import PosePrior, arm_calibration, scan_calibration
+from twinct.cli import run_command
+
+OPTIONS = {
+    "beads": {"--as", "--to"},
+    "balls": {
+        *("--as", "--ball-radius-mm", "--sigma-mm", "--sigma-deg", "--correlation-views"),
+        "--align",
+    },
+    "self": {
+        *("--as", "--what", "--start", "--sigma-mm", "--sigma-deg", "--correlation-views"),
+        "--align",
+    },
+    "kinematics": {"--as", "--to", "--from"},
+}
+ALL = set().union(*OPTIONS.values())
+VALUES = {"--what": "patient", "--start": "epipolar", "--align": ""}
+
+
+@dataclass
+class Calls:
+    """What was called, by its name, with its arguments; nothing is calibrated."""
+
+    made: list[tuple[str, tuple[Any, ...], dict[str, Any]]]
+
+    def arguments(self) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
+        """Return the calls without their observers, and forget them."""
+        made, self.made = self.made, []
+        return [
+            (name, args, {key: value for key, value in kwargs.items() if key != "observers"})
+            for name, args, kwargs in made
+        ]
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    calls = Calls([])
+    view = SimpleNamespace(outliers=np.zeros(3), shadows=[1, 2, 3], rms_px=0.1)
+    near = SimpleNamespace(after_px=0.1, scale=1.0)
+    balls = SimpleNamespace(
+        residuals=np.zeros((2, 5, 2)), balls=np.zeros((5, 3)), outliers=np.zeros((2, 5), bool)
+    )
+    told = {"start": None, "started": None, "believed": near, "after": near}
+    moved = SimpleNamespace(change=np.zeros((2, 9)), residuals=[2.0, 1.0])
+    seen = SimpleNamespace(problems={}, bundle=balls, rms_px=0.1)
+    arms = {"views": 2, "left_mm": (0.1, 0.1), "predicted_mm": (0.1, 0.1), "misfit": 1.0}
+    results = {
+        "calibrate_beads": SimpleNamespace(views=[view], problems={}),
+        "calibrate_balls": SimpleNamespace(**told, found=seen),
+        "calibrate_self": SimpleNamespace(**told, found=moved),
+        "calibrate_kinematics": SimpleNamespace(**arms, untold=[]),
+        "apply_kinematics": None,
+    }
+
+    def stand_in(name: str) -> Any:
+        def called(*args: Any, **kwargs: Any) -> Any:
+            calls.made.append((name, args, kwargs))
+            return results[name]
+
+        return called
+
+    for name in results:
+        home = arm_calibration if "kinematics" in name else scan_calibration
+        monkeypatch.setattr(home, name, stand_in(name))
+    return calls
+
+
+SPELLINGS = [
+    ("out/a", "beads out/a"),
+    ("out/a --to out/b out/c --as mine", "beads out/a --to out/b out/c --as mine"),
+    ("--with beads out/a", "beads out/a"),
+    ("out/a --with balls --ball-radius-mm 2 --align", "balls out/a --ball-radius-mm 2 --align"),
+    ("out/a --with=self --what patient", "self out/a --what patient"),
+    ("--sigma-mm 3 out/a --with self --start epipolar", "self --sigma-mm 3 out/a --start epipolar"),
+    ("self --with self", "self self"),
+    ("out/a --with kinematics --to out/b", "kinematics out/a --to out/b"),
+    ("'a b' --with kinematics --from arms.json", "kinematics 'a b' --from arms.json"),
+]
+
+
+@pytest.mark.parametrize(("old", "new"), SPELLINGS)
+def test_the_old_spelling_does_the_same_and_says_the_new_one(calls, old, new, capfd) -> None:
+    assert run_command(["calibrate", *shlex.split(new)]) == 0
+    said, first = capfd.readouterr(), calls.arguments()
+    assert "write:" not in said.err
+    assert run_command(["calibrate", *shlex.split(old)]) == 0
+    again = capfd.readouterr()
+    assert calls.arguments() == first != []
+    assert again.out == said.out
+    hint = f"twinct: the method comes first now; write: twinct calibrate {new}"
+    assert [line for line in again.err.splitlines() if "write:" in line] == [hint]
+
+
+def test_options_reach_the_calibration(calls) -> None:
+    keys = ["--sigma-mm", "3", "--sigma-deg", "2", "--correlation-views", "15", "--align"]
+    assert run_command(["calibrate", "self", "out/a", "--what", "patient", *keys]) == 0
+    assert run_command(["calibrate", "balls", "out/a", "--ball-radius-mm", "2", *keys]) == 0
+    prior = PosePrior(3.0, 2.0, 15.0)
+    moved = {"what": "patient", "start": "believed", "align": True, "name": "self"}
+    stuck = {"radius_mm": 2.0, "align": True, "name": "balls"}
+    assert calls.arguments() == [
+        ("calibrate_self", (Path("out/a"), prior), moved),
+        ("calibrate_balls", (Path("out/a"), prior), stuck),
+    ]
+
+
+@pytest.mark.parametrize("method", OPTIONS)
+def test_each_method_has_its_own_options_alone(calls, method: str, capfd) -> None:
+    assert run_command(["calibrate", method, "--help"]) == 0
+    told = capfd.readouterr().out
+    assert {option for option in ALL if f"{option} " in told} == OPTIONS[method]
+    for option in sorted(ALL - OPTIONS[method]):
+        value = [VALUES.get(option, "1")] if VALUES.get(option, "1") else []
+        for spelling in ([method, "out/a"], ["out/a", "--with", method]):
+            assert run_command(["calibrate", *spelling, option, *value]) == 2
+            assert option in capfd.readouterr().err
+    assert calls.arguments() == []
+
+
+def test_an_unknown_method_is_refused(calls, capfd) -> None:
+    assert run_command(["calibrate", "out/a", "--with", "bead"]) == 2
+    told = "--with bead: unknown; choose from beads, balls, self, kinematics"
+    assert told in capfd.readouterr().err
+    assert calls.arguments() == []
+
+
+def test_the_help_lists_the_methods(capfd) -> None:
+    assert run_command(["calibrate", "--help"]) == 0
+    told = capfd.readouterr()
+    assert all(f"• {method}" in told.out for method in OPTIONS)
+    assert told.err == ""
