@@ -262,7 +262,9 @@ def test_bars_are_the_intervals_and_axes_what_they_were_told(drawn):
 def test_averages_say_so_and_show_what_they_are_of(drawn):
     html = render_study(study(crossed({"a": [1, 2], "b": list(range(4)), "c": [1, 2]}), *"abc"))
     said = words_of(html)
-    assert "RMSE over a; averaged over the combinations of b, c; dots: the combinations" in said
+    assert (
+        "RMSE over a; averaged over the combinations of b, c; dots: the single combinations" in said
+    )
     assert "RMSE over b." in said, "four lines"
     dots, average = drawn[0].axes[0].lines[:2]
     assert len(dots.get_xdata()) == 16 and len(average.get_xdata()) == 2

@@ -15,10 +15,11 @@ from scipy import ndimage
 
 from twinct import run
 from twinct.core.errors import InputError
+from twinct.evaluation import figure_kinds
 from twinct.geometry import Pose, VolumeGrid
 from twinct.runs import Run, reconstruct_again, report_again
 from twinct.runs.checks import check_places
-from twinct.runs.regions import OF_KIND, Places, named_figures
+from twinct.runs.regions import Places
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
 from twinct.specimen import build_specimen
@@ -94,8 +95,8 @@ def test_they_are_those_that_were_promised(scenario: Scenario, places: Places, f
         for figure, value in figures.items()
         if np.ndim(value) == 0
     }
-    assert dotted == set(named_figures(scenario.evaluation))
-    assert set(found) == set(OF_KIND) and "mtf.ball_1.f50_per_mm" in dotted
+    assert dotted == set(scenario.evaluation.figure_names())
+    assert set(found) == set(figure_kinds()) and "mtf.ball_1.f50_per_mm" in dotted
 
 
 def test_what_lies_outside_of_a_grid_has_no_figures(places: Places, found: dict) -> None:
@@ -173,12 +174,12 @@ def test_what_the_grid_does_not_hold_is_told_before_any_work(scenario: Scenario)
     part = "specimen.parts.2.position_mm=[0, 0, 400]"
     assert [problem.split(":")[0] for problem in told(part)] == [
         "evaluation.regions.2.shape.part",
-        "evaluation.streaks.0.part",
         "evaluation.mtf.1.at",
+        "evaluation.streaks.0.part",
     ]
     small = "specimen.parts.1.shape.radius_mm=1.5"
     assert (
-        "evaluation.mtf.0.at: 'ball.1' has a radius of 1.5 mm; its edge needs 2 mm"
+        "evaluation.mtf.0.at: 'ball.1' has a radius of 1.5 mm; its edge needs at least 2 mm"
         in (told(small)[0])
     )
     check_places(SimulationBuilder(scenario))
@@ -230,7 +231,7 @@ def test_other_figures_make_no_volume_anew(
     assert told["image"] == image
     with pytest.raises(InputError, match="only keys of evaluation can be changed here"):
         report_again(out, overrides=["reconstruction.iterations=3"])
-    with pytest.raises(InputError, match="no region 'x'"):
+    with pytest.raises(InputError, match="unknown region 'x'"):
         report_again(out, overrides=["evaluation.nps=[{region: x}]"])
 
 

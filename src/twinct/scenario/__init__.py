@@ -1,5 +1,6 @@
 """The scenario: one YAML file that initialises everything."""
 
+from twinct.evaluation.signals import GaussianSignal, SphereSignal
 from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, TwoMaterialHardening
 from twinct.scenario.cell import (
     AnyCell,
@@ -34,7 +35,7 @@ from twinct.scenario.detector import (
     SnrNoise,
 )
 from twinct.scenario.digests import specimen_digest, stage_digests
-from twinct.scenario.evaluation import Evaluation, GaussianSignal, Region, Shell, SphereSignal
+from twinct.scenario.evaluation import Evaluation, Region, Shell
 from twinct.scenario.loading import (
     Template,
     load_scenario,

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from twinct.core.files.boundary import shortened
 from twinct.core.settings import Conflict, ConflictError
+from twinct.scenario.evaluation import BROKEN_KINDS
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
 from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
@@ -20,7 +21,9 @@ from twinct.trajectory.families import families
 _BROKEN: dict[Key, dict[str, str]] = {
     ("reconstruction", "algorithm"): BROKEN_ALGORITHMS,
     ("trajectory", "kind"): families().broken,
+    ("evaluation",): BROKEN_KINDS,
 }
+"""Reasons why extensions cannot be used, by their names, at the keys that name or have them."""
 
 MOST_PROBLEMS = 50
 """Largest number of reported problems; a file with more is probably no scenario."""
@@ -112,7 +115,7 @@ def _sentence(
     kind: str = detail["type"]
     given: Any = detail["input"]
     if kind == "extra_forbidden":
-        if gone := advice(key, given):
+        if gone := advice(key, given) or _BROKEN.get(key[:-1], {}).get(str(key[-1])):
             return gone
         known = list(model.model_fields) if model else []
         if having := [str(_tag(other)) for other in others if key[-1] in other.model_fields]:

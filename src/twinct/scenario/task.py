@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from twinct.core.settings import Conflict, Finite, NonNegative, Positive, Section, Vector, setting
-from twinct.scenario.evaluation import GaussianSignal, SphereSignal
+from twinct.evaluation.signals import Signal
 from twinct.scenario.specimen import Specimen
 
 Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
@@ -39,9 +39,7 @@ class DetectabilityGoal(Section):
 
     weight: Weight = setting(1.0, "Weight of this goal.", unit="1")
     at_least_rel: Share | None = setting(None, _ENOUGH, unit="1")
-    signal: Annotated[SphereSignal | GaussianSignal, Field(discriminator="kind")] = Field(
-        description="Signal to detect."
-    )
+    signal: Signal = Field(description="Signal to detect.")
     voxel_mm: Positive = setting(1.0, "Voxel edge of the reconstruction for which it is predicted.")
     penalty: Positive = setting(
         1.0,

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.progress import Progress
+from twinct.evaluation.signals import contrast_at
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid, fibonacci_directions
 from twinct.recon import Projector
 from twinct.recon.shadow import Body
 from twinct.recon.volume import Volume
-from twinct.runs.regions import contrast_at
 from twinct.scan import SimulationBuilder
 from twinct.scenario import (
     Cell,
