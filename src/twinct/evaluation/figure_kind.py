@@ -138,7 +138,8 @@ class FigureKind(Generic[SettingsT]):
         measure: computes the figures and curves of an entry, by key; a figure that is left out is
             NaN.
         names: keys of the settings that name something: what they name, or "KIND.KEY" if they
-            repeat a key of an entry of another kind. None is allowed if the key allows it.
+            repeat a key of an entry of another kind. None is allowed if the key allows it. Parts
+            must cover voxels of the grid, and so must regions.
         check: returns problems with the grid, before any work: sentences by key of the settings.
         curves: curves of each entry.
     """

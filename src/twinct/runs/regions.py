@@ -88,12 +88,12 @@ class Places:
         """Return a sentence for each entry that cannot be measured, beginning with its key."""
         found: dict[str, str] = {}
         for i, region in enumerate(self.section.regions):
-            if isinstance(region.shape, scenario.Shell):
-                key, voxels = f"regions.{i}.shape.part", self.part(region.shape.part)
-            else:
-                key, voxels = f"regions.{i}", self.region(region.name)
-            if not len(voxels):
-                found[key] = f"{region.name!r} covers no voxel of the grid"
+            # A shell is covered if its part is: see below.
+            if not (isinstance(region.shape, scenario.Shell) or len(self.region(region.name))):
+                found[f"regions.{i}"] = f"{region.name!r} covers no voxel of the grid"
+        for key, name, target in self.section.references():
+            if target == "part" and not len(self.part(name)):
+                found[key] = f"{name!r} covers no voxel of the grid"
         for kind in figure_kinds().values():
             for i, one in enumerate(self.section.entries(kind.name)):
                 problems = kind.check(self, one)

@@ -91,7 +91,7 @@ class EvaluationSection(Section):
             "round body": ("part or region", bodies),
         }
         found: list[Conflict] = []
-        for at, name, target in self._references():
+        for at, name, target in self.references():
             what, having = known.get(target) or self._entries_named(target)
             if name not in having:
                 found.append(_conflict(at, f"unknown {what} {name!r}; {_are(having)}"))
@@ -108,7 +108,7 @@ class EvaluationSection(Section):
             found += [_conflict(kind, f"{label!r} appears more than once") for label in twice]
         return found
 
-    def _references(self) -> Iterator[tuple[str, str, str]]:
+    def references(self) -> Iterator[tuple[str, str, str]]:
         """Yield each key that names something, the name, and its target: see ``FigureKind``."""
         for i, region in enumerate(self.regions):
             if isinstance(region.shape, Shell):

@@ -1,1 +1,1 @@
-"""An algorithm and a family of trajectories from outside the package."""
+"""An algorithm, a family of trajectories and a kind of figures from outside the package."""

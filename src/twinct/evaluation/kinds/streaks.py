@@ -10,7 +10,6 @@ from twinct.evaluation.figure_kind import (
     FigureKind,
     FigureSettings,
     Measurement,
-    NamedPlaces,
 )
 from twinct.evaluation.region_voxels import shell
 from twinct.evaluation.streaks import around_axis, streak_index
@@ -40,11 +39,6 @@ def _measure(at: Measurement, one: Streaks) -> dict[str, float]:
     return {"streak_rel": streak_index(error, *where)}
 
 
-def _check(places: NamedPlaces, one: Streaks) -> dict[str, str]:
-    covered = len(places.part(one.part))
-    return {} if covered else {"part": f"{one.part!r} covers no voxel of the grid"}
-
-
 STREAKS = FigureKind(
     "streaks",
     Streaks,
@@ -52,5 +46,4 @@ STREAKS = FigureKind(
     (percent("streak_rel", "streaks", "of μ({0}), error from sector to sector", "lower"),),
     _measure,
     names={"part": "part"},
-    check=_check,
 )
