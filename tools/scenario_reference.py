@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from twinct.scenario import Reconstruction, Scenario
-from twinct.scenario.digests import STAGES
+from twinct.scenario.digests import STAGES, declared
 from twinct.scenario.reconstruction import SECTIONS, own_keys
 
 PAGE = Path(__file__).parents[1] / "docs" / "scenario.md"
@@ -160,7 +160,7 @@ def reference() -> str:
 def _stages() -> str:
     rows = ["| stage | reads | stands on |", "|---|---|---|"]
     for name, stage in STAGES.items():
-        reads = ", ".join(f"`{key}`" for key in stage.reads)
+        reads = ", ".join(f"`{key}`" for key, stages in declared(Scenario) if name in stages)
         rows.append(f"| {name} | {reads} | {', '.join(stage.on)} |")
     return "\n".join(rows) + "\n"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
+from pydantic.fields import FieldInfo
 
 
 def _sane(least: float, most: float) -> AfterValidator:
@@ -41,15 +42,36 @@ def facts(*, unit: str = "", source: str = "") -> dict[str, JsonValue]:
     return {f"x-{name}": text for name, text in (("unit", unit), ("source", source)) if text}
 
 
+class ReadBy:
+    """Mark on a key: the stages of a run that read it, and all keys below it."""
+
+    def __init__(self, *stages: str) -> None:
+        """Store the names of the stages."""
+        self.stages = frozenset(stages)
+
+
+def read_by(info: FieldInfo) -> frozenset[str]:
+    """Return the stages that a key itself declares as its readers."""
+    return frozenset[str]().union(*(m.stages for m in info.metadata if isinstance(m, ReadBy)))
+
+
 def setting(
-    default: Any, description: str, *, unit: str = "", source: str = "", **limits: Any
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    source: str = "",
+    read_by: str | tuple[str, ...] = (),
+    **limits: Any,
 ) -> Any:
     """Return the field of a key that has a default.
 
-    ``unit`` and ``source`` go to ``facts``, the limits to pydantic.
+    ``unit`` and ``source`` go to ``facts``, ``read_by`` to ``ReadBy``, the limits to pydantic.
     """
     extra = facts(unit=unit, source=source)
-    return Field(default, description=description, json_schema_extra=extra, **limits)
+    field: FieldInfo = Field(default, description=description, json_schema_extra=extra, **limits)
+    field.metadata.append(ReadBy(*((read_by,) if isinstance(read_by, str) else read_by)))
+    return field
 
 
 class Conflict(NamedTuple):

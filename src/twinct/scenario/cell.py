@@ -17,6 +17,7 @@ from twinct.core.settings import (
     Length,
     Lengths,
     Positive,
+    ReadBy,
     Section,
     Vector,
     facts,
@@ -32,49 +33,54 @@ ARMS = ("ur10e", "lbr_iiwa14")
 class Arm(Section):
     """One arm and its tool."""
 
-    model: str | None = Field(
+    model: Annotated[str | None, ReadBy("plan")] = Field(
         default="ur10e",
         description="Model of the arm: ur10e, lbr_iiwa14, or menagerie:NAME.",
         json_schema_extra=facts(source="manufacturers' data sheets: docs/arms.md")
         | {"pattern": r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$"},
     )
-    file: Path | None = Field(
+    file: Annotated[Path | None, ReadBy("plan")] = Field(
         default=None,
         description="Instead of model: MJCF or URDF file of your own arm, see docs/arms.md. Its "
         "includes and meshes must lie in its folder or below.",
     )
-    base: str | None = Field(
+    base: Annotated[str | None, ReadBy("plan")] = Field(
         default=None,
         description="With file: the body or link whose frame is the arm's base; null: the first "
         "one.",
     )
-    flange: str | None = Field(
+    flange: Annotated[str | None, ReadBy("plan")] = Field(
         default=None,
         description="With file: the site, body or link at the tool flange, z pointing away from "
         "the arm; null: one of the usual names.",
     )
-    home: tuple[Finite, ...] | None = Field(
+    home: Annotated[tuple[Finite, ...] | None, ReadBy("plan")] = Field(
         default=None,
         description="Joint positions from base to flange, at which the search for a path starts.",
         json_schema_extra=facts(unit="deg"),
     )
-    base_position_mm: Vector = Field(description="Origin of the arm's base in the world.")
+    base_position_mm: Annotated[Vector, ReadBy("plan")] = Field(
+        description="Origin of the arm's base in the world."
+    )
     base_rotation_deg: Vector = setting(
-        (0.0, 0.0, 0.0), "Extrinsic rotations of the base about x, y, z."
+        (0.0, 0.0, 0.0), "Extrinsic rotations of the base about x, y, z.", read_by="plan"
     )
     standoff_mm: Length = setting(
-        100.0, "Distance from flange to focal spot, or to panel centre, along the flange axis."
+        100.0,
+        "Distance from flange to focal spot, or to panel centre, along the flange axis.",
+        read_by="plan",
     )
     tool_rotation_deg: Finite = setting(
-        0.0, "Rotation about the flange axis at which the tool is mounted."
+        0.0, "Rotation about the flange axis at which the tool is mounted.", read_by="plan"
     )
-    tool_mass_kg: Positive = Field(description="Mass of the tool.")
+    tool_mass_kg: Annotated[Positive, ReadBy("executed")] = Field(description="Mass of the tool.")
     torque_scale: float = setting(
         1.0,
         "Share of the published torque limits that may be used.",
         gt=0,
         le=1,
         source="limits: manufacturer",
+        read_by="executed",
     )
     speed_scale: float = setting(
         0.5,
@@ -82,11 +88,13 @@ class Arm(Section):
         gt=0,
         le=1,
         source="limits: manufacturer",
+        read_by="executed",
     )
     joint_speed_deg_s: Positive = setting(
         90.0,
         "Speed limit of every joint if the model states none, as in Menagerie and MJCF. With "
         "file, write it even if it is 90.",
+        read_by="executed",
     )
 
     @field_validator("model")
@@ -129,21 +137,27 @@ class SourceArm(Arm):
     """The arm with the X-ray source."""
 
     base_position_mm: Vector = setting(
-        (750.0, 0.0, -150.0), "Origin of the arm's base in the world.", source="docs/reach.md"
+        (750.0, 0.0, -150.0),
+        "Origin of the arm's base in the world.",
+        source="docs/reach.md",
+        read_by="plan",
     )
     base_rotation_deg: Vector = setting(
-        (0.0, 0.0, 180.0), "Extrinsic rotations of the base about x, y, z."
+        (0.0, 0.0, 180.0), "Extrinsic rotations of the base about x, y, z.", read_by="plan"
     )
-    tool_mass_kg: Positive = setting(8.0, "Mass of the X-ray source.")
+    tool_mass_kg: Positive = setting(8.0, "Mass of the X-ray source.", read_by="executed")
 
 
 class DetectorArm(Arm):
     """The arm with the panel."""
 
     base_position_mm: Vector = setting(
-        (-750.0, 0.0, -150.0), "Origin of the arm's base in the world.", source="docs/reach.md"
+        (-750.0, 0.0, -150.0),
+        "Origin of the arm's base in the world.",
+        source="docs/reach.md",
+        read_by="plan",
     )
-    tool_mass_kg: Positive = setting(4.0, "Mass of the panel.")
+    tool_mass_kg: Positive = setting(4.0, "Mass of the panel.", read_by="executed")
 
 
 class Table(Section):
@@ -185,14 +199,16 @@ DEFAULT_KIND = "arms"
 class Cell(Section):
     """The operating room: two arms, table, floor."""
 
-    kind: Literal["arms"] = DEFAULT_KIND
+    kind: Annotated[Literal["arms"], ReadBy("plan")] = DEFAULT_KIND
     source_arm: SourceArm = setting(SourceArm(), "The arm with the X-ray source.")
     detector_arm: DetectorArm = setting(DetectorArm(), "The arm with the panel.")
-    table: Table = setting(Table(), "The table.")
-    floor_z_mm: Coordinate = setting(-1200.0, "Height of the floor.")
-    timestep_ms: float = setting(2.0, "Step of the dynamic simulation.", gt=0, le=10)
+    table: Table = setting(Table(), "The table.", read_by="plan")
+    floor_z_mm: Coordinate = setting(-1200.0, "Height of the floor.", read_by="plan")
+    timestep_ms: float = setting(
+        2.0, "Step of the dynamic simulation.", gt=0, le=10, read_by="executed"
+    )
     zones: tuple[Zone, ...] = setting(
-        (), "Forbidden zones, which the arms avoid; images do not show them."
+        (), "Forbidden zones, which the arms avoid; images do not show them.", read_by="plan"
     )
 
     @model_validator(mode="after")
@@ -210,7 +226,7 @@ class GantryCell(Section):
     Only ``uncertainty.views`` makes executed poses differ from commanded ones.
     """
 
-    kind: Literal["gantry"]
+    kind: Annotated[Literal["gantry"], ReadBy("plan")]
     view_s: float = setting(
         1.0,
         "Simulated time from view to view. With motion_samples above 1, each exposure is "
@@ -218,8 +234,11 @@ class GantryCell(Section):
         "previous view, along circle or helix; at the first view they stand still.",
         ge=1e-6,
         allow_inf_nan=False,
+        read_by="executed",
     )
-    floor_z_mm: Coordinate = setting(-1200.0, "Height of the floor, for pictures only.")
+    floor_z_mm: Coordinate = setting(
+        -1200.0, "Height of the floor, for pictures only.", read_by="plan"
+    )
 
 
 def _kind(value: Any) -> str:

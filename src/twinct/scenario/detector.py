@@ -211,10 +211,14 @@ class Scatter(Section):
 class Detector(Section):
     """Flat panel; a lattice of ideal pixels by default."""
 
-    columns: int = setting(640, "Pixels along u.", ge=1, le=8192, unit="px", source="the paper")
-    rows: int = setting(480, "Pixels along v.", ge=1, le=8192, unit="px", source="the paper")
+    columns: int = setting(
+        640, "Pixels along u.", ge=1, le=8192, unit="px", source="the paper", read_by="plan"
+    )
+    rows: int = setting(
+        480, "Pixels along v.", ge=1, le=8192, unit="px", source="the paper", read_by="plan"
+    )
     pixel_pitch_mm: Length | Pair = setting(
-        0.5, "Pixel pitch; two numbers for (u, v).", source="the paper"
+        0.5, "Pixel pitch; two numbers for (u, v).", source="the paper", read_by="plan"
     )
     response: Response = setting(
         IntegratingResponse(), "Signal that the detector produces for each photon."
@@ -238,7 +242,7 @@ class Detector(Section):
     noise: Noise | None = setting(None, "Noise of the signal.", source="none: the paper")
     readout: Readout | None = setting(None, "Conversion to grey values.")
     bad_pixels: BadPixels | None = setting(
-        None, "Dead pixels; correction fills them from their neighbours."
+        None, "Dead pixels; correction fills them from their neighbours.", read_by="volume"
     )
     lag: float = setting(
         0.0,

@@ -1,26 +1,27 @@
 """One digest per stage: it shows whether a result fits a scenario or must be computed again.
 
-It covers the keys that the stage reads and that are not at their defaults, the content of files,
-the stages it depends on, and a version. Raise the version of a stage when its computation, or a
-default that it reads, changes. A new key at its default changes no digest.
+It covers the keys that declare the stage as their reader (``ReadBy``) and are not at their
+defaults, the content of files, the stages it depends on, and a version. Raise the version of a
+stage when its computation, or a default that it reads, changes. A new key at its default changes no
+digest.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
+from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
 from twinct.core.errors import ScenarioError
 from twinct.core.files.arm_xml import read_arm_xml
-from twinct.core.settings import FILE_KEYS, Section
+from twinct.core.settings import FILE_KEYS, Section, read_by
 from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.detector import RandomBadPixels
@@ -31,69 +32,19 @@ StageName = Literal["surface", "plan", "executed", "images", "believed", "volume
 
 @dataclass(frozen=True)
 class _Stage:
-    """Keys, or patterns of keys, that a stage reads, and the stages it depends on."""
+    """Version of a stage, and the stages it depends on. Keys declare which stages read them."""
 
     version: int
-    reads: tuple[str, ...]
     on: tuple[StageName, ...] = ()
 
 
 STAGES: dict[StageName, _Stage] = {
-    "surface": _Stage(
-        1, ("specimen.parts.shape", "specimen.parts.position_mm", "specimen.parts.rotation_deg")
-    ),
-    "plan": _Stage(
-        1,
-        (
-            *("trajectory", "detector.columns", "detector.rows", "detector.pixel_pitch_mm"),
-            *("specimen.position_mm", "specimen.rotation_deg", "cell.table", "cell.floor_z_mm"),
-            "cell.zones",
-            *("cell.*_arm.model", "cell.*_arm.base_position_mm", "cell.*_arm.base_rotation_deg"),
-            *("cell.*_arm.file", "cell.*_arm.base", "cell.*_arm.flange", "cell.*_arm.home"),
-            *("cell.*_arm.standoff_mm", "cell.*_arm.tool_rotation_deg"),
-            *(
-                "motion.ik",
-                "motion.clearance_mm",
-                "motion.order",
-                "motion.*_roll",
-                "motion.scheme",
-                "motion.plan",
-                "cell.kind",
-            ),
-        ),
-        on=("surface",),
-    ),
-    "executed": _Stage(
-        1,
-        (
-            *("cell.*_arm.tool_mass_kg", "cell.*_arm.torque_scale", "cell.*_arm.speed_scale"),
-            *("cell.*_arm.joint_speed_deg_s", "cell.timestep_ms", "cell.view_s"),
-            *("motion.trigger", "motion.tolerance_mm", "motion.acceleration_deg_s2"),
-            *("motion.tool_speed_mm_s", "motion.settle_s"),
-            *("motion.jerk_deg_s3", "motion.settle_speed_mm_s", "motion.timeout_s"),
-            *("source.motion_samples", "source.exposure_ms"),
-            *("uncertainty.arms", "uncertainty.views", "uncertainty.patient", "seed"),
-        ),
-        on=("plan",),
-    ),
-    "images": _Stage(
-        1, ("source", "detector", "specimen.parts.material", "seed"), on=("executed",)
-    ),
-    "believed": _Stage(
-        1,
-        (
-            *("uncertainty.source", "uncertainty.detector", "uncertainty.encoder_step_deg"),
-            *("uncertainty.calibration", "uncertainty.seed", "seed"),
-        ),
-        on=("executed",),
-    ),
-    # The reconstruction leaves bad pixels out. Before it did so, volumes were different.
-    "volume": _Stage(
-        1,
-        # The reference affects the figures, which are stored with the volume.
-        ("reconstruction", "seed", "detector.bad_pixels", "specimen.reference"),
-        on=("images", "believed"),
-    ),
+    "surface": _Stage(1),
+    "plan": _Stage(1, on=("surface",)),
+    "executed": _Stage(1, on=("plan",)),
+    "images": _Stage(1, on=("executed",)),
+    "believed": _Stage(1, on=("executed",)),
+    "volume": _Stage(1, on=("images", "believed")),
 }
 
 COUNT_FOR_NONE = (
@@ -128,7 +79,7 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     found: dict[StageName, str] = {}
     for name, stage in STAGES.items():
         on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
-        told = _told(scenario, "", lambda key, name=name: _reads(scenario, name, key), content)
+        told = _told(scenario, "", frozenset(), partial(_reads, scenario, name), content)
         text = json.dumps([name, stage.version, on, told, _seed(scenario, name)], sort_keys=True)
         found[name] = hashlib.sha256(text.encode()).hexdigest()
     return found
@@ -146,21 +97,37 @@ def specimen_digest(scenario: Scenario) -> str:
 
 def readers(key: str) -> tuple[StageName, ...]:
     """Return the stages that read a key directly. The key is dotted, without list indices."""
-    return tuple(name for name, stage in STAGES.items() if _matches(key, stage.reads))
+    found = {
+        stage
+        for one, stages in declared(Scenario)
+        if f"{key}.".startswith(f"{one}.")
+        for stage in stages
+    }
+    return tuple(name for name in STAGES if name in found)
 
 
-@cache
-def _matches(key: str, patterns: tuple[str, ...]) -> bool:
-    return any(fnmatchcase(key, p) or fnmatchcase(key, f"{p}.*") for p in patterns)
+def declared(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, frozenset[str]]]:
+    """Yield the dotted keys of a section that declare stages as their readers, with these."""
+    for name, info in model.model_fields.items():
+        if stages := read_by(info):
+            yield f"{prefix}{name}", stages
+        for section in _sections_of(info.annotation):
+            yield from declared(section, f"{prefix}{name}.")
 
 
-def _reads(scenario: Scenario, stage: StageName, key: str) -> bool:
+def _sections_of(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [section for part in get_args(annotation) for section in _sections_of(part)]
+
+
+def _reads(scenario: Scenario, stage: StageName, key: str, readers: frozenset[str]) -> bool:
     arms = scenario.cell.kind == DEFAULT_KIND  # older scenarios have no cell.kind
-    if _matches(key, ("cell.kind",) if arms else _OF_ARMS):
+    if any(f"{key}.".startswith(f"{one}.") for one in (("cell.kind",) if arms else _OF_ARMS)):
         return False
     if key == "source.exposure_ms" and stage == "executed":
         return scenario.source.motion_samples > 1  # otherwise, an exposure takes no time
-    return key not in _SEEDS and _matches(key, STAGES[stage].reads)
+    return key not in _SEEDS and stage in readers
 
 
 def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
@@ -189,7 +156,11 @@ def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
 
 
 def _told(
-    section: Section, key: str, reads: Callable[[str], bool], content: Callable[[Path, str], str]
+    section: Section,
+    key: str,
+    readers: frozenset[str],
+    reads: Callable[[str, frozenset[str]], bool],
+    content: Callable[[Path, str], str],
 ) -> dict[str, Any]:
     """Return the keys of a section that a stage reads and that are not at their defaults.
 
@@ -198,20 +169,20 @@ def _told(
     told: dict[str, Any] = {}
     for name, info in type(section).model_fields.items():
         value = getattr(section, name)
-        inner = f"{key}.{name}" if key else name
+        inner, stages = f"{key}.{name}" if key else name, readers | read_by(info)
         changed_since = any(other.startswith(f"{inner}.") for other in _BEFORE)
         at_default = not changed_since and value == _BEFORE.get(inner, info.default)
         if name not in ("kind", "algorithm") and at_default:
             continue
         if sections := sections_in(value):
-            parts = [_told(item, inner, reads, content) for item in sections]
-            if reads(inner) or any(parts):
+            parts = [_told(item, inner, stages, reads, content) for item in sections]
+            if reads(inner, stages) or any(parts):
                 told[name] = parts
         elif isinstance(value, Section):
-            part = _told(value, inner, reads, content)
-            if part or reads(inner) and not isinstance(info.default, Section):
+            part = _told(value, inner, stages, reads, content)
+            if part or reads(inner, stages) and not isinstance(info.default, Section):
                 told[name] = part
-        elif reads(inner):
+        elif reads(inner, stages):
             is_file = name in FILE_KEYS and value is not None
             told[name] = content(Path(str(value)), name) if is_file else to_jsonable_python(value)
     return told

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, cast
 
 from pydantic import Field, model_validator
 
-from twinct.core.settings import FILE_KEYS, Conflict, ConflictError, Section, setting
+from twinct.core.settings import FILE_KEYS, Conflict, ConflictError, ReadBy, Section, setting
 from twinct.scenario.cell import AnyCell, Cell, GantryCell
 from twinct.scenario.detector import Detector
 from twinct.scenario.evaluation import Evaluation
@@ -41,10 +41,18 @@ class Scenario(Section):
 
     name: str = setting("scan", "Name of the scan in the report and in messages.", min_length=1)
     description: str = setting("", "Purpose of the scan; the report shows it.")
-    seed: int = setting(0, "Seed of all random draws.", ge=0, lt=2**63)
-    source: Source = setting(Source(), "The X-ray source.")
-    detector: Detector = setting(Detector(), "The flat panel.")
-    trajectory: AnyTrajectory = Field(description="Commanded path of source and panel.")
+    seed: int = setting(
+        0,
+        "Seed of all random draws.",
+        ge=0,
+        lt=2**63,
+        read_by=("executed", "images", "believed", "volume"),
+    )
+    source: Source = setting(Source(), "The X-ray source.", read_by="images")
+    detector: Detector = setting(Detector(), "The flat panel.", read_by="images")
+    trajectory: Annotated[AnyTrajectory, ReadBy("plan")] = Field(
+        description="Commanded path of source and panel."
+    )
     specimen: Specimen = Field(description="Specimen to be imaged.")
     cell: AnyCell = setting(Cell(), "The room, with two arms or a gantry.")
     motion: Motion = setting(Motion(), "Motion of the arms; not used with a gantry.")
@@ -52,7 +60,9 @@ class Scenario(Section):
         Uncertainty(), "Differences between commanded, executed and believed poses."
     )
     reconstruction: AnyReconstruction = setting(
-        SECTIONS[DEFAULT_ALGORITHM].model_validate({}), "Reconstruction of the volume."
+        SECTIONS[DEFAULT_ALGORITHM].model_validate({}),
+        "Reconstruction of the volume.",
+        read_by="volume",
     )
     evaluation: Evaluation | None = setting(
         None, "Measurements in the volume, in addition to the figures that every run has."

@@ -148,6 +148,7 @@ class Source(Section):
         "simulated for this time in every view.",
         gt=0,
         le=60_000,
+        read_by="executed",
     )
     motion_samples: int = setting(
         1,
@@ -157,6 +158,7 @@ class Source(Section):
         ge=1,
         le=1000,
         source="1, no blur: the paper",
+        read_by="executed",
     )
     focal_spot: Spot | None = setting(
         None, "Focal spot; null: a point.", source="a point: the paper"

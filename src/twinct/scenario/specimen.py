@@ -15,6 +15,7 @@ from twinct.core.settings import (
     Lengths,
     NonNegative,
     Positive,
+    ReadBy,
     Section,
     Vector,
     setting,
@@ -149,12 +150,19 @@ class Part(Section):
     """One body of one material. Where parts overlap, the later one wins."""
 
     name: str = setting("", "Name in messages; empty: the kind of its shape.")
-    shape: Shape = Field(description="Shape of the part.")
+    shape: Annotated[Shape, ReadBy("surface")] = Field(description="Shape of the part.")
     material: str | Composition = setting(
-        "bone", "A name, or a composition with its density.", source="attenuation: xraylib"
+        "bone",
+        "A name, or a composition with its density.",
+        source="attenuation: xraylib",
+        read_by="images",
     )
-    position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the specimen's frame.")
-    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
+    position_mm: Vector = setting(
+        (0.0, 0.0, 0.0), "Origin in the specimen's frame.", read_by="surface"
+    )
+    rotation_deg: Vector = setting(
+        (0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.", read_by="surface"
+    )
 
     @property
     def specimen_from_part(self) -> Pose:
@@ -172,10 +180,14 @@ class Specimen(Section):
 
     parts: tuple[Part, ...] = Field(min_length=1, description="Bodies, each of one material.")
     reference: str = setting(
-        "", "Name of the part to whose attenuation figures are relative; empty: the largest part."
+        "",
+        "Name of the part to whose attenuation figures are relative; empty: the largest part.",
+        read_by="volume",
     )
-    position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the world.")
-    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
+    position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the world.", read_by="plan")
+    rotation_deg: Vector = setting(
+        (0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.", read_by="plan"
+    )
 
     @model_validator(mode="after")
     def _reference_is_a_part(self) -> Specimen:

@@ -243,20 +243,27 @@ class Uncertainty(Section):
         "Typical errors of a kind of machine; keys that are set here take precedence.",
         source=f"{_OWN_SPLIT}; c_arm: {DALY}",
     )
-    arms: ArmErrors = setting(ArmErrors(), "Differences between the arms and their nominal models.")
-    views: ViewErrors = setting(ViewErrors(), "Errors that differ from view to view.")
-    patient: PatientMotion = setting(PatientMotion(), "Motion of the specimen.")
-    encoder_step_deg: NonNegative = setting(0.0, "Resolution of the joint encoders.")
+    arms: ArmErrors = setting(
+        ArmErrors(), "Differences between the arms and their nominal models.", read_by="executed"
+    )
+    views: ViewErrors = setting(
+        ViewErrors(), "Errors that differ from view to view.", read_by="executed"
+    )
+    patient: PatientMotion = setting(PatientMotion(), "Motion of the specimen.", read_by="executed")
+    encoder_step_deg: NonNegative = setting(
+        0.0, "Resolution of the joint encoders.", read_by="believed"
+    )
     calibration: Path | None = setting(
         None,
         "File of calibrated arms (twinct calibrate --with kinematics), which turn encoder "
         "readings into believed poses. null: the nominal arms do.",
+        read_by="believed",
     )
     source: PoseNoise = setting(
-        PoseNoise(), "Noise of the reported source poses.", source="the paper"
+        PoseNoise(), "Noise of the reported source poses.", source="the paper", read_by="believed"
     )
     detector: PoseNoise = setting(
-        PoseNoise(), "Noise of the reported panel poses.", source="the paper"
+        PoseNoise(), "Noise of the reported panel poses.", source="the paper", read_by="believed"
     )
     seed: int | None = setting(
         None,
@@ -264,6 +271,7 @@ class Uncertainty(Section):
         "other believed poses for the same images.",
         ge=0,
         lt=2**63,
+        read_by="believed",
     )
 
     @model_validator(mode="after")

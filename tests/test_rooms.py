@@ -1,0 +1,75 @@
+"""The rooms of the package: few, named apart, and found by their old names."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from twinct.core.renamed import RENAMED
+
+PACKAGE = Path(__file__).parents[1] / "src" / "twinct"
+MOST_ROOMS = 24
+"""So many names a newcomer can survey."""
+MOST_NAMESAKES = 2
+"""A module name that stands in more rooms says nothing."""
+
+
+def modules() -> dict[str, Path]:
+    return {
+        ".".join(("twinct", *path.relative_to(PACKAGE).with_suffix("").parts)): path
+        for path in PACKAGE.rglob("*.py")
+        if "scripts" not in path.parts
+    }
+
+
+def test_rooms_are_few_and_their_modules_named_apart() -> None:
+    rooms, namesakes = set[str](), defaultdict[str, set[str]](set)
+    for name in modules():
+        _, room, *rest = name.split(".")
+        if rest:
+            rooms.add(room)
+            namesakes[rest[-1]].add(room)
+    del namesakes["__init__"]
+    assert len(rooms) <= MOST_ROOMS
+    assert not {name: at for name, at in namesakes.items() if len(at) > MOST_NAMESAKES}
+
+
+def test_every_old_name_leads_to_a_module() -> None:
+    known = {name.removesuffix(".__init__") for name in modules()}
+    assert not set(RENAMED.values()) - known
+    assert not set(RENAMED) & known
+
+
+OLD = """
+import warnings
+from twinct.scan import SimulationBuilder
+warnings.simplefilter("error")
+for old in ("import twinct.motion.way", "from twinct.scan import Workshop"):
+    try:
+        exec(old)
+    except DeprecationWarning as warning:
+        print(warning)
+warnings.simplefilter("ignore")
+import twinct.motion.way
+from twinct.errors import InputError
+from twinct.motion.way import find_joint_path
+from twinct.runs.view_plan import plan_views
+from twinct.scan import Workshop
+print(find_joint_path.__module__, plan_views.__module__, InputError.__module__)
+print(Workshop is SimulationBuilder)
+"""
+
+
+@pytest.mark.process
+def test_old_names_import_the_same_things_with_a_warning() -> None:
+    result = subprocess.run([sys.executable, "-c", OLD], capture_output=True, text=True)
+    assert result.stdout.splitlines() == [
+        "twinct.motion is now twinct.robots.motion",
+        "twinct.scan.Workshop is now twinct.scan.SimulationBuilder",
+        "twinct.robots.motion.path_search twinct.view_planning.planner twinct.core.errors",
+        "True",
+    ], result.stderr
