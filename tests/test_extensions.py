@@ -173,8 +173,9 @@ def test_a_foreign_figure_is_checked_measured_shown_and_searched_for(
     study.write_text(STUDY.format(file=file))
     searched = twinct(installed, "study", study, "--out", tmp_path / "searched", "--jobs", "1")
     assert searched.returncode == 0, searched.stderr
+    assert (tmp_path / "searched" / "journal.jsonl").read_text().count("tail_rel") == 2
     page = (tmp_path / "searched" / "study.html").read_text(encoding="utf-8")
-    assert "largest errors, middle" in page and "2 trials" in page
+    assert "largest errors, middle" in page and "Best trials" in page, "lower is better"
     # Unused, it leaves no trace: the scenario can be read where it is not installed.
     unused = twinct(installed, "report", out, "--set", "evaluation.tails=[]")
     assert unused.returncode == 0, unused.stderr
