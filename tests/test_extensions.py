@@ -136,6 +136,13 @@ def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) 
     assert "LandweberReconstruction" in schema["$defs"] and "Zigzag" in schema["$defs"]
 
 
+def test_the_page_shows_the_figure_that_is_tested() -> None:
+    code = (HERE / "extension" / "twinct_tiny" / "tails.py").read_text(encoding="utf-8")
+    page = (HERE.parent / "docs" / "figures.md").read_text(encoding="utf-8")
+    assert code.partition("\n\n")[2] in page
+    assert len(code.splitlines()) <= 45
+
+
 STUDY = """\
 scenario: {file}
 search:
