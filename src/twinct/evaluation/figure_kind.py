@@ -56,15 +56,19 @@ class NamedPlaces(Protocol):
     @property
     def grid(self) -> VolumeGrid:
         """Grid of the voxels."""
+        ...
 
     def region(self, name: str) -> Voxels:
         """Return the voxels of a region."""
+        ...
 
     def part(self, name: str) -> Voxels:
         """Return all voxels that a part fills, even partly."""
+        ...
 
     def body(self, name: str) -> RoundBody:
         """Return a region or a part that is a sphere or a cylinder."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,8 @@ class Rows:
     def __init__(self, folder: StudyFolder, study: Study) -> None:
         """Read the rows of earlier runs."""
         self._folder = folder
-        self._figure, self._better = study.ranked_by
+        self._figure, better = study.ranked_by
+        self._badness = BADNESS[better or figure_words(self._figure).best]
         self._journal = Journal(folder.path)
         self.status: dict[str, str] = {}
         self._ranked: dict[str, tuple[float, str]] = {}
@@ -131,7 +132,7 @@ class Rows:
         value = row.figures.get(self._figure)
         if value is None or math.isnan(value):
             return float("inf")
-        return BADNESS[self._better or figure_words(self._figure).best](value)
+        return self._badness(value)
 
 
 def _combination(row: Row) -> str:

@@ -26,8 +26,8 @@ _OVER_NOISE = "over the background's standard deviation"
 
 def _measure(at: Measurement, one: RegionContrast) -> dict[str, float]:
     inner, outer = at.region(one.region), at.region(one.against)
-    values = (voxels.of(array) for array in (at.volume, at.truth) for voxels in (inner, outer))
-    return contrast(*values, at.mu_reference).as_dict()
+    values, true = ((inner.of(array), outer.of(array)) for array in (at.volume, at.truth))
+    return contrast(*values, *true, at.mu_reference).as_dict()
 
 
 CONTRASTS = FigureKind(
