@@ -174,8 +174,8 @@ def test_what_the_grid_does_not_hold_is_told_before_any_work(scenario: Scenario)
     part = "specimen.parts.2.position_mm=[0, 0, 400]"
     assert [problem.split(":")[0] for problem in told(part)] == [
         "evaluation.regions.2.shape.part",
-        "evaluation.mtf.1.at",
         "evaluation.streaks.0.part",
+        "evaluation.mtf.1.at",
     ]
     small = "specimen.parts.1.shape.radius_mm=1.5"
     assert (
