@@ -123,6 +123,7 @@ def twinct(installed: Path, *arguments: str | Path) -> subprocess.CompletedProce
 
 @pytest.mark.tutorial
 @pytest.mark.process
+@pytest.mark.ros
 def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) -> None:
     checked = twinct(installed, "check", scenario)
     assert checked.returncode == 0, checked.stderr
@@ -130,7 +131,8 @@ def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) 
     assert "'hopeless' of hopeless 0.3 cannot be used: OSError: its library is gone" in (
         checked.stderr
     )
-    done = twinct(installed, "run", scenario, "--out", scenario.parent / "out", "--link", "local")
+    # Over ROS 2 its nodes find it, too.
+    done = twinct(installed, "run", scenario, "--out", scenario.parent / "out", "--link", "ros2")
     assert done.returncode == 0, done.stderr
     schema = json.loads(twinct(installed, "schema").stdout)
     assert "LandweberReconstruction" in schema["$defs"] and "Zigzag" in schema["$defs"]
@@ -187,14 +189,6 @@ def test_a_foreign_figure_is_checked_measured_shown_and_searched_for(
     unused = twinct(installed, "report", out, "--set", "evaluation.tails=[]")
     assert unused.returncode == 0, unused.stderr
     assert "tails" not in (out / "scenario.yaml").read_text() + (out / "metrics.json").read_text()
-
-
-@pytest.mark.tutorial
-@pytest.mark.process
-@pytest.mark.ros
-def test_the_nodes_find_it_too(installed: Path, scenario: Path) -> None:
-    done = twinct(installed, "run", scenario, "--out", scenario.parent / "out", "--link", "ros2")
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.tutorial

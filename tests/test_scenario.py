@@ -54,7 +54,7 @@ def test_overrides_and_their_errors() -> None:
     assert load_scenario(DEMO, ["specimen.parts.0.name=me"]).specimen.parts[0].name == "me"
     assert "did you mean 'columns'" in problems("detector.colums=3")
     assert "expected KEY=VALUE" in problems("detector.columns")
-    assert "list of 1: '3'" in problems("specimen.parts.3.name=x")
+    assert "list of length 1; '3'" in problems("specimen.parts.3.name=x")
     assert "--set source.energy_kev=hot" in problems("source.energy_kev=hot")
 
 

@@ -40,8 +40,8 @@ from std_srvs.srv import Trigger
 from twinct.core.errors import TwinctError
 from twinct.geometry.wire import Instant, Reached, Target
 from twinct.link import Domain, RosRig, messages
-from twinct.link.messages import Stamp
 from twinct.link.rig import NODE_COMMAND
+from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import (
     CLOCK,
     COMMANDED,
@@ -80,7 +80,7 @@ class Attacker:
     def __init__(self, told):
         self.told, self.rng = told, random.Random(told["seed"])
         self.scenario = parse_scenario(told["scenario"])
-        self.epoch = messages.Epoch.parse(told["epoch"])
+        self.epoch = Epoch.parse(told["epoch"])
         self.targets = [messages.target_of(self.poses(p)) for p in told["targets"]]
         self.context = Context()
         rclpy.init(
@@ -102,9 +102,11 @@ class Attacker:
 
     def say(self, topic, message):
         """Publish a message on a topic."""
-        key = topic.name, topic.kind
+        key = topic.name, topic.message_class
         if key not in self.publishers:
-            self.publishers[key] = self.node.create_publisher(topic.kind, topic.name, LATCHED)
+            self.publishers[key] = self.node.create_publisher(
+                topic.message_class, topic.name, LATCHED
+            )
         self.publishers[key].publish(message)
 
     def stamps(self):
@@ -164,7 +166,7 @@ class Attacker:
     def empty(self):
         """Publish an empty message on every topic."""
         for topic in TOPICS:
-            self.say(topic, topic.kind())
+            self.say(topic, topic.message_class())
 
     def types(self):
         """Publish messages of another type on every topic."""
@@ -176,7 +178,7 @@ class Attacker:
                 signal_handler_options=SignalHandlerOptions.NO,
             )
             node = rclpy.create_node("other_types", context=context)
-            kinds = {t.name: Image if t.kind is String else String for t in TOPICS}
+            kinds = {t.name: Image if t.message_class is String else String for t in TOPICS}
             self.second = [
                 (node.create_publisher(kind, name, LATCHED), kind) for name, kind in kinds.items()
             ]
@@ -206,13 +208,13 @@ class Attacker:
         """Publish hundreds of messages at once on one topic."""
         topic = self.rng.choice((*ANSWERS, TARGET, DIAGNOSTICS))
         for _ in range(300):
-            self.say(topic, topic.kind())
+            self.say(topic, topic.message_class())
 
     def flood_plan(self):
         """Publish dozens of messages at once on each topic of the plan."""
         for topic in (PLAN, PLAN_VIEWS, COMMANDED):
             for _ in range(30):
-                self.say(topic, topic.kind())
+                self.say(topic, topic.message_class())
 
     def big(self):
         """Publish an image of 9 MB."""
@@ -259,8 +261,8 @@ class Attacker:
         """Publish empty plans with the correct stamp."""
         stamp = self.epoch.at(0)
         for topic in (PLAN, PLAN_VIEWS, COMMANDED):
-            message = topic.kind()
-            message.header.stamp = stamp.time
+            message = topic.message_class()
+            message.header.stamp.sec, message.header.stamp.nanosec = stamp
             self.say(topic, message)
 
     def clocks(self):
@@ -280,7 +282,8 @@ class Attacker:
         if not hasattr(self, "deaf_readers"):
             self.deaf_readers = True
             for topic in TOPICS:
-                self.node.create_subscription(topic.kind, topic.name, lambda _: None, LATCHED)
+                kind = topic.message_class
+                self.node.create_subscription(kind, topic.name, lambda _: None, LATCHED)
         time.sleep(0.5)
 
     def own_name(self):
@@ -291,8 +294,8 @@ class Attacker:
     def run(self):
         """Run the attack that a line of stdin names until the next line; report its start."""
         for topic in TOPICS:
-            self.publishers[topic.name, topic.kind] = self.node.create_publisher(
-                topic.kind, topic.name, LATCHED
+            self.publishers[topic.name, topic.message_class] = self.node.create_publisher(
+                topic.message_class, topic.name, LATCHED
             )
         deadline = time.monotonic() + FOUND_S
         while time.monotonic() < deadline and not self.found():
@@ -314,7 +317,8 @@ class Attacker:
 
     def found(self):
         """Return True if the scan subscribes to all topics that answer a target."""
-        return all(self.publishers[t.name, t.kind].get_subscription_count() for t in ANSWERS)
+        keys = [(topic.name, topic.message_class) for topic in ANSWERS]
+        return all(self.publishers[key].get_subscription_count() for key in keys)
 
 
 KINDS = {
@@ -385,7 +389,7 @@ class Attacked:
             "seed": seed,
             "domain": self.domain.id,
             "scenario": json.loads(scenario.resolved()),
-            "epoch": str(messages.Epoch.of(scenario)),
+            "epoch": str(Epoch.of(scenario)),
             "targets": [(t.source_m, t.detector_m) for t in SimulationBuilder(scenario).targets],
             "taken_s": taken_s.tolist(),
         }

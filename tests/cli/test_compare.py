@@ -37,7 +37,7 @@ def test_runs_of_before_are_compared(
         (["local", "local"], "page.html", ["local: given twice"]),
         (["local"], "page.html", ["1 folders: at least two"]),
         (["local", "none", "nor"], "page.html", ["none holds no", "nor holds no"]),
-        (["local", "ros2"], "page.pdf", ["a page is an HTML file: name it page.html"]),
+        (["local", "ros2"], "page.pdf", ["a page must be an HTML file: name it page.html"]),
         (["local", "ros2"], ".", ["this is a folder"]),
     ],
 )

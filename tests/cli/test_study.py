@@ -60,7 +60,7 @@ def test_a_dry_run_shows_the_trials_and_what_they_take(study, tmp_path, capfd) -
 def test_of_many_trials_the_first_are_shown(study, capfd) -> None:
     assert study("repetitions: {number: 100, key: uncertainty.seed}", "--dry-run") == 0
     out = capfd.readouterr().out
-    assert "... and 60 more" in out and "100 trials to try; 1 scan" in out
+    assert "... and 60 more" in out and "100 trials to run; 1 scan" in out
 
 
 def test_a_dry_run_of_a_search_shows_its_first_batch(study, capfd) -> None:

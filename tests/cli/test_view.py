@@ -22,8 +22,8 @@ DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")
         (["{tmp}", "--set", "seed=1"], "a run is shown as it is"),
         ([DEMO, "--host", "0.0.0.0"], "has no password"),
         ([DEMO, "--port", "{taken}"], "the port is in use"),
-        ([DEMO, "--export", "page.txt"], "--export page.txt: a page is an HTML file"),
-        ([DEMO, "--movie", "film.avi"], "--movie film.avi: a film is an MP4 file"),
+        ([DEMO, "--export", "page.txt"], "--export page.txt: a page must be an HTML file"),
+        ([DEMO, "--movie", "film.avi"], "--movie film.avi: a film must be an MP4 file"),
         ([DEMO, "--export", "{tmp}"], "this is a folder"),
     ],
 )

@@ -16,18 +16,12 @@ from waiting import HANG_S, until
 from twinct.core.errors import LinkError, TargetRefusedError
 from twinct.geometry.wire import Target
 from twinct.link import RosRig
-from twinct.link.messages import (
-    Epoch,
-    Stamp,
-    diagnostic_values,
-    executed_of,
-    image_of,
-    target_message,
-)
+from twinct.link.messages import diagnostic_values, executed_of, image_of, target_message
 from twinct.link.node import Ledger, RefusedError
 from twinct.link.processes import NodeProcess
 from twinct.link.robots_node import Turns
 from twinct.link.senders import participant_of
+from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import IMAGE
 from twinct.scan import SimulationBuilder
 

@@ -14,8 +14,9 @@ from std_srvs.srv import Trigger
 
 from twinct.geometry import Pose
 from twinct.geometry.wire import Target
-from twinct.link.messages import Stamp, diagnostic_values, executed_of, target_message
+from twinct.link.messages import diagnostic_values, executed_of, target_message
 from twinct.link.processes import NodeProcess
+from twinct.link.stamps import Stamp
 from twinct.scan import SimulationBuilder
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]

@@ -9,9 +9,9 @@ from std_msgs.msg import String
 
 from twinct.geometry import Pose
 from twinct.link import messages
-from twinct.link.messages import Epoch, Stamp
 from twinct.link.robots_node import RobotsNode, Turns
 from twinct.link.senders import Sender
+from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import CLOCK, DESCRIPTION, JOINTS, REACHED, TARGET, VIEWS
 from twinct.robots.cell import build_cell, cell_urdf
 from twinct.robots.motion import RobotSimulation, Shutter, plan_motion

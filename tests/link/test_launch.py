@@ -11,8 +11,8 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from twinct.geometry import Pose
-from twinct.link import messages
-from twinct.link.messages import Stamp
+from twinct.link import messages, plain
+from twinct.link.stamps import Stamp
 from twinct.link.topics import DESCRIPTION, TOPICS
 from twinct.robots.cell import build_cell, cell_urdf
 from twinct.scenario import Cell, Detector
@@ -69,7 +69,7 @@ def test_the_launch_file_starts_both_on_the_scans_clock(nodes):
 def test_rviz_shows_what_there_is_as_it_is_published(nodes, rviz):
     [(mine, room)] = ast.literal_eval(nodes["robot_state_publisher"]["remappings"])
     assert mine == DESCRIPTION.name.removeprefix("/")
-    kinds = {topic.name: topic.kind for topic in TOPICS} | {room: String}
+    kinds = {topic.name: topic.message_class for topic in TOPICS} | {room: String}
     assert room not in {topic.name for topic in TOPICS}
     shown = 0
     for display in rviz["Displays"]:
@@ -90,7 +90,7 @@ def test_frames_are_those_of_robot_description_and_messages(rviz, links):
     grid = {d["Reference Frame"] for d in rviz["Displays"] if "Reference Frame" in d}
     view = rviz["Views"]["Current"]["Target Frame"]
     assert {*named, *grid, view, rviz["Global Options"]["Fixed Frame"]} <= links
-    assert {messages.WORLD_FRAME, messages.IMAGE_FRAME, "source", "detector"} <= links
+    assert {plain.WORLD, plain.OPTICAL, "source", "detector"} <= links
     assert messages.target_message(Stamp(0, 0), _anywhere()).header.frame_id in links
 
 

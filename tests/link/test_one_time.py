@@ -8,9 +8,9 @@ import pytest
 from twinct.core.errors import TwinctError
 from twinct.geometry import Pose
 from twinct.link import messages
-from twinct.link.messages import Epoch, Stamp
 from twinct.link.robots_node import RobotsNode, Turns
 from twinct.link.senders import Sender
+from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import (
     CAMERA,
     CLOCK,

@@ -16,10 +16,11 @@ pytest.importorskip("rclpy")
 from twinct.geometry import Pose
 from twinct.geometry.wire import Target
 from twinct.link.joint_trajectory import PARTS, PlanListener, plan_messages, plan_of, publish_plan
-from twinct.link.messages import MalformedError, Stamp
+from twinct.link.messages import MalformedError
 from twinct.link.node import Diagnostics
 from twinct.link.participant import Station
 from twinct.link.senders import Members
+from twinct.link.stamps import Stamp
 from twinct.link.topics import COMMANDED, PLAN, PLAN_VIEWS, SCAN
 from twinct.robots.motion import MotionPlan
 

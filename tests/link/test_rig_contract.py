@@ -111,11 +111,9 @@ def test_contract(make, scenario, targets, fakes, fake_command, notes):
 
 
 @pytest.mark.tutorial
-@pytest.mark.parametrize("physics", [False, True], ids=["ideal", "physics"])
-def test_real_engines_give_the_same_bits_over_both_links_and_after_a_resume(short, physics):
-    if physics:
-        short = parse_scenario(json.loads(short.resolved()) | PHYSICS)
-    builder = SimulationBuilder(short)
+def test_real_engines_give_all_physics_the_same_bits_over_both_links_and_after_a_resume(short):
+    """Compare both; less physics is in ``test_same_bytes.py`` and ``runs/test_planned.py``."""
+    builder = SimulationBuilder(parse_scenario(json.loads(short.resolved()) | PHYSICS))
     targets, over_ros = builder.targets, ros_rigs()
     local = take(local_rig(builder, 0, None), targets)
     ros = take(over_ros(builder, 0, None), targets)

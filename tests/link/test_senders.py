@@ -11,10 +11,10 @@ from waiting import HANG_S, until
 
 from twinct.core.errors import LinkError
 from twinct.link import RosRig, messages
-from twinct.link.messages import Stamp
 from twinct.link.node import Diagnostics
 from twinct.link.participant import Station
 from twinct.link.senders import Members
+from twinct.link.stamps import Stamp
 from twinct.link.topics import IMAGE, JOINTS, REACHED, STATE, VIEWS
 from twinct.scan import LocalRig
 
@@ -97,7 +97,7 @@ class Forger:
         self.stranger, self.rig, self.fakes = stranger, rig, fakes
         self.shape = scenario.detector.panel.shape
         self.out = {
-            topic: stranger.node.create_publisher(topic.kind, topic.name, LATCHED)
+            topic: stranger.node.create_publisher(topic.message_class, topic.name, LATCHED)
             for topic in TOPICS
         }
         self.diagnostics = stranger.listen("/diagnostics", DiagnosticArray)
@@ -217,7 +217,7 @@ def test_an_answer_that_does_not_come_names_the_strangers(
             with notes.renders_held(1):
                 rig.move(1, targets[1])
                 patch.undo()
-                with pytest.raises(LinkError, match=f"no image of view 1 .*'{NAME}', not of th"):
+                with pytest.raises(LinkError, match=f"no image for view 1 .*'{NAME}', which is"):
                     rig.expose(1)
 
 

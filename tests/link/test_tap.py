@@ -71,7 +71,9 @@ class Independent:
         self.spoken = [topic for topic in TOPICS if topic.name != "/robot_description"]
         for topic in self.spoken:
             keep = self.heard[topic.name].append
-            self.node.node.create_subscription(topic.kind, topic.name, keep, latched, raw=True)
+            self.node.node.create_subscription(
+                topic.message_class, topic.name, keep, latched, raw=True
+            )
 
     def meet(self):
         """Hear the first view, and so of every speaker: from then on nothing is missed."""

@@ -20,8 +20,8 @@ def test_each_topic_has_its_row_with_type_and_speaker():
     assert told.pop(HOME) == ("std_srvs", "Trigger", "anybody")
     assert told == {
         topic.name: (
-            topic.kind.__module__.partition(".")[0],
-            topic.kind.__name__,
+            topic.kind.partition("/")[0],
+            topic.kind.rpartition("/")[2],
             SPEAKERS[topic.owner],
         )
         for topic in TOPICS

@@ -96,10 +96,10 @@ def test_either_engine_can_be_asked_for(pair, monkeypatch):
     monkeypatch.setenv(engine.ENGINE_VARIABLE, "plain")
     assert Projector(geometry, grid).kernels is pair[1].kernels
     assert Projector(geometry, grid, engine="vector").kernels is pair[0].kernels
-    with pytest.raises(InputError, match="engine is 'fast': vector or plain needed"):
+    with pytest.raises(InputError, match="engine is 'fast'; it must be vector or plain"):
         Projector(geometry, grid, engine="fast")
     monkeypatch.setenv(engine.ENGINE_VARIABLE, "slow")
-    with pytest.raises(InputError, match="TWINCT_ENGINE is 'slow': vector or plain needed"):
+    with pytest.raises(InputError, match="TWINCT_ENGINE is 'slow': it must be vector or plain"):
         Projector(geometry, grid)
 
 

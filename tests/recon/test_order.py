@@ -52,7 +52,7 @@ def test_named_orders_and_seeds(random_geometry, turned_grid, panel):
     assert not np.array_equal(run(order="random", rng=5), run(order="random", rng=6))
     with pytest.raises(InputError, match="needs rng"):
         run(order="random")
-    with pytest.raises(InputError, match="order is 'spiral': golden, sequential"):
+    with pytest.raises(InputError, match="order is 'spiral'; it must be golden, sequential"):
         run(order="spiral")
 
 

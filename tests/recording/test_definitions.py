@@ -4,7 +4,7 @@ import re
 import pytest
 
 from twinct.link.recording.definitions import _FIELDS, definition
-from twinct.link.recording.topics import KINDS
+from twinct.link.topics import KINDS
 
 CALLED = {"double": "float64", "float": "float32", "octet": "byte", "boolean": "bool"}
 """What a ``.msg`` file calls the types that the classes name."""

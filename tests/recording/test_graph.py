@@ -4,9 +4,9 @@ from collections import Counter
 
 from twinct.link.recording.graph import PARTS, GraphRecorder
 from twinct.link.recording.reader import Recording, Said
-from twinct.link.recording.topics import IMAGE, KINDS, REACHED
 from twinct.link.senders import Raw
 from twinct.link.tap import Heard
+from twinct.link.topics import IMAGE, KINDS, REACHED
 
 
 def test_an_image_asked_for_again_is_written_each_time(take, tmp_path):

@@ -12,7 +12,7 @@ from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.link.recording import Recorded
 from twinct.link.recording.bag import Bag
-from twinct.link.recording.topics import IMAGE, JOINTS, REACHED, STATE
+from twinct.link.topics import IMAGE, JOINTS, REACHED, STATE
 from twinct.runs import import_scan
 from twinct.scan import ScanStore
 from twinct.scenario import load_scenario
@@ -126,7 +126,7 @@ def test_bad_input(take, taken, tmp_path):
         ([empty], "empty.mcap is not an MCAP file"),
         ([tmp_path / "none.mcap"], "none.mcap: cannot be read: No such file"),
         ([early], "early.mcap was cut off"),
-        ([joints], "without /scan/reached, /xray/camera_info, /xray/image nothing can be"),
+        ([joints], "nothing can be imported without /scan/reached, /xray/camera_info, /xray/image"),
         ([own, other], "belongs to another scan than"),
         ([newer], "'twinct recording 2'; this twinct reads 'twinct recording 1'"),
     ]:

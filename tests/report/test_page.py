@@ -231,7 +231,7 @@ def test_known_implants_are_told_of_each_reconstruction(report, undrawn) -> None
     metrics = report.metrics | {"implants": [screw], "reconstructions": kept}
     text = render_report(replace(report, metrics=metrics), undrawn)
     table = text[text.index("Known implants") :]
-    for part in ("jaw screw", "the run&#39;s own", "-31.26 (0.02)", "1.23", "4.32", "0.912"):
+    for part in ("jaw screw", "main reconstruction", "-31.26 (0.02)", "1.23", "4.32", "0.912"):
         assert part in table or part.replace("-", "−") in table, part
     assert table.count("jaw screw") == 2 and "<td>sart-2</td>" in table and "1.50" in table
     assert "Known implants" not in render_report(report, undrawn)

@@ -78,8 +78,14 @@ def test_what_is_set_of_the_source_is_said(source, said):
         ({"point_spread": {"kind": "gaussian", "sigma_mm": 0.3}}, "spread, sigma 0.3 mm"),
         ({"point_spread": {"kind": "mtf", "path": "a/m.txt"}}, "MTF m.txt"),
         ({"noise": {"kind": "snr", "snr": 50.0}}, "SNR 50"),
-        ({"readout": {"electronic_noise": 2.0}}, "16 bit, free beam 50000 above 500; electronic"),
-        ({"readout": {"bits": None, "saturation": 6e4}}, "fractions, free beam 50000 above 500; s"),
+        (
+            {"readout": {"electronic_noise": 2.0}},
+            "16 bit, free beam 50000 above an offset of 500; electronic",
+        ),
+        (
+            {"readout": {"bits": None, "saturation": 6e4}},
+            "fractions, free beam 50000 above an offset of 500; s",
+        ),
         ({"bad_pixels": {"kind": "random", "share": 0.01}}, "1 % bad pixels"),
         ({"bad_pixels": {"kind": "file", "path": "a/b.npy"}}, "bad pixels b.npy"),
         ({"lag": 0.05}, "lag 5 %"),

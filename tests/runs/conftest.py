@@ -34,3 +34,10 @@ def tiny(tiny_keys: list[str]) -> Callable[..., Scenario]:
 def finished(tiny: Callable[..., Scenario], tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run of it; its folder must stay as it is."""
     return run(tiny(), tmp_path_factory.mktemp("run") / "out", link="local")
+
+
+@pytest.fixture
+def unreported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the report of a run out, which takes longest to draw; its figures are there."""
+    monkeypatch.setattr("twinct.runs.reporting.draw_pictures", lambda _: {})
+    monkeypatch.setattr("twinct.runs.reporting.write_report", lambda *_: None)

@@ -17,7 +17,7 @@ from twinct.recon.algorithms import algorithms
 from twinct.runs import Run, derive_geometry, reconstruct_again, report_again, verify
 from twinct.runs.reconstruction_folder import Reconstruction
 from twinct.scan import NamedGeometry
-from twinct.scenario import Scenario, load_scenario
+from twinct.scenario import SECTIONS, Scenario, load_scenario
 from twinct.uncertainty import believed_poses
 
 AFFINE_MM = 1e-5
@@ -224,19 +224,22 @@ def test_a_run_has_three_geometries(tiny, tmp_path: Path) -> None:
 
 
 @pytest.mark.tutorial
-@pytest.mark.parametrize("voxels", ["16", "[10, 12, 14]"])
+@pytest.mark.usefixtures("unreported")
 def test_each_algorithm_gives_the_volume_of_a_fresh_run(
-    tiny_keys: list[str], tmp_path: Path, voxels: str, monkeypatch: pytest.MonkeyPatch
+    tiny_keys: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     circle = ["cell={kind: gantry}", "trajectory={kind: circle, views: 12}"]  # as fdk needs it
     asked = run(load_scenario(DEMO, [*tiny_keys, *circle]), tmp_path / "asked", link="local")
-    # What is drawn and written of a result is the other tests' matter, and takes longest.
+    # What is written of a result is the other tests' matter.
     monkeypatch.setattr("twinct.runs.job.write_results", lambda *_: None)
     monkeypatch.setattr("twinct.runs.reconstruction.report_again", lambda *_: None)
     names = sorted(algorithms())
     assert len(names) >= 7
     for name in names:
-        section = f"algorithm: {name}, geometry: believed, grid: {{voxels: {voxels}, voxel_mm: 9}}"
+        section = f"algorithm: {name}, geometry: believed, "
+        section += "grid: {voxels: [10, 12, 14], voxel_mm: 9}"
+        if "iterations" in SECTIONS[name].model_fields:
+            section += ", iterations: 3"
         if name == "prior_tv":
             section += f", prior: {{path: {asked.paths.volume}}}"
         more = [f"reconstruction={{{section}}}"]

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinct import run
 from twinct.core.errors import InputError
 from twinct.runs import acquire_to_store, machine_frames, verify
 from twinct.scan import ScanStore, SimulationBuilder, local_rig
@@ -51,8 +50,11 @@ def test_they_are_those_that_the_transmission_came_from(
 @pytest.mark.process
 @pytest.mark.tutorial
 def test_over_ros_too(tiny: Callable[..., Scenario], tmp_path: Path) -> None:
-    found = run(tiny(*KEYS, KEEP), tmp_path / "out", link="ros2")
-    same_as_rendered_again(ScanStore(found.paths.scan), SimulationBuilder(found.scenario))
+    from twinct.link import ros_rigs
+
+    builder = SimulationBuilder(tiny(*KEYS, KEEP))
+    store = acquire_to_store(builder, tmp_path / "scan.zarr", ros_rigs(), resume=False)
+    same_as_rendered_again(store, builder)
 
 
 def test_none_are_kept_unasked(tiny: Callable[..., Scenario], tmp_path: Path) -> None:

@@ -54,6 +54,7 @@ def test_the_truth_lies_beside_the_volume_on_its_grid(finished: Run) -> None:
 
 
 @pytest.mark.tutorial
+@pytest.mark.usefixtures("unreported")
 @pytest.mark.parametrize("key", ["algorithm", "grid"])
 def test_resuming_with_other_settings_makes_what_a_fresh_run_makes(
     key: str, tiny: Tiny, finished: Run, tmp_path: Path

@@ -236,7 +236,7 @@ def test_a_search_in_a_family_goes_on_where_it_was_stopped(
 
 def test_paths_that_cannot_be_had_are_told_with_the_nearest(file: Path, tmp_path: Path) -> None:
     dose = "task.dose={part: lens, at_most_rel: 0.01}"
-    with pytest.raises(InputError, match=r"nearest, with tilt_deg .* of dose, .* at most"):
+    with pytest.raises(InputError, match=r"nearest, with tilt_deg .*, has dose = .*, at most"):
         plan_views(file, tmp_path / "out", [*FAMILY, dose])
 
 

@@ -180,19 +180,20 @@ def test_a_worker_that_is_killed_is_replaced(command, undisturbed) -> None:
     assert not alive(command.mark) and not (command.out / "work").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=lambda number: number.name)
-def test_a_driver_that_ends_leaves_no_process_and_its_study_goes_on(
-    command, undisturbed, number
-) -> None:
-    process = command.start()
-    command.let(3)
-    command.at_work(4, rows=3)
-    os.kill(process.pid, number)
-    said = process.communicate(timeout=HANG_S)[1]
-    assert process.returncode == (-number if number == signal.SIGKILL else 1)
-    assert "Traceback" not in said
-    until(lambda: not alive(command.mark))
-    assert command.ended == 3
+def test_drivers_that_end_leave_no_process_and_their_study_goes_on(command, undisturbed) -> None:
+    """Kill the first with three rows, interrupt the next with six."""
+    begun = 0
+    for ended, number, code in ((3, signal.SIGKILL, -signal.SIGKILL), (6, signal.SIGINT, 1)):
+        process = command.start(*(["--resume"] if begun else []))
+        command.let(3)
+        begun += 4  # the last one waits
+        command.at_work(begun, rows=ended)
+        os.kill(process.pid, number)
+        said = process.communicate(timeout=HANG_S)[1]
+        assert process.returncode == code
+        assert "Traceback" not in said
+        until(lambda: not alive(command.mark))
+        assert command.ended == ended
     command.let(12)  # more than are needed: it takes none twice
     succeeds(command.start("--resume"))
     pd.testing.assert_frame_equal(rows(command.out), undisturbed)

@@ -47,7 +47,7 @@ def test_seven_times_is_seven_times_as_far_and_as_turned(pair: Pair) -> None:
 
 def test_other_views_cannot_be_compared(pair: Pair) -> None:
     true, taken = pair
-    with pytest.raises(ValueError, match="5 and 3 views"):
+    with pytest.raises(ValueError, match="5 views with 3"):
         magnified(true, taken[:3], 2.0)
 
 

@@ -118,7 +118,7 @@ def test_what_is_no_image_at_all_is_said_in_our_words(tmp_path, name):
     ("spot", "reason"),
     [
         ({"kind": "gaussian", "sigma_mm": 38.0}, "sigma_mm: a spot 152 mm wide .* at most 150 mm"),
-        ({"kind": "square", "size_mm": (1.0, 151.0)}, "size_mm: a spot 151 mm wide is none"),
+        ({"kind": "square", "size_mm": (1.0, 151.0)}, "size_mm: a spot 151 mm wide is too wide"),
     ],
 )
 def test_a_spot_as_large_as_the_setup_is_none(tmp_path, spot, reason):

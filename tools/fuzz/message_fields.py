@@ -23,12 +23,13 @@ from twinct.core.errors import InputError, TwinctError
 from twinct.geometry.wire import Reached
 from twinct.link import messages
 from twinct.link.joint_trajectory import PARTS, PlanListener
-from twinct.link.messages import Epoch, MalformedError, Stamp
+from twinct.link.messages import MalformedError
 from twinct.link.node import Diagnostics
 from twinct.link.recording.bag import Bag
 from twinct.link.rig import RosRig
 from twinct.link.robots_node import RobotsNode, Turns
 from twinct.link.senders import Members, Sender
+from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import (
     DIAGNOSTICS,
     IMAGE,
@@ -121,7 +122,7 @@ class _Recorded:
 
 
 def _message(topic: Topic, data: bytes) -> Any:
-    return deserialize_message(data, topic.kind)
+    return deserialize_message(data, topic.message_class)
 
 
 def _stamp(message: Any) -> Stamp | None:
@@ -251,7 +252,7 @@ class _Out:
         self.topic, self.sent = topic, list[Any]()
 
     def publish(self, message: Any) -> None:
-        self.sent.append(deserialize_message(serialize_message(message), self.topic.kind))
+        self.sent.append(deserialize_message(serialize_message(message), self.topic.message_class))
 
     def get_subscription_count(self) -> int:
         return 9

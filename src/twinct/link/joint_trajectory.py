@@ -10,46 +10,30 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from diagnostic_msgs.msg import DiagnosticArray
+from trajectory_msgs.msg import JointTrajectory
 
-from twinct.link import messages
-from twinct.link.messages import OK, MalformedError, Stamp
+from twinct.link import messages, plain
+from twinct.link.messages import MalformedError, ros_message
 from twinct.link.node import Diagnostics
 from twinct.link.participant import Station
 from twinct.link.senders import Members, Sender
+from twinct.link.stamps import Stamp
 from twinct.link.topics import COMMANDED, PLAN, PLAN_VIEWS, SCAN, Topic
 from twinct.robots.motion import MotionPlan
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
 
-_NANO = 1_000_000_000
 PARTS = (PLAN, PLAN_VIEWS, COMMANDED)
 
 
 def plan_messages(stamp: Stamp, plan: MotionPlan) -> dict[Topic, Any]:
     """Return by topic: the points; the digest and each view's point; the poses of each view."""
-    points = []
-    for time_s, (position, velocity, acceleration) in zip(plan.time_s, plan.state, strict=True):
-        sec, nanosec = divmod(round(time_s * _NANO), _NANO)
-        points.append(
-            JointTrajectoryPoint(
-                positions=messages.doubles(position),
-                velocities=messages.doubles(velocity),
-                accelerations=messages.doubles(acceleration),
-                time_from_start=Duration(sec=sec, nanosec=nanosec),
-            )
-        )
-    values = {"digest": plan.digest, "points": " ".join(map(str, plan.waypoints.tolist()))}
-    text = "the point that exposes each view"
-    commanded = messages.targets_message(stamp, plan.targets)
     return {
-        PLAN: JointTrajectory(
-            header=commanded.header, joint_names=list(plan.joint_names), points=points
-        ),
-        PLAN_VIEWS: messages.diagnostic_message(stamp, SCAN, OK, text, values),
-        COMMANDED: commanded,
+        PLAN: ros_message(JointTrajectory, plain.trajectory(stamp, plan)),
+        PLAN_VIEWS: ros_message(DiagnosticArray, plain.plan_views(stamp, plan)),
+        COMMANDED: messages.targets_message(stamp, plan.targets),
     }
 
 
@@ -70,7 +54,7 @@ def plan_of(got: dict[Topic, Any]) -> MotionPlan:
         targets = messages.targets_of(got[COMMANDED])
         plan = MotionPlan(
             joint_names=tuple(got[PLAN].joint_names),
-            time_s=np.array([(t.sec * _NANO + t.nanosec) / _NANO for t in since]),
+            time_s=np.array([Stamp.of(t).time_s for t in since]),
             state=np.array([(p.positions, p.velocities, p.accelerations) for p in points]),
             views=views,
             targets=targets,

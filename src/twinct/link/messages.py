@@ -1,9 +1,5 @@
-"""Conversion between data of the simulations and standard ROS 2 messages, number by number.
+"""Standard ROS 2 messages of a scan, made from plain data, and checks of received ones.
 
-No number is recomputed, so that both links give bit-identical geometries and images. A target's
-``header.stamp`` identifies its view. An answer's stamp is the simulated time in the middle of the
-exposure; ``/scan/views`` links the two. ``Float64MultiArray`` has no header:
-``layout.dim[0].label`` holds its stamp as ``SECONDS.NANOSECONDS``, with nine digits of nanoseconds.
 Functions that read or check a message raise ``MalformedError`` if its content does not fit its
 topic.
 """
@@ -12,113 +8,59 @@ from __future__ import annotations
 
 import array
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from geometry_msgs.msg import Pose, PoseArray
 from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
-from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray
 
 from twinct.geometry import ScanGeometry
 from twinct.geometry.wire import Instant, JointSample, Reached, SevenNumbers, Target, from_seven
-from twinct.scenario import Scenario, stage_digests
+from twinct.link import plain
+from twinct.link.plain import Message
+from twinct.link.stamps import Stamp
+from twinct.link.topics import message_class
 
-WORLD_FRAME = "world"
-IMAGE_FRAME = "detector_optical"
-"""Frame at the source; x along u, z from the source towards the panel and normal to it."""
-IMAGE_ENCODING, DISPLAY_ENCODING = "32FC1", "mono8"
-_NANO = 1_000_000_000
+M = TypeVar("M")
 
 
 class MalformedError(ValueError):
     """A message whose content does not fit its topic."""
 
 
-class Stamp(NamedTuple):
-    """``header.stamp``: the view of a target, or the time of an answer's image."""
+def ros_message(kind: type[M], fields: Message) -> M:
+    """Return a ROS message from plain data; fields that are not given keep their default.
 
-    sec: int
-    nanosec: int
-
-    @classmethod
-    def of(cls, time: Time) -> Stamp:
-        """Build from a message's time."""
-        return cls(time.sec, time.nanosec)
-
-    @classmethod
-    def at(cls, time_s: float) -> Stamp:
-        """Build from a simulated time."""
-        return cls(*divmod(round(time_s * _NANO), _NANO))
-
-    @classmethod
-    def parse(cls, text: str) -> Stamp:
-        """Invert ``str``; raise ``ValueError`` unless the text is ``SECONDS.NANOSECONDS``."""
-        sec, point, nanosec = text.partition(".")
-        if not (point and sec.isdigit() and nanosec.isdigit() and len(nanosec) == 9):
-            raise ValueError(f"{text!r} is not SECONDS.NANOSECONDS with nine digits")
-        return cls(int(sec), int(nanosec))
-
-    def __str__(self) -> str:
-        return f"{self.sec}.{self.nanosec:09d}"
-
-    @property
-    def time_s(self) -> float:
-        """Time in s."""
-        return (self.sec * _NANO + self.nanosec) / _NANO
-
-    @property
-    def time(self) -> Time:
-        """Time as a message."""
-        return Time(sec=self.sec, nanosec=self.nanosec)
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """Origin of a scan's target stamps: the stamp of view i is i seconds after the epoch.
-
-    It depends on the scenario alone, so that it stays the same when a scan is resumed.
+    Arrays of numbers become ``array.array``, which messages accept without checking each number.
     """
-
-    stamp: Stamp
-    """Stamp of view 0."""
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> Epoch:
-        """Return the epoch of a scenario's scan."""
-        digest = stage_digests(scenario)["images"]
-        sec, nanosec = (int(part, 16) % _NANO for part in (digest[:15], digest[15:30]))
-        return cls(Stamp(_NANO + sec, nanosec))
-
-    @classmethod
-    def parse(cls, text: str) -> Epoch:
-        """Invert ``str``."""
-        return cls(Stamp.parse(text))
-
-    def __str__(self) -> str:
-        return str(self.stamp)
-
-    def at(self, view: int) -> Stamp:
-        """Return the stamp of a view."""
-        return Stamp(self.stamp.sec + view, self.stamp.nanosec)
-
-    def view(self, stamp: Stamp) -> int | None:
-        """Return the view of a stamp; None for a stamp of another epoch."""
-        view = stamp.sec - self.stamp.sec
-        return view if stamp.nanosec == self.stamp.nanosec and view >= 0 else None
+    made = kind()
+    for name, value in fields.items():
+        setattr(made, name, _field(_types(kind)[name], value))
+    return made
 
 
-def _header(stamp: Stamp, frame: str = WORLD_FRAME) -> Header:
-    return Header(stamp=stamp.time, frame_id=frame)
+@cache
+def _types(kind: type[Any]) -> dict[str, str]:
+    return kind.get_fields_and_field_types()
 
 
-def _pose(numbers: SevenNumbers) -> Pose:
-    x, y, z, qx, qy, qz, qw = numbers
-    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+def _field(kind: str, value: Any) -> Any:
+    """Return the value of a field, whose type is text such as ``sequence<double>``."""
+    inner = kind.removeprefix("sequence<").removesuffix(">")
+    if "/" in inner:
+        part = message_class(inner)
+        return ros_message(part, value) if kind == inner else [ros_message(part, v) for v in value]
+    if kind in _ARRAYS:
+        return array.array(_ARRAYS[kind], value)
+    return value
+
+
+_ARRAYS = {"sequence<double>": "d", "sequence<uint8>": "B"}
 
 
 def numbers_of(pose: Pose) -> SevenNumbers:
@@ -130,8 +72,8 @@ def numbers_of(pose: Pose) -> SevenNumbers:
 def _poses(
     message: PoseArray, names: tuple[str, ...], *, repeated: bool = False
 ) -> tuple[SevenNumbers, ...]:
-    if message.header.frame_id not in (WORLD_FRAME, ""):
-        raise MalformedError(f"frame {message.header.frame_id!r}, expected {WORLD_FRAME!r}")
+    if message.header.frame_id not in (plain.WORLD, ""):
+        raise MalformedError(f"frame {message.header.frame_id!r}, expected {plain.WORLD!r}")
     count = len(message.poses)
     if count != len(names) and not (repeated and count and count % len(names) == 0):
         raise MalformedError(f"{count} poses, expected {len(names)}: {', '.join(names)}")
@@ -153,8 +95,7 @@ def _check_numbers(values: Sequence[float], what: str, count: int) -> None:
 
 def target_message(stamp: Stamp, target: Target) -> PoseArray:
     """Return a ``/scan/target`` message."""
-    poses = [_pose(target.source_m), _pose(target.detector_m)]
-    return PoseArray(header=_header(stamp, WORLD_FRAME), poses=poses)
+    return ros_message(PoseArray, plain.targets(stamp, [target]))
 
 
 def target_of(message: PoseArray) -> Target:
@@ -164,8 +105,7 @@ def target_of(message: PoseArray) -> Target:
 
 def targets_message(stamp: Stamp, targets: Sequence[Target]) -> PoseArray:
     """Return a ``/scan/commanded`` message: source and detector of each view."""
-    poses = [_pose(numbers) for t in targets for numbers in (t.source_m, t.detector_m)]
-    return PoseArray(header=_header(stamp, WORLD_FRAME), poses=poses)
+    return ros_message(PoseArray, plain.targets(stamp, targets))
 
 
 def targets_of(message: PoseArray) -> tuple[Target, ...]:
@@ -210,8 +150,8 @@ def executed(reached: Reached) -> Executed:
 
 def reached_message(stamp: Stamp, poses: Executed) -> PoseArray:
     """Return a ``/scan/reached`` message."""
-    numbers = [pose for instant in (poses.view, *poses.more) for pose in instant]
-    return PoseArray(header=_header(stamp, WORLD_FRAME), poses=[_pose(pose) for pose in numbers])
+    numbers = (pose for instant in (poses.view, *poses.more) for pose in instant)
+    return ros_message(PoseArray, plain.poses(stamp, numbers))
 
 
 def executed_of(message: PoseArray) -> Executed:
@@ -222,26 +162,13 @@ def executed_of(message: PoseArray) -> Executed:
 
 
 def view_message(stamp: Stamp, target: Stamp, view: int | None) -> TimeReference:
-    """Return a ``/scan/views`` message, which links answers to a target.
-
-    Args:
-        stamp: the answers' stamp.
-        target: the target's stamp.
-        view: index of the view in a scan, if any.
-    """
-    source = "target" if view is None else f"view {view}"
-    return TimeReference(header=_header(stamp, ""), time_ref=target.time, source=source)
+    """Return a ``/scan/views`` message; see ``plain.view``."""
+    return ros_message(TimeReference, plain.view(stamp, target, view))
 
 
 def joints_message(stamp: Stamp, joints: Reached | JointSample) -> JointState:
     """Return a ``/joint_states`` message."""
-    return JointState(
-        header=_header(stamp, WORLD_FRAME),
-        name=list(joints.joint_names),
-        position=doubles(joints.position),
-        velocity=doubles(joints.velocity),
-        effort=doubles(joints.effort),
-    )
+    return ros_message(JointState, plain.joints(stamp, joints))
 
 
 def joints_of(message: JointState) -> JointSample:
@@ -265,18 +192,8 @@ def checked_joints(message: JointState, *, arms: bool = True) -> JointState:
 
 
 def state_message(stamp: Stamp, reached: Reached) -> Float64MultiArray:
-    """Return the ``/scan/state`` message: three scalars, then the simulator's state.
-
-    The scalars are the simulated time in s, the clearance in mm, and the seconds since the middle
-    of the exposure.
-    """
-    few = reached.time_s, reached.clearance_mm, reached.since_middle_s
-    numbers = np.concatenate([few, reached.state])
-    message = Float64MultiArray(data=doubles(numbers))
-    size = len(reached.state)
-    message.layout.data_offset = len(few)
-    message.layout.dim = [MultiArrayDimension(label=str(stamp), size=size, stride=size)]
-    return message
+    """Return a ``/scan/state`` message; see ``plain.state``."""
+    return ros_message(Float64MultiArray, plain.state(stamp, reached))
 
 
 def state_stamp(message: Float64MultiArray) -> Stamp | None:
@@ -330,37 +247,19 @@ def reached_of(
     )
 
 
-def doubles(values: NDArray[np.float64]) -> array.array[float]:
-    """Return an array that messages accept without checking each number."""
-    return array.array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())
-
-
 def clock_message(time_s: float) -> Clock:
     """Return a ``/clock`` message of simulated time."""
-    return Clock(clock=Stamp.at(time_s).time)
+    return ros_message(Clock, plain.clock(Stamp.at(time_s)))
 
 
 def image_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
-    """Return the ``/xray/image`` message, row 0 first as in the store."""
-    rows, columns = transmission.shape
-    message = Image(header=_header(stamp, IMAGE_FRAME), encoding=IMAGE_ENCODING)
-    message.height, message.width, message.step = rows, columns, 4 * columns
-    # Messages accept an array of bytes as is, but check any other sequence byte by byte.
-    message.data = array.array("B", np.ascontiguousarray(transmission, dtype="<f4").tobytes())
-    return message
+    """Return an ``/xray/image`` message, row 0 first as in the store."""
+    return ros_message(Image, plain.image(stamp, transmission))
 
 
 def display_message(stamp: Stamp, transmission: NDArray[np.float32]) -> Image:
-    """Return the ``/xray/display`` message for viewers: row 0 on top, where v is largest.
-
-    Black is a transmission of 0, white a transmission of 1 and above.
-    """
-    grey = np.rint(255 * np.clip(transmission[::-1], 0, 1)).astype(np.uint8)
-    rows, columns = grey.shape
-    message = Image(header=_header(stamp, IMAGE_FRAME), encoding=DISPLAY_ENCODING)
-    message.height, message.width, message.step = rows, columns, columns
-    message.data = array.array("B", grey.tobytes())
-    return message
+    """Return an ``/xray/display`` message for viewers; see ``plain.display``."""
+    return ros_message(Image, plain.display(stamp, transmission))
 
 
 def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
@@ -368,10 +267,10 @@ def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np
     rows, columns = message.height, message.width
     if shape is not None and (rows, columns) != shape:
         raise MalformedError(f"{columns} x {rows} px, expected {shape[1]} x {shape[0]}")
-    if message.encoding != IMAGE_ENCODING or message.step != 4 * columns:
+    if message.encoding != plain.FLOATS or message.step != 4 * columns:
         raise MalformedError(
             f"{message.encoding} image with {message.step} bytes per row, "
-            f"expected {IMAGE_ENCODING} with {4 * columns}"
+            f"expected {plain.FLOATS} with {4 * columns}"
         )
     if len(message.data) != 4 * rows * columns:
         raise MalformedError(f"{len(message.data)} bytes, expected {4 * rows * columns}")
@@ -382,25 +281,8 @@ def image_of(message: Image, shape: tuple[int, int] | None = None) -> NDArray[np
 
 
 def camera_message(stamp: Stamp, geometry: ScanGeometry, *, display: bool = False) -> CameraInfo:
-    """Return the ``/xray/camera_info`` message: source and panel of one view as a pinhole camera.
-
-    A point (x, y, z) of the frame ``detector_optical`` falls on column fx x/z + cx and row
-    fy y/z + cy; pixel centres are whole numbers. Rows count along v, which is -y, so fy is
-    negative. With ``display``, they count downwards, so fy is positive.
-    """
-    panel = geometry.panel
-    sdd = float(geometry.sdd[0])
-    fx, fy = sdd / panel.pitch_u, -sdd / panel.pitch_v
-    cx, cy = geometry.piercing_points[0].tolist()
-    if display:
-        fy, cy = -fy, panel.rows - 1 - cy
-    message = CameraInfo(header=_header(stamp, IMAGE_FRAME), height=panel.rows, width=panel.columns)
-    message.distortion_model = "plumb_bob"
-    message.d = [0.0] * 5
-    message.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    message.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-    return message
+    """Return an ``/xray/camera_info`` message; see ``plain.camera``."""
+    return ros_message(CameraInfo, plain.camera(stamp, geometry, shown=display))
 
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -410,9 +292,9 @@ def diagnostic_message(
     stamp: Stamp, name: str, level: bytes, text: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
     """Return a ``/diagnostics`` message."""
-    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    status = DiagnosticStatus(level=level, name=name, message=text, values=pairs)
-    return DiagnosticArray(header=_header(stamp, WORLD_FRAME), status=[status])
+    made = ros_message(DiagnosticArray, plain.diagnostics(stamp, name, text, values))
+    made.status[0].level = level
+    return made
 
 
 def diagnostic_values(pairs: Iterable[KeyValue]) -> dict[str, str]:

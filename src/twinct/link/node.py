@@ -10,9 +10,10 @@ from contextlib import closing
 from typing import Generic, Protocol, TypeVar
 
 from twinct.link.lifeline import Lifeline
-from twinct.link.messages import ERROR, OK, WARN, Stamp, diagnostic_message
+from twinct.link.messages import ERROR, OK, WARN, diagnostic_message
 from twinct.link.participant import Station
 from twinct.link.senders import Members, Sender
+from twinct.link.stamps import Stamp
 from twinct.link.topics import DIAGNOSTICS, Topic
 
 Key = TypeVar("Key")

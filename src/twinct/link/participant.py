@@ -80,7 +80,7 @@ class Station:
         """Return a reliable publisher; late joiners get ``depth`` messages (default: topic's)."""
         events = PublisherEventCallbacks(matched=lambda _: None)  # wakes ``wait`` up
         qos = _qos(topic.depth if depth is None else depth, latched=True)
-        return self._node.create_publisher(topic.kind, topic.name, qos, event_callbacks=events)
+        return self._node.create_publisher(topic.message_class, topic, qos, event_callbacks=events)
 
     def listen(
         self,
@@ -104,9 +104,8 @@ class Station:
             incompatible_qos=None if mismatch_told else lambda _: None,
         )
         qos = _qos(max(depth, topic.depth), latched=latched)
-        kind, name = topic.kind, topic.name
         return self._node.create_subscription(
-            kind, name, hear, qos, event_callbacks=events, raw=raw
+            topic.message_class, topic, hear, qos, event_callbacks=events, raw=raw
         )
 
     def listen_to_all(

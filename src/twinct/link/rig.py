@@ -26,12 +26,13 @@ from twinct.geometry.wire import JointSample, Reached, Target
 from twinct.link import environment, messages
 from twinct.link.environment import Domain
 from twinct.link.joint_trajectory import publish_plan
-from twinct.link.messages import ERROR, OK, Epoch, Executed, MalformedError, Stamp
+from twinct.link.messages import ERROR, OK, Executed, MalformedError
 from twinct.link.node import LISTENERS, Diagnostics
 from twinct.link.participant import Station
 from twinct.link.processes import NodeProcess
 from twinct.link.robots_node import describe
 from twinct.link.senders import Members, Sender
+from twinct.link.stamps import Epoch, Stamp
 from twinct.link.tap import Heard, Tap
 from twinct.link.topics import (
     DIAGNOSTICS,

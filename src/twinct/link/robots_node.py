@@ -20,7 +20,7 @@ from twinct.core.errors import MotionError
 from twinct.geometry.wire import JointSample, PosePairs, Reached, Target
 from twinct.link import messages
 from twinct.link.joint_trajectory import PlanListener
-from twinct.link.messages import Epoch, MalformedError, Stamp
+from twinct.link.messages import MalformedError
 from twinct.link.node import (
     LISTENERS,
     NO_STAMP,
@@ -31,6 +31,7 @@ from twinct.link.node import (
 )
 from twinct.link.participant import Station
 from twinct.link.senders import Members, Sender
+from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import (
     CLOCK,
     DESCRIPTION,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from twinct.link.participant import Station
 from twinct.link.senders import Members, Raw, Sender
-from twinct.link.topics import ROBOTS, SCAN, TOPICS, XRAY
+from twinct.link.topics import ROBOTS, SCAN, TOPICS, XRAY, Topic
 
 DEPTH = 2000
 """Queue length per topic, which exceeds the messages of a long move."""
@@ -51,15 +51,14 @@ class Tap:
         self._station = Station(f"{SCAN}_tap", domain_id)
         self._ending = Event()
         for topic in TOPICS:
-            kind = f"{topic.kind.__module__.partition('.')[0]}/msg/{topic.kind.__name__}"
-            told = partial(self._take, topic.name, kind)
+            told = partial(self._take, topic)
             self._station.listen(topic, told, depth=DEPTH, raw=True)
         self._thread = Thread(target=self._listen, name="tap", daemon=True)
         self._thread.start()
 
-    def _take(self, topic: str, kind: str, raw: Raw, sender: Sender) -> None:
+    def _take(self, topic: Topic, raw: Raw, sender: Sender) -> None:
         if any(self._members.sent(name, sender) for name in (SCAN, ROBOTS, XRAY)):
-            self._hear(Heard(topic, kind, raw, sender.number, sender.publisher))
+            self._hear(Heard(topic, topic.kind, raw, sender.number, sender.publisher))
 
     def _listen(self) -> None:
         while not self._ending.is_set():

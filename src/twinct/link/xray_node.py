@@ -14,10 +14,11 @@ from twinct.core.errors import TwinctError
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.link import messages
 from twinct.link.joint_trajectory import PlanListener
-from twinct.link.messages import Epoch, Executed, MalformedError, Stamp
+from twinct.link.messages import Executed, MalformedError
 from twinct.link.node import Diagnostics, Ledger, RefusedError, run_node
 from twinct.link.participant import Station
 from twinct.link.senders import Members, Sender
+from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import (
     CAMERA,
     DISPLAY,

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry.wire import Reached
-from twinct.link.recording.messages import NANO
 from twinct.link.recording.reader import Recording, Said, instant_of
 from twinct.link.recording.recorder import FORMAT
-from twinct.link.recording.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
+from twinct.link.stamps import NANO
+from twinct.link.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
 
 SMALL = (TARGET, REACHED, JOINTS, STATE, VIEWS, CAMERA)
 """Topics of a view's data, except its image."""

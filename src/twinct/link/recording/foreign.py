@@ -11,9 +11,9 @@ from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached, Target
 from twinct.link.recording.contents import Contents, checked
-from twinct.link.recording.messages import NANO
 from twinct.link.recording.reader import instant_of, seven_of
-from twinct.link.recording.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
+from twinct.link.stamps import NANO
+from twinct.link.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
 from twinct.scenario import Scenario, parse_scenario
 
 

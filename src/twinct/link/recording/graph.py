@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from twinct.link.recording.reader import Said, instant_of, reader_of
 from twinct.link.recording.recorder import Recorder
-from twinct.link.recording.topics import (
+from twinct.link.stamps import NANO, Stamp
+from twinct.link.topics import (
     CAMERA,
     DISPLAY,
     DISPLAY_CAMERA,
@@ -101,7 +102,9 @@ class GraphRecorder(Recorder):
             for part in (self._parts[REACHED, stamp], self._parts[JOINTS, stamp])
         )
         where = instant_of(reached.poses)
-        self.write_frames(stamp, where, joints.position, images[0].raw.received_ns)
+        self.write_frames(
+            Stamp(*divmod(stamp, NANO)), where, joints.position, images[0].raw.received_ns
+        )
         for image in images:
             self._write(image)
         self._parts.clear()

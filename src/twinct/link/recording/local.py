@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry.wire import JointSample, Reached, Target
-from twinct.link.recording import messages, topics
-from twinct.link.recording.messages import Message
+from twinct.link import plain, topics
+from twinct.link.plain import Message
 from twinct.link.recording.recorder import Recorder
+from twinct.link.stamps import Epoch, Stamp
+from twinct.link.topics import Topic
 from twinct.scan import LocalRig, Rig, SimulationBuilder
 
 TICK_S = 0.02
-"""Longest simulated time between two clock messages."""
+"""Longest simulated time between two clock plain."""
 
 
 class LocalRecorder(Recorder):
@@ -28,7 +30,7 @@ class LocalRecorder(Recorder):
     def __init__(self, folder: Path) -> None:
         """See ``Recorder``."""
         super().__init__(folder)
-        self._epoch_ns = self._now_ns = 0
+        self._epoch, self._now_ns = Epoch(Stamp(0, 0)), 0
         self._clock_s: float | None = None
 
     def begin(self, builder: SimulationBuilder, first: int) -> None:
@@ -36,13 +38,14 @@ class LocalRecorder(Recorder):
         super().begin(builder, first)
         self._now_ns, self._clock_s = 0, None
         self._panel = builder.scenario.detector.panel
-        self._epoch_ns = at = messages.epoch_ns(builder.scenario)
+        self._epoch = Epoch.of(builder.scenario)
+        at = self._epoch.stamp
         if builder.scenario.cell.kind == "arms":
             self._say(topics.DESCRIPTION, {"data": builder.urdf()})
         if plan := builder.plan:
-            self._say(topics.PLAN, messages.trajectory(at, plan))
-            self._say(topics.PLAN_VIEWS, messages.plan_views(at, plan))
-            self._say(topics.COMMANDED, messages.targets(at, plan.targets))
+            self._say(topics.PLAN, plain.trajectory(at, plan))
+            self._say(topics.PLAN_VIEWS, plain.plan_views(at, plan))
+            self._say(topics.COMMANDED, plain.targets(at, plan.targets))
 
     def around(self, rig: Rig) -> Rig:
         """See ``Recorder.around``."""
@@ -51,47 +54,44 @@ class LocalRecorder(Recorder):
 
     def asked(self, view: int, target: Target) -> None:
         """Record a target that was sent."""
-        self._say(topics.TARGET, messages.targets(self._of(view), [target]))
+        self._say(topics.TARGET, plain.targets(self._epoch.at(view), [target]))
 
     def moving(self, sample: JointSample) -> None:
         """Record the joints during a move."""
         self._advance(sample.time_s)
-        stamp = messages.nanoseconds(sample.time_s)
-        self._say(topics.JOINTS, messages.joints(stamp, sample))
+        stamp = Stamp.at(sample.time_s)
+        self._say(topics.JOINTS, plain.joints(stamp, sample))
 
-    def reached(self, view: int, got: Reached) -> int:
+    def reached(self, view: int, got: Reached) -> Stamp:
         """Record a reached view, and return the stamp of its answers."""
-        stamp = messages.nanoseconds(got.middle_s)
+        stamp = Stamp.at(got.middle_s)
         self._advance(got.time_s)
-        self._say(topics.VIEWS, messages.view(stamp, self._of(view), view))
-        self._say(topics.REACHED, messages.reached(stamp, got))
-        self._say(topics.JOINTS, messages.joints(stamp, got))
-        self._say(topics.STATE, messages.state(stamp, got))
+        self._say(topics.VIEWS, plain.view(stamp, self._epoch.at(view), view))
+        self._say(topics.REACHED, plain.reached(stamp, got))
+        self._say(topics.JOINTS, plain.joints(stamp, got))
+        self._say(topics.STATE, plain.state(stamp, got))
         self.write_frames(stamp, got.executed, got.position, self._now_ns)
         return stamp
 
-    def exposed(self, stamp: int, got: Reached, image: NDArray[np.float32]) -> None:
+    def exposed(self, stamp: Stamp, got: Reached, image: NDArray[np.float32]) -> None:
         """Record the image of the view reached last."""
         geometry, _ = got.executed.placed(self._panel)
-        self._say(topics.CAMERA, messages.camera(stamp, geometry))
-        self._say(topics.DISPLAY_CAMERA, messages.camera(stamp, geometry, shown=True))
-        self._say(topics.DISPLAY, messages.display(stamp, image))
-        self._say(topics.IMAGE, messages.image(stamp, image))
-
-    def _of(self, view: int) -> int:
-        """Return the stamp of a view's target."""
-        return self._epoch_ns + view * messages.NANO
+        self._say(topics.CAMERA, plain.camera(stamp, geometry))
+        self._say(topics.DISPLAY_CAMERA, plain.camera(stamp, geometry, shown=True))
+        self._say(topics.DISPLAY, plain.display(stamp, image))
+        self._say(topics.IMAGE, plain.image(stamp, image))
 
     def _advance(self, time_s: float) -> None:
         """Advance the clock to a time, as ``twinct.link.robots_node`` does."""
         start_s = time_s - TICK_S if self._clock_s is None else self._clock_s
         ticks = max(0, math.ceil((time_s - start_s) / TICK_S - 1e-9))
         for tick_s in np.linspace(start_s, time_s, ticks + 1)[1:].tolist():
-            self._now_ns = messages.nanoseconds(tick_s)
-            self._say(topics.CLOCK, {"clock": messages.time_of(self._now_ns)})
+            tick = Stamp.at(tick_s)
+            self._now_ns = tick.ns
+            self._say(topics.CLOCK, plain.clock(tick))
         self._clock_s = max(start_s, time_s)
 
-    def _say(self, topic: str, message: Message) -> None:
+    def _say(self, topic: Topic, message: Message) -> None:
         self.write(topic, message, self._now_ns)
 
 
@@ -102,7 +102,7 @@ class _Told(LocalRig):
         self._rig, self._recorder = rig, recorder
         self.imager = rig.imager
         self._tell: Callable[[JointSample], None] | None = None
-        self._last: tuple[int, Reached] | None = None
+        self._last: tuple[Stamp, Reached] | None = None
         self.close = rig.close
         rig.listen(self._moving)
 

@@ -19,8 +19,8 @@ from zstandard import ZstdError
 from twinct.core.errors import InputError
 from twinct.geometry.wire import Instant, SevenNumbers
 from twinct.link.recording.definitions import definition
-from twinct.link.recording.messages import NANO
-from twinct.link.recording.topics import STATE
+from twinct.link.stamps import NANO
+from twinct.link.topics import STATE
 
 Decode = Callable[[bytes], Any]
 

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.files.writing import require_space
 from twinct.geometry.wire import Instant
+from twinct.link.plain import transforms
 from twinct.link.recording.bag import Bag
-from twinct.link.recording.messages import transforms
-from twinct.link.recording.topics import IMAGE, KINDS, TF
+from twinct.link.stamps import Stamp
+from twinct.link.topics import IMAGE, KINDS, TF
 from twinct.scan import NamedGeometry, Rig, RigFactory, SimulationBuilder
 from twinct.scenario import Scenario, stage_digests
 from twinct.version import __version__
@@ -114,12 +115,10 @@ class Recorder(ABC):
         if topic == IMAGE:
             self._bag.flush()
 
-    def write_frames(
-        self, stamp_ns: int, instant: Instant, joints: ArrayLike, time_ns: int
-    ) -> None:
+    def write_frames(self, stamp: Stamp, instant: Instant, joints: ArrayLike, time_ns: int) -> None:
         """Write ``/tf`` of a view."""
         links = self._links.at(joints) if self._links else None
-        self.write(TF, transforms(stamp_ns, instant, links), time_ns)
+        self.write(TF, transforms(stamp, instant, links), time_ns)
 
     def finish(self, believed: NamedGeometry) -> None:
         """Attach the believed poses, and complete the file."""
