@@ -100,6 +100,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     points += "[twinct.trajectories]\nnowhere = hopeless:IT\n"
     points += "[twinct.objectives]\nworst = hopeless:IT\n"
     points += "[twinct.exports]\nuseless = hopeless:IT\n"
+    points += "[twinct.figures]\nhidden = hopeless:IT\nmtf = hopeless:IT\n"
     distribution(target, "hopeless", "0.3", points, "raise OSError('its library is gone')\n")
     return target
 
@@ -207,13 +208,66 @@ def test_an_objective_that_does_not_fit_the_task_is_left_out(
     assert broken == {name: f"the objective {name!r} cannot be used: {reason}"}
 
 
+def test_the_page_shows_the_figure_that_is_tested() -> None:
+    code = (HERE / "extension" / "twinct_tiny" / "tails.py").read_text(encoding="utf-8")
+    page = (HERE.parent / "docs" / "figures.md").read_text(encoding="utf-8")
+    assert code.partition("\n\n")[2] in page
+    assert len(code.splitlines()) <= 45
+
+
+STUDY = """\
+scenario: {file}
+search:
+  figure: image.tails.middle.tail_rel
+  trials: 2
+  batch: 2
+  keys: [{{label: share, key: evaluation.tails.0.share, low: 0.01, high: 0.5}}]
+figures: [image.tails.middle.tail_rel]
+"""
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+def test_a_foreign_figure_is_checked_measured_shown_and_searched_for(
+    installed: Path, tmp_path: Path
+) -> None:
+    file, out = tmp_path / "tails.yaml", tmp_path / "out"
+    file.write_text(
+        f"extends: {HERE}/same_bytes/small.yaml\n"
+        "trajectory: {views: 3}\n"
+        "evaluation:\n"
+        "  regions: [{name: middle, shape: {kind: sphere, radius_mm: 30}}]\n"
+        "  tails: [{region: middle}]\n"
+    )
+    refused = twinct(installed, "check", file, "--set", "evaluation.tails.0.region=centre")
+    assert refused.returncode == 2
+    assert "evaluation.tails.0.region: unknown region 'centre'; the only one is" in refused.stderr
+    assert twinct(installed, "check", file).returncode == 0
+    done = twinct(installed, "run", file, "--out", out, "--link", "local")
+    assert done.returncode == 0, done.stderr
+    image = json.loads((out / "metrics.json").read_text())["image"]
+    assert image["tails"]["middle"]["tail_rel"] > image["regions"]["middle"]["rmse_rel"] > 0
+    assert "<td>largest errors</td>" in (out / "report.html").read_text(encoding="utf-8")
+    study = tmp_path / "study.yaml"
+    study.write_text(STUDY.format(file=file))
+    searched = twinct(installed, "study", study, "--out", tmp_path / "searched", "--jobs", "1")
+    assert searched.returncode == 0, searched.stderr
+    assert (tmp_path / "searched" / "journal.jsonl").read_text().count("tail_rel") == 2
+    page = (tmp_path / "searched" / "study.html").read_text(encoding="utf-8")
+    assert "largest errors, middle" in page and "Best trials" in page, "lower is better"
+    # Unused, it leaves no trace: the scenario can be read where it is not installed.
+    unused = twinct(installed, "report", out, "--set", "evaluation.tails=[]")
+    assert unused.returncode == 0, unused.stderr
+    assert "tails" not in (out / "scenario.yaml").read_text() + (out / "metrics.json").read_text()
+
+
 @pytest.mark.tutorial
 @pytest.mark.process
 def test_who_names_a_broken_one_is_told_why(installed: Path, scenario: Path) -> None:
-    changes = ("--set", "reconstruction.algorithm=hopeless", "--set", "trajectory.kind=nowhere")
-    refused = twinct(installed, "check", scenario, *changes)
+    given = "reconstruction.algorithm=hopeless", "trajectory.kind=nowhere", "evaluation.hidden=[]"
+    refused = twinct(installed, "check", scenario, *(f"--set={one}" for one in given))
     assert refused.returncode == 2
-    for place in ("reconstruction.algorithm=hopeless: ", "trajectory.kind=nowhere: "):
+    for place in (f"{one}: " for one in given):
         [line] = [line for line in refused.stderr.splitlines() if f"--set {place}" in line]
         assert "of hopeless 0.3 cannot be used: OSError: its library is gone" in line
     (scenario.parent / "start.npy").unlink()

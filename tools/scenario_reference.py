@@ -56,9 +56,9 @@ them. `uncertainty.seed` varies the believed poses alone. The volume stands on t
 made from them.
 """
 
-EXTENSIONS = """## Algorithms and trajectories of your own
+EXTENSIONS = """## Algorithms, trajectories and figures of your own
 
-A package of yours can add to both, and to the
+A package of yours can add to all of them, and to the
 [objectives of a plan](planning.md#add-an-objective). It names them as entry points, and where it is
 installed they are known to the command line, the ROS 2 nodes and Python alike:
 
@@ -67,6 +67,8 @@ installed they are known to the command line, the ROS 2 nodes and Python alike:
 landweber = "my_package.landweber:LANDWEBER"
 [project.entry-points."twinct.trajectories"]
 zigzag = "my_package.zigzag:ZIGZAG"
+[project.entry-points."twinct.figures"]
+tails = "my_package.tails:TAILS"
 ```
 
 ```python
@@ -90,11 +92,12 @@ ZIGZAG = Family(Zigzag, views)
 
 `OrbitSettings` brings the keys of all orbits; `TrajectorySettings` none. All of it comes from
 `twinct.trajectory` and `twinct.geometry`; an algorithm is settings (`AlgorithmSettings`), a
-function and an `Algorithm`, from `twinct.recon.algorithm` ([more](reconstruction.md)). Such a
-module must not import `twinct.scenario`, which is made of it. A key `path`, in any section, is an
-input file: made absolute, it must exist, and it counts by its content. An entry point that fails,
-or whose name is taken, is reported with its package and stops nobody who does not name it.
-`tests/extension` is a whole example.
+function and an `Algorithm`, from `twinct.recon.algorithm` ([more](reconstruction.md)); a kind of
+figures is explained [with an example](figures.md#add-a-figure). Such a module must not import
+`twinct.scenario`, which is made of it. A key `path`, in any section, is an input file: made
+absolute, it must exist, and it counts by its content. An entry point that fails, or whose name is
+taken, is reported with its package and stops nobody who does not name it. `tests/extension` is a
+whole example.
 """
 
 UNITS = {

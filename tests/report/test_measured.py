@@ -1,7 +1,12 @@
 """Figures that a scenario asks for, as the report shows them."""
 
-from twinct.report.measured import KINDS, curves_picture, depth_picture, measured_rows, nested
-from twinct.runs.regions import OF_KIND
+from twinct.report.measured import (
+    curve_pictures,
+    curves_picture,
+    depth_picture,
+    measured_rows,
+    nested,
+)
 
 CURVE = {"frequency_per_mm": [0.0, 0.5, 1.0], "mtf": [1.0, 0.6, 0.2]}
 COLUMNS = {
@@ -12,10 +17,6 @@ COLUMNS = {
     },
     "beside": {"mtf": {"ball": {"f50_per_mm": 0.4, "f10_per_mm": 0.9, **CURVE}}},
 }
-
-
-def test_all_that_can_be_asked_for_is_shown() -> None:
-    assert {kind: tuple(one.key for one in shown) for kind, shown in KINDS.items()} == OF_KIND
 
 
 def test_a_row_for_each_figure_and_a_value_for_each_volume() -> None:
@@ -45,5 +46,10 @@ def test_pictures_are_there_where_something_was_measured() -> None:
     assert depth_picture({"beside": COLUMNS["beside"]}, edges) is None
     assert curves_picture(COLUMNS, "nps", "nps_mm3", "power") is None
     assert depth_picture(COLUMNS, edges) == drawn[0], "the same bytes each time"
+    (curves,) = curve_pictures(COLUMNS, "steel")
+    assert (curves[0], curves[2]) == ("Modulation transfer", drawn[1])
+    of_noise = {"frequency_per_mm": [0.0, 0.5], "nps_mm3": [1.0, 0.5]}
+    ((title, caption, _),) = curve_pictures({"one": {"nps": {"water": of_noise}}}, "steel")
+    assert title == "Noise power" and "relative to μ(steel)²" in caption
     without = {"one": {"mtf": {"ball": {"f50_per_mm": None, "f10_per_mm": None}}}}
     assert curves_picture(without, "mtf", "mtf", "MTF") is None

@@ -15,10 +15,11 @@ from scipy import ndimage
 
 from twinct import run
 from twinct.core.errors import InputError
+from twinct.evaluation import figure_kinds
 from twinct.geometry import Pose, VolumeGrid
 from twinct.runs import Run, reconstruct_again, report_again
 from twinct.runs.checks import check_places
-from twinct.runs.regions import OF_KIND, Places, named_figures
+from twinct.runs.regions import Places
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
 from twinct.specimen import build_specimen
@@ -94,8 +95,8 @@ def test_they_are_those_that_were_promised(scenario: Scenario, places: Places, f
         for figure, value in figures.items()
         if np.ndim(value) == 0
     }
-    assert dotted == set(named_figures(scenario.evaluation))
-    assert set(found) == set(OF_KIND) and "mtf.ball_1.f50_per_mm" in dotted
+    assert dotted == set(scenario.evaluation.figure_names())
+    assert set(found) == set(figure_kinds()) and "mtf.ball_1.f50_per_mm" in dotted
 
 
 def test_what_lies_outside_of_a_grid_has_no_figures(places: Places, found: dict) -> None:

@@ -9,7 +9,17 @@ from twinct.evaluation.depth import (
     rmse_by_depth,
 )
 from twinct.evaluation.edges import Edges, edge_width, edges_of
+from twinct.evaluation.figure import Figure
+from twinct.evaluation.figure_kind import (
+    Curve,
+    FigureKind,
+    FigureSettings,
+    Measurement,
+    RoundBody,
+)
+from twinct.evaluation.figure_kinds import figure_kinds
 from twinct.evaluation.image import ImageFigures, image_figures
+from twinct.evaluation.image_words import IMAGE_FIGURES
 from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
 from twinct.evaluation.observer import detectability
@@ -56,4 +66,12 @@ __all__ = [
     "sight",
     "streak_index",
     "tool_speeds",
+    "Figure",
+    "Curve",
+    "FigureKind",
+    "FigureSettings",
+    "Measurement",
+    "RoundBody",
+    "figure_kinds",
+    "IMAGE_FIGURES",
 ]

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from twinct.core.files.writing import write_text
+from twinct.evaluation import IMAGE_FIGURES
 from twinct.report.data import CrossSection
 from twinct.report.measured import nested
-from twinct.report.page import image_figures, stage_title
+from twinct.report.page import stage_title
 from twinct.report.template import duration, fixed, rendered
 from twinct.scenario import Scenario
 
@@ -158,7 +159,7 @@ def _row(
 
 
 def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
-    materials = dict.fromkeys(one.reference for one in compared)
+    materials = "/".join(dict.fromkeys(one.reference for one in compared))
     alike = [one.truth == compared[0].truth for one in compared]
     return [
         _row(
@@ -169,7 +170,7 @@ def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
             shown.meaning,
             alike,
         )
-        for shown in image_figures("/".join(materials))
+        for shown in (one.relative_to(materials) for one in IMAGE_FIGURES)
     ]
 
 

@@ -3,65 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from itertools import chain
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from twinct.evaluation import Figure, figure_kinds
 from twinct.report.style import DETECTOR_COLOUR, LIMIT_COLOUR, SOURCE_COLOUR, STYLE, Picture
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Drawing
 
 _COLOURS = (SOURCE_COLOUR, DETECTOR_COLOUR, "#3d7a4d", "#8a5a9e", "#b08900", LIMIT_COLOUR)
 
 Columns = Mapping[str, Mapping[str, Any]]
 """Figures of each volume, nested as in ``metrics.json``, by the name of the volume."""
-
-
-class Measured(NamedTuple):
-    """Display of one kind of figure; {0} stands for the material that figures are relative to."""
-
-    key: str
-    title: str
-    factor: float
-    digits: int
-    unit: str
-    meaning: str
-
-
-KINDS: Mapping[str, tuple[Measured, ...]] = {
-    "regions": (
-        Measured("mean_rel", "mean", 100, 2, "%", "of μ({0})"),
-        Measured("bias_rel", "mean error", 100, 2, "%", "of μ({0}), volume minus truth"),
-        Measured("rmse_rel", "RMSE", 100, 2, "%", "of μ({0})"),
-    ),
-    "contrasts": (
-        Measured("contrast_rel", "contrast", 100, 2, "%", "of μ({0}), difference of the means"),
-        Measured("recovery", "contrast recovery", 100, 1, "%", "of the true contrast"),
-        Measured("cnr", "contrast to noise", 1, 2, "", "over the background's standard deviation"),
-    ),
-    "mtf": (
-        Measured(
-            "f50_per_mm", "MTF 50 %", 1, 3, "mm⁻¹", "frequency at which the transfer is a half"
-        ),
-        Measured(
-            "f10_per_mm", "MTF 10 %", 1, 3, "mm⁻¹", "frequency at which the transfer is a tenth"
-        ),
-    ),
-    "nps": (
-        Measured("noise_rel", "noise", 100, 2, "%", "of μ({0}), standard deviation about a trend"),
-        Measured(
-            "mean_frequency_per_mm", "mean frequency of noise", 1, 3, "mm⁻¹", "weighted by power"
-        ),
-    ),
-    "tasks": (
-        Measured("detectability", "detectability d′", 1, 2, "", "non-prewhitening observer"),
-    ),
-    "streaks": (
-        Measured("streak_rel", "streaks", 100, 2, "%", "of μ({0}), error from sector to sector"),
-    ),
-}
-"""Figures that are shown, by the keys of a scenario's section ``evaluation``."""
 
 
 def nested(told: Mapping[str, Any], dotted: str) -> Any:
@@ -72,16 +28,17 @@ def nested(told: Mapping[str, Any], dotted: str) -> Any:
     return found
 
 
-def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Measured, list[Any]]]:
+def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Figure, list[Any]]]:
     """Return place and display of each measurement, with a value or None for each volume."""
-    rows: list[tuple[str, Measured, list[Any]]] = []
-    for kind, shown in KINDS.items():
-        names = dict.fromkeys(name for told in columns.values() for name in told.get(kind) or ())
-        for name in names:
-            for one in shown:
-                words = one._replace(meaning=one.meaning.format(reference))
-                values = [nested(told, f"{kind}.{name}.{one.key}") for told in columns.values()]
-                rows.append((name.replace("_against_", " against "), words, values))
+    rows: list[tuple[str, Figure, list[Any]]] = []
+    for kind in figure_kinds().values():
+        of = (told.get(kind.name) or () for told in columns.values())
+        for name in dict.fromkeys(chain.from_iterable(of)):
+            for one in kind.figures:
+                key = f"{kind.name}.{name}.{one.key}"
+                values = [nested(told, key) for told in columns.values()]
+                where = name.replace("_against_", " against ")
+                rows.append((where, one.relative_to(reference), values))
     return rows
 
 
@@ -112,6 +69,16 @@ def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None
         return svg(figure)
 
 
+def curve_pictures(columns: Columns, reference: str) -> list[tuple[str, str, Picture]]:
+    """Return title, caption and picture of the curves of all kinds of figures."""
+    return [
+        (curve.title, curve.meaning.replace("{0}", reference), picture)
+        for kind in figure_kinds().values()
+        for curve in kind.curves
+        if (picture := curves_picture(columns, kind.name, curve.key, curve.label))
+    ]
+
+
 def curves_picture(columns: Columns, kind: str, key: str, label: str) -> Picture | None:
     """Plot curves over frequency for all volumes and places; None if there are none."""
     import matplotlib as mpl
@@ -140,7 +107,7 @@ def curves_picture(columns: Columns, kind: str, key: str, label: str) -> Picture
         return svg(figure)
 
 
-def _figure() -> tuple[Figure, Any]:
+def _figure() -> tuple[Drawing, Any]:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.6, 2.6), layout="constrained")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from twinct.core.files.writing import write_text
-from twinct.evaluation import DEPTHS_MM, depth_names, pose_errors
+from twinct.evaluation import DEPTHS_MM, IMAGE_FIGURES, pose_errors
 from twinct.report.algorithm_results import with_found
 from twinct.report.data import ReportData
-from twinct.report.measured import curves_picture, depth_picture, measured_rows, nested
+from twinct.report.measured import curve_pictures, depth_picture, measured_rows, nested
 from twinct.report.physics import physics_in_words
 from twinct.report.style import Picture
 from twinct.report.template import rendered
@@ -33,49 +33,6 @@ PAPER_TABLE_1 = {
     },
 }
 """Table 1 of the paper: executed against commanded poses, 399 views, trigger at 1 mm."""
-
-
-class _Figure(NamedTuple):
-    """Display of one image figure; {0} stands for the material that figures are relative to.
-
-    The key is dotted if figures are nested.
-    """
-
-    key: str
-    title: str
-    factor: float
-    digits: int
-    unit: str
-    meaning: str
-
-
-_IMAGE_FIGURES = (
-    _Figure("rmse_rel", "RMSE", 100, 1, "%", "of μ({0}), over the region"),
-    _Figure("rmse_bone_rel", "RMSE near {0}", 100, 1, "%", "of μ({0}), within 3 mm of {0}"),
-    _Figure("psnr_db", "PSNR", 1, 1, "dB", "peak is μ({0})"),
-    _Figure("ssim", "SSIM", 1, 3, "", "3-D, windows of 7³ voxels inside the region; 1 is best"),
-    _Figure("ssim_bone", "SSIM near {0}", 1, 3, "", "of windows centred within 3 mm of {0}"),
-    _Figure("edge_width_mm", "edge width", 1, 2, "mm", "10 to 90 % across edges of {0}, median"),
-    _Figure("mean_bone_rel", "mean {0}", 100, 1, "%", "of μ({0}), voxels entirely in {0}"),
-    _Figure("roi_fraction", "region", 100, 1, "%", "of the grid, seen by every view"),
-    _Figure("roi_bone_fraction", "{0} in the region", 100, 1, "%", "of the region's voxels"),
-    *(
-        _Figure(
-            f"rmse_rel_by_depth.{name}",
-            f"RMSE, {name[:-3].replace('_', ' ')} mm deep",
-            *(100, 1, "%", "of μ({0}), by the distance to the region's border"),
-        )
-        for name in depth_names()
-    ),
-)
-
-
-def image_figures(reference: str) -> list[_Figure]:
-    """Return the image figures in the report, relative to a material."""
-    return [
-        f._replace(title=f.title.format(reference), meaning=f.meaning.format(reference))
-        for f in _IMAGE_FIGURES
-    ]
 
 
 Pictures = dict[str, Picture | None]
@@ -107,7 +64,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
     speeds = metrics.get("tool_speed_mm_s", {}).values()
     fastest_mm_s = max((speed["max"] for speed in speeds), default=0.0)
     cell, columns = scenario.cell, _columns(report)
-    beside, shown = _beside(report), image_figures(report.reference)
+    beside, shown = _beside(report), [f.relative_to(report.reference) for f in IMAGE_FIGURES]
     return rendered(
         "report.html",
         fastest_mm_s=fastest_mm_s,
@@ -121,8 +78,6 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         pictures=(draw_pictures(report) if pictures is None else pictures)
         | {
             "depth": depth_picture(columns, DEPTHS_MM),
-            "mtf": curves_picture(columns, "mtf", "mtf", "MTF"),
-            "nps": curves_picture(columns, "nps", "nps_mm3", "noise power / mm³"),
         },
         reference=report.reference,
         image_columns=[*columns, *beside],
@@ -131,6 +86,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         ],
         measured_columns=[*columns],
         measured_rows=measured_rows(columns, report.reference),
+        curves=curve_pictures(columns, report.reference),
         implants=_implants(metrics),
         others=[(f"slices {other.name}", other) for other in report.others],
         stages=_stages(metrics["seconds"]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -13,8 +13,9 @@ from urllib.parse import quote
 import numpy as np
 
 from twinct.core.files.writing import write_text
+from twinct.evaluation.figure import BADNESS, Best, Figure
 from twinct.report.data import CrossSection
-from twinct.report.figure_words import Best, FigureWords, figure_words
+from twinct.report.figure_words import figure_words
 from twinct.report.page import stage_title
 from twinct.report.repetitions import (
     Combination,
@@ -151,14 +152,9 @@ def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTri
         return []
     first = study.figures[0]
     best = study.best or figure_words(first).best
-    badness: dict[Best, Callable[[float], float]] = {
-        "lower": lambda value: value,
-        "higher": lambda value: -value,
-        "one": lambda value: abs(value - 1),
-    }
-    if best not in badness:
+    if not best:
         return []
-    worse = badness[best]
+    worse = BADNESS[best]
     ranked = [(one.mean(first).mean, one) for one in found]
     ranked = sorted(
         ((worse(mean), one) for mean, one in ranked if mean is not None), key=lambda pair: pair[0]
@@ -191,7 +187,7 @@ class _Trend(NamedTuple):
 
 
 def _pictures(
-    study: StudyData, found: Sequence[Combination], name: str, words: FigureWords
+    study: StudyData, found: Sequence[Combination], name: str, words: Figure
 ) -> list[_Trend]:
     """Draw a figure over each axis that has at least two values."""
     pictures: list[_Trend] = []
@@ -221,10 +217,10 @@ def _pictures(
 
 
 def _digits(
-    found: Sequence[Combination], words: Mapping[str, FigureWords]
-) -> list[tuple[str, FigureWords, int]]:
+    found: Sequence[Combination], words: Mapping[str, Figure]
+) -> list[tuple[str, Figure, int]]:
     """Return the figures with the digits that show two places of a typical interval."""
-    columns: list[tuple[str, FigureWords, int]] = []
+    columns: list[tuple[str, Figure, int]] = []
     for name, shown in words.items():
         halves = [half for one in found if (half := one.mean(name).half)]
         digits = shown.digits

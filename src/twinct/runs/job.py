@@ -19,7 +19,7 @@ from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_yaml import read_file
 from twinct.core.files.writing import storage_errors, write_text
 from twinct.core.threads import limit_threads, load_numba
-from twinct.evaluation import ImageFigures
+from twinct.evaluation import ImageFigures, figure_kinds
 from twinct.link.recording import recorder_of
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
@@ -43,7 +43,6 @@ from twinct.runs.folder import Folder, as_yaml, read_metrics, refuse_other_keys
 from twinct.runs.log import logged_to
 from twinct.runs.needs import require_memory
 from twinct.runs.reconstruction_folder import kept_reconstructions
-from twinct.runs.regions import OF_KIND
 from twinct.runs.repair import resumable
 from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
@@ -228,7 +227,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
         figures = {scenario.reconstruction.geometries[0]: first}
         for which, values in before.get("image_by_geometry", {}).items():
             # Only the first volume is stored: the others cannot be measured again.
-            told = {k: v for k, v in values.items() if not (asked_anew and k in OF_KIND)}
+            told = {k: v for k, v in values.items() if not (asked_anew and k in figure_kinds())}
             figures.setdefault(which, ImageFigures.of(told))
         if asked_anew:
             _judge_others(now, builder, audience)

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, model_validator
-
-from twinct.core.settings import (
-    Conflict,
-    Length,
-    NonNegative,
-    Section,
-    Vector,
-    setting,
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    create_model,
+    model_serializer,
+    model_validator,
 )
-from twinct.core.signals import AnySignal
+
+from twinct.core.settings import Conflict, Length, NonNegative, Section, Vector, setting
+from twinct.evaluation.figure_kind import FigureSettings
+from twinct.evaluation.figure_kinds import BUILT_IN, figure_kinds
+from twinct.evaluation.kinds.regions import REGIONS, NamedRegion
 from twinct.geometry import Pose
 from twinct.scenario.specimen import Box, Cylinder, Specimen, Sphere
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
-"""Part of a figure's dotted name."""
+log = logging.getLogger(__name__)
 
 
 class Shell(Section):
@@ -39,10 +40,9 @@ class Shell(Section):
         return self
 
 
-class Region(Section):
+class Region(NamedRegion):
     """Named region of all voxels whose centres lie in it."""
 
-    name: Name = Field(description="Name of the region in figures.")
     shape: Annotated[Sphere | Cylinder | Box | Shell, Field(discriminator="kind")] = Field(
         description="Shape of the region; a shell is placed around its part."
     )
@@ -55,158 +55,103 @@ class Region(Section):
         return Pose.from_euler(self.position_mm, self.rotation_deg)
 
 
-class RegionContrast(Section):
-    """Contrast and contrast-to-noise ratio of one region against another."""
-
-    region: str = Field(description="Name of the region.")
-    against: str = Field(description="Name of the background region.")
-
-    @property
-    def label(self) -> str:
-        """Name of its figures."""
-        return f"{self.region}_against_{self.against}"
-
-
-class Transfer(Section):
-    """Local modulation transfer, measured at the edge of a sphere or at the side of a cylinder."""
-
-    at: str = Field(
-        description="Name of a part or region that is a sphere or a cylinder; the surface of a "
-        "region must be that of a body of the specimen."
-    )
-
-    @property
-    def label(self) -> str:
-        """Name of its figures."""
-        return figure_part(self.at)
-
-
-class NoisePower(Section):
-    """Noise power spectrum of a homogeneous region, with its trend removed."""
-
-    region: str = Field(description="Name of the region.")
-
-    @property
-    def label(self) -> str:
-        """Name of its figures."""
-        return self.region
-
-
-class Task(Section):
-    """Detection of a signal in the noise of a region, rated by the index of detectability."""
-
-    name: Name = Field(description="Name of the figure.")
-    signal: AnySignal = Field(description="Signal to detect.")
-    region: str = Field(
-        description="Name of the homogeneous region in whose noise the signal lies."
-    )
-    mtf: str | None = setting(
-        None, "Measured blur of the signal: an `at` of `evaluation.mtf`; null: no blur."
-    )
-
-    @property
-    def label(self) -> str:
-        """Name of its figure."""
-        return self.name
-
-
-class Streaks(Section):
-    """Dependence of the error around a part on the direction."""
-
-    part: str = Field(description="Name of the part, such as an implant.")
-    from_mm: NonNegative = setting(2.0, "Distance from the part at which the shell begins.")
-    to_mm: Length = setting(15.0, "Distance from the part at which the shell ends.")
-
-    @model_validator(mode="after")
-    def _outwards(self) -> Streaks:
-        if self.to_mm <= self.from_mm:
-            raise ValueError(f"to_mm ({self.to_mm:g}) must be above from_mm ({self.from_mm:g})")
-        return self
-
-    @property
-    def label(self) -> str:
-        """Name of its figure."""
-        return figure_part(self.part)
-
-
-class Evaluation(Section):
+class EvaluationSection(Section):
     """Measurements in the volume beyond the figures that every run has.
 
     They need no new volume: `twinct report DIR --set evaluation...` measures in an existing one.
     """
 
-    regions: tuple[Region, ...] = setting((), "Named regions; each has a mean and an RMSE.")
-    contrasts: tuple[RegionContrast, ...] = setting((), "Contrasts between regions.")
-    mtf: tuple[Transfer, ...] = setting(
-        (), "Parts and regions at which the modulation transfer is measured."
-    )
-    nps: tuple[NoisePower, ...] = setting(
-        (), "Regions in which the noise power spectrum is measured."
-    )
-    tasks: tuple[Task, ...] = setting((), "Detection tasks.")
-    streaks: tuple[Streaks, ...] = setting((), "Parts around which streaks are measured.")
+    regions: tuple[Region, ...] = setting((), REGIONS.description)
+
+    def entries(self, kind: str) -> tuple[FigureSettings, ...]:
+        """Return the entries of a kind of figures."""
+        return getattr(self, kind, ())
 
     def region(self, name: str) -> Region:
         """Return the region with a given name."""
         return next(region for region in self.regions if region.name == name)
 
+    def figure_names(self) -> list[str]:
+        """Return the dotted names, below ``image``, of the scalar figures that it requests."""
+        return [
+            f"{kind.name}.{one.label}.{figure.key}"
+            for kind in figure_kinds().values()
+            for one in self.entries(kind.name)
+            for figure in kind.figures
+        ]
+
     def conflicts(self, specimen: Specimen) -> list[Conflict]:
         """Return conflicts of names that are unknown, repeated, or name a body without an edge."""
         regions = {region.name: region.shape for region in self.regions}
         parts = {part.label: part.shape for part in specimen.parts}
-        bodies: Mapping[str, object] = parts | regions
-        measured = {transfer.at: transfer for transfer in self.mtf}
-        known: dict[tuple[str, str], tuple[str, Mapping[str, object]]] = {
-            ("regions", "shape.part"): ("part", parts),
-            ("contrasts", "region"): ("region", regions),
-            ("contrasts", "against"): ("region", regions),
-            ("mtf", "at"): ("part or region", bodies),
-            ("nps", "region"): ("region", regions),
-            ("tasks", "region"): ("region", regions),
-            ("tasks", "mtf"): ("entry of evaluation.mtf", measured),
-            ("streaks", "part"): ("part", parts),
+        bodies = parts | regions
+        known = {
+            "part": ("part", parts),
+            "region": ("region", regions),
+            "round body": ("part or region", bodies),
         }
-        found = [
-            _conflict(f"{of}.{i}.{key}", f"unknown {what} {name!r}; {_are(having)}")
-            for (of, key), (what, having) in known.items()
-            for i, one in enumerate(getattr(self, of))
-            if (name := _at(one, key)) is not None and name not in having
-        ]
-        for i, one in enumerate(self.mtf):
-            body = bodies.get(one.at)
-            if body is not None and not isinstance(body, Sphere | Cylinder):
-                found.append(
-                    _conflict(f"mtf.{i}.at", f"{one.at!r} is neither a sphere nor a cylinder")
-                )
+        found: list[Conflict] = []
+        for at, name, target in self.references():
+            what, having = known.get(target) or self._entries_named(target)
+            if name not in having:
+                found.append(_conflict(at, f"unknown {what} {name!r}; {_are(having)}"))
+            elif target == "round body" and not isinstance(bodies[name], Sphere | Cylinder):
+                found.append(_conflict(at, f"{name!r} is neither a sphere nor a cylinder"))
         found += [
             _conflict(f"regions.{i}.name", f"a part is also called {region.name!r}")
             for i, region in enumerate(self.regions)
             if region.name in parts
         ]
-        for name, labels in {
-            "regions": [one.name for one in self.regions],
-            **{of: [one.label for one in getattr(self, of)] for of in KINDS},
-        }.items():
-            twice = [label for label, times in Counter(labels).items() if times > 1]
-            found += [_conflict(name, f"{label!r} appears more than once") for label in twice]
+        for kind in figure_kinds():
+            labels = Counter(one.label for one in self.entries(kind))
+            twice = [label for label, times in labels.items() if times > 1]
+            found += [_conflict(kind, f"{label!r} appears more than once") for label in twice]
         return found
 
+    def references(self) -> Iterator[tuple[str, str, str]]:
+        """Yield each key that names something, the name, and its target: see ``FigureKind``."""
+        for i, region in enumerate(self.regions):
+            if isinstance(region.shape, Shell):
+                yield f"regions.{i}.shape.part", region.shape.part, "part"
+        for kind in figure_kinds().values():
+            for key, target in kind.names.items():
+                for i, one in enumerate(self.entries(kind.name)):
+                    if (name := getattr(one, key)) is not None:
+                        yield f"{kind.name}.{i}.{key}", name, target
 
-KINDS = ("contrasts", "mtf", "nps", "tasks", "streaks")
-"""Measurements that refer to regions and parts."""
+    def _entries_named(self, target: str) -> tuple[str, dict[str, object]]:
+        kind, _, key = target.partition(".")
+        return f"entry of evaluation.{kind}", {getattr(e, key): e for e in self.entries(kind)}
+
+    @model_serializer(mode="wrap")
+    def _without_unused_extensions(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out foreign kinds without entries: others can read the scenario without them."""
+        return {name: told for name, told in plain(self).items() if told or name in BUILT_IN}
 
 
-def figure_part(name: str) -> str:
-    """Return a name without dots, to be used as part of a dotted name."""
-    return name.replace(".", "_")
+def _with_kinds() -> tuple[type[EvaluationSection], dict[str, str]]:
+    """Return the section with the keys of all kinds, and the problem of each unusable kind."""
+    section, broken = EvaluationSection, dict(figure_kinds().broken)
+    about: Any = {"__module__": __name__, "__doc__": section.__doc__}
+    for name, kind in figure_kinds().items():
+        if name in EvaluationSection.model_fields:
+            continue
+        try:
+            if hasattr(EvaluationSection, name):
+                raise ValueError("this name is reserved")
+            entries: Any = (tuple[kind.settings, ...], setting((), kind.description))
+            section = create_model("Evaluation", __base__=section, **{name: entries}, **about)
+        except Exception as error:  # settings may come from any package
+            broken[name] = f"the settings of {name!r} cannot be used: {error}"
+            log.warning(broken[name])
+    return section, broken
 
 
-def _at(section: Section, key: str) -> str | None:
-    """Return the value of a section at a dotted key; None if it has no such key."""
-    found: Any = section
-    for step in key.split("."):
-        found = getattr(found, step, None)
-    return found
+if TYPE_CHECKING:
+    BROKEN_KINDS: dict[str, str] = {}
+    Evaluation = EvaluationSection
+else:
+    Evaluation, BROKEN_KINDS = _with_kinds()
 
 
 def _conflict(key: str, message: str) -> Conflict:

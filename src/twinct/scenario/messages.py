@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from twinct.core.files.boundary import shortened
 from twinct.core.settings import Conflict, ConflictError
+from twinct.scenario.evaluation import BROKEN_KINDS
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
 from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
@@ -22,7 +23,9 @@ _BROKEN: dict[Key, dict[str, str]] = {
     ("reconstruction", "algorithm"): BROKEN_ALGORITHMS,
     ("trajectory", "kind"): families().broken,
     ("task",): BROKEN_OBJECTIVES,
+    ("evaluation",): BROKEN_KINDS,
 }
+"""Reasons why extensions cannot be used, by their names, at the keys that name or have them."""
 
 MOST_PROBLEMS = 50
 """Largest number of reported problems; a file with more is probably no scenario."""

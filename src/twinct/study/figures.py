@@ -5,20 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from twinct.evaluation import depth_names
-from twinct.runs.regions import named_figures
+from twinct.evaluation import IMAGE_FIGURES
 from twinct.scenario import Scenario
 
 _SECTIONS = ("views", "reached", "simulated_seconds", "clearance_mm", "pose_error")
 _WITH_ARMS = ("tool_speed_mm_s",)
 _IMAGES = ("image", "image_by_geometry", "believed_minus_executed")
-_SHARES = ("rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "ssim_bone")
-_OF_IMAGE = (
-    *_SHARES,
-    *("mean_bone_rel", "roi_fraction", "roi_bone_fraction", "edge_width_mm"),
-    *(f"zero.{name}" for name in _SHARES),
-    *(f"rmse_rel_by_depth.{name}" for name in depth_names()),
-)
+_OF_ZERO = ("rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "ssim_bone")
+_OF_IMAGE = (*(one.key for one in IMAGE_FIGURES), *(f"zero.{name}" for name in _OF_ZERO))
 
 
 def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
@@ -34,7 +28,7 @@ def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
 def figure_names(scenario: Scenario) -> tuple[str, ...]:
     """Return the names of the figures that a trial of a scenario will have."""
     asked = scenario.evaluation
-    of_image = [*_OF_IMAGE, *(named_figures(asked) if asked else ())]
+    of_image = [*_OF_IMAGE, *(asked.figure_names() if asked else ())]
     names = [f"image.{name}" for name in of_image]
     geometries = scenario.reconstruction.geometries
     if len(geometries) > 1:

@@ -10,6 +10,7 @@ from typing import Any
 
 from twinct.core.errors import InputError
 from twinct.core.files.writing import complete
+from twinct.evaluation.figure import BADNESS
 from twinct.report.figure_words import figure_words
 from twinct.study.checking import Checked, trial_key
 from twinct.study.design import Trial
@@ -28,7 +29,8 @@ class Rows:
     def __init__(self, folder: StudyFolder, study: Study) -> None:
         """Read the rows of earlier runs."""
         self._folder = folder
-        self._figure, self._better = study.ranked_by
+        self._figure, better = study.ranked_by
+        self._badness = BADNESS[better or figure_words(self._figure).best]
         self._journal = Journal(folder.path)
         self.status: dict[str, str] = {}
         self._ranked: dict[str, tuple[float, str]] = {}
@@ -130,15 +132,7 @@ class Rows:
         value = row.figures.get(self._figure)
         if value is None or math.isnan(value):
             return float("inf")
-        return _RANK[self._better or figure_words(self._figure).best](value)
-
-
-_RANK = {
-    "lower": lambda x: x,
-    "higher": lambda x: -x,
-    "one": lambda x: abs(x - 1),
-    "": lambda x: 0.0,
-}
+        return self._badness(value)
 
 
 def _combination(row: Row) -> str:

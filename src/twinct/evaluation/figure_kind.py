@@ -1,0 +1,171 @@
+"""Kinds of figures that a scenario can request: settings, words, references, check and formula.
+
+Each kind's file ends with its ``FigureKind``. Kinds from outside the package come from the entry
+points of the group ``twinct.figures``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
+
+from numpy.typing import NDArray
+from pydantic import Field
+
+from twinct.core.settings import Section
+from twinct.evaluation.figure import Figure
+from twinct.evaluation.region_voxels import Voxels
+from twinct.geometry import Pose, VolumeGrid
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+"""Part of a figure's dotted name."""
+
+T = TypeVar("T")
+
+
+class FigureSettings(Section):
+    """Keys of one entry of a kind in the section ``evaluation``."""
+
+    @property
+    def label(self) -> str:
+        """Name of the entry's figures, without dots: by default, the value of its first key."""
+        first = next(iter(type(self).model_fields))
+        return str(getattr(self, first)).replace(".", "_")
+
+
+class RoundBody(NamedTuple):
+    """Sphere, or cylinder along its z axis.
+
+    Attributes:
+        world_from_body: pose of the centre.
+        radius_mm: radius.
+        height_mm: height of a cylinder; None for a sphere.
+    """
+
+    world_from_body: Pose
+    radius_mm: float
+    height_mm: float | None = None
+
+
+class NamedPlaces(Protocol):
+    """Regions and parts of a scenario on a grid, by name."""
+
+    @property
+    def grid(self) -> VolumeGrid:
+        """Grid of the voxels."""
+        ...
+
+    def region(self, name: str) -> Voxels:
+        """Return the voxels of a region."""
+        ...
+
+    def part(self, name: str) -> Voxels:
+        """Return all voxels that a part fills, even partly."""
+        ...
+
+    def body(self, name: str) -> RoundBody:
+        """Return a region or a part that is a sphere or a cylinder."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Volume to measure in.
+
+    Attributes:
+        places: regions and parts.
+        volume: attenuation on the grid, (z, y, x), 1/mm.
+        truth: true attenuation on the grid, (z, y, x), 1/mm.
+        mu_reference: attenuation to which figures are relative, 1/mm.
+    """
+
+    places: NamedPlaces
+    volume: NDArray[Any]
+    truth: NDArray[Any]
+    mu_reference: float
+    _known: dict[Any, Any] = field(default_factory=dict[Any, Any], init=False, repr=False)
+
+    @property
+    def grid(self) -> VolumeGrid:
+        """Grid of the voxels."""
+        return self.places.grid
+
+    def region(self, name: str) -> Voxels:
+        """Return the voxels of a region."""
+        return self.once(_voxels_of_region, name)
+
+    def once(self, function: Callable[[Measurement, str], T], name: str) -> T:
+        """Return ``function(self, name)``, which several entries may need, from a single call."""
+        if (function, name) not in self._known:
+            self._known[function, name] = function(self, name)
+        return self._known[function, name]
+
+
+def _voxels_of_region(at: Measurement, name: str) -> Voxels:
+    return at.places.region(name)
+
+
+class Curve(NamedTuple):
+    """Curve over ``frequency_per_mm``, which the report plots.
+
+    Attributes:
+        key: name of its values.
+        label: label of its axis.
+        title: title of the picture.
+        meaning: a sentence; {0} stands for the material that figures are relative to.
+    """
+
+    key: str
+    label: str
+    title: str
+    meaning: str
+
+
+Target = Literal["part", "region", "round body"]
+"""Things that a key can name: a part, a region, or one of both that is a sphere or a cylinder."""
+
+SettingsT = TypeVar("SettingsT", bound=FigureSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class FigureKind(Generic[SettingsT]):
+    """Kind of figures that a scenario can request.
+
+    Attributes:
+        name: key in the section ``evaluation``.
+        settings: class of an entry.
+        description: description of the key, a sentence.
+        figures: scalar figures of each entry.
+        measure: computes the figures and curves of an entry, by key; a figure that is left out is
+            NaN.
+        names: keys of the settings that name something: what they name, or "KIND.KEY" if they
+            repeat a key of an entry of another kind. None is allowed if the key allows it. Parts
+            must cover voxels of the grid, and so must regions.
+        check: returns problems with the grid, before any work: sentences by key of the settings.
+        curves: curves of each entry.
+    """
+
+    name: str
+    settings: type[SettingsT]
+    description: str
+    figures: tuple[Figure, ...]
+    measure: Callable[[Measurement, SettingsT], Mapping[str, Any]]
+    names: Mapping[str, Target | str] = field(default_factory=dict[str, str])
+    check: Callable[[NamedPlaces, SettingsT], Mapping[str, str]] = lambda places, one: {}
+    curves: tuple[Curve, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse a name that is no key, and references from keys that the settings lack."""
+        if not re.fullmatch("[a-z][a-z_0-9]*", self.name):
+            raise ValueError(f"{self.name!r} must be lower-case letters, digits and underscores")
+        if unknown := sorted(self.names.keys() - self.settings.model_fields.keys()):
+            raise ValueError(f"{self.settings.__name__} has no key {', '.join(unknown)}")
+
+    def measured(self, at: Measurement, entry: SettingsT) -> dict[str, Any]:
+        """Return the figures and curves of an entry, by key."""
+        found = self.measure(at, entry)
+        scalars = {one.key: float(found.get(one.key, math.nan)) for one in self.figures}
+        return scalars | {key: value for key, value in found.items() if key not in scalars}
