@@ -93,6 +93,7 @@ from twinct.scenario.uncertainty import (
     Uncertainty,
     ViewErrors,
 )
+from twinct.scenario.xray import Xray
 
 __all__ = [
     "PRESETS",
@@ -180,6 +181,7 @@ __all__ = [
     "Uncertainty",
     "ViewErrors",
     "ViewTask",
+    "Xray",
     "Zone",
     "load_scenario",
     "named_places",

@@ -77,7 +77,7 @@ STAGES: dict[StageName, _Stage] = {
         on=("plan",),
     ),
     "images": _Stage(
-        1, ("source", "detector", "specimen.parts.material", "seed"), on=("executed",)
+        1, ("source", "detector", "xray", "specimen.parts.material", "seed"), on=("executed",)
     ),
     "believed": _Stage(
         1,

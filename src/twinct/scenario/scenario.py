@@ -19,6 +19,7 @@ from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import Specimen
 from twinct.scenario.task import ViewTask
 from twinct.scenario.uncertainty import Uncertainty
+from twinct.scenario.xray import Xray
 from twinct.trajectory import TrajectorySettings
 from twinct.trajectory.families import families
 
@@ -44,6 +45,7 @@ class Scenario(Section):
     seed: int = setting(0, "Seed of all random draws.", ge=0, lt=2**63)
     source: Source = setting(Source(), "The X-ray source.")
     detector: Detector = setting(Detector(), "The flat panel.")
+    xray: Xray = setting(Xray(), "Computation of the X-ray images.")
     trajectory: AnyTrajectory = Field(description="Commanded path of source and panel.")
     specimen: Specimen = Field(description="Specimen to be imaged.")
     cell: AnyCell = setting(Cell(), "The room, with two arms or a gantry.")
