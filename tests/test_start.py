@@ -46,6 +46,7 @@ def test_importing_run_loads_few_modules() -> None:
     modules, code, _ = loaded(RUN)
     assert code == 0
     assert "twinct.runs.job" in modules
+    assert "twinct.xray.engines" not in modules
     assert heavy(modules) == []
     assert len(modules) <= MOST_MODULES
 
@@ -55,6 +56,7 @@ def test_the_help_loads_few_modules() -> None:
     modules, code, said = loaded(COMMAND.format(arguments=["--help"]))
     assert code == 0
     assert "reconstruct" in said
+    assert "twinct.xray.engines" not in modules
     assert heavy(modules) == []
     assert len(modules) <= MOST_MODULES
 

@@ -34,8 +34,8 @@ class Imager(SceneOwner):
     time.
 
     A monochromatic point source and an ideal detector give the engine's own image, each pixel
-    sampled at its centre. All other cases use path lengths (``PathRenderer``) and a ``Chain``; an image then
-    costs one render per point of the focal spot and instant of the exposure.
+    sampled at its centre. All other cases use path lengths (``PathRenderer``) and a ``Chain``; an
+    image then costs one render per point of the focal spot and instant of the exposure.
     """
 
     def __init__(

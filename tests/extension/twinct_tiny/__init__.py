@@ -1,1 +1,1 @@
-"""An algorithm and a family of trajectories from outside the package."""
+"""An algorithm, a family of trajectories and an X-ray engine from outside the package."""
