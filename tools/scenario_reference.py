@@ -56,16 +56,18 @@ them. `uncertainty.seed` varies the believed poses alone. The volume stands on t
 made from them.
 """
 
-EXTENSIONS = """## Algorithms and trajectories of your own
+EXTENSIONS = """## Algorithms, trajectories and X-ray engines of your own
 
-A package of yours can add to both. It names them as entry points, and where it is installed they
-are known to the command line, the ROS 2 nodes and Python alike:
+A package of yours can add to all three. It names them as entry points, and where it is installed
+they are known to the command line, the ROS 2 nodes and Python alike:
 
 ```toml
 [project.entry-points."twinct.algorithms"]
 landweber = "my_package.landweber:LANDWEBER"
 [project.entry-points."twinct.trajectories"]
 zigzag = "my_package.zigzag:ZIGZAG"
+[project.entry-points."twinct.xray_engines"]
+analytic = "my_package.analytic:ANALYTIC"
 ```
 
 ```python
@@ -89,7 +91,8 @@ ZIGZAG = Family(Zigzag, views)
 
 `OrbitSettings` brings the keys of all orbits; `TrajectorySettings` none. All of it comes from
 `twinct.trajectory` and `twinct.geometry`; an algorithm is settings (`AlgorithmSettings`), a
-function and an `Algorithm`, from `twinct.recon.algorithm` ([more](reconstruction.md)). Such a
+function and an `Algorithm`, from `twinct.recon.algorithm` ([more](reconstruction.md)); an X-ray
+engine is [a class and an `EngineChoice`](physics.md#another-x-ray-engine). Such a
 module must not import `twinct.scenario`, which is made of it. A key `path`, in any section, is an
 input file: made absolute, it must exist, and it counts by its content. An entry point that fails,
 or whose name is taken, is reported with its package and stops nobody who does not name it.
