@@ -46,9 +46,15 @@ def test_importing_run_loads_few_modules() -> None:
     modules, code, _ = loaded(RUN)
     assert code == 0
     assert "twinct.runs.job" in modules
-    assert "twinct.xray.engines" not in modules
     assert heavy(modules) == []
     assert len(modules) <= MOST_MODULES
+
+
+@pytest.mark.process
+def test_importing_run_looks_for_no_engines_of_other_packages() -> None:
+    looked = "from twinct.xray.engines import engines\nassert not engines.cache_info().currsize"
+    _, code, said = loaded(f"{RUN}\n{looked}")
+    assert code == 0, said
 
 
 @pytest.mark.process
