@@ -262,7 +262,7 @@ def run_scan(builder: SimulationBuilder, out: Path, observers: list[Observer]) -
     write_text(folder.scenario, as_yaml(builder.scenario))
     with (
         audience_of(observers) as audience,
-        rig_factory("ros2", folder.logs, audience) as make_rig,
+        rig_factory("ros2", "gvxr", folder.logs, audience) as make_rig,
     ):
         acquire_to_store(builder, folder.scan, make_rig, resume=False, observers=audience)
 

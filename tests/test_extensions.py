@@ -101,6 +101,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     points += "[twinct.objectives]\nworst = hopeless:IT\n"
     points += "[twinct.exports]\nuseless = hopeless:IT\n"
     points += "[twinct.figures]\nhidden = hopeless:IT\nmtf = hopeless:IT\n"
+    points += "[twinct.xray_engines]\ndark = hopeless:IT\n"
     distribution(target, "hopeless", "0.3", points, "raise OSError('its library is gone')\n")
     return target
 
@@ -259,6 +260,57 @@ def test_a_foreign_figure_is_checked_measured_shown_and_searched_for(
     unused = twinct(installed, "report", out, "--set", "evaluation.tails=[]")
     assert unused.returncode == 0, unused.stderr
     assert "tails" not in (out / "scenario.yaml").read_text() + (out / "metrics.json").read_text()
+
+
+@pytest.fixture
+def without_gvxr(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Refuse the import of gVXR in all processes, nodes included."""
+    package = tmp_path / "blocked" / "gvxrPython3"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise ImportError('blocked')\n")
+    paths = [str(package.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+@pytest.mark.usefixtures("without_gvxr")
+@pytest.mark.parametrize("link", ["local", pytest.param("ros2", marks=pytest.mark.ros)])
+def test_another_engine_images_a_whole_scan_without_gvxr(
+    installed: Path, scenario: Path, link: str
+) -> None:
+    out, blurred = scenario.parent / "out", "source.focal_spot={kind: square, size_mm: 1}"
+    command = ["run", scenario, "--out", out, "--link", link, "--set"]
+    refused = twinct(installed, *command, "xray.engine=gvxr")
+    assert refused.returncode != 0 and "gVXR cannot be loaded: blocked" in refused.stderr
+    changes = ["xray.engine=analytic", "--set", blurred, "--set", "source.focal_spot.samples=2"]
+    checked = twinct(installed, "check", scenario, "--set", *changes)
+    assert checked.returncode == 0, checked.stderr
+    assert "analytic" in checked.stdout
+    done = twinct(installed, *command, *changes, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert "rendered by analytic" in (out / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("engine", "reason"),
+    [
+        ("dark", "'dark' of hopeless 0.3 cannot be used: OSError: its library is gone"),
+        ("gvrx", "there is no engine 'gvrx'; did you mean 'gvxr'?"),
+    ],
+)
+def test_who_names_an_engine_that_cannot_be_used_is_told_why(
+    installed: Path, scenario: Path, engine: str, reason: str
+) -> None:
+    change, out = ("--set", f"xray.engine={engine}"), scenario.parent / "out"
+    for command in (["check", scenario], ["run", scenario, "--out", out, "--link", "local"]):
+        refused = twinct(installed, *command, *change)
+        assert refused.returncode == 2
+        place = f"--set xray.engine={engine}: xray.engine: "
+        assert f"{place}{reason} (allowed: gvxr, analytic)" in refused.stderr
+    assert not out.exists()
 
 
 @pytest.mark.tutorial

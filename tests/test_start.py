@@ -51,10 +51,18 @@ def test_importing_run_loads_few_modules() -> None:
 
 
 @pytest.mark.process
+def test_importing_run_looks_for_no_engines_of_other_packages() -> None:
+    looked = "from twinct.xray.engines import engines\nassert not engines.cache_info().currsize"
+    _, code, said = loaded(f"{RUN}\n{looked}")
+    assert code == 0, said
+
+
+@pytest.mark.process
 def test_the_help_loads_few_modules() -> None:
     modules, code, said = loaded(COMMAND.format(arguments=["--help"]))
     assert code == 0
     assert "reconstruct" in said
+    assert "twinct.xray.engines" not in modules
     assert heavy(modules) == []
     assert len(modules) <= MOST_MODULES
 

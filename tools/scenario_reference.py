@@ -56,11 +56,12 @@ them. `uncertainty.seed` varies the believed poses alone. The volume stands on t
 made from them.
 """
 
-EXTENSIONS = """## Algorithms, trajectories and figures of your own
+EXTENSIONS = """## Extensions of your own
 
-A package of yours can add to all of them, and to the
-[objectives of a plan](planning.md#add-an-objective). It names them as entry points, and where it is
-installed they are known to the command line, the ROS 2 nodes and Python alike:
+A package of yours can add algorithms, trajectories, X-ray engines, figures,
+[objectives of a plan](planning.md#add-an-objective) and
+[export formats](exchange.md#add-a-format). It names them as entry points, and where it is installed
+they are known to the command line, the ROS 2 nodes and Python alike:
 
 ```toml
 [project.entry-points."twinct.algorithms"]
@@ -69,6 +70,8 @@ landweber = "my_package.landweber:LANDWEBER"
 zigzag = "my_package.zigzag:ZIGZAG"
 [project.entry-points."twinct.figures"]
 tails = "my_package.tails:TAILS"
+[project.entry-points."twinct.xray_engines"]
+analytic = "my_package.analytic:ANALYTIC"
 ```
 
 ```python
@@ -92,8 +95,9 @@ ZIGZAG = Family(Zigzag, views)
 
 `OrbitSettings` brings the keys of all orbits; `TrajectorySettings` none. All of it comes from
 `twinct.trajectory` and `twinct.geometry`; an algorithm is settings (`AlgorithmSettings`), a
-function and an `Algorithm`, from `twinct.recon.algorithm` ([more](reconstruction.md)); a kind of
-figures is explained [with an example](figures.md#add-a-figure). Such a module must not import
+function and an `Algorithm`, from `twinct.recon.algorithm` ([more](reconstruction.md)). A kind of
+figures is explained [with an example](figures.md#add-a-figure); an X-ray engine is
+[a class and an `EngineChoice`](physics.md#another-x-ray-engine). Such a module must not import
 `twinct.scenario`, which is made of it. A key `path`, in any section, is an input file: made
 absolute, it must exist, and it counts by its content. An entry point that fails, or whose name is
 taken, is reported with its package and stops nobody who does not name it. `tests/extension` is a

@@ -59,6 +59,8 @@ def changed(one: dict[str, str], other: dict[str, str]) -> set[str]:
         ("detector.response={kind: counting}", IMAGED),
         ("detector.readout={}", IMAGED),
         ("detector.lag=0.1", IMAGED),
+        ("xray.engine=gvxr", set()),
+        ("xray.engine=another", IMAGED),
         ("seed=5", {"believed", "volume"}),
         ("uncertainty.seed=5", {"believed", "volume"}),
         ("uncertainty.source.sigma_mm=0.05", {"believed", "volume"}),

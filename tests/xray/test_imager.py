@@ -17,7 +17,7 @@ from twinct.core.errors import InputError, MissingExtraError, SpecimenError, Twi
 from twinct.geometry import Panel, Pose
 from twinct.scenario import Detector, Source
 from twinct.xray import Imager
-from twinct.xray import _engine as engine_module
+from twinct.xray.gvxr import GVXR, GvxrEngine
 
 DETECTOR = Detector(columns=64, rows=48, pixel_pitch_mm=5.0)
 VIEW = front_view(DETECTOR.panel)
@@ -217,10 +217,9 @@ def test_silent_from_import_to_exit():
 
 
 def test_without_gvxr_the_extra_is_named(monkeypatch):
-    monkeypatch.setattr(engine_module, "ENGINE", engine_module.GvxrScene())
     monkeypatch.setitem(sys.modules, "gvxrPython3", None)
     with pytest.raises(MissingExtraError, match=r"twinct\[xray\]"):
-        engine_module.ENGINE.acquire([], 80.0, DETECTOR.panel)
+        GvxrEngine().acquire([], DETECTOR.panel)
 
 
 def test_a_missing_system_library_is_named_with_the_remedy(monkeypatch, tmp_path):
@@ -233,7 +232,7 @@ def test_a_missing_system_library_is_named_with_the_remedy(monkeypatch, tmp_path
     for name in [name for name in sys.modules if name.partition(".")[0] == "gvxrPython3"]:
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(InputError, match=r"libxcb-res.*make setup.*libxcb-res0"):
-        engine_module.GvxrScene().acquire([], 80.0, DETECTOR.panel)
+        GvxrEngine().acquire([], DETECTOR.panel)
 
 
 @pytest.mark.process
@@ -256,7 +255,7 @@ def test_without_opengl_the_remedy_is_named():
 
 def test_errors_of_gvxr_are_raised_as_ours(monkeypatch):
     with Imager(Source(), DETECTOR, ball()) as imager:
-        gvxr = engine_module.ENGINE._gvxr
+        gvxr = GVXR.engine._gvxr
         with monkeypatch.context() as patch:
             patch.setattr(gvxr, "setSourcePosition", lambda *_: gvxr.setSourcePosition_missing())
             with pytest.raises(AttributeError):

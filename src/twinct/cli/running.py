@@ -128,13 +128,15 @@ def node(
     from twinct.runs import check_physics
     from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
+    from twinct.xray.engines import engine_named
 
     loaded = load_scenario(scenario, set_)
-    if which == "xray" or loaded.cell.kind == "arms":
-        require("robots" if which == "robots" else "xray")
     with named_places(scenario, set_):
         if which == "xray":
+            require(*engine_named(loaded.xray.engine).extras)
             check_physics(SimulationBuilder(loaded))
+        elif loaded.cell.kind == "arms":
+            require("robots")
         code = spin_robots(loaded) if which == "robots" else spin_xray(loaded)
     if code:
         sys.exit(code)

@@ -53,7 +53,8 @@ def check(
     )
     from twinct.scan import SimulationBuilder
 
-    require_extras(loaded)
+    with named_places(scenario, set_):
+        require_extras(loaded)
     builder = SimulationBuilder(loaded)
     remedy = nullcontext
     if loaded.cell.kind == "arms":  # a gantry needs no MuJoCo

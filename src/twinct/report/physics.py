@@ -31,6 +31,8 @@ def physics_in_words(
     photons = _photons(scenario, source, panel, float(loads[0]))
     if photons is not None:
         words.append(f"{photons:.3g} photons per pixel in the free beam")
+    if scenario.xray.engine != sections.Xray().engine:
+        words.append(f"rendered by {scenario.xray.engine}")
     lattice, n = scenario.detector.panel, scenario.detector.binning
     size = f"{lattice.columns} × {lattice.rows} px of {lattice.pitch_u:g} × {lattice.pitch_v:g} mm"
     size += f", each binned from {n} × {n}" if n > 1 else ""

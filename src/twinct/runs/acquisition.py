@@ -52,20 +52,25 @@ def installed_link() -> Link:
 
 @contextmanager
 def rig_factory(
-    link: Link, logs: Path, audience: Audience, hear: Callable[[Heard], None] | None = None
+    link: Link,
+    engine: str,
+    logs: Path,
+    audience: Audience,
+    hear: Callable[[Heard], None] | None = None,
 ) -> Generator[RigFactory, None, None]:
     """Yield the factory that starts the simulations, after checking that the link works.
 
     The ROS domain is claimed and announced at once, so that other nodes can join in time. The
-    output of the nodes goes to the folder ``logs``; ``hear`` receives all their ROS messages.
+    output of the nodes goes to the folder ``logs``; ``hear`` receives all their ROS messages. The
+    X-ray engine, by its name in the scenario, is loaded at once if it runs in this process.
 
     Raises:
-        InputError: the link's extra or the requested ROS domain cannot be used.
+        InputError: the link's extra, the requested ROS domain or the X-ray engine cannot be used.
     """
     if link == "local":
         from twinct.xray import prepare_engine
 
-        prepare_engine()
+        prepare_engine(engine)
         yield local_rig
         return
     from twinct.link import Domain, require_ros, ros_rigs

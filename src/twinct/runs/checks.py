@@ -182,8 +182,11 @@ def require_extras(scenario: Scenario) -> None:
     """Raise unless the extras that a scenario needs are installed.
 
     Raises:
-        InputError: a package is missing; names the extra that provides it.
+        InputError: a package is missing; names the extra that provides it. Or the X-ray engine is
+            unknown or cannot be used.
     """
+    from twinct.xray.engines import engine_named
+
     robots = ["robots"] if scenario.cell.kind == "arms" else []
     rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []
-    require(*robots, "xray", *rtk)
+    require(*robots, *engine_named(scenario.xray.engine).extras, *rtk)

@@ -151,7 +151,8 @@ def run(
             audience.say(f"link {chosen}{without}")
         with seconds.stage("link"):
             hear = recorder.hear if recorder else None
-            make_rig = stack.enter_context(rig_factory(chosen, folder.logs, audience, hear))
+            rigs = rig_factory(chosen, scenario.xray.engine, folder.logs, audience, hear)
+            make_rig = stack.enter_context(rigs)
         warnings = _prepare(builder, folder, seconds, audience)
         stack.enter_context(storage_errors(folder.path))
         folder.path.mkdir(parents=True, exist_ok=True)

@@ -20,9 +20,6 @@ PROCESS_BYTES = 400 * 2**20
 ROOM_BYTES = 250 * 2**20
 """Memory of the room's model with both arms."""
 
-GVXR_BYTES = 2500 * 2**20
-"""Memory that gVXR allocates at import; it releases little."""
-
 SKULL_BYTES_PER_CELL = 40
 SKULL_MM = 220.0
 """Edge of the lattice of the built-in skull; the lattice of the brain is smaller."""
@@ -65,6 +62,8 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
         The stages in their order: ``specimen``, ``plan``, ``views``, ``truth``, ``reconstruction``
         and ``report``.
     """
+    from twinct.xray.engines import engine_named
+
     views = SimulationBuilder(
         scenario
     ).asked  # choices of the plan, such as an order, need no memory
@@ -73,9 +72,10 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
     number, many, local = len(views), threads(), link == "local"
     specimen = PROCESS_BYTES + _specimen_bytes(scenario)
     room = ROOM_BYTES if scenario.cell.kind == "arms" else 0
-    simulations = room + GVXR_BYTES + 16 * image
-    # Each node builds its own specimen; in a single process, gVXR stays loaded until the end.
-    stays = GVXR_BYTES if local else 0
+    engine = engine_named(scenario.xray.engine).memory_bytes
+    simulations = room + engine + 16 * image
+    # Each node builds its own specimen; in a single process, the engine stays until the end.
+    stays = engine if local else 0
     acquiring = specimen + simulations if local else 3 * specimen + simulations
     scan, stored = 2 * number * image, (1 + len(scenario.detector.keep)) * number * image
     reconstructing = max(memory_needed(scenario, views).values())

@@ -237,9 +237,16 @@ class SimulationBuilder:
         """Return an X-ray simulation of the specimen."""
         from twinct.xray import Imager
 
-        source, detector, seed = self.scenario.source, self.scenario.detector, self.scenario.seed
-        commanded, mas = self.commanded, self.mas
-        return Imager(source, detector, self.specimen, commanded=commanded, seed=seed, mas=mas)
+        scenario = self.scenario
+        return Imager(
+            scenario.source,
+            scenario.detector,
+            self.specimen,
+            commanded=self.commanded,
+            seed=scenario.seed,
+            mas=self.mas,
+            engine=scenario.xray.engine,
+        )
 
 
 def _places(targets: list[Target]) -> Floats:

@@ -89,6 +89,7 @@ from twinct.scenario.uncertainty import (
     Uncertainty,
     ViewErrors,
 )
+from twinct.scenario.xray import Xray
 
 __all__ = [
     "PRESETS",
@@ -176,6 +177,7 @@ __all__ = [
     "Uncertainty",
     "ViewErrors",
     "ViewTask",
+    "Xray",
     "Zone",
     "load_scenario",
     "named_places",

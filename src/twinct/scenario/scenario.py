@@ -19,6 +19,7 @@ from twinct.scenario.source import Source, TubeSpectrum
 from twinct.scenario.specimen import Specimen
 from twinct.scenario.task import ViewTask
 from twinct.scenario.uncertainty import Uncertainty
+from twinct.scenario.xray import Xray
 from twinct.trajectory import TrajectorySettings
 from twinct.trajectory.families import families
 
@@ -50,6 +51,7 @@ class Scenario(Section):
     )
     source: Source = setting(Source(), "The X-ray source.", read_by="images")
     detector: Detector = setting(Detector(), "The flat panel.", read_by="images")
+    xray: Xray = setting(Xray(), "Computation of the X-ray images.", read_by="images")
     trajectory: Annotated[AnyTrajectory, ReadBy("plan")] = Field(
         description="Commanded path of source and panel."
     )

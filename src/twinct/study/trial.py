@@ -196,7 +196,8 @@ def _acquire(spec: TrialSpec, builder: SimulationBuilder, folder: Path) -> None:
     check_physics(builder)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "scan.zarr"
-    with rig_factory(spec.link, folder / "log", Audience()) as make_rig:
+    engine = builder.scenario.xray.engine
+    with rig_factory(spec.link, engine, folder / "log", Audience()) as make_rig:
         try:
             acquire_to_store(builder, path, make_rig, resume=True)
         except DamagedError as error:

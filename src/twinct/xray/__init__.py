@@ -1,5 +1,6 @@
-"""X-ray projections by gVXR; no other package calls gVXR."""
+"""X-ray projections, by gVXR or another engine; no other package calls gVXR."""
 
-from twinct.xray.imager import Imager, prepare_engine
+from twinct.xray.engines import prepare_engine
+from twinct.xray.imager import Imager
 
 __all__ = ["Imager", "prepare_engine"]

@@ -1,4 +1,4 @@
-"""Checks for silent errors of gVXR: invalid meshes, and invalid positions of source and panel."""
+"""Checks for silent errors of an engine: invalid meshes, and positions of source and panel."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ DEPTH_MM = 0.02
 
 
 def mesh_fault(mesh: Trimesh) -> str | None:
-    """Return the reason why gVXR cannot image a mesh; None for a valid mesh."""
+    """Return the reason why a mesh cannot be imaged; None for a valid mesh."""
     if not len(mesh.faces):
         return "is empty: its mesh has no triangles"
     if not mesh.is_watertight:
-        return "is an open mesh: gVXR would get its path lengths wrong"
+        return "is an open mesh: its path lengths would be wrong"
     if mesh.volume <= 0:
         return "is inside out: its triangles must be wound outwards"
     return None

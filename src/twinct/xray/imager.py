@@ -11,10 +11,12 @@ from twinct.core.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltSpecimen
-from twinct.xray._engine import ENGINE, SceneOwner, Upload
+from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
 from twinct.xray.build import physical_panel
 from twinct.xray.chain import Chain, ViewImages
+from twinct.xray.engine import SceneBody, SceneView
+from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 
 Placed = tuple[ScanGeometry, Pose]
@@ -24,15 +26,6 @@ _NEAREST_MM = 150.0
 """Distance from source to specimen if there are no commanded views."""
 
 
-def prepare_engine() -> None:
-    """Import gVXR and check that it can draw, so that a later imager starts at once.
-
-    Raises:
-        InputError: gVXR or a system library that it needs is not installed.
-    """
-    ENGINE.prepare()
-
-
 class Imager(SceneOwner):
     """Renderer for views of one specimen with one source and one panel.
 
@@ -40,9 +33,9 @@ class Imager(SceneOwner):
     Only one imager can be open in a process. It may be used from any thread, by one thread at a
     time.
 
-    A monochromatic point source and an ideal detector give gVXR's own image, each pixel sampled at
-    its centre. All other cases use path lengths (``PathRenderer``) and a ``Chain``; an image then
-    costs one render per point of the focal spot and instant of the exposure.
+    A monochromatic point source and an ideal detector give the engine's own image, each pixel
+    sampled at its centre. All other cases use path lengths (``PathRenderer``) and a ``Chain``; an
+    image then costs one render per point of the focal spot and instant of the exposure.
     """
 
     def __init__(
@@ -54,6 +47,7 @@ class Imager(SceneOwner):
         commanded: ScanGeometry | None = None,
         seed: int = 0,
         mas: Floats | None = None,
+        engine: str = DEFAULT_ENGINE,
     ) -> None:
         """Upload the specimen.
 
@@ -66,12 +60,13 @@ class Imager(SceneOwner):
                 view beyond them counts as commanded in its executed geometry.
             seed: key of the noise, together with the index of the view.
             mas: tube load of each commanded view, (views,), mAs; ``source.mas`` by default.
+            engine: name of the X-ray engine.
 
         Raises:
             SpecimenError: there is nothing to image, a mesh is open, or an attenuation is not
                 finite or is negative.
-            InputError: gVXR, SpekPy or a system library is missing, or a file is unusable.
-            TwinctError: another imager is open in this process, or gVXR failed.
+            InputError: the engine, SpekPy or a system library is missing, or a file is unusable.
+            TwinctError: another imager is open in this process, or the engine failed.
         """
         self.panel = detector.panel
         self._source, self._detector, self._seed = source, detector, seed
@@ -82,7 +77,7 @@ class Imager(SceneOwner):
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
             bodies = _bodies(specimen, source.energy_kev, edge)
             self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
-            ENGINE.acquire(bodies, source.energy_kev, self.panel)
+            self._acquire(engine_named(engine).engine, bodies, self.panel)
         else:
             low, high = specimen.bounds
             self._centre = (low + high) / 2
@@ -94,8 +89,9 @@ class Imager(SceneOwner):
                 physical_panel(detector),
                 detector.pixel_samples,
                 edge,
+                engine,
             )
-        self._open = True
+            self._open = True
 
     def render(
         self, geometry: ScanGeometry, world_from_object: Pose, view: int = 0
@@ -115,7 +111,7 @@ class Imager(SceneOwner):
         Raises:
             ValueError: ``geometry`` is not one view, or has another panel.
             TwinctError: the imager is closed, the specimen reaches through the panel, the source is
-                inside the specimen, or gVXR failed.
+                inside the specimen, or the engine failed.
         """
         return self.expose([(geometry, world_from_object)], view)
 
@@ -184,7 +180,8 @@ class Imager(SceneOwner):
         view = world_from_object.inverse() @ geometry
         self._placement.check(view)
         image = np.empty(self.panel.shape, dtype=np.float32)
-        ENGINE.expose((view.source[0], view.detector[0], view.u[0], view.v[0]), image)
+        seen = SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
+        self._engine.expose(seen, image)
         return image
 
     def _release(self) -> None:
@@ -204,11 +201,11 @@ def _nearest_mm(specimen: BuiltSpecimen, commanded: ScanGeometry | None) -> floa
     return max(distance - float(np.linalg.norm(high - low)) / 2, distance / 10)
 
 
-def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) -> list[Upload]:
+def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) -> list[SceneBody]:
     if not specimen.parts:
         raise SpecimenError("the specimen has no parts: there is nothing to image")
     problems: list[str] = []
-    bodies: list[Upload] = []
+    bodies: list[SceneBody] = []
     for part in specimen.parts:
         mu_per_mm = float(part.material.mu_per_mm(energy_kev))
         fault = mesh_fault(part.mesh)
@@ -218,7 +215,7 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) 
             problems.append(f"part '{part.name}' {fault}")
         else:
             mesh = split(part.mesh, longest_edge_mm)
-            bodies.append((np.asarray(mesh.vertices), np.asarray(mesh.faces), mu_per_mm))
+            bodies.append(SceneBody(np.asarray(mesh.vertices), np.asarray(mesh.faces), mu_per_mm))
     if problems:
         raise SpecimenError(problems)
     return bodies

@@ -1,4 +1,4 @@
-"""Path lengths of all rays in each material: the only input from gVXR for any spectrum."""
+"""Path lengths of all rays in each material: the only input from the engine for any spectrum."""
 
 from __future__ import annotations
 
@@ -11,22 +11,14 @@ from numpy.typing import NDArray
 from twinct.core.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.specimen.materials import Material
-from twinct.xray._engine import ENGINE, SceneOwner
+from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import Placement, corners, mesh_fault, split
+from twinct.xray.engine import SceneBody, SceneView
+from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-PATH_MU = 0.05
-"""Attenuation, 1/mm, at which gVXR renders a path length.
-
-Path = -ln(transmission) / PATH_MU. float32 resolves 1e-6 mm of a thin foil, and its range ends at
-1.7 m. The remaining error is gVXR's own depth: at most 1e-4 mm at a distance of 600 mm.
-"""
-
-ANY_KEV = 80.0
-"""Energy for the rendering of path lengths; it has no effect, as ``PATH_MU`` is given."""
-_LEAST_FLOAT = np.float32(np.finfo(np.float32).tiny)
 LARGEST_TILE = 2048
 """Maximum pixels along an edge for gVXR with software OpenGL; larger panels are tiled."""
 
@@ -63,6 +55,7 @@ class PathRenderer(SceneOwner):
         panel: Panel,
         samples: int = 1,
         longest_edge_mm: float | None = None,
+        engine: str = DEFAULT_ENGINE,
     ) -> None:
         """Upload the bodies.
 
@@ -72,11 +65,12 @@ class PathRenderer(SceneOwner):
             samples: samples along each pixel edge; the cost grows with their square.
             longest_edge_mm: maximum edge of the meshes, longer ones are split; see
                 ``longest_edge``.
+            engine: name of the X-ray engine.
 
         Raises:
             SpecimenError: there is no body, or a mesh is open or inside out.
-            InputError: gVXR or a system library that it needs is missing.
-            TwinctError: another imager is open in this process, or gVXR failed.
+            InputError: the engine, or something that it needs, is missing.
+            TwinctError: another imager is open in this process, or the engine failed.
         """
         if not bodies:
             raise SpecimenError("the specimen has no parts: there is nothing to image")
@@ -93,9 +87,8 @@ class PathRenderer(SceneOwner):
         tile = Panel(_even(fine.rows), _even(fine.columns), fine.pitch_u, fine.pitch_v)
         self._tile = np.empty(tile.shape, dtype=np.float32)
         meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
-        uploads = [(np.asarray(m.vertices), np.asarray(m.faces), PATH_MU) for m in meshes]
-        ENGINE.acquire(uploads, ANY_KEV, tile)
-        self._open = True
+        uploads = [SceneBody(np.asarray(m.vertices), np.asarray(m.faces)) for m in meshes]
+        self._acquire(engine_named(engine).engine, uploads, tile)
 
     def render(
         self, view: ScanGeometry, world_from_bodies: Pose | Sequence[Pose]
@@ -114,7 +107,7 @@ class PathRenderer(SceneOwner):
             ValueError: ``view`` is not one view or has another panel, or the poses do not match the
                 bodies.
             TwinctError: the renderer is closed, a body reaches through the panel, the source is
-                inside a body, or gVXR failed.
+                inside a body, or the engine failed.
         """
         if not self._open:
             raise TwinctError("the X-ray renderer was closed")
@@ -152,10 +145,9 @@ class PathRenderer(SceneOwner):
         down = (row + (tile.shape[0] - fine.rows) / 2) * fine.pitch_v
         right = (column + (tile.shape[1] - fine.columns) / 2) * fine.pitch_u
         centre = view.detector[0] + right * view.u[0] + down * view.v[0]
-        ENGINE.expose((view.source[0], centre, view.u[0], view.v[0]), tile, body)
-        np.clip(tile, _LEAST_FLOAT, 1.0, out=tile)
-        np.log(tile, out=tile)
-        np.multiply(tile, np.float32(-1 / PATH_MU), out=tile)
+        self._engine.path_lengths(
+            SceneView(view.source[0], centre, view.u[0], view.v[0]), body, tile
+        )
         part = out[row : row + tile.shape[0], column : column + tile.shape[1]]
         seen = tile[: part.shape[0], : part.shape[1]]
         part[:] = part + seen if filled else seen

@@ -1,4 +1,4 @@
-"""The one gVXR scene of this process, and its thread.
+"""The engine gVXR: one scene in this process, and its thread.
 
 gVXR is a process-wide scene behind module functions. This module handles its peculiarities, so that
 no other code needs to:
@@ -21,23 +21,33 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
-from typing import Any, Self, TypeVar
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, MissingExtraError, TwinctError
-from twinct.geometry import Floats, Panel
+from twinct.geometry import Panel
+from twinct.xray.engine import EngineChoice, SceneBody, SceneView
 
 Result = TypeVar("Result")
-Upload = tuple[Floats, NDArray[np.integer], float]
-"""Vertices (n, 3) in mm, triangles (m, 3) wound outwards, attenuation in 1/mm."""
-Vectors = tuple[Floats, Floats, Floats, Floats]
-"""One view: focal spot and panel centre in mm, unit vectors along +column and +row, each (3,)."""
+
+PATH_MU = 0.05
+"""Attenuation, 1/mm, at which a path length is rendered.
+
+Path = -ln(transmission) / PATH_MU. float32 resolves 1e-6 mm of a thin foil, and its range ends at
+1.7 m. The remaining error is gVXR's own depth: at most 1e-4 mm at a distance of 600 mm.
+"""
+_LEAST_FLOAT = np.float32(np.finfo(np.float32).tiny)
+
+_ANY_KEV = 80.0
+"""Photon energy; it has no effect, as attenuations are given and photons are counted."""
+
+MEMORY_BYTES = 2500 * 2**20
+"""Memory that gVXR allocates at import; it releases little."""
 
 ADVICE = (
     "Install the system libraries with 'make setup' (on Debian: apt-get install libegl1 libgl1 "
@@ -45,7 +55,7 @@ ADVICE = (
     "libxcb-res0 libxcb-xinerama0)"
 )
 
-_PRIMER: Upload = (
+_PRIMER = SceneBody(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
     0.01,
@@ -56,15 +66,14 @@ _BEAM_MM = 300.0
 """Distance of source and panel from the origin in the first view."""
 
 
-class GvxrScene:
-    """gVXR in its own thread, with one owner at a time."""
+class GvxrEngine:
+    """gVXR in its own thread; see ``XrayEngine``."""
 
     def __init__(self) -> None:
-        """Create an idle scene; gVXR is imported with the first owner."""
+        """Create an idle engine; gVXR is imported with the first scene."""
         self._thread: ThreadPoolExecutor | None = None
         self._gvxr: Any = None
         self._log = -1
-        self._owned = threading.Lock()
         self._shown: int | None = None
         self._bodies = 0
 
@@ -73,34 +82,28 @@ class GvxrScene:
         if self._gvxr is None:
             self._call(self._start)
 
-    def acquire(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
-        """Fill the scene. The caller owns the scene until ``release``."""
-        if not self._owned.acquire(blocking=False):
-            raise TwinctError(
-                "another X-ray imager is still open in this process, and gVXR has one scene per "
-                "process: close() that imager first, or use a separate process"
-            )
-        try:
-            self._call(self._fill, bodies, energy_kev, panel)
-        except BaseException:
-            self.release()
-            raise
+    def acquire(self, bodies: Sequence[SceneBody], panel: Panel) -> None:
+        """Upload the bodies."""
+        self._call(self._fill, bodies, panel)
 
     def release(self) -> None:
         """Remove all meshes, so that the next owner gets an empty scene."""
-        try:
-            if self._gvxr is not None:
-                self._call(self._gvxr.removePolygonMeshesFromSceneGraph)
-        finally:
-            self._owned.release()
+        if self._gvxr is not None:
+            self._call(self._gvxr.removePolygonMeshesFromSceneGraph)
 
-    def expose(self, view: Vectors, image: NDArray[np.float32], body: int | None = None) -> None:
-        """Take one view in the frame of the meshes, of one body or, with None, of all.
+    def expose(self, view: SceneView, image: NDArray[np.float32]) -> None:
+        """Write the photons per emitted photon behind all bodies, (rows, columns).
 
-        ``image`` receives photons per emitted photon, (rows, columns). gVXR writes as many pixels
-        as its panel has, whatever the size of this array.
+        gVXR writes as many pixels as its panel has, whatever the size of the array.
         """
-        self._call(self._shoot, view, image, body)
+        self._call(self._shoot, view, image)
+
+    def path_lengths(self, view: SceneView, body: int, lengths: NDArray[np.float32]) -> None:
+        """Write the length of each ray inside one body, (rows, columns), mm."""
+        self._call(self._shoot, view, lengths, body)
+        np.clip(lengths, _LEAST_FLOAT, 1.0, out=lengths)
+        np.log(lengths, out=lengths)
+        np.multiply(lengths, np.float32(-1 / PATH_MU), out=lengths)
 
     def _call(self, function: Callable[..., Result], *args: object) -> Result:
         if self._thread is None:
@@ -111,7 +114,7 @@ class GvxrScene:
             # SWIG's translations of C++ exceptions.
             raise TwinctError(f"gVXR failed: {str(error).strip()}{self._complaints()}") from error
 
-    def _fill(self, bodies: Sequence[Upload], energy_kev: float, panel: Panel) -> None:
+    def _fill(self, bodies: Sequence[SceneBody], panel: Panel) -> None:
         gvxr = self._gvxr or self._start()
         with self._quiet():
             gvxr.removePolygonMeshesFromSceneGraph()
@@ -120,19 +123,20 @@ class GvxrScene:
             gvxr.setDetectorNumberOfPixels(panel.columns, panel.rows)
             gvxr.setDetectorPixelSize(panel.pitch_u, panel.pitch_v, "mm")
             # With one photon per pixel, the photon count of a pixel is its transmission.
-            gvxr.setMonoChromaticPerPixelAtSDD(energy_kev, "keV", 1)
-            self._add("primer", *_PRIMER)
+            gvxr.setMonoChromaticPerPixelAtSDD(_ANY_KEV, "keV", 1)
+            self._add("primer", _PRIMER)
             x, y, z = np.eye(3)
-            self._shoot((-_BEAM_MM * x, _BEAM_MM * x, z, y), np.empty(panel.shape, np.float32))
+            view = SceneView(-_BEAM_MM * x, _BEAM_MM * x, z, y)
+            self._shoot(view, np.empty(panel.shape, np.float32))
             gvxr.removePolygonMeshesFromSceneGraph()
             # The first view on a new panel enables the filter, whatever was set before.
             gvxr.disableArtefactFiltering()
             for index, body in enumerate(bodies):
-                self._add(f"part-{index}", *body)
+                self._add(f"part-{index}", body)
         self._bodies = len(bodies)
         self._shown = None
 
-    def _shoot(self, view: Vectors, image: NDArray[np.float32], body: int | None = None) -> None:
+    def _shoot(self, view: SceneView, image: NDArray[np.float32], body: int | None = None) -> None:
         gvxr = self._gvxr
         if body != self._shown:
             # The meshes stay uploaded, so this takes less than a microsecond.
@@ -166,11 +170,10 @@ class GvxrScene:
         self._gvxr = gvxr
         return gvxr
 
-    def _add(
-        self, label: str, vertices: Floats, faces: NDArray[np.integer], mu_per_mm: float
-    ) -> None:
-        gvxr = self._gvxr
-        gvxr.makeTriangularMesh(label, vertices.ravel().tolist(), faces.ravel().tolist(), "mm")
+    def _add(self, label: str, body: SceneBody) -> None:
+        gvxr, mu_per_mm = self._gvxr, PATH_MU if body.mu_per_mm is None else body.mu_per_mm
+        vertices, faces = body.vertices.ravel().tolist(), body.faces.ravel().tolist()
+        gvxr.makeTriangularMesh(label, vertices, faces, "mm")
         gvxr.setLinearAttenuationCoefficient(label, 10.0 * mu_per_mm, "cm-1")
         gvxr.addPolygonMeshAsInnerSurface(label)
 
@@ -226,32 +229,4 @@ def _no_display() -> Iterator[None]:
         os.environ.update({name: value for name, value in hidden.items() if value is not None})
 
 
-ENGINE = GvxrScene()
-"""The scene of this process."""
-
-
-class SceneOwner:
-    """Owner of the scene while ``_open`` is set, until ``close``; usable as a context manager."""
-
-    _open = False
-
-    def close(self) -> None:
-        """Release the scene for the next owner; closing twice is harmless."""
-        if self._open:
-            self._open = False
-            self._release()
-
-    def _release(self) -> None:
-        ENGINE.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def __del__(self) -> None:
-        # An unreachable owner must not block the next one. At the end of the process, gVXR's thread
-        # is already gone.
-        with suppress(TwinctError):
-            self.close()
+GVXR = EngineChoice("gvxr", GvxrEngine(), extras=("xray",), memory_bytes=MEMORY_BYTES)

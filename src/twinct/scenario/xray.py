@@ -1,0 +1,15 @@
+"""Computation of the X-ray images."""
+
+from __future__ import annotations
+
+from twinct.core.settings import Section, setting
+
+
+class Xray(Section):
+    """Computation of the X-ray images."""
+
+    engine: str = setting(
+        "gvxr",
+        "Engine that renders the images: gvxr, or one of another package, see docs/physics.md.",
+        source="the paper",
+    )

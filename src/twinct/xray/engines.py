@@ -1,0 +1,60 @@
+"""All X-ray engines by name, built in or from extensions."""
+
+from __future__ import annotations
+
+import difflib
+from functools import cache
+from importlib.util import find_spec
+
+from twinct.core.errors import InputError
+from twinct.core.extensions import Offers, offers
+from twinct.xray.engine import EngineChoice
+from twinct.xray.gvxr import GVXR
+
+DEFAULT_ENGINE = GVXR.name
+BUILT_IN = {GVXR.name: GVXR}
+
+
+@cache
+def engines() -> Offers[EngineChoice]:
+    """Return the engines that a scenario can name; they are looked up once per process."""
+    return offers("twinct.xray_engines", EngineChoice, BUILT_IN)
+
+
+def engine_named(name: str) -> EngineChoice:
+    """Return the engine of a name. Those of other packages are loaded only if one is named.
+
+    Raises:
+        InputError: the name is unknown, its entry point is broken, or a module of the engine is not
+            installed.
+    """
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    if name not in (known := engines()):
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        reason = known.broken.get(name, f"there is no engine {name!r}{hint}")
+        raise InputError(f"xray.engine: {reason} (allowed: {', '.join(known)})")
+    choice = known[name]
+    if missing := [module for module in choice.modules if not _installed(module)]:
+        raise InputError(
+            f"xray.engine: the engine {name!r} needs {', '.join(missing)}, not installed here "
+            f"(allowed without: {', '.join(BUILT_IN)})"
+        )
+    return choice
+
+
+def prepare_engine(name: str = DEFAULT_ENGINE) -> None:
+    """Load an engine and check that it works, so that a later imager starts at once.
+
+    Raises:
+        InputError: the engine, or a package or system library that it needs, is not installed.
+    """
+    engine_named(name).engine.prepare()
+
+
+def _installed(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except (ImportError, ValueError):  # its parent is missing, or it is blocked
+        return False
