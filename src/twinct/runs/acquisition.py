@@ -132,7 +132,7 @@ def simulate(
             step()
 
         acquire(rig, builder.targets, keep)
-    return Scan.from_views(scenario, builder.commanded_poses, views, builder.mas)
+    return Scan.from_views(scenario, builder.commanded_poses, views, builder.mas, builder.followed)
 
 
 def acquire_to_store(
