@@ -282,11 +282,13 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
     others = {name for other in SECTIONS.values() for name in own_keys(other)}
     for name in [name for name in section if name in others and name not in kept]:
         if not draft.set_over((*key, name)):
-            gone = (
-                f"{draft.origin((*key, name))}: reconstruction.{name} belongs to {before} and "
-                "is left out"
-            )
-            draft.left_out.append(f"{gone}: {algorithm} has no such key")
+            origin = draft.origin((*key, name))
+            # Python code that changes a whole scenario has all defaults in it, which nobody chose.
+            if origin or section[name] != SECTIONS[before].model_fields[name].default:
+                place = f"{origin}: " if origin else ""
+                draft.left_out.append(
+                    f"{place}reconstruction.{name} does not apply to {algorithm} and is ignored"
+                )
             del section[name]
             draft.forget((*key, name))
 
