@@ -40,6 +40,7 @@ from twinct.runs.checks import (
     check_sight,
     require_extras,
 )
+from twinct.runs.figures import Figures
 from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
 from twinct.runs.log import logged_to
 from twinct.runs.needs import require_memory
@@ -78,9 +79,9 @@ class Run:
         return Volume.read(self.paths.volume)
 
     @cached_property
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Figures:
         """Content of ``metrics.json``."""
-        return read_metrics(self.paths.metrics)
+        return Figures(read_metrics(self.paths.metrics))
 
     def __repr__(self) -> str:
         """Return name and folder in one line."""
