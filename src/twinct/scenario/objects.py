@@ -45,8 +45,7 @@ def as_settings(key: str, value: Any) -> Any:
         read_mesh(path, f"{key}: the mesh")
         shape = {"kind": "mesh", "path": str(path)}
         return shape if key == "shape" else {"parts": [{"shape": shape}]}
-    arrays = isinstance(value, tuple) and any(isinstance(one, np.ndarray) for one in value)
-    if key == "trajectory" and (arrays or isinstance(value, ScanGeometry | np.ndarray)):
+    if key == "trajectory" and _views(value):
         try:
             rows = rows_of_views(value)
         except ValueError as error:
@@ -54,6 +53,12 @@ def as_settings(key: str, value: Any) -> Any:
         path = _file("views", ".csv", lambda draft: write_rows(draft, rows))
         return {"kind": "file", "path": str(path)}
     return value
+
+
+def _views(value: object) -> bool:
+    """Return True for a geometry, an array, or a tuple with arrays."""
+    parts = cast("tuple[object, ...]", value) if isinstance(value, tuple) else (value,)
+    return any(isinstance(part, ScanGeometry | np.ndarray) for part in parts)
 
 
 def with_files_in(scenario: Scenario, folder: Path) -> Scenario:
