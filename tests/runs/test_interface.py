@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +15,7 @@ import twinct
 from twinct.core.errors import InputError
 from twinct.recon import Projector
 from twinct.recon.volume import Volume
-from twinct.runs import Run, truth_of
+from twinct.runs import Figures, Run, truth_of
 from twinct.scan import SimulationBuilder
 
 
@@ -47,6 +49,20 @@ def test_a_volume_is_evaluated_as_the_run_evaluated_it(finished: Run) -> None:
     assert figures.rmse_rel == pytest.approx(told["rmse_rel"], rel=1e-6)
     assert figures.ssim == pytest.approx(told["ssim"], rel=1e-6)
     assert figures.further["edge_width_mm"] == pytest.approx(told["edge_width_mm"], rel=1e-6)
+
+
+def test_figures_are_attributes_and_plain_data(finished: Run) -> None:
+    figures = finished.figures
+    plain = json.loads(finished.paths.metrics.read_text())
+    assert figures == plain and json.dumps(figures) == json.dumps(plain)
+    assert figures.image.rmse_rel == figures["image"]["rmse_rel"] > 0
+    assert figures.image.further["edge_width_mm"] == figures["image"]["edge_width_mm"]
+    assert figures.pose_error["source"] == plain["pose_error"]["source"]
+    assert figures.seconds["total"] == plain["seconds"]["total"]
+    assert figures.image_by_geometry == {}
+    both = Figures({"image_by_geometry": {"executed": {**plain["image"], "psnr_db": None}}})
+    (of,) = both.image_by_geometry.values()
+    assert math.isnan(of.psnr_db) and of.rmse_rel == figures.image.rmse_rel
 
 
 def test_a_volume_is_evaluated_on_its_own_grid(finished: Run) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twinct.core.errors import ScenarioError
-from twinct.scenario import load_scenario, parse_scenario
+from twinct.scenario import load_scenario, loading, parse_scenario
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
@@ -55,6 +55,21 @@ def test_a_scenario_is_changed_into_another() -> None:
     assert demo.with_({"reconstruction.algorithm": "fdk"}).reconstruction.algorithm == "fdk"
     with pytest.raises(ScenarioError, match=r"^trajectory\.views: "):
         demo.with_({"trajectory.views": -1})
+
+
+def test_a_key_that_does_not_apply_is_logged_once_and_only_if_somebody_chose_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    loading._warn_once.cache_clear()
+    demo = load_scenario(DEMO)
+    mine = demo.with_({"reconstruction.relaxation": 0.123})
+    for scenario in (demo, mine, mine, demo):
+        scenario.with_({"reconstruction.algorithm": "fdk"}, seed=7)
+    said = [record.getMessage() for record in caplog.records]
+    ignored = "reconstruction.relaxation does not apply to fdk and is ignored"
+    assert [text for text in said if "relaxation" in text] == [ignored]
+    assert len(said) == len(set(said))
+    assert not any("nonnegative" in text for text in said)
 
 
 def test_a_mapping_extends_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

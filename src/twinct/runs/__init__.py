@@ -10,6 +10,7 @@ from twinct.runs.checks import (
 )
 from twinct.runs.compare import compare
 from twinct.runs.export import export_scan
+from twinct.runs.figures import Figures
 from twinct.runs.folder import Folder
 from twinct.runs.importing import import_scan
 from twinct.runs.job import Run, report_again, run
@@ -22,6 +23,7 @@ from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import line_integrals
 
 __all__ = [
+    "Figures",
     "Folder",
     "Need",
     "Reconstruction",

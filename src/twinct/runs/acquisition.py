@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.core.extras import require
@@ -25,7 +25,7 @@ from twinct.scan import (
     acquire,
     local_rig,
 )
-from twinct.scenario import Scenario
+from twinct.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
     from twinct.link.tap import Heard
@@ -81,19 +81,43 @@ def rig_factory(
         yield ros_rigs(logs, domain, hear)
 
 
+def scenario_with(
+    scenario: Scenario | str | Path, keys: Mapping[str, Any], builder: SimulationBuilder | None
+) -> Scenario:
+    """Return a scenario, or that of a file, with other values of some keys.
+
+    Raises:
+        InputError: a key or its value is wrong; the builder's scenario has other values.
+    """
+    if keys and builder:
+        raise InputError(f"builder: it has a scenario of its own; {', '.join(keys)}: change that")
+    if isinstance(scenario, Scenario):
+        return scenario.with_(keys) if keys else scenario
+    return load_scenario(scenario, keys)
+
+
 def simulate(
-    scenario: Scenario, *, builder: SimulationBuilder | None = None, observers: Observers = ()
+    scenario: Scenario | str | Path,
+    *,
+    builder: SimulationBuilder | None = None,
+    observers: Observers = (),
+    **keys: Any,
 ) -> Scan:
     """Plan, move and expose every view in this process, without files and without ROS.
 
-    A builder provides parts of this scenario that are already built. Observers are notified of
-    the plan, the moving joints and the views.
+    Args:
+        scenario: the scenario, or its file.
+        builder: provides parts of this scenario that are already built.
+        observers: notified of the plan, the moving joints and the views.
+        **keys: other values of the scenario's sections, as ``Scenario.with_`` takes them, such as
+            ``seed=2``, ``specimen=mesh`` or ``trajectory=geometry``.
 
     Raises:
         InputError: a file or material of the source or the detector cannot be used.
         TrajectoryError: a view is out of reach or would collide; raised before anything moves.
         MotionError: the arms did not arrive.
     """
+    scenario = scenario_with(scenario, keys, builder)
     builder = builder or SimulationBuilder(scenario)
     check_physics(builder)
     views: list[View] = []
@@ -113,7 +137,7 @@ def simulate(
             step()
 
         acquire(rig, builder.targets, keep)
-    return Scan.from_views(scenario, builder.commanded_poses, views, builder.mas)
+    return Scan.from_views(scenario, builder.commanded_poses, views, builder.mas, builder.followed)
 
 
 def acquire_to_store(

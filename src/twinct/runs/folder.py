@@ -13,10 +13,10 @@ from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.folder_paths import Below, names_below
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.plain_yaml import read_file, written
-from twinct.core.files.writing import check_folder, draft_of
+from twinct.core.files.writing import check_folder, draft_of, write_text
 from twinct.link.recording import recordings
 from twinct.scan import OWN, named_geometries
-from twinct.scenario import Scenario, load_scenario, stage_digests
+from twinct.scenario import Scenario, load_scenario, stage_digests, with_paths
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Folder:
         reconstructions: further reconstructions of the scan, a folder each.
         checkpoints: checkpoints of unfinished reconstructions.
         scenario: the scenario as it was run, defaults included.
+        inputs: meshes and views that the scenario took from a program's memory.
         views: views of a scan that was imported from another tool's recording.
         seconds: timing of an unfinished run.
         logs: output of the nodes of the ROS 2 link.
@@ -53,6 +54,7 @@ class Folder:
     reconstructions = Below("reconstructions")
     checkpoints = Below("checkpoints")
     scenario = Below("scenario.yaml")
+    inputs = Below("inputs")
     views = Below("views.csv")
     seconds = Below("seconds.json")
     logs = Below("log")
@@ -72,6 +74,16 @@ class Folder:
         """
         scheme = () if planned else ("motion.scheme=reactive",)
         return load_scenario(self.scenario, (*scheme, *overrides))
+
+    def write_scenario(self, scenario: Scenario) -> None:
+        """Write the scenario, which names files below ``inputs`` relative to this folder."""
+
+        def relative(path: Path) -> Path:
+            inside = path.parent == self.inputs.resolve()
+            return path.relative_to(self.path.resolve()) if inside else path
+
+        data = with_paths(json.loads(scenario.resolved()), relative)
+        write_text(self.scenario, written(data))
 
     def finished(self, scenario: Scenario) -> bool:
         """Return True if the folder holds all results of exactly this scenario."""

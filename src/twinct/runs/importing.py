@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinct.core.files.lock import sole_owner
-from twinct.core.files.writing import storage_errors, write_text
+from twinct.core.files.writing import storage_errors
 from twinct.runs.acquisition import with_frames
-from twinct.runs.folder import Folder, as_yaml
+from twinct.runs.folder import Folder
 from twinct.scan import SimulationBuilder, View
 
 if TYPE_CHECKING:
@@ -54,5 +54,5 @@ def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
                 return view if imager is None else with_frames(view, index, imager, panel)
 
             store = recorded.rebuild(folder.scan, whole)
-            write_text(folder.scenario, as_yaml(store.scenario))
+            folder.write_scenario(store.scenario)
     return recorded

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_yaml import read_file
-from twinct.core.files.writing import storage_errors, write_text
+from twinct.core.files.writing import storage_errors
 from twinct.core.threads import limit_threads, load_numba
 from twinct.evaluation import ImageFigures, figure_kinds
 from twinct.link.recording import recorder_of
@@ -31,6 +31,7 @@ from twinct.runs.acquisition import (
     acquire_to_store,
     installed_link,
     rig_factory,
+    scenario_with,
 )
 from twinct.runs.checks import (
     check_geometries,
@@ -39,7 +40,8 @@ from twinct.runs.checks import (
     check_sight,
     require_extras,
 )
-from twinct.runs.folder import Folder, as_yaml, read_metrics, refuse_other_keys
+from twinct.runs.figures import Figures
+from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
 from twinct.runs.log import logged_to
 from twinct.runs.needs import require_memory
 from twinct.runs.reconstruction_folder import kept_reconstructions
@@ -48,7 +50,7 @@ from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, SimulationBuilder, check_space, named_geometries
-from twinct.scenario import SECTIONS, Scenario, load_scenario, stage_digests
+from twinct.scenario import SECTIONS, Scenario, stage_digests, with_files_in
 from twinct.scenario.version_0_1 import volume_digest
 
 if TYPE_CHECKING:
@@ -76,9 +78,9 @@ class Run:
         return Volume.read(self.paths.volume)
 
     @cached_property
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Figures:
         """Content of ``metrics.json``."""
-        return read_metrics(self.paths.metrics)
+        return Figures(read_metrics(self.paths.metrics))
 
     def __repr__(self) -> str:
         """Return name and folder in one line."""
@@ -95,6 +97,7 @@ def run(
     threads: int | None = None,
     builder: SimulationBuilder | None = None,
     observers: Observers = (),
+    **keys: Any,
 ) -> Run:
     """Run a scenario from the plan to the report.
 
@@ -110,6 +113,8 @@ def run(
         builder: provides parts of this scenario that are already built.
         observers: notified of the plan, moving joints, views, iterations, stages and warnings; see
             ``twinct.observers``.
+        **keys: other values of the scenario's sections, as ``Scenario.with_`` takes them, such as
+            ``seed=2`` or ``specimen=mesh``; the folder keeps meshes and views in ``inputs``.
 
     Raises:
         InputError: a problem detected before work starts; nothing has been written.
@@ -119,7 +124,7 @@ def run(
     """
     load_numba()
     limit_threads(threads)
-    scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    scenario = scenario_with(scenario, keys, builder)
     folder = Folder(Path(out))
     seconds = Seconds(folder.seconds)
     if not resume:
@@ -128,6 +133,7 @@ def run(
     store = resumable(folder, scenario) if resume and folder.scan.exists() else None
     if store:
         store.refuse_other(scenario)
+        scenario = with_files_in(scenario, folder.inputs)
     require_extras(scenario)
     chosen = link or installed_link()
     require_memory(scenario)
@@ -160,6 +166,8 @@ def run(
         stack.enter_context(logged_to(folder.log))
         if not resume:  # another process may have written here while this one planned
             folder.refuse_if_taken()
+        builder = _with_inputs(builder, folder)
+        scenario = builder.scenario
         _note(builder, folder, chosen, warnings)
         if resume:
             seconds.go_on()
@@ -237,7 +245,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
         timing = Timing(before["seconds"], before["real_time_factor"])
         write_results(folder, builder, now.scan, results, timing)
         if asked_anew:
-            write_text(folder.scenario, as_yaml(scenario))
+            folder.write_scenario(scenario)
     return now
 
 
@@ -270,10 +278,18 @@ def _prepare(
     return warnings
 
 
+def _with_inputs(builder: SimulationBuilder, folder: Folder) -> SimulationBuilder:
+    """Return a builder whose scenario names its files in the folder, where it keeps them."""
+    scenario = with_files_in(builder.scenario, folder.inputs)
+    if scenario is builder.scenario:
+        return builder
+    return SimulationBuilder(scenario, builder.plan, builder.specimen)
+
+
 def _note(builder: SimulationBuilder, folder: Folder, link: Link, warnings: list[str]) -> None:
     """Write the scenario, and log the run's settings and warnings."""
     scenario = builder.scenario
-    write_text(folder.scenario, as_yaml(scenario))
+    folder.write_scenario(scenario)
     log.info("twinct run %s, %s link, digests %s", scenario.name, link, stage_digests(scenario))
     for name, words in physics_in_words(scenario, *builder.commanded_poses[0], builder.mas).items():
         log.info("%s: %s", name.lower(), words)

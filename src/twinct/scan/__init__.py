@@ -15,6 +15,7 @@ from twinct.scan.named_geometries import (
     named_geometries,
 )
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
+from twinct.scan.saving import save_scan
 from twinct.scan.store import Readings, ScanStore, check_space
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "local_rig",
     "named_geometries",
     "reported",
+    "save_scan",
     "unknown_files",
     "view_damage",
     "write_frame",

@@ -22,6 +22,7 @@ from twinct.scenario import Scenario, Uncertainty
 from twinct.uncertainty import reported_poses
 
 if TYPE_CHECKING:
+    from twinct.robots.motion import MotionPlan
     from twinct.xray.chain import ViewImages
 
 
@@ -47,6 +48,21 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
+class Acquired:
+    """Data of an acquisition that a store holds besides a scan's own fields.
+
+    Attributes:
+        reached: state of the robots in each view.
+        transmission: the scan's images; others in their place are not those of its scenario.
+        plan: plan that the arms followed, if any.
+    """
+
+    reached: tuple[Reached, ...]
+    transmission: NDArray[np.float32]
+    plan: MotionPlan | None
+
+
+@dataclass(frozen=True, eq=False)
 class Scan:
     """All views of a scan.
 
@@ -65,6 +81,7 @@ class Scan:
         derived: other geometries of these views, by name.
         bad_pixels: pixels replaced by their neighbours' mean, (rows, columns); None if none are.
         mas: tube load of each view, (views,), mAs; None if all have the scenario's ``source.mas``.
+        acquired: what ``save`` writes besides; None unless the scan is from ``from_views``.
     """
 
     scenario: Scenario
@@ -80,6 +97,7 @@ class Scan:
     derived: Mapping[str, NamedGeometry] = field(default_factory=dict[str, NamedGeometry])
     bad_pixels: NDArray[np.bool_] | None = None
     mas: NDArray[np.float64] | None = None
+    acquired: Acquired | None = None
 
     def __post_init__(self) -> None:
         """Check that all derived geometries belong to this scan.
@@ -144,13 +162,15 @@ class Scan:
         commanded: PosePairs,
         views: list[View],
         mas: NDArray[np.float64] | None = None,
+        plan: MotionPlan | None = None,
     ) -> Scan:
         """Build from views that were acquired one by one."""
         reached = [view.reached for view in views]
         executed = [(r.executed.source, r.executed.detector) for r in reached]
+        transmission = np.stack([view.transmission for view in views])
         return cls(
             scenario=scenario,
-            transmission=np.stack([view.transmission for view in views]),
+            transmission=transmission,
             commanded=commanded,
             executed=PosePairs(*zip(*executed, strict=True)),
             executed_object=tuple(r.executed.object for r in reached),
@@ -161,7 +181,28 @@ class Scan:
             exposure=tuple(r.exposure for r in reached) if reached[0].exposure else (),
             bad_pixels=bad_pixels_of(scenario),
             mas=mas,
+            acquired=Acquired(tuple(reached), transmission, plan),
         )
+
+    def save(self, path: str | Path) -> None:
+        """Write the scan as a store, as a run does; ``load_scan`` reads it.
+
+        ``twinct verify`` and ``twinct export`` take it, and in a folder of its own a run resumes
+        with it, unless its images were changed. Meshes and views that the scenario took from memory
+        go to the folder ``inputs`` beside it. Derived geometries are no part of it.
+
+        Args:
+            path: path of the store, such as ``out/mine/scan.zarr``; it appears when it is complete.
+
+        Raises:
+            InputError: the scan was loaded or put together, or its scenario has ``detector.keep``:
+                joint speeds, torques, states of the simulation or images are unknown.
+            ScanExistsError: the path exists.
+            StorageError: the store cannot be written.
+        """
+        from twinct import scan
+
+        scan.save_scan(self, Path(path))
 
     def __len__(self) -> int:
         """Return the number of views."""

@@ -52,6 +52,7 @@ from twinct.scenario.loading import (
 )
 from twinct.scenario.metal import Implant, KnownImplants, Nmar
 from twinct.scenario.motion import InverseKinematics, Motion
+from twinct.scenario.objects import with_files_in, with_paths
 from twinct.scenario.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
 from twinct.scenario.scenario import AnyTrajectory, Scenario
 from twinct.scenario.source import (
@@ -185,5 +186,7 @@ __all__ = [
     "scenario_schema",
     "specimen_digest",
     "stage_digests",
+    "with_files_in",
+    "with_paths",
     "write_scenario",
 ]

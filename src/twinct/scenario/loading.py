@@ -8,6 +8,7 @@ import re
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +40,14 @@ def load_scenario(source: str | Path | Mapping[str, Any], overrides: Overrides =
     draft = drafted(source, overrides)
     scenario = _checked(draft)
     for sentence in draft.left_out:
-        log.warning(sentence)
+        _warn_once(sentence)
     return scenario
+
+
+@cache
+def _warn_once(sentence: str) -> None:
+    """Log a warning, once per process: a loop over scenarios would repeat it."""
+    log.warning(sentence)
 
 
 @dataclass(frozen=True)

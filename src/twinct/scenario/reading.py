@@ -15,6 +15,7 @@ from twinct.core.files.boundary import absolute, no_file, shortened
 from twinct.core.files.plain_yaml import Key, read_file, read_value
 from twinct.core.settings import FILE_KEYS
 from twinct.scenario.cell import DEFAULT_KIND
+from twinct.scenario.objects import as_settings
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
 from twinct.scenario.version_0_1 import upgraded
 
@@ -94,7 +95,7 @@ def drafted(
     if isinstance(overrides, Mapping):
         for key, value in cast("Mapping[str, Any]", overrides).items():
             name = key.rpartition(".")[2]
-            _apply(draft, key, _absolute_paths({name: _plain(value)}, Path())[name], "")
+            _apply(draft, key, _absolute_paths(_plain({name: value}), Path())[name], "")
     else:
         for override in overrides:
             _apply_override(draft, override)
@@ -105,7 +106,7 @@ def _plain(value: Any) -> Any:
     """Return values of Python and numpy as the plain data that YAML holds."""
     if isinstance(value, Mapping):
         pairs = cast("Mapping[object, object]", value)
-        return {str(key): _plain(one) for key, one in pairs.items()}
+        return {str(key): _plain(as_settings(str(key), one)) for key, one in pairs.items()}
     if isinstance(value, np.ndarray | np.generic):
         return cast(Any, value).tolist()
     if isinstance(value, list | tuple):
@@ -281,11 +282,13 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
     others = {name for other in SECTIONS.values() for name in own_keys(other)}
     for name in [name for name in section if name in others and name not in kept]:
         if not draft.set_over((*key, name)):
-            gone = (
-                f"{draft.origin((*key, name))}: reconstruction.{name} belongs to {before} and "
-                "is left out"
-            )
-            draft.left_out.append(f"{gone}: {algorithm} has no such key")
+            origin = draft.origin((*key, name))
+            # Python code that changes a whole scenario has all defaults in it, which nobody chose.
+            if origin or section[name] != SECTIONS[before].model_fields[name].default:
+                place = f"{origin}: " if origin else ""
+                draft.left_out.append(
+                    f"{place}reconstruction.{name} does not apply to {algorithm} and is ignored"
+                )
             del section[name]
             draft.forget((*key, name))
 

@@ -74,12 +74,18 @@ class Scenario(Section):
     def with_(self, changes: Mapping[str, Any] | None = None, /, **keys: Any) -> Scenario:
         """Return the scenario with other values of some keys.
 
+        A closed mesh, such as ``trimesh.Trimesh``, in mm, may be the ``shape`` of a part, or the
+        whole ``specimen`` of bone. Views may be the ``trajectory``: a ``ScanGeometry``; arrays
+        ``(source, detector)`` or ``(source, detector, u, v)``, (views, 3), mm, then perhaps mAs,
+        (views,); or one array of these columns.
+
         Args:
             changes: values by dotted key, such as ``{"trajectory.views": 12}``.
             **keys: values of keys at the top level, such as ``seed=1``.
 
         Raises:
             ScenarioError: with one sentence for each problem.
+            SpecimenError: a mesh is not closed.
         """
         from twinct import scenario
 

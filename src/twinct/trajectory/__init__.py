@@ -10,7 +10,7 @@ from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, panel
 from twinct.trajectory.saddle import SaddleTrajectory
 from twinct.trajectory.sinusoid import SinusoidTrajectory
 from twinct.trajectory.spiral import SpiralTrajectory
-from twinct.trajectory.table import FileTrajectory, write_views
+from twinct.trajectory.table import FileTrajectory, rows_of_views, write_rows, write_views
 from twinct.trajectory.uniform import UniformTrajectory
 
 __all__ = [
@@ -32,6 +32,8 @@ __all__ = [
     "on_sphere",
     "orbit_views",
     "panel_axes",
+    "rows_of_views",
     "stops",
+    "write_rows",
     "write_views",
 ]

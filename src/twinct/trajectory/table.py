@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from twinct.core.errors import TrajectoryError
@@ -44,10 +45,47 @@ def write_views(path: Path, geometry: ScanGeometry, mas: Floats | None = None) -
         geometry: the views.
         mas: tube load of each view, (views,), mAs; None: the file does not state it.
     """
-    rows = np.hstack([geometry.source, geometry.detector, geometry.u, geometry.v])
-    columns = list(_COLUMNS)
-    if mas is not None:
-        rows, columns = np.column_stack([rows, mas]), [*columns, _MAS]
+    rows = rows_of_views(geometry)
+    write_rows(path, rows if mas is None else np.column_stack([rows, mas]))
+
+
+def rows_of_views(views: ScanGeometry | ArrayLike | tuple[ArrayLike, ...]) -> Floats:
+    """Return views as the rows of a file of views.
+
+    Args:
+        views: a geometry, whose panel does not count; the rows themselves, (views, 6, 7, 12 or 13);
+            or their columns side by side: source and detector, (views, 3), mm, perhaps u and v,
+            (views, 3), perhaps the tube load, (views,), mAs.
+
+    Raises:
+        ValueError: the arrays form no views; a view is invalid.
+    """
+    if isinstance(views, ScanGeometry):
+        return np.hstack([views.source, views.detector, views.u, views.v])
+    rows = np.column_stack(views) if isinstance(views, tuple) else np.asarray(views)
+    rows = rows.astype(np.float64)
+    if rows.ndim != 2 or rows.shape[1] not in _FORMS or not 1 <= len(rows) <= MOST_VIEWS:
+        raise ValueError(
+            f"arrays of shape {rows.shape} form no views: a view has 6 numbers (S, D) or 12 (S, D, "
+            f"u, v) in mm, and optionally its mAs at the end; at most {MOST_VIEWS} views"
+        )
+    if rows.shape[1] in (7, 13) and not (rows[:, -1] > 0).all():
+        raise ValueError(f"mAs of view {int((~(rows[:, -1] > 0)).argmax())} is not above 0")
+    try:
+        _geometry(rows, Panel(1, 1, 1.0, 1.0))
+    except TrajectoryError as error:
+        raise ValueError(str(error)) from None
+    return rows
+
+
+def write_rows(path: Path, rows: Floats) -> None:
+    """Write the rows of a file of views, which are read back to the same numbers.
+
+    Args:
+        path: path of the file.
+        rows: (views, 6, 7, 12 or 13), as ``rows_of_views`` returns them.
+    """
+    columns = _COLUMNS[: rows.shape[1] // 6 * 6] + [_MAS] * (rows.shape[1] % 6)
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(columns)

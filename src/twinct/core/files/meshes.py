@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import no_file, read_bytes, require_memory, shortened
@@ -57,6 +58,25 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise SpecimenError(f"{where} holds triangles whose corners do not exist")
     return mesh
+
+
+def write_ply(path: Path, vertices: ArrayLike, faces: ArrayLike) -> None:
+    """Write triangles as binary PLY: equal ones give equal bytes, and are read to equal numbers.
+
+    Args:
+        path: path of the file.
+        vertices: corners, (n, 3), float64.
+        faces: indices of each triangle's corners, (m, 3).
+    """
+    corners = np.asarray(vertices, dtype="<f8")
+    triangles = np.empty(len(np.asarray(faces)), dtype=[("corners", "u1"), ("indices", "<i4", 3)])
+    triangles["corners"], triangles["indices"] = 3, faces
+    axes = "".join(f"property double {axis}\n" for axis in "xyz")
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(corners)}\n{axes}"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    path.write_bytes(header.encode() + corners.tobytes() + triangles.tobytes())
 
 
 def _check_ply(data: bytes, where: str) -> None:
