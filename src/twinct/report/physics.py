@@ -82,16 +82,22 @@ def _exposure(source: Source, mas: Floats) -> list[str]:
     return words
 
 
+def _response(detector: Detector) -> list[str]:
+    match detector.response:
+        case sections.ScintillatorResponse(thickness_mm=thickness, material=material):
+            return [f"{thickness:g} mm {_name(material)}"]
+        case sections.CountingResponse():
+            return ["photon counting"]
+        case sections.FileResponse(path=path):
+            return [f"efficiency {path.name}"]
+        case _:
+            return []
+
+
 def _signal(detector: Detector) -> list[str]:
     """Describe the signal up to the readout."""
-    words = []
-    response, spread, noise = detector.response, detector.point_spread, detector.noise
-    if isinstance(response, sections.ScintillatorResponse):
-        words.append(f"{response.thickness_mm:g} mm {_name(response.material)}")
-    elif isinstance(response, sections.CountingResponse):
-        words.append("photon counting")
-    elif isinstance(response, sections.FileResponse):
-        words.append(f"efficiency {response.path.name}")
+    words = _response(detector)
+    spread, noise = detector.point_spread, detector.noise
     if (n := detector.pixel_samples) > 1:
         words.append(f"{n} × {n} samples a pixel")
     if detector.scatter is not None:
