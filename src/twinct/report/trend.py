@@ -68,10 +68,7 @@ def trend_picture(
             return [x if numbers else places[json.dumps(x)] for x, _ in points]
 
         if shown.cloud:
-            y = factor * np.array([mean for _, mean in shown.cloud])
-            dots = {"marker": "o", "ls": "none", "mew": 0, "color": _COLOURS[0], "alpha": 0.35}
-            dots |= {"ms": 2.5, "rasterized": len(y) > _MOST_SHAPES, "zorder": 1}
-            axes.plot(placed(shown.cloud), y, **dots)
+            _draw_dots(axes, placed(shown.cloud), [factor * mean for _, mean in shown.cloud])
         for index, (told, line) in enumerate(shown.lines):
             y, half = (
                 factor * np.array([np.nan if v is None else v for v in column], dtype=np.float64)
@@ -100,6 +97,12 @@ def trend_picture(
             place: dict[str, Any] = {"loc": "outside upper left", "alignment": "left"}
             figure_.legend(**place, ncols=min(many, 3), title=title, borderpad=0)
         return svg(figure_)
+
+
+def _draw_dots(axes: Any, x: Sequence[float], y: Sequence[float]) -> None:
+    dots = {"marker": "o", "ls": "none", "mew": 0, "color": _COLOURS[0], "alpha": 0.35}
+    dots |= {"ms": 2.5, "rasterized": len(y) > _MOST_SHAPES, "zorder": 1}
+    axes.plot(x, y, **dots)
 
 
 def _scale(axes: Any, values: Sequence[float], log: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -192,75 +193,64 @@ class ViewTask(Section):
         None, "Choose the views of the best path of a family; null: choose views freely."
     )
 
-    def conflicts(self, specimen: Specimen) -> list[Conflict]:
-        """Return conflicts: no goal, more views than candidates, or unknown parts."""
-        names = [part.label for part in specimen.parts]
-        having = (
-            f"{'the parts are' if len(names) > 1 else 'the only part is'} "
-            f"{', '.join(map(repr, names))}"
-        )
-        found: list[Conflict] = []
+    def conflicts(self, specimen: Specimen) -> Iterator[Conflict]:
+        """Yield conflicts: no goal, more views than candidates, or unknown parts."""
         if not (self.completeness or self.detectability or self.known or self.trying):
-            found.append(
-                Conflict(
-                    "task: completeness, detectability or known is required: metal, dose and "
-                    "moving alone would choose the same view again and again",
-                    ("task",),
-                )
+            yield Conflict(
+                "task: completeness, detectability or known is required: metal, dose and "
+                "moving alone would choose the same view again and again",
+                ("task",),
             )
         if self.trying and not self.family:
-            found.append(
-                Conflict(
-                    "task.trying: this goal needs task.family, because it tries whole paths, "
-                    "not single views; twinct plan --try tries the chosen views",
-                    ("task.trying", "task.family"),
-                )
+            yield Conflict(
+                "task.trying: this goal needs task.family, because it tries whole paths, "
+                "not single views; twinct plan --try tries the chosen views",
+                ("task.trying", "task.family"),
             )
         if self.views > self.candidates:
-            found.append(
-                Conflict(
-                    f"task.views ({self.views}) must be at most task.candidates "
-                    f"({self.candidates})",
-                    ("task.views", "task.candidates"),
-                )
+            yield Conflict(
+                f"task.views ({self.views}) must be at most task.candidates ({self.candidates})",
+                ("task.views", "task.candidates"),
             )
         if self.exposure and not self.detectability:
-            found.append(
-                Conflict(
-                    "task.exposure: sharing the mAs serves detectability and needs "
-                    "task.detectability",
-                    ("task.exposure", "task.detectability"),
-                )
+            yield Conflict(
+                "task.exposure: sharing the mAs serves detectability and needs task.detectability",
+                ("task.exposure", "task.detectability"),
             )
         if self.exposure and self.family:
-            found.append(
-                Conflict(
-                    "task.exposure: a file of views can give each view its own mAs, a path of "
-                    "task.family cannot; leave out one of the two",
-                    ("task.exposure", "task.family"),
-                )
+            yield Conflict(
+                "task.exposure: a file of views can give each view its own mAs, a path of "
+                "task.family cannot; leave out one of the two",
+                ("task.exposure", "task.family"),
             )
+        yield from self._family_conflicts()
+        if self.metal and bool(self.metal.parts) == (self.metal.seen is not None):
+            yield Conflict(
+                "task.metal: give either parts (of the specimen) or seen (in a volume)",
+                ("task.metal.parts", "task.metal.seen"),
+            )
+        yield from self._unknown_parts([part.label for part in specimen.parts])
+
+    def _family_conflicts(self) -> Iterator[Conflict]:
         family = self.family.parameters if self.family else ()
         for i, one in enumerate(family):
             key = f"task.family.parameters.{i}"
             if one.low >= one.high:
                 message = f"{key}: low ({one.low:g}) must be below high ({one.high:g})"
-                found.append(Conflict(message, (f"{key}.low", f"{key}.high")))
+                yield Conflict(message, (f"{key}.low", f"{key}.high"))
             if one.key in [other.key for other in family[:i]]:
-                found.append(Conflict(f"{key}.key: {one.key!r} is listed twice", (f"{key}.key",)))
-        if self.metal and bool(self.metal.parts) == (self.metal.seen is not None):
-            found.append(
-                Conflict(
-                    "task.metal: give either parts (of the specimen) or seen (in a volume)",
-                    ("task.metal.parts", "task.metal.seen"),
-                )
-            )
+                yield Conflict(f"{key}.key: {one.key!r} is listed twice", (f"{key}.key",))
+
+    def _unknown_parts(self, names: list[str]) -> list[Conflict]:
+        having = (
+            f"{'the parts are' if len(names) > 1 else 'the only part is'} "
+            f"{', '.join(map(repr, names))}"
+        )
         metal = self.metal.parts if self.metal else ()
         wanted = [(f"metal.parts.{i}", part) for i, part in enumerate(metal)]
         wanted += [("dose.part", self.dose.part)] if self.dose else []
-        found += [
+        return [
             Conflict(f"task.{key}: unknown part {name!r}; {having}", (f"task.{key}",))
             for key, name in wanted
             if name not in names
         ]
-        return found
